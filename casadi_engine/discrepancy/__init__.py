@@ -1,0 +1,1 @@
+"""Discrepancy: where a model and data disagree, and which effect is missing."""

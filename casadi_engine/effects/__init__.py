@@ -1,0 +1,1 @@
+"""Effects: physical terms that a model may lack."""

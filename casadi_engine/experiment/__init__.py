@@ -1,0 +1,1 @@
+"""Experiments: measured channels, each with its own time, their readers and their conditioning."""

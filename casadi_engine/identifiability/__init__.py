@@ -1,0 +1,1 @@
+"""Identifiability: what the data and the structure can tell about the parameters."""

@@ -1,0 +1,1 @@
+"""Models: symbolic equations of motion, their ports, builders, modes and printed form."""

@@ -1,0 +1,1 @@
+"""Parameters: values, bounds, ties, constraints, priors and their map to the vector that is estimated."""

@@ -1,0 +1,1 @@
+"""Problem: a model, its parameters, a reader, records and noise."""

@@ -1,0 +1,1 @@
+"""Report: tables, figures and self-contained pages of the results."""

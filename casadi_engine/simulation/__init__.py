@@ -1,0 +1,1 @@
+"""Simulation: exact discretisation and batched propagation with first- and second-order sensitivities."""
