@@ -1,1 +1,0 @@
-"""Discrepancy: where a model and data disagree, and which effect is missing."""

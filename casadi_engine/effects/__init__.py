@@ -1,1 +1,0 @@
-"""Effects: physical terms that a model may lack."""

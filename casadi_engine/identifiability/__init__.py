@@ -1,1 +1,0 @@
-"""Identifiability: what the data and the structure can tell about the parameters."""
