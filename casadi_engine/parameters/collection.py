@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 
 from casadi_engine.errors import ConstraintError, ExpressionError, ParameterError, TieError
-from casadi_engine.parameters import storage, table
+from casadi_engine.parameters import storage, table, ties
 from casadi_engine.parameters.constraint import (
     Constraint,
     FrequencyConstraint,
@@ -82,12 +82,12 @@ class Parameters:
     @property
     def symbols(self) -> Mapping[str, Any]:
         """Name -> SX scalar, for ties and constraints written in CasADi; read only."""
-        return MappingProxyType(self._symbols)
+        return MappingProxyType({name: ca.SX(symbol) for name, symbol in self._symbols.items()})
 
     def symbol(self, name: str) -> Any:
         """The SX scalar that stands for a parameter in ties and constraints; copies of the set share it."""
-        self[name]
-        return self._symbols[name]
+        self[name]  # raises for an unknown name
+        return ca.SX(self._symbols[name])
 
     @property
     def constraints(self) -> tuple[Constraint, ...]:
@@ -113,28 +113,11 @@ class Parameters:
 
     def tied_in_order(self) -> tuple[str, ...]:
         """The tied names, each after the tied ones that its own tie refers to."""
-        done: dict[str, None] = {}
-
-        def visit(name: str) -> None:
-            if name in self._ties and name not in done:
-                for reference in self._references[name]:
-                    visit(reference)
-                done[name] = None
-
-        for name in self._ties:
-            visit(name)
-        return tuple(done)
+        return ties.in_order(self._references)
 
     def references(self, names: Iterable[str]) -> set[str]:
         """`names` and all that their ties refer to, directly or through other ties."""
-        found: set[str] = set()
-        stack = list(names)
-        while stack:
-            name = stack.pop()
-            if name not in found:
-                found.add(name)
-                stack.extend(self._references.get(name, ()))
-        return found
+        return ties.closure(self._references, names)
 
     # ---- changing ------------------------------------------------------------------------------
 
@@ -201,8 +184,8 @@ class Parameters:
                 cure=f'call free("{name}") first, or leave the tie out',
             )
         tied, text = self._read(expression, f"the tie of {name}", TieError)
-        references = self._names_in(tied)
-        cycle = self._cycle(name, references)
+        references = _names_in(tied)
+        cycle = ties.cycle(self._references, name, references)
         if cycle:
             raise TieError(
                 "ties close a cycle",
@@ -240,6 +223,13 @@ class Parameters:
         ConstraintError for bounds that are no bounds or a name given twice.
         """
         self._check_open()
+        if name is not None and (not isinstance(name, str) or not name):
+            raise ConstraintError(
+                "the name of a constraint is not acceptable",
+                seen=repr(name),
+                allowed="text, or None for the expression itself",
+                cure="give a short text in quotes",
+            )
         read, text = self._read(expression, "a constraint", ConstraintError)
         label = name if name is not None else text if text is not None else _shown(read)
         lower, upper = check_bounds(label, min, max)
@@ -250,7 +240,7 @@ class Parameters:
                 allowed="a name of its own for each",
                 cure="give another name",
             )
-        names = self._names_in(read)
+        names = _names_in(read)
         self._constraints.append(Constraint(label, read, lower, upper, names, text, name))
 
     def constrain_frequency(self, mode: int, min: float = 0.0, max: float = math.inf) -> None:
@@ -312,6 +302,13 @@ class Parameters:
 
         Ties of the added names come along, and constraints of `other` that refer to one of them.
         """
+        if not isinstance(other, Parameters):
+            raise ParameterError(
+                "a set of parameters can only be extended by another",
+                seen=type(other).__name__,
+                allowed="Parameters",
+                cure="give model.parameters()",
+            )
         result = self.copy()
         new = [name for name in other._items if name not in self._items]
         for name in new:
@@ -386,7 +383,7 @@ class Parameters:
         return own
 
     def _tie_text(self, name: str) -> str | None:
-        """The tie of a parameter as text that can be read again, or None; ExpressionError if there is none."""
+        """The tie of a parameter as text that can be read again, or None if it is not tied."""
         if name not in self._ties:
             return None
         text = self._items[name]._tie
@@ -434,24 +431,11 @@ class Parameters:
                 allowed="parameters.symbol(name) with " + near_matches(strange[0], self._items),
                 cure="take the symbols from this very set",
             )
-        return expression, None
+        return ca.SX(expression), None  # a copy: SX objects can be changed in place
 
-    def _names_in(self, expression: Any) -> tuple[str, ...]:
-        return tuple(symbol.name() for symbol in ca.symvar(expression))
 
-    def _cycle(self, name: str, references: tuple[str, ...]) -> list[str]:
-        """The way from `name` through ties back to itself, if `name` were tied to `references`."""
-
-        def search(path: list[str], following: tuple[str, ...]) -> list[str]:
-            for reference in following:
-                if reference == name:
-                    return [*path, name]
-                found = search([*path, reference], self._references.get(reference, ()))
-                if found:
-                    return found
-            return []
-
-        return search([name], references)
+def _names_in(expression: Any) -> tuple[str, ...]:
+    return tuple(symbol.name() for symbol in ca.symvar(expression))
 
 
 def _shown(expression: Any) -> str:

@@ -202,7 +202,7 @@ class _Layout:
                     self.free[_at(name, record) if name in self.varying else name] = name
         self.entries = {entry: ca.SX.sym(entry) for entry in self.free}
         self.z = ca.vertcat(*self.entries.values()) if self.entries else ca.SX(0, 1)
-        self.symbols = ca.vertcat(*parameters.symbols.values())
+        self.symbols = ca.vertcat(*parameters._symbols.values())
 
     def records_of(self, names: Iterable[str]) -> tuple[str, ...]:
         """The records that have to be told apart for something that refers to `names`."""
@@ -216,10 +216,10 @@ class _Layout:
             found[name] = self.entries.get(entry, self.values[name])
         for name in self.order:
             if name in self.moving and name not in self.kept:
-                found[name] = self.tie(name, ca.vertcat(*found.values()))
+                found[name] = self.tie_of(name, ca.vertcat(*found.values()))
         return ca.SX(ca.vertcat(*found.values()))
 
-    def tie(self, name: str, everything: Any) -> Any:
+    def tie_of(self, name: str, everything: Any) -> Any:
         return ca.substitute(self.parameters._ties[name], self.symbols, everything)
 
     def numbers(self) -> tuple[NDArray[np.float64], ...]:
@@ -320,7 +320,7 @@ def _tie_equalities(
     for name in layout.kept:
         for record in layout.records_of((name,)):
             entry = _at(name, record) if name in layout.varying else name
-            rest = layout.entries[entry] - layout.tie(name, expanded[record])
+            rest = layout.entries[entry] - layout.tie_of(name, expanded[record])
             label = f"{entry} == {layout.parameters[name].tie}"
             found.append(CompiledConstraint(label, rest / magnitude[entry], 0.0, 0.0))
     return found

@@ -12,7 +12,7 @@ import math
 import operator
 import warnings
 from collections.abc import Callable, Mapping
-from typing import Any, NoReturn
+from typing import Any
 
 import casadi as ca
 
@@ -85,21 +85,23 @@ class _Reader:
 
     def read(self) -> Any:
         if not self.text:
-            self.fail("an expression is empty", 0)
+            raise self.wrong("an expression is empty", 0)
+        if "#" in self.text:  # Python would read past it, and half of the expression with it
+            raise self.wrong("an expression holds a comment", self.text.index("#"))
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")  # "1if" and the like only warn: here they are mistakes
                 tree = ast.parse(self.text, mode="eval")
         except SyntaxError as error:
-            self.fail("an expression cannot be read", max((error.offset or 1) - 1, 0))
+            raise self.wrong("an expression cannot be read", max((error.offset or 1) - 1, 0)) from None
         except (ValueError, RecursionError, MemoryError, Warning):
             # null bytes, lone surrogates, absurd nesting, deprecated ways to write numbers
-            self.fail("an expression cannot be read", 0)
+            raise self.wrong("an expression cannot be read", 0) from None
         return ca.SX(self.node(tree.body, 0))
 
     def node(self, node: ast.AST, depth: int) -> Any:
         if depth > MAX_DEPTH:
-            self.fail(f"an expression is nested more than {MAX_DEPTH} levels deep", node)
+            raise self.wrong(f"an expression is nested more than {MAX_DEPTH} levels deep", node)
         match node:
             case ast.Constant():
                 return self.number(node)
@@ -112,7 +114,7 @@ class _Reader:
                 return self.chain(node, depth)
             case ast.Call():
                 return self.call(node, depth)
-        self.fail("an expression holds something outside the grammar", node)
+        raise self.wrong("an expression holds something outside the grammar", node)
 
     def chain(self, node: ast.BinOp, depth: int) -> Any:
         """Read ``a + b + c …``: the tree leans to the left, so a long sum is walked, not recursed into."""
@@ -125,17 +127,17 @@ class _Reader:
         for link in reversed(links):
             function = OPERATORS.get(type(link.op))
             if function is None:
-                self.fail("an expression uses an operator outside the grammar", link)
+                raise self.wrong("an expression uses an operator outside the grammar", link)
             right = self.node(link.right, depth + 1)
             if isinstance(link.op, ast.Pow) and right.is_constant() and abs(float(right)) > MAX_POWER:
-                self.fail(f"a constant power is beyond {MAX_POWER}", link.right)
+                raise self.wrong(f"a constant power is beyond {MAX_POWER}", link.right)
             value = self.finite(function(value, right), link)
         return value
 
     def number(self, node: ast.Constant) -> Any:
         value = node.value
         if isinstance(value, bool) or not isinstance(value, int | float):
-            self.fail("an expression holds something that is not a real number", node)
+            raise self.wrong("an expression holds something that is not a real number", node)
         try:
             value = float(value)
         except OverflowError:
@@ -145,14 +147,14 @@ class _Reader:
     def name(self, node: ast.AST) -> Any:
         name = _dotted(node)
         if name is None:
-            self.fail("an expression holds something outside the grammar", node)
+            raise self.wrong("an expression holds something outside the grammar", node)
         if name in self.symbols:
             return self.symbols[name]
         if name == "pi":
             return ca.SX(math.pi)
         if name in FUNCTIONS:
-            self.fail(f"the function {name} lacks its parentheses", node)
-        self.fail(
+            raise self.wrong(f"the function {name} lacks its parentheses", node)
+        raise self.wrong(
             f"an expression uses the unknown name {name}",
             node,
             near_matches(name, self.symbols),
@@ -165,13 +167,13 @@ class _Reader:
             what = (
                 f"the unknown function {called}" if called else "a call of something that is not a function"
             )
-            self.fail(f"an expression uses {what}", node)
+            raise self.wrong(f"an expression uses {what}", node)
         function, several = FUNCTIONS[node.func.id]
         if node.keywords or any(isinstance(argument, ast.Starred) for argument in node.args):
-            self.fail(f"the function {node.func.id} takes plain arguments alone", node)
+            raise self.wrong(f"the function {node.func.id} takes plain arguments alone", node)
         if (len(node.args) < 2) if several else (len(node.args) != 1):
             wanted = "two or more arguments" if several else "one argument"
-            self.fail(f"the function {node.func.id} takes {wanted}, not {len(node.args)}", node)
+            raise self.wrong(f"the function {node.func.id} takes {wanted}, not {len(node.args)}", node)
         arguments = [self.node(argument, depth + 1) for argument in node.args]
         value = functools.reduce(function, arguments) if several else function(arguments[0])
         return self.finite(value, node)
@@ -179,29 +181,29 @@ class _Reader:
     def finite(self, value: Any, node: ast.AST) -> Any:
         """Refuse ``1/0`` and ``sqrt(-1)`` where they stand: later they would only show as a failed fit."""
         if value.is_constant() and not math.isfinite(float(value)):
-            self.fail("an expression holds a constant that is not a finite number", node)
+            raise self.wrong("an expression holds a constant that is not a finite number", node)
         return value
 
-    def fail(
+    def wrong(
         self,
         problem: str,
         at: ast.AST | int,
         allowed: str = GRAMMAR,
         *,
         error: type[ParameterError] = ExpressionError,
-    ) -> NoReturn:
+    ) -> ParameterError:
         if isinstance(at, int):
             column = at
         else:  # ast counts the bytes of UTF-8
             column = len(self.text.encode()[: getattr(at, "col_offset", 0)].decode(errors="ignore"))
         column = min(column, len(self.text))
         shown = self.text.encode(errors="replace").decode()
-        raise error(
+        return error(
             problem,
             seen=f"\n  {shown}\n  {' ' * column}^\n",
             allowed=allowed,
             cure="correct the expression at the caret",
-        ) from None
+        )
 
 
 def _dotted(node: ast.AST) -> str | None:
@@ -253,12 +255,17 @@ def write_expression(expression: Any) -> str:
     Raises ExpressionError for an operation that the grammar lacks, and for text that the reader's own
     limits would refuse.
     """
-    return _write(expression, 0)[0]
+    text = _write(expression, 0)[0]
+    try:  # one grammar decides, the reader's
+        parse_expression(text, {symbol.name(): symbol for symbol in ca.symvar(expression)})
+    except ExpressionError as error:
+        raise _unwritable(f"{text[:200]} ({error.problem})") from None
+    return text
 
 
 def _write(expression: Any, depth: int) -> tuple[str, int]:
-    if depth > MAX_DEPTH:
-        raise _unwritable("more than 40 nested operations")
+    if depth > MAX_LENGTH // 4:  # a long sum leans to one side; Python's stack is finite
+        raise _unwritable(f"more than {MAX_LENGTH // 4} nested operations")
     if expression.is_symbolic():
         return expression.name(), _ATOM
     if expression.is_constant():
