@@ -1,1 +1,18 @@
 """Experiments: measured channels, each with its own time, their readers and their conditioning."""
+
+from .channel import Channel, Step
+from .experiment import Experiment, with_unique_names
+from .reader import read_experiment
+from .units import ALLOWED_UNITS, si_unit, split_header, to_si
+
+__all__ = [
+    "ALLOWED_UNITS",
+    "Channel",
+    "Experiment",
+    "Step",
+    "read_experiment",
+    "si_unit",
+    "split_header",
+    "to_si",
+    "with_unique_names",
+]

@@ -1,0 +1,170 @@
+"""Experiments from arrays and data frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from casadi_engine.errors import ExperimentError, UnitError
+
+from .channel import Channel, Step, check_channel_name, frozen, numbers
+from .header import name_list
+from .source import Loaded
+from .units import FloatArray, split_header, to_si
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def load_arrays(
+    channels: Mapping[str, Any],
+    *,
+    time: Any,
+    units: Mapping[str, str],
+    hold: str | Mapping[str, str] = "first",
+    origin: str | Mapping[str, str] = "measured",
+    inputs: Iterable[str] = (),
+    function: str = "from_arrays",
+) -> Loaded:
+    """Channels from arrays: the work of ``Experiment.from_arrays``."""
+    names = tuple(check_channel_name(name) for name in channels)
+    if not names:
+        raise ExperimentError("no channel given", cure="give the arrays by keyword: omega=values")
+    inputs = name_list(inputs, "inputs")
+    for option, given in (("inputs", inputs), *_options(units, hold, origin)):
+        for name in given:
+            if name not in (*names, *(("time",) if option == "units" else ())):
+                raise ExperimentError(
+                    f"{option} speaks of a channel that is not there",
+                    seen=repr(name),
+                    allowed=", ".join(names),
+                    cure="correct the name",
+                )
+    common = None if time is None else _seconds(numbers(time, what="the time"), units.get("time", "s"))
+    made = tuple(_channel(name, data, common, units, hold, origin) for name, data in channels.items())
+    for channel in made:
+        if channel.name in inputs and channel.missing:
+            index = int(np.flatnonzero(~channel.mask)[0])
+            raise ExperimentError(
+                f"input {channel.name!r} is missing at sample {index}",
+                seen=f"NaN at {channel.time[index]:g} s",
+                allowed="a number in every sample of an input; only outputs may have missing samples",
+                cure="fill the gap, or cut the record there",
+            )
+    longest = max(len(channel) for channel in made)
+    step = Step(function, {"channels": list(names)}, longest, longest)
+    return Loaded(made, (step,), inputs=inputs)
+
+
+def _options(units: Any, hold: Any, origin: Any) -> list[tuple[str, Any]]:
+    return [
+        (option, given)
+        for option, given in (("units", units), ("hold", hold), ("origin", origin))
+        if isinstance(given, Mapping)
+    ]
+
+
+def _seconds(time: FloatArray, unit: str) -> FloatArray:
+    values, kind = to_si(time, unit, where="the time")
+    if kind != "s":
+        raise UnitError("the time has no unit of time", seen=unit, allowed="s, ms", cure="give it in s")
+    return frozen(values, float) if unit != "s" else time
+
+
+def _channel(
+    name: str,
+    data: Any,
+    common: FloatArray | None,
+    units: Mapping[str, str],
+    hold: str | Mapping[str, str],
+    origin: str | Mapping[str, str],
+) -> Channel:
+    if name not in units:
+        raise UnitError(
+            f"no unit given for channel {name!r}",
+            seen=f"units of {', '.join(units) or 'nothing'}",
+            allowed="a unit for every channel, 1 when dimensionless",
+            cure=f"add it to units: {{{name!r}: ...}}",
+        )
+    time: FloatArray | None
+    if isinstance(data, tuple):
+        if len(data) != 2:
+            raise ExperimentError(
+                f"channel {name!r} is a tuple of {len(data)}",
+                allowed="an array on the common time, or a pair (time, values)",
+                cure="give the values as an array",
+            )
+        own = numbers(data[0], what=f"the time of channel {name!r}")
+        time, data = _seconds(own, units.get("time", "s")), data[1]
+    else:
+        time = common
+    if time is None:
+        raise ExperimentError(
+            f"channel {name!r} has no time",
+            allowed="an array on the common time, or a pair (time, values)",
+            cure="give time= or a pair",
+        )
+    values, unit = to_si(numbers(data, what=f"channel {name!r}"), units[name], where=f"channel {name!r}")
+    return Channel(
+        name=name,
+        unit=unit,
+        time=time,
+        values=values,
+        hold=hold if isinstance(hold, str) else hold.get(name, "first"),
+        origin=origin if isinstance(origin, str) else origin.get(name, "measured"),
+    )
+
+
+def load_frame(
+    frame: pd.DataFrame,
+    *,
+    units: Mapping[str, str] | None = None,
+    hold: str | Mapping[str, str] = "first",
+    origin: str | Mapping[str, str] = "measured",
+    inputs: Iterable[str] = (),
+) -> Loaded:
+    """Channels from a data frame: the work of ``Experiment.from_dataframe``."""
+    given = dict(units or {})
+    labels: list[Any] = list(frame.columns)
+    channels: dict[str, Any] = {}
+    time: Any = None
+    if frame.index.name is not None and split_header(str(frame.index.name))[0] == "time":
+        labels, columns = [frame.index.name, *labels], [frame.index.to_numpy()]
+    else:
+        columns = []
+    columns += [frame.iloc[:, position].to_numpy() for position in range(frame.shape[1])]
+    seen: set[str] = set()
+    for label, column in zip(labels, columns, strict=True):
+        if not isinstance(label, str):
+            raise ExperimentError(
+                "a column's label is not text", seen=repr(label), allowed="name [unit]", cure="rename it"
+            )
+        name, unit = split_header(label)
+        if name in seen:
+            raise ExperimentError(
+                f"column {label!r} is repeated", allowed="each name once", cure="rename or drop one of them"
+            )
+        seen.add(name)
+        if unit is not None and given.setdefault(name, unit) != unit:
+            raise UnitError(
+                f"column {label!r} and units= disagree",
+                seen=given[name],
+                allowed=unit,
+                cure="give the unit once",
+            )
+        if name == "time":
+            time = column
+        else:
+            channels[name] = column
+    if time is None:
+        raise ExperimentError(
+            "the data frame has no column for the time",
+            seen=", ".join(str(label) for label in labels),
+            allowed="a column, or the index, called time [s]",
+            cure="rename the column",
+        )
+    return load_arrays(
+        channels, time=time, units=given, hold=hold, origin=origin, inputs=inputs, function="from_dataframe"
+    )
