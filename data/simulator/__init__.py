@@ -1,0 +1,21 @@
+"""Independent reference simulator: it made the records in data/ and shares nothing with the package they test."""
+
+from .engine import Engine, burn_factors
+from .pressure import Cylinders, identical_cylinders, unequal_cylinders
+from .shaft import Shaft, crankshaft_shaft, two_mass_shaft
+from .simulate import add_noise, simulate_crankshaft, simulate_shaft, simulate_two_mass
+
+__all__ = [
+    "Cylinders",
+    "Engine",
+    "Shaft",
+    "add_noise",
+    "burn_factors",
+    "crankshaft_shaft",
+    "identical_cylinders",
+    "simulate_crankshaft",
+    "simulate_shaft",
+    "simulate_two_mass",
+    "two_mass_shaft",
+    "unequal_cylinders",
+]
