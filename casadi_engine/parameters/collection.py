@@ -231,7 +231,8 @@ class Parameters:
                 cure="give a short text in quotes",
             )
         read, text = self._read(expression, "a constraint", ConstraintError)
-        label = name if name is not None else text if text is not None else _shown(read)
+        shown = text if text is not None else _shown(read)
+        label = shown if name is None else name
         lower, upper = check_bounds(label, min, max)
         if name is not None and any(name == constraint.name for constraint in self._constraints):
             raise ConstraintError(
@@ -240,8 +241,9 @@ class Parameters:
                 allowed="a name of its own for each",
                 cure="give another name",
             )
-        names = _names_in(read)
-        self._constraints.append(Constraint(label, read, lower, upper, names, text, name))
+        self._constraints.append(
+            Constraint(label, read, lower, upper, _names_in(read), shown, name, readable=text is not None)
+        )
 
     def constrain_frequency(self, mode: int, min: float = 0.0, max: float = math.inf) -> None:
         """Keep natural frequency number `mode` between `min` and `max` [Hz] in every fit.

@@ -152,7 +152,7 @@ def compile(
             expressions.append(expanded[record][position])
     bounds, priors = _bounds_and_priors(layout, dict(zip(reported, expressions, strict=True)))
     start, lower, upper, scale = layout.numbers()
-    equalities = _tie_equalities(layout, expanded, scale)
+    equalities = _tie_equalities(layout, scale)
     constraints = (*_user_constraints(layout, expanded), *bounds, *equalities)
     z = layout.z
     check_feasible(z, constraints, start, lower, upper)
@@ -203,6 +203,7 @@ class _Layout:
         self.entries = {entry: ca.SX.sym(entry) for entry in self.free}
         self.z = ca.vertcat(*self.entries.values()) if self.entries else ca.SX(0, 1)
         self.symbols = ca.vertcat(*parameters._symbols.values())
+        self.found: dict[str, dict[str, Any]] = {}  # record -> name -> expression of z or number
 
     def records_of(self, names: Iterable[str]) -> tuple[str, ...]:
         """The records that have to be told apart for something that refers to `names`."""
@@ -216,11 +217,16 @@ class _Layout:
             found[name] = self.entries.get(entry, self.values[name])
         for name in self.order:
             if name in self.moving and name not in self.kept:
-                found[name] = self.tie_of(name, ca.vertcat(*found.values()))
+                found[name] = self.tie_of(name, found)
+        self.found[record] = found
         return ca.SX(ca.vertcat(*found.values()))
 
-    def tie_of(self, name: str, everything: Any) -> Any:
-        return ca.substitute(self.parameters._ties[name], self.symbols, everything)
+    def tie_of(self, name: str, found: Mapping[str, Any]) -> Any:
+        """A tie as an expression of z, from the expressions or numbers of the names that it refers to."""
+        references = self.parameters._references[name]
+        symbols = ca.vertcat(*(self.parameters._symbols[reference] for reference in references))
+        values = ca.vertcat(*(found[reference] for reference in references))
+        return ca.substitute(self.parameters._ties[name], symbols, values)
 
     def numbers(self) -> tuple[NDArray[np.float64], ...]:
         """start, lower, upper, scale, each (nz,)."""
@@ -311,16 +317,14 @@ def _settled(constraint: CompiledConstraint, cure: str) -> bool:
     )
 
 
-def _tie_equalities(
-    layout: _Layout, expanded: Mapping[str, Any], scale: NDArray[np.float64]
-) -> list[CompiledConstraint]:
+def _tie_equalities(layout: _Layout, scale: NDArray[np.float64]) -> list[CompiledConstraint]:
     """(tied - tie) / magnitude == 0 for every tied parameter that is an entry of z."""
     magnitude = dict(zip(layout.free, scale.tolist(), strict=True))
     found = []
     for name in layout.kept:
         for record in layout.records_of((name,)):
             entry = _at(name, record) if name in layout.varying else name
-            rest = layout.entries[entry] - layout.tie_of(name, expanded[record])
+            rest = layout.entries[entry] - layout.tie_of(name, layout.found[record])
             label = f"{entry} == {layout.parameters[name].tie}"
             found.append(CompiledConstraint(label, rest / magnitude[entry], 0.0, 0.0))
     return found

@@ -18,8 +18,9 @@ class Constraint:
     expression : SX scalar of the set's symbols
     min, max : in the expression's unit; infinite if there is none; equal for an equality
     names : the parameters it refers to
-    text : the expression as the user wrote it, None if it came as SX
+    text : the expression as the user wrote it, or as an SX is shown
     name : the user's name of it, or None
+    readable : True if `text` is what the user wrote
     """
 
     label: str
@@ -27,12 +28,13 @@ class Constraint:
     min: float
     max: float
     names: tuple[str, ...]
-    text: str | None = None
+    text: str
     name: str | None = None
+    readable: bool = True
 
     def __str__(self) -> str:
-        written = between(self.text or self.label, self.min, self.max)
-        return f"{self.name}: {written}" if self.name and self.text else written
+        written = between(self.text, self.min, self.max)
+        return written if self.name is None else f"{self.name}: {written}"
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ def check_bounds(label: str, low: object, high: object) -> tuple[float, float]:
         upper = number("max", high, infinite=1)
     except ParameterError as error:
         raise ConstraintError(
-            f"{error.problem.split()[0]} of the constraint {label} is not acceptable",
+            f"the {error.problem.split()[0]} of the constraint {label} is not acceptable",
             seen=error.seen,
             allowed=error.allowed,
             cure="give one number",

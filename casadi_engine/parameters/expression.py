@@ -93,7 +93,8 @@ class _Reader:
                 warnings.simplefilter("error")  # "1if" and the like only warn: here they are mistakes
                 tree = ast.parse(self.text, mode="eval")
         except SyntaxError as error:
-            raise self.wrong("an expression cannot be read", max((error.offset or 1) - 1, 0)) from None
+            column = (error.offset or len(self.text) + 1) - 1  # no place is told when the end is missing
+            raise self.wrong("an expression cannot be read", max(column, 0)) from None
         except (ValueError, RecursionError, MemoryError, Warning):
             # null bytes, lone surrogates, absurd nesting, deprecated ways to write numbers
             raise self.wrong("an expression cannot be read", 0) from None
@@ -217,7 +218,7 @@ def _dotted(node: ast.AST) -> str | None:
     return ".".join([node.id, *reversed(parts)])
 
 
-# ---- writing back ----------------------------------------------------------------------------------
+# ---- writing back --------------------
 
 # op code -> (text with the operands in place, binding strength of the whole, of each operand)
 _SUM, _PRODUCT, _SIGN, _POWER, _ATOM = 1, 2, 3, 4, 5

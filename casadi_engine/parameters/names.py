@@ -28,7 +28,7 @@ def near_matches(name: object, allowed: Iterable[str]) -> str:
     lowered: dict[str, list[str]] = {}
     for candidate in names:
         lowered.setdefault(candidate.lower(), []).append(candidate)
-    close = difflib.get_close_matches(str(name).lower(), lowered, n=3, cutoff=0.6)
+    close = difflib.get_close_matches(str(name).lower(), lowered, n=3, cutoff=0.5)
     nearest = [candidate for key in close for candidate in lowered[key]]
     shown = ", ".join(names[:SHOWN]) + (f", … ({len(names) - SHOWN} more)" if len(names) > SHOWN else "")
     return f"{shown} (nearest: {', '.join(nearest)})" if nearest else shown

@@ -39,7 +39,9 @@ def to_dict(parameters: Parameters) -> dict[str, Any]:
         "constraints": [
             {
                 "name": constraint.name,
-                "expression": constraint.text or write_expression(constraint.expression),
+                "expression": constraint.text
+                if constraint.readable
+                else write_expression(constraint.expression),
                 "min": _finite(constraint.min),
                 "max": _finite(constraint.max),
             }
