@@ -1,1 +1,29 @@
 """Models: symbolic equations of motion, their ports, builders, modes and printed form."""
+
+from casadi_engine.model.blueprint import Blueprint
+from casadi_engine.model.builders import one_inertia, two_mass
+from casadi_engine.model.chain import Chain, Coupling, Inertia, declare_chain, write_chain
+from casadi_engine.model.crank_slider import Geometry
+from casadi_engine.model.declarations import ParameterDeclaration, Port, Ports, Variable
+from casadi_engine.model.firing import firing_offsets
+from casadi_engine.model.linear import LinearCore
+from casadi_engine.model.model import Model
+
+__all__ = [
+    "Blueprint",
+    "Chain",
+    "Coupling",
+    "Geometry",
+    "Inertia",
+    "LinearCore",
+    "Model",
+    "ParameterDeclaration",
+    "Port",
+    "Ports",
+    "Variable",
+    "declare_chain",
+    "firing_offsets",
+    "one_inertia",
+    "two_mass",
+    "write_chain",
+]

@@ -1,0 +1,369 @@
+"""The Blueprint: how a model is written down, by the builders and by users alike."""
+
+from __future__ import annotations
+
+import keyword
+import math
+from collections.abc import Mapping, Sequence
+from numbers import Real
+from typing import Any
+
+import casadi as ca
+
+from casadi_engine.errors import ModelError
+from casadi_engine.model.declarations import PORT_KINDS, ParameterDeclaration, Port, Ports, Variable
+from casadi_engine.model.model import Model
+from casadi_engine.parameters import near_matches
+
+
+class Blueprint:
+    """A model in the making: declare symbols, write equations with them, then call `model()`.
+
+    A Duffing oscillator, m q̈ + c q̇ + k q + k3 q³ = F:
+
+    >>> b = Blueprint("duffing", description="mass on a hardening spring")
+    >>> m, c = b.parameter("m", 1.0, unit="kg", min=1e-3), b.parameter("c", 0.1, unit="N s/m", min=0)
+    >>> k, k3 = b.parameter("k", 4.0, unit="N/m", min=0), b.parameter("k3", 2.0, unit="N/m3")
+    >>> q, v = b.state("q", unit="m"), b.state("v", unit="m/s")
+    >>> force = b.input("F", unit="N")
+    >>> b.ode("q", v)
+    >>> b.ode("v", (force - c * v - k * q - k3 * q**3) / m)
+    >>> b.output("position", q, unit="m")
+    >>> model = b.model()
+    >>> model.linear is None
+    True
+    >>> [variable.name for variable in model.drives]
+    ['F']
+
+    Written as a law of a port, the cubic spring leaves a linear core, which simulates faster:
+    ``spring = b.port("spring", "coupling", {"stretch": q}); b.law("spring", -k3 * q**3)``, and then
+    ``+ spring`` in the ode instead of the cubic term.
+    """
+
+    def __init__(self, name: str, *, description: str = ""):
+        self.name = _identifier("model", name)
+        self.description = description
+        self._states: dict[str, tuple[Variable, Any]] = {}
+        self._inputs: dict[str, tuple[Variable, Any]] = {}
+        self._drives: dict[str, tuple[Variable, Any, Any]] = {}
+        self._outputs: dict[str, tuple[Variable, Any]] = {}
+        self._parameters: dict[str, tuple[ParameterDeclaration, Any]] = {}
+        self._ports: dict[str, Port] = {}
+        self._odes: dict[str, Any] = {}
+        self._laws: dict[str, Any] = {}
+        self._time = ca.SX.sym("t")
+
+    @property
+    def time(self) -> Any:
+        """SX symbol of time [s]."""
+        return self._time
+
+    # ---- declarations: each returns the symbol to write equations with
+
+    def parameter(
+        self,
+        name: str,
+        value: float,
+        *,
+        unit: str = "1",
+        min: float = -math.inf,
+        max: float = math.inf,
+        vary: bool = True,
+        description: str = "",
+    ) -> Any:
+        """Declare a parameter (`value`, `min`, `max` in `unit`; fixed by default if not `vary`)."""
+        declaration = ParameterDeclaration(name, value, unit, min, max, vary, description)
+        self._free_name("parameter", name)
+        symbol = ca.SX.sym(name)
+        self._parameters[name] = (declaration, symbol)
+        return symbol
+
+    def state(self, name: str, *, unit: str = "1", scale: float = 1.0, description: str = "") -> Any:
+        """Declare a state; `scale` is its typical magnitude in `unit`."""
+        self._free_name("state", _identifier("state", name))
+        symbol = ca.SX.sym(name)
+        self._states[name] = (Variable(name, unit, description, scale), symbol)
+        return symbol
+
+    def input(self, name: str, *, unit: str = "1", scale: float = 1.0, description: str = "") -> Any:
+        """Declare an input channel as it is recorded.
+
+        A channel that is used directly in an ode or output becomes a drive of the same name by itself.
+        """
+        self._free_name("input", _identifier("input", name))
+        symbol = ca.SX.sym(name)
+        self._inputs[name] = (Variable(name, unit, description, scale), symbol)
+        return symbol
+
+    def drive(
+        self, name: str, expression: Any, *, unit: str = "N m", scale: float = 1.0, description: str = ""
+    ) -> Any:
+        """Declare a drive: `expression` of channels, time, parameters; it enters the ode by the symbol."""
+        if _identifier("drive", name) in self._drives:
+            raise _repeated("drive", name)
+        symbol = ca.SX.sym(name)
+        value = _scalar(f"the drive {name}", expression)
+        self._drives[name] = (Variable(name, unit, description, scale), symbol, value)
+        return symbol
+
+    def port(
+        self, name: str, kind: str, signals: Mapping[str, Any] | None = None, *, description: str = ""
+    ) -> Any:
+        """Declare a port; returns its slot symbol [N m] to be put into the ode, or None if it takes none.
+
+        Ports of the kinds input, sensor and parameter are made by `model()` itself.
+        """
+        if _identifier("port", name) in self._ports:
+            raise _repeated("port", name)
+        slot = ca.SX.sym(f"w_{name}") if PORT_KINDS.get(kind, False) else None
+        made = {key: _scalar(f"signal {key} of port {name}", value) for key, value in (signals or {}).items()}
+        self._ports[name] = Port(name, kind, description, made, slot)
+        return slot
+
+    # ---- equations
+
+    def ode(self, state: str, expression: Any) -> None:
+        """Write the derivative of `state` by time, in states, channels or drives, slots, time, parameters."""
+        if state not in self._states:
+            raise _unknown("state", state, self._states)
+        if state in self._odes:
+            raise _repeated("ode of", state)
+        self._odes[state] = _scalar(f"the ode of {state}", expression)
+
+    def law(self, port: str, expression: Any) -> None:
+        """Set the torque that acts in the slot of `port` [N m]; it may use other slots' symbols too."""
+        able = [name for name, made in self._ports.items() if made.slot is not None]
+        if port not in able:
+            raise _unknown("port that takes a torque", port, able)
+        if port in self._laws:
+            raise _repeated("law of port", port)
+        self._laws[port] = _scalar(f"the law of port {port}", expression)
+
+    def output(
+        self, name: str, expression: Any, *, unit: str = "1", scale: float = 1.0, description: str = ""
+    ) -> None:
+        """Declare a measured output as an expression of states, channels or drives, and parameters."""
+        if _identifier("output", name) in self._outputs:
+            raise _repeated("output", name)
+        value = _scalar(f"the output {name}", expression)
+        self._outputs[name] = (Variable(name, unit, description, scale), value)
+
+    # ---- the finished model
+
+    def model(self) -> Model:
+        """Check everything and return the Model.
+
+        Raises ModelError for a model without states or outputs, a state without ode, an undeclared symbol, a
+        symbol where it may not be used, or laws that depend on each other in a circle.
+        """
+        self._check_complete()
+        drives = self._with_direct_inputs()
+        x, u, p = (
+            _column(made[1] for made in group.values())
+            for group in (self._states, self._inputs, self._parameters)
+        )
+        d = _column(symbol for _, symbol, _ in drives.values())
+        slots = {name: port.slot for name, port in self._ports.items() if port.slot is not None}
+        w = _column(slots.values())
+        # A channel that enters directly is read through its drive, so that the core never sees a channel.
+        through = self._passed_on(drives)
+        swap_from = _column(channel for channel, _ in through.values())
+        swap_to = _column(symbol for _, symbol in through.values())
+        ode, outputs = (
+            ca.substitute(column, swap_from, swap_to) if through else column
+            for column in (
+                _column(self._odes[name] for name in self._states),
+                _column(value for _, value in self._outputs.values()),
+            )
+        )
+        model = Model(
+            name=self.name,
+            description=self.description,
+            states=tuple(variable for variable, _ in self._states.values()),
+            inputs=tuple(variable for variable, _ in self._inputs.values()),
+            drives=tuple(variable for variable, _, _ in drives.values()),
+            outputs=tuple(variable for variable, _ in self._outputs.values()),
+            declarations=tuple(declaration for declaration, _ in self._parameters.values()),
+            ports=self._all_ports(x, ode, outputs),
+            x=x,
+            u=u,
+            d=d,
+            w=w,
+            t=self._time,
+            p=p,
+            ode=ode,
+            drive_expressions=_column(value for _, _, value in drives.values()),
+            laws=_column(self._laws.get(name, ca.SX(0)) for name in slots),
+            output_expressions=outputs,
+        )
+        _check_symbols(model)
+        if w.numel() and ca.depends_on(model.slot_laws, w):
+            raise ModelError(
+                "the laws of the slots depend on each other in a circle",
+                seen=", ".join(self._laws),
+                allowed="laws that use other slots' torques only one way",
+                cure="solve the laws for each other on paper, or put them into one port",
+            )
+        return model
+
+    def _check_complete(self) -> None:
+        for what, group, cure in (
+            ("states", self._states, 'b.state("name", unit=...)'),
+            ("outputs", self._outputs, 'b.output("name", expression, unit=...)'),
+        ):
+            if not group:
+                raise ModelError(
+                    f"the model {self.name} has no {what}", seen="none", allowed="one or more", cure=cure
+                )
+        missing = [name for name in self._states if name not in self._odes]
+        if missing:
+            raise ModelError(
+                "a state has no ode",
+                seen=", ".join(missing),
+                allowed="one ode for each state",
+                cure=f'b.ode("{missing[0]}", expression)',
+            )
+
+    def _with_direct_inputs(self) -> dict[str, tuple[Variable, Any, Any]]:
+        """The drives, with one more for each channel that an ode or output uses directly."""
+        drives = dict(self._drives)
+        used = _hashes(_column([*self._odes.values(), *(value for _, value in self._outputs.values())]))
+        passed_on = self._passed_on(drives)
+        for name, (variable, symbol) in self._inputs.items():
+            key = symbol.element_hash()
+            if key not in used or key in passed_on:
+                continue
+            if name in drives:
+                raise ModelError(
+                    f"the channel {name} is used directly, and a drive of its name is another expression",
+                    seen=f"{name} = {drives[name][2]}",
+                    allowed="a drive of that name that passes the channel on unchanged",
+                    cure="use the drive's symbol in the equations, or rename the drive",
+                )
+            drives[name] = (variable, ca.SX.sym(name), symbol)
+        return drives
+
+    def _passed_on(self, drives: Mapping[str, tuple[Variable, Any, Any]]) -> dict[int, tuple[Any, Any]]:
+        """The channels that are a drive unchanged: channel and drive symbol by the channel's hash."""
+        channels = {symbol.element_hash() for _, symbol in self._inputs.values()}
+        found: dict[int, tuple[Any, Any]] = {}
+        for _, symbol, value in drives.values():
+            if value.is_symbolic() and value.element_hash() in channels:
+                found.setdefault(value.element_hash(), (value, symbol))
+        return found
+
+    def _all_ports(self, x: Any, ode: Any, outputs: Any) -> Ports:
+        ports = dict(self._ports)
+        added = [
+            Port(f"input_{name}", "input", f"channel {name}", {"value": symbol})
+            for name, (_, symbol) in self._inputs.items()
+        ]
+        rates = ca.jtimes(outputs, x, ode)
+        added += [
+            Port(f"sensor_{name}", "sensor", f"output {name}", {"value": outputs[row], "rate": rates[row]})
+            for row, name in enumerate(self._outputs)
+        ]
+        added += [
+            Port(f"parameter_{name}", "parameter", f"parameter {name}", {"value": symbol, "time": self._time})
+            for name, (_, symbol) in self._parameters.items()
+        ]
+        for port in added:
+            if port.name in ports:
+                raise _repeated("port", port.name)
+            ports[port.name] = port
+        return Ports(ports.values())
+
+    def _free_name(self, kind: str, name: str) -> None:
+        for group in (self._states, self._inputs, self._parameters):
+            if name in group:
+                raise _repeated(kind, name)
+
+
+def _check_symbols(model: Model) -> None:
+    """Every symbol of every expression must be declared, and allowed where it is used."""
+    groups = {
+        "states": model.x,
+        "channels": model.u,
+        "drives": model.d,
+        "slots": model.w,
+        "time": model.t,
+        "parameters": model.p,
+    }
+    owner = {key: group for group, column in groups.items() for key in _hashes(column)}
+    rules: list[tuple[str, Sequence[Variable | Port], Any, tuple[str, ...]]] = [
+        ("the ode of", model.states, model.ode, ("states", "drives", "slots", "time", "parameters")),
+        ("the drive", model.drives, model.drive_expressions, ("channels", "time", "parameters")),
+        ("the law of port", model.ports.with_slot, model.laws, tuple(groups)),
+        ("the output", model.outputs, model.output_expressions, ("states", "drives", "parameters")),
+    ]
+    for what, items, column, allowed in rules:
+        wrong = [symbol for symbol in ca.symvar(column) if owner.get(symbol.element_hash()) not in allowed]
+        if not wrong:
+            continue
+        symbol, group = wrong[0], owner.get(wrong[0].element_hash())
+        row = next(row for row in range(len(items)) if ca.depends_on(column[row], symbol))
+        if group is None:
+            raise ModelError(
+                f"{what} {items[row].name} uses a symbol that was not declared",
+                seen=symbol.name(),
+                allowed=", ".join(made.name() for made in ca.symvar(_column(groups.values()))),
+                cure="declare it with state, input, drive, port or parameter and use the symbol returned",
+            )
+        raise ModelError(
+            f"{what} {items[row].name} uses a symbol that may not be used there",
+            seen=f"{symbol.name()} (one of the {group})",
+            allowed=", ".join(allowed),
+            cure="move the term: channels enter by drives, nonlinear torques by laws of ports",
+        )
+
+
+def _column(items: Any) -> Any:
+    made = list(items)
+    return ca.vertcat(*made) if made else ca.SX(0, 1)
+
+
+def _hashes(column: Any) -> set[int]:
+    return {symbol.element_hash() for symbol in ca.symvar(column)}
+
+
+def _scalar(what: str, expression: Any) -> Any:
+    """Return a number or SX scalar as SX, dense; ModelError for anything else."""
+    if isinstance(expression, Real) and not isinstance(expression, bool):
+        expression = ca.SX(float(expression))
+    if not isinstance(expression, ca.SX) or expression.numel() != 1:
+        raise ModelError(
+            f"{what} is not a scalar expression",
+            seen=f"{type(expression).__name__} {getattr(expression, 'shape', '')}".strip(),
+            allowed="a number, or a scalar CasADi SX expression of the symbols that the blueprint returned",
+            cure="write one equation for each quantity",
+        )
+    return expression if expression.is_dense() else ca.densify(expression)
+
+
+def _identifier(kind: str, name: str) -> str:
+    if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
+        raise ModelError(
+            f"the name of a {kind} is not acceptable",
+            seen=repr(name),
+            allowed="an identifier: letters, digits and _, not starting with a digit",
+            cure="rename it",
+        )
+    return name
+
+
+def _repeated(kind: str, name: str) -> ModelError:
+    return ModelError(
+        f"the {kind} {name} is declared twice or its name is taken",
+        seen=repr(name),
+        allowed="names unique among states, channels and parameters; and among drives, outputs, ports each",
+        cure="rename one of them",
+    )
+
+
+def _unknown(kind: str, name: str, allowed: Any) -> ModelError:
+    return ModelError(
+        f"there is no {kind} of that name",
+        seen=repr(name),
+        allowed=near_matches(name, allowed),
+        cure="declare it first",
+    )

@@ -1,0 +1,100 @@
+"""Torsional chains: inertias on a line joined by spring-damper couplings, written for any number of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from casadi_engine.errors import ModelError
+from casadi_engine.model.blueprint import Blueprint
+
+SPEED_SCALE = 100.0
+TWIST_SCALE = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Inertia:
+    """One inertia of a chain.
+
+    port, state : names of its port and of its speed state
+    inertia : J [kg m2]        damping : absolute damper [N m s/rad], None for none (numbers or SX)
+    angle : its angle [rad] as an SX expression if it is known, for the port's signals
+    description : one clause for tables
+    """
+
+    port: str
+    state: str
+    inertia: Any
+    damping: Any = None
+    angle: Any = None
+    description: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Coupling:
+    """The coupling between an inertia and the next: K [N m/rad], C [N m s/rad] and its names."""
+
+    port: str
+    state: str
+    stiffness: Any
+    damping: Any
+    description: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """A chain whose states and ports are declared: speeds [rad/s], twists [rad], inner torques [N m].
+
+    `torques[i]` acts on inertia i: of its absolute damper, its couplings and the slots of these ports.
+    """
+
+    inertias: tuple[Inertia, ...]
+    couplings: tuple[Coupling, ...]
+    speeds: tuple[Any, ...]
+    twists: tuple[Any, ...]
+    torques: tuple[Any, ...]
+
+
+def declare_chain(b: Blueprint, inertias: Sequence[Inertia], couplings: Sequence[Coupling]) -> Chain:
+    """Declare the states and ports of a chain and work out the torques inside it.
+
+    The states are in the order of the thesis's appendix A, [ω1, ω2, twist21, ω3, twist32, …], with
+    twist_{i+1,i} = θ_{i+1} − θ_i: a positive twist pulls inertia i forwards.
+    ModelError if there is not one coupling fewer than inertias.
+    """
+    if len(couplings) != len(inertias) - 1:
+        raise ModelError(
+            "the chain's couplings do not fit its inertias",
+            seen=f"{len(inertias)} inertias, {len(couplings)} couplings",
+            allowed="one coupling fewer than inertias",
+            cure="give the coupling between each inertia and the next",
+        )
+    speeds: list[Any] = []
+    twists: list[Any] = []
+    for index, body in enumerate(inertias):
+        speeds.append(b.state(body.state, unit="rad/s", scale=SPEED_SCALE, description=body.description))
+        if index:
+            joint = couplings[index - 1]
+            twists.append(b.state(joint.state, unit="rad", scale=TWIST_SCALE, description=joint.description))
+    torques: list[Any] = []
+    for body, speed in zip(inertias, speeds, strict=True):
+        signals = {"speed": speed} | ({} if body.angle is None else {"angle": body.angle})
+        slot = b.port(body.port, "inertia", signals, description=body.description)
+        torques.append(slot if body.damping is None else -body.damping * speed + slot)
+    for index, joint in enumerate(couplings):
+        rate = speeds[index + 1] - speeds[index]
+        signals = {"twist": twists[index], "twist_rate": rate}
+        slot = b.port(joint.port, "coupling", signals, description=joint.description)
+        torque = joint.stiffness * twists[index] + joint.damping * rate + slot
+        torques[index] = torques[index] + torque
+        torques[index + 1] = torques[index + 1] - torque
+    return Chain(tuple(inertias), tuple(couplings), tuple(speeds), tuple(twists), tuple(torques))
+
+
+def write_chain(b: Blueprint, chain: Chain, outer: Sequence[Any]) -> None:
+    """Write the odes of a chain with the torques `outer` [N m] that act on its inertias from outside."""
+    for body, inner, torque in zip(chain.inertias, chain.torques, outer, strict=True):
+        b.ode(body.state, (inner + torque) / body.inertia)
+    for index, joint in enumerate(chain.couplings):
+        b.ode(joint.state, chain.speeds[index + 1] - chain.speeds[index])

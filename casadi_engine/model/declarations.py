@@ -1,0 +1,167 @@
+"""What a model is made of besides its equations: variables, parameter declarations and ports."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, overload
+
+from casadi_engine.errors import ModelError
+from casadi_engine.parameters import Parameter, near_matches
+
+# The kinds of ports, and whether a torque can be added there.
+PORT_KINDS: Mapping[str, bool] = MappingProxyType(
+    {
+        "inertia": True,
+        "coupling": True,
+        "cylinder": True,
+        "internal": True,
+        "input": False,
+        "sensor": False,
+        "parameter": False,
+    }
+)
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A state, input, drive or output of a model.
+
+    name : identifier
+    unit : SI unit text, "1" if dimensionless
+    description : one clause for tables
+    scale : typical magnitude in `unit`, > 0; the solver divides by it
+    """
+
+    name: str
+    unit: str = "1"
+    description: str = ""
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.scale) and self.scale > 0):
+            raise ModelError(
+                f"the scale of {self.name} is not acceptable",
+                seen=self.scale,
+                allowed="a finite number > 0",
+                cure="give the typical magnitude of the quantity in its unit",
+            )
+
+
+@dataclass(frozen=True)
+class ParameterDeclaration:
+    """A parameter as the model declares it; `Model.parameters()` makes the user's set from these."""
+
+    name: str
+    value: float
+    unit: str = "1"
+    min: float = -math.inf
+    max: float = math.inf
+    vary: bool = True
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        self.parameter()  # the checks of names, numbers and bounds live there
+
+    def parameter(self) -> Parameter:
+        """Return a fresh Parameter; ParameterError if name, value or bounds are not acceptable."""
+        return Parameter(
+            self.name,
+            self.value,
+            unit=self.unit,
+            min=self.min,
+            max=self.max,
+            vary=self.vary,
+            description=self.description,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Port:
+    """A place of a model where something can be attached.
+
+    name : identifier, unique in the model
+    kind : one of inertia, coupling, cylinder, internal, input, sensor, parameter
+    description : one clause for tables
+    signals : the quantities known there, as scalar SX expressions of the model's symbols
+    slot : scalar SX, the torque [N m] that a law may add there, or None. Positive accelerates an inertia or
+        the crank (kinds inertia, cylinder, internal); at a coupling it acts on the first side, and its
+        opposite on the other.
+    """
+
+    name: str
+    kind: str
+    description: str = ""
+    signals: Mapping[str, Any] = field(default_factory=dict)
+    slot: Any = None
+
+    def __post_init__(self) -> None:
+        if self.kind not in PORT_KINDS:
+            raise ModelError(
+                f"the kind of port {self.name} is not known",
+                seen=repr(self.kind),
+                allowed=near_matches(self.kind, PORT_KINDS),
+                cure="choose the kind by what is attached there",
+            )
+        object.__setattr__(self, "signals", MappingProxyType(dict(self.signals)))
+
+    def __str__(self) -> str:
+        return f"{self.name} ({self.kind}): {', '.join(self.signals)}"
+
+
+class Ports(Sequence[Port]):
+    """The ports of a model, by position or by name; printing lists them."""
+
+    def __init__(self, ports: Iterable[Port]):
+        self._ports = tuple(ports)
+        self._by_name = {port.name: port for port in self._ports}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names in model order."""
+        return tuple(self._by_name)
+
+    @property
+    def with_slot(self) -> tuple[Port, ...]:
+        """The ports that can take a torque, in the order of the model's slot vector w."""
+        return tuple(port for port in self._ports if port.slot is not None)
+
+    @overload
+    def __getitem__(self, key: int | str) -> Port: ...
+    @overload
+    def __getitem__(self, key: slice) -> tuple[Port, ...]: ...
+    def __getitem__(self, key: int | str | slice) -> Port | tuple[Port, ...]:
+        if isinstance(key, int | slice):
+            return self._ports[key]
+        if key not in self._by_name:
+            raise ModelError(
+                "the model has no such port",
+                seen=repr(key),
+                allowed=near_matches(key, self.names),
+                cure="print(model.ports) lists them",
+            )
+        return self._by_name[key]
+
+    def __len__(self) -> int:
+        return len(self._ports)
+
+    def __iter__(self) -> Iterator[Port]:
+        return iter(self._ports)
+
+    def __contains__(self, item: object) -> bool:
+        return item in self._by_name or any(item is port for port in self._ports)
+
+    def __str__(self) -> str:
+        rows = [("port", "kind", "torque", "signals")]
+        for port in self._ports:
+            rows.append((port.name, port.kind, "-" if port.slot is None else "yes", ", ".join(port.signals)))
+        widths = [max(len(row[column]) for row in rows) for column in range(3)]
+        return "\n".join(
+            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=False)) + "  " + row[3]
+            for row in rows
+        )
+
+    def __repr__(self) -> str:
+        return f"Ports({', '.join(self.names)})"

@@ -1,0 +1,127 @@
+"""The Model: symbolic equations of motion with named variables, parameters and ports."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casadi_engine.errors import ModelError
+from casadi_engine.model.declarations import ParameterDeclaration, Ports, Variable
+from casadi_engine.model.linear import LinearCore, linear_core
+from casadi_engine.parameters import Parameters, near_matches
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """Continuous-time equations ẋ = f(x, d, w, t, p), y = g(x, d, p), made by `Blueprint` or a builder.
+
+    Symbols (CasADi SX columns, in the order of the name tuples):
+    x : (n, 1) states           u : (nu, 1) input channels as recorded
+    d : (m, 1) drives, the torques made of the channels        p : (np, 1) parameters
+    w : (nw, 1) slot torques [N m], one for each port that can take one        t : (1, 1) time [s]
+    Expressions:
+    ode : (n, 1) in (x, d, w, t, p)             drive_expressions : (m, 1) in (u, t, p)
+    laws : (nw, 1) in (x, w, u, d, t, p); `slot_laws` is the same with w eliminated, zero where no law acts
+    output_expressions : (ny, 1) in (x, d, p)
+    """
+
+    name: str
+    description: str
+    states: tuple[Variable, ...]
+    inputs: tuple[Variable, ...]
+    drives: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+    declarations: tuple[ParameterDeclaration, ...]
+    ports: Ports
+    x: Any
+    u: Any
+    d: Any
+    w: Any
+    t: Any
+    p: Any
+    ode: Any
+    drive_expressions: Any
+    laws: Any
+    output_expressions: Any
+
+    # ---- names and parameters
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the parameters in the order of p."""
+        return tuple(declaration.name for declaration in self.declarations)
+
+    def parameters(self) -> Parameters:
+        """Return a fresh, changeable set of the model's parameters at their defaults."""
+        return Parameters(declaration.parameter() for declaration in self.declarations)
+
+    def parameter_vector(self, parameters: Parameters | Mapping[str, float] | None = None) -> np.ndarray:
+        """Return the numbers of p, (np,) in model order and SI units.
+
+        parameters : a set that holds all of the model's names; or a mapping with numbers for some of them,
+            the others at their defaults; or None for all defaults.
+        Raises ModelError for a missing or unknown name.
+        """
+        values = {declaration.name: declaration.value for declaration in self.declarations}
+        if isinstance(parameters, Parameters):
+            given = parameters.as_dict()
+            missing = [name for name in values if name not in given]
+            if missing:
+                raise ModelError(
+                    f"the parameter set lacks parameters of the model {self.name}",
+                    seen=f"without {', '.join(missing)}",
+                    allowed=f"a set with {', '.join(values)}",
+                    cure="start from model.parameters(), or parameters.extended(model)",
+                )
+            values = {name: given[name] for name in values}
+        elif parameters is not None:
+            for name, value in parameters.items():
+                if name not in values:
+                    raise ModelError(
+                        f"the model {self.name} has no such parameter",
+                        seen=repr(name),
+                        allowed=near_matches(name, values),
+                        cure="print(model.table()) lists them",
+                    )
+                values[name] = float(value)
+        return np.array(list(values.values()), dtype=float)
+
+    # ---- equations
+
+    @cached_property
+    def linear(self) -> LinearCore | None:
+        """The linear core, or None for a general model."""
+        return linear_core(self)
+
+    @cached_property
+    def slot_laws(self) -> Any:
+        """(nw, 1) SX in (x, u, d, t, p): the torque that acts in each slot."""
+        laws = self.laws
+        for _ in range(self.w.numel()):
+            if not ca.depends_on(laws, self.w):
+                break
+            laws = ca.substitute(laws, self.w, laws)
+        return laws
+
+    @property
+    def has_slot_laws(self) -> bool:
+        """True if a law acts in any slot: then the model is its linear core plus nonlinear torques."""
+        return not self.laws.is_zero()
+
+    @cached_property
+    def closed_ode(self) -> Any:
+        """(n, 1) SX f(x, u, t, p): the ode with laws and drives put in."""
+        with_laws = ca.substitute(self.ode, self.w, self.slot_laws) if self.w.numel() else self.ode
+        return ca.substitute(with_laws, self.d, self.drive_expressions) if self.d.numel() else with_laws
+
+    @cached_property
+    def closed_outputs(self) -> Any:
+        """(ny, 1) SX g(x, u, t, p): the outputs with the drives put in."""
+        if not self.d.numel():
+            return self.output_expressions
+        return ca.substitute(self.output_expressions, self.d, self.drive_expressions)
