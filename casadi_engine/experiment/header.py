@@ -184,7 +184,9 @@ def _refuse_repeated(path: str, cells: Sequence[str]) -> None:
     seen: dict[str, int] = {}
     for position, label in enumerate(cells):
         name = split_header(label)[0]
-        if label and name in seen:
+        if not name:
+            continue  # columns without a name are no repetition of each other
+        if name in seen:
             raise DataFileError(
                 f"{path}, column {label!r}, row 1: a repeated column",
                 seen=f"{name!r} in columns number {seen[name] + 1} and {position + 1}",

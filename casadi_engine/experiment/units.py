@@ -23,8 +23,8 @@ SI_UNITS: tuple[str, ...] = (
 
 # unit -> (SI unit, numerator, denominator): two numbers, so that 1 ms is 1/1000 s and not 1 * 0.001 s
 CONVERSIONS: dict[str, tuple[str, float, float]] = {
-    "rpm": ("rad/s", math.pi, 30.0),
-    "deg": ("rad", math.pi, 180.0),
+    "rpm": ("rad/s", math.pi / 30.0, 1.0),
+    "deg": ("rad", math.pi / 180.0, 1.0),
     "bar": ("Pa", 1e5, 1.0),
     "kPa": ("Pa", 1e3, 1.0),
     "MPa": ("Pa", 1e6, 1.0),
