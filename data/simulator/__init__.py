@@ -1,4 +1,4 @@
-"""Independent reference simulator: it made the records in data/ and shares nothing with the package they test."""
+"""Independent reference simulator: it made the records and shares nothing with the package."""
 
 from .engine import Engine, burn_factors
 from .pressure import Cylinders, identical_cylinders, unequal_cylinders

@@ -87,8 +87,8 @@ def burn_factors(
 ) -> np.ndarray:
     """Strength factors (4, cycles + 2): imbalance times scatter, 0 where a cylinder misfires.
 
-    `misfire` maps a cylinder (1..4) to "all" or to the cycles (1, 2, ...) that do not burn.  The scatter's mean
-    over the burning events is taken out, so that a record neither gains nor loses speed by the luck of the draw.
+    `misfire` maps a cylinder (1..4) to "all" or to the cycles (1, 2, ...) that do not burn.  The scatter's
+    mean over the burning events is taken out, so that a record ends about as fast as it began.
     """
     drawn = np.random.default_rng(seed).standard_normal((4, cycles + 1))
     burns = np.ones((4, cycles + 2))

@@ -1,7 +1,7 @@
 """Crank-slider geometry and the torque of one cylinder, thesis (3.1)-(3.6), with p_cyl absolute.
 
 Angles are crank angles theta* of a cylinder: 0 at its combustion TDC [rad].  The same formulas serve arrays
-(`maths` is numpy) and single angles (`maths` is the standard library's math, much faster inside an integrator).
+(`maths` is numpy) and single angles (`maths` is Python's own math, much faster inside an integrator).
 """
 
 from types import ModuleType

@@ -1,7 +1,7 @@
 """Absolute cylinder pressure as an analytic function of the crank angle of that cylinder.
 
-The charge is taken in at a constant pressure, compressed on a polytrope, and expands on the same polytrope: that
-is the motored trace.  Combustion adds a pressure that appears along a burn curve and expands on a second
+The charge is taken in at a constant pressure, compressed on a polytrope, and expands on the same polytrope:
+that is the motored trace.  Combustion adds a pressure that appears along a burn curve and expands on a second
 polytrope.  When the exhaust valve opens all of it blows down to a constant back pressure.  Every switch is a
 tanh or a double exponential, so that an integrator meets no kink, and the pressure is linear in the burn
 strength, so that a mean torque can be met exactly.
@@ -32,7 +32,7 @@ SEAM = 270.0 * DEGREE  # one combustion event hands over to the next here, where
 
 @dataclass(frozen=True)
 class Cylinders:
-    """What makes the cylinders differ, each (4,): burn strength factor [1], intake factor [1], burn delay [rad]."""
+    """What makes cylinders differ, (4,) each: burn strength and intake factors [1], burn delay [rad]."""
 
     strength: np.ndarray
     intake: np.ndarray
@@ -40,7 +40,7 @@ class Cylinders:
 
 
 def unequal_cylinders() -> Cylinders:
-    """Four cylinders that differ by about 3 % in burn strength, 0.5 % in charge and 0.4 degrees in phasing."""
+    """Four cylinders that differ by about 3 % in burn strength, 0.5 % in charge and 0.4 degrees in timing."""
     return Cylinders(
         strength=np.array([1.030, 0.970, 1.015, 0.985]),
         intake=np.array([1.005, 0.998, 0.993, 1.004]),
@@ -58,7 +58,7 @@ def event_number(angle):
 
 
 def burned(angle, delay=0.0, maths: ModuleType = np):
-    """Share of the charge that has burned, 0..1: a double exponential, steep at first and with a long tail."""
+    """Share of the charge that has burned, 0..1: a double exponential, steep at first, with a long tail."""
     return maths.exp(-maths.exp(-(angle - BURN_ANGLE - delay) / BURN_WIDTH))
 
 

@@ -22,7 +22,7 @@ CONTRACT = {
 
 @dataclass(frozen=True)
 class Plan:
-    """One file: path below data/, the model that makes it, mean speed [RPM], misfiring cylinder or None, seeds."""
+    """One file: path below data/, its model, mean speed [RPM], misfiring cylinder (or None) and seeds."""
 
     path: str
     model: Callable[..., Record]
@@ -44,12 +44,12 @@ class Plan:
 
 
 PLANS = (
-    Plan("normal_1200rpm.csv.gz", simulate_two_mass, 1200.0, None, 101, 201),
+    Plan("normal_1200rpm.csv.gz", simulate_two_mass, 1200.0, None, 105, 201),
     Plan("misfire_1200rpm.csv.gz", simulate_two_mass, 1200.0, 2, 102, 202),
     Plan("normal_1400rpm.csv.gz", simulate_two_mass, 1400.0, None, 103, 203),
     # one run written twice: what a rig with two pressure sensors would record, and all four true pressures
-    Plan("assumed_pressure_1200rpm.csv.gz", simulate_two_mass, 1200.0, None, 104, 204, assumed=True),
-    Plan("assumed_pressure_1200rpm_truth.csv.gz", simulate_two_mass, 1200.0, None, 104, 204),
+    Plan("assumed_pressure_1200rpm.csv.gz", simulate_two_mass, 1200.0, None, 106, 204, assumed=True),
+    Plan("assumed_pressure_1200rpm_truth.csv.gz", simulate_two_mass, 1200.0, None, 106, 204),
     Plan("crankshaft/normal_1000rpm.csv.gz", simulate_crankshaft, 1000.0, None, 111, 211),
     Plan("crankshaft/misfire_1000rpm.csv.gz", simulate_crankshaft, 1000.0, 2, 112, 212),
     Plan("crankshaft/normal_1200rpm.csv.gz", simulate_crankshaft, 1200.0, None, 113, 213),

@@ -19,7 +19,7 @@ SETTLED = 1e-4  # rad/s between one warm-up cycle and the next
 
 @dataclass(frozen=True)
 class Plant:
-    """Everything that the state equation needs; `extra(t, state)` is a torque on each inertia (n,), or None."""
+    """What the state equation needs; `extra(t, state)` is a torque on each inertia (n,), or None."""
 
     shaft: Shaft
     engine: Engine
@@ -27,7 +27,7 @@ class Plant:
     extra: Extra | None = None
 
     def equation(self) -> Callable[[float, np.ndarray], np.ndarray]:
-        """Right-hand side f(t, state); the cylinders see their own throw's angle and speed (nonlinear form)."""
+        """Right-hand side f(t, state); cylinders see their own throw's angle and speed (nonlinear form)."""
         shaft, load, extra = self.shaft, self.load, self.extra
         torques = self.engine.torque_law()
         matrix, columns = shaft.matrix(), shaft.torque_columns()
@@ -92,14 +92,14 @@ def warm_up(plant: Plant, speed: float) -> tuple[Engine, np.ndarray]:
     """Run the mean cycle until it repeats itself at the wanted mean `speed` [rad/s].
 
     After every cycle the burn strength is moved by the torque that was missing to end at the speed it began
-    with, and all speeds together by what the mean speed lacks.  Returns the engine with that strength, and the
-    state at angle 0.
+    with, and all speeds together by what the mean speed lacks.  Returns the engine with that strength, and
+    the state at angle 0.
     """
     shaft, load = plant.shaft, plant.load(0.0)
     friction = float(shaft.absolute_damping.sum()) * speed
     engine = plant.engine.with_strength(plant.engine.strength_for(load + friction))
     per_torque = engine.strength_for(1.0) - engine.strength_for(0.0)
-    state = shaft.steady_state(speed, load + friction, load)
+    state = shaft.steady_state(speed, load + friction)
     spins = slice(1, 1 + shaft.size)
     for _ in range(WARM_UP_CYCLES):
         mean_cycle = Plant(shaft, engine.before_record(), lambda _t: load, plant.extra)

@@ -1,4 +1,4 @@
-"""A chain of inertias joined by springs and dampers, driven by four cylinders and braked at its last inertia."""
+"""A chain of inertias joined by springs and dampers, driven by four cylinders, braked at its last inertia."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Shaft:
-    """Inertias J (n,) kg m2, couplings K (n-1,) N m/rad and C (n-1,) N m s/rad, bearings C_abs (n,) N m s/rad.
+    """Inertias (n,) kg m2, couplings K (n-1,) N m/rad and C (n-1,) N m s/rad, bearings C_abs (n,) N m s/rad.
 
     `throws` (4,) says which inertia (counted from 0) each cylinder turns.
     State: angle of the first inertia [rad], speeds (n,) [rad/s], twists theta_{i+1} - theta_i (n-1,) [rad].
@@ -56,8 +56,8 @@ class Shaft:
             rows[i, 1 + self.size : 1 + self.size + i] = 1.0
         return rows
 
-    def steady_state(self, speed: float, engine_torque: float, load: float) -> np.ndarray:
-        """State (2n,) of the shaft running evenly at `speed` [rad/s], each cylinder giving a quarter of the torque."""
+    def steady_state(self, speed: float, engine_torque: float) -> np.ndarray:
+        """State (2n,) of even running at `speed` [rad/s], the cylinders sharing `engine_torque` [N m]."""
         n = self.size
         state = np.zeros(2 * n)
         state[1 : 1 + n] = speed
@@ -95,8 +95,8 @@ def two_mass_shaft() -> Shaft:
 def crankshaft_shaft() -> Shaft:
     """Damping wheel, four throws, flywheel, dynamometer: Table 4.12 and the values its listing holds fixed.
 
-    Each absolute damper sits on the inertia of its own cylinder (J2..J5, C2..C5); the appendix's matrices print
-    them, and some inertias, one index off.
+    Each absolute damper sits on the inertia of its own cylinder (J2..J5, C2..C5); the appendix's matrices
+    print them, and some inertias, one index off.
     """
     return Shaft(
         inertia=1.0 / np.array([33.39, 22.3, 22.3, 22.3, 22.3, 5.968, 5.646]),

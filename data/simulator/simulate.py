@@ -59,8 +59,9 @@ def simulate_shaft(
     scatter       cycle-to-cycle standard deviation of the burn strength [1]
     sigma         standard deviation of the white noise on the speeds [rad/s]; 0 gives the clean record
     extra         torque on every inertia, extra(time, state) -> (n,) N m: an effect that a model may lack
-    Returns arrays (N,) by the names of the data contract, and the truth behind them:
-    omega_true, omega_load_true [rad/s], T_1..T_4 [N m], states (2n, N), factors (4, cycles + 2), strength [Pa].
+    Returns arrays (N,) by the names of the data contract, and the truth behind them: omega_true and
+    omega_load_true [rad/s], T_1..T_4 [N m], p3_assumed and p4_assumed [Pa], states (2n, N),
+    factors (4, cycles + 2) and strength [Pa].
     """
     cylinders = unequal_cylinders() if cylinders is None else cylinders
     factors = burn_factors(cylinders, cycles=cycles, scatter=scatter, seed=scatter_seed, misfire=misfire)
@@ -98,7 +99,7 @@ def observe(
 
 
 def add_noise(record: Record, *, sigma: float = SIGMA, seed: int = 0) -> Record:
-    """The record with fresh white noise on `omega` and `omega_load`; its other arrays are shared, not copied."""
+    """The record with fresh white noise on `omega` and `omega_load`; other arrays are shared, not copied."""
     generator = np.random.default_rng(seed)
     noise = sigma * generator.standard_normal((2, len(record["time"])))
     return record | {
