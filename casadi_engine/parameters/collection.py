@@ -10,7 +10,7 @@ from typing import Any
 
 import casadi as ca
 
-from casadi_engine.errors import ConstraintError, ExpressionError, ParameterError, TieError
+from casadi_engine.errors import ConstraintError, ParameterError, TieError
 from casadi_engine.parameters import storage, table, ties
 from casadi_engine.parameters.constraint import (
     Constraint,
@@ -18,7 +18,8 @@ from casadi_engine.parameters.constraint import (
     check_bounds,
     check_frequency,
 )
-from casadi_engine.parameters.expression import parse_expression, write_expression
+from casadi_engine.parameters.expression import write_expression
+from casadi_engine.parameters.given import names_in, read_given, shown_text
 from casadi_engine.parameters.names import near_matches
 from casadi_engine.parameters.parameter import Parameter
 
@@ -183,8 +184,8 @@ class Parameters:
                 allowed="one of the two",
                 cure=f'call free("{name}") first, or leave the tie out',
             )
-        tied, text = self._read(expression, f"the tie of {name}", TieError)
-        references = _names_in(tied)
+        tied, text = read_given(expression, self._symbols, f"the tie of {name}", TieError)
+        references = names_in(tied)
         cycle = ties.cycle(self._references, name, references)
         if cycle:
             raise TieError(
@@ -194,7 +195,7 @@ class Parameters:
                 cure=f"leave out one of them, such as the tie of {cycle[-2]}",
             )
         self._ties[name], self._references[name] = tied, references
-        parameter._tie = text if text is not None else _shown(tied)
+        parameter._tie = text if text is not None else shown_text(tied)
         (self._text_ties.discard if text is None else self._text_ties.add)(name)
         self._changed()
 
@@ -230,8 +231,8 @@ class Parameters:
                 allowed="text, or None for the expression itself",
                 cure="give a short text in quotes",
             )
-        read, text = self._read(expression, "a constraint", ConstraintError)
-        shown = text if text is not None else _shown(read)
+        read, text = read_given(expression, self._symbols, "a constraint", ConstraintError)
+        shown = text if text is not None else shown_text(read)
         label = shown if name is None else name
         lower, upper = check_bounds(label, min, max)
         if name is not None and any(name == constraint.name for constraint in self._constraints):
@@ -242,7 +243,7 @@ class Parameters:
                 cure="give another name",
             )
         self._constraints.append(
-            Constraint(label, read, lower, upper, _names_in(read), shown, name, readable=text is not None)
+            Constraint(label, read, lower, upper, names_in(read), shown, name, readable=text is not None)
         )
 
     def constrain_frequency(self, mode: int, min: float = 0.0, max: float = math.inf) -> None:
@@ -299,16 +300,20 @@ class Parameters:
         other._frozen = True
         return other
 
-    def extended(self, other: Parameters) -> Parameters:
+    def extended(self, other: Any) -> Parameters:
         """A copy with all settings kept and the names that only `other` has added, free.
+
+        `other` is a set, or a model, whose fresh set is taken (``model.parameters()``).
 
         Ties of the added names come along, and constraints of `other` that refer to one of them.
         """
+        if not isinstance(other, Parameters) and callable(getattr(other, "parameters", None)):
+            other = other.parameters()
         if not isinstance(other, Parameters):
             raise ParameterError(
                 "a set of parameters can only be extended by another",
                 seen=type(other).__name__,
-                allowed="Parameters",
+                allowed="Parameters, or a model",
                 cure="give model.parameters()",
             )
         result = self.copy()
@@ -410,40 +415,3 @@ class Parameters:
             allowed=near_matches(name, self._items),
             cure="use one of these names, or add(...) it",
         )
-
-    def _read(self, expression: Any, what: str, error: type[ParameterError]) -> tuple[Any, str | None]:
-        """Return an expression as SX, and its text if it came as text."""
-        if isinstance(expression, str):
-            unknown = TieError if error is TieError else ExpressionError
-            return parse_expression(expression, self._symbols, unknown=unknown), expression.strip()
-        if not isinstance(expression, ca.SX) or expression.shape != (1, 1):
-            seen = f"SX {expression.shape}" if isinstance(expression, ca.SX) else repr(expression)
-            raise error(
-                f"{what} must be text or a CasADi SX scalar",
-                seen=seen,
-                allowed='such as "C_eng/4" or parameters.symbol("C_eng")/4',
-                cure="write one scalar expression",
-            )
-        known = {symbol.element_hash() for symbol in self._symbols.values()}
-        strange = [symbol.name() for symbol in ca.symvar(expression) if symbol.element_hash() not in known]
-        if strange:
-            raise error(
-                f"{what} uses symbols that are not of this set",
-                seen=", ".join(strange),
-                allowed="parameters.symbol(name) with " + near_matches(strange[0], self._items),
-                cure="take the symbols from this very set",
-            )
-        return ca.SX(expression), None  # a copy: SX objects can be changed in place
-
-
-def _names_in(expression: Any) -> tuple[str, ...]:
-    return tuple(symbol.name() for symbol in ca.symvar(expression))
-
-
-def _shown(expression: Any) -> str:
-    """An SX for tables: as text of the grammar, or as CasADi prints it if the grammar lacks something."""
-    try:
-        return write_expression(expression)
-    except ExpressionError:
-        text = str(expression)
-        return text if len(text) <= 60 else text[:57] + "..."

@@ -394,6 +394,14 @@ def test_extended_by_nothing_new(engine):
     assert engine.extended(Parameters()).to_dict() == engine.to_dict()
 
 
+def test_extended_by_a_model_takes_its_fresh_set(engine):
+    class Model:
+        def parameters(self):
+            return Parameters([Parameter("x", 2.0)])
+
+    assert engine.extended(Model()).names == (*NAMES, "x")
+
+
 def test_extended_takes_a_set(engine, refused):
     with refused(
         ParameterError,
