@@ -8,6 +8,7 @@ from casadi_engine.model.declarations import ParameterDeclaration, Port, Ports, 
 from casadi_engine.model.firing import firing_offsets
 from casadi_engine.model.linear import LinearCore
 from casadi_engine.model.model import Model
+from casadi_engine.model.modes import Modes, matrix_derivatives, natural_frequency_derivatives
 
 __all__ = [
     "Blueprint",
@@ -17,12 +18,15 @@ __all__ = [
     "Inertia",
     "LinearCore",
     "Model",
+    "Modes",
     "ParameterDeclaration",
     "Port",
     "Ports",
     "Variable",
     "declare_chain",
     "firing_offsets",
+    "matrix_derivatives",
+    "natural_frequency_derivatives",
     "one_inertia",
     "two_mass",
     "write_chain",

@@ -52,8 +52,9 @@ def one_inertia(
     does not tell a constant T_load from T_f, nor a scale error of the pressure from J_eng and T_f.
     ModelError if the options do not fit together.
 
-    >>> one_inertia().ode
-    SX(((T-(C_eng*omega_eng))/J_eng))
+    >>> print(one_inertia().equations())
+    d(omega_eng)/dt = (T - C_eng*omega_eng)/J_eng
+    omega = omega_eng
     >>> one_inertia(cylinders=1, geometry=Geometry.from_bore(0.0677, stroke=0.055, rod=0.0842, mass=0.25),
     ...             friction_torque=0.8).parameter_names
     ('J_eng', 'C_eng', 'T_f', 'r', 'L', 'A_p', 'm_eq', 'p_crank')
@@ -87,7 +88,7 @@ def one_inertia(
         cylinder_set = None
     else:
         cylinder_set = declare_cylinders(b, options, theta=theta, speeds=chain.speeds * options.cylinders)
-        torque = sum(cylinder_set.torques) + cylinder_set.common
+        torque = cylinder_set.torque
     if load == "measured":
         braking += _load_drive(b)
     torque -= braking
@@ -154,14 +155,15 @@ def two_mass(
         [Coupling("coupling", "twist", k_el, c_el, "theta_load - theta_eng")],
     )
     cylinder_set = declare_cylinders(b, options, theta=theta, speeds=chain.speeds[:1] * options.cylinders)
-    torque = sum(cylinder_set.torques) + cylinder_set.common
+    torque = cylinder_set.torque
     if reciprocating_inertia == "variable":
         torque += vary_inertia(
             b, change=sum(cylinder_set.inertia_change), inertia=j_eng, torque=chain.torques[0] + torque
         )
     write_chain(b, chain, [torque, -_load_drive(b)])
     speeds = dict(zip(("omega", "omega_load"), chain.speeds, strict=True))
-    _outputs(b, outputs, {key: (speed, f"measured {key}") for key, speed in speeds.items()})
+    words = {"omega": "speed of the engine", "omega_load": "speed of the load"}
+    _outputs(b, outputs, {key: (speed, words[key]) for key, speed in speeds.items()})
     return b.model()
 
 

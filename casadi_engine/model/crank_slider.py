@@ -101,7 +101,8 @@ def torque_factor(angle: Any, ratio: Any) -> Any:
 def torque_factor_slope(angle: Any, ratio: Any) -> Any:
     """Return df/dθ [1/rad] of `torque_factor`."""
     sine, cosine, root = _parts(angle, ratio)
-    return cosine + ratio * (cosine**2 - sine**2) / root + ratio**3 * (sine * cosine) ** 2 / root**3
+    rod = ratio * sine * cosine / root  # what the rod's tilt adds to f
+    return cosine + ratio * (cosine**2 - sine**2 + rod**2) / root
 
 
 def piston_travel(angle: Any, ratio: Any) -> Any:
@@ -115,7 +116,7 @@ def mean_square_factor(ratio: Any) -> Any:
     """Return the mean of f² over a revolution, 1/(1 + sqrt(1 − (r/L)²)): the mean reciprocating inertia is
     m_eq r² times this.
 
-    >>> round(0.7 * 0.043**2 * mean_square_factor(0.043 / 0.145), 6)
+    >>> round(float(0.7 * 0.043**2 * mean_square_factor(0.043 / 0.145)), 6)
     0.000662
     """
     return 1 / (1 + _sqrt(1 - ratio**2))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import cache
 from typing import Any, Literal
 
 import casadi as ca
@@ -16,6 +17,7 @@ from casadi_engine.model.crank_slider import (
     mean_square_factor,
     reciprocating_torque,
     torque_factor,
+    torque_factor_slope,
 )
 from casadi_engine.model.firing import firing_offsets
 
@@ -70,16 +72,20 @@ class CylinderOptions:
 class Cylinders:
     """Cylinders declared in a blueprint.
 
-    theta : SX symbol of the crank angle channel [rad]
-    torques : for each cylinder its torque on the crank [N m]: drive plus slot
+    drives, slots : for each cylinder its two torques on the crank [N m]
     common : slot symbol of the port `cylinders` [N m], which acts on the crank as a whole
     inertia_change : for each cylinder m_eq r² (f² − ⟨f²⟩) [kg m2] at its angle
     """
 
-    theta: Any
-    torques: tuple[Any, ...]
+    drives: tuple[Any, ...]
+    slots: tuple[Any, ...]
     common: Any
     inertia_change: tuple[Any, ...]
+
+    @property
+    def torque(self) -> Any:
+        """All of their torques together [N m]."""
+        return sum(self.drives) + sum(self.slots) + self.common
 
 
 def check_option(name: str, value: object, allowed: Sequence[str]) -> None:
@@ -124,38 +130,53 @@ def declare_cylinders(
         omega = b.input("omega", unit="rad/s", scale=100.0, description="measured crank speed")
         speeds = [omega] * options.cylinders
     geometry = declare_geometry(b, Geometry.read(options.geometry))
-    # Written once for cylinder 1 and moved to the others by substitution, which is faster than writing anew.
-    pattern = _torque_pattern(geometry, theta, pressures[0], speeds[0])
-    torques, gas_torques, changes = [], [], []
+    drives, slots, gas_torques, changes = [], [], [], []
     for k, pressure, offset, speed in zip(numbers, pressures, offsets, speeds, strict=True):
         angle = theta - offset
-        gas, mass, change = ca.substitute(pattern, [theta, pressures[0], speeds[0]], [angle, pressure, speed])
+        gas, mass, factor, slope, change = _one_cylinder()(angle, pressure, speed, *vars(geometry).values())
         drive = b.drive(
             f"T_{k}",
             gas + mass if measured else gas,
             scale=TORQUE_SCALE,
             description=f"{'total' if measured else 'indicated'} torque of cylinder {k}",
         )
-        signals = {"angle": angle, "speed": speed, "pressure": pressure, "gas_torque": gas}
+        signals = {
+            "angle": angle,
+            "speed": speed,
+            "pressure": pressure,
+            "gas_torque": gas,
+            "torque_factor": factor,
+            "torque_factor_slope": slope,
+        }
         slot = b.port(f"cylinder_{k}", "cylinder", signals, description=f"cylinder {k}")
         if not measured:
             b.law(f"cylinder_{k}", mass)
-        torques.append(drive + slot)
+        drives.append(drive)
+        slots.append(slot)
         gas_torques.append(gas)
         changes.append(change)
     signals = {"angle": theta, "speed": speeds[0], "gas_torque": sum(gas_torques)}
     common = b.port("cylinders", "cylinder", signals, description="all cylinders together")
-    return Cylinders(theta, tuple(torques), common, tuple(changes))
+    return Cylinders(tuple(drives), tuple(slots), common, tuple(changes))
 
 
-def _torque_pattern(geometry: Geometry, angle: Any, pressure: Any, speed: Any) -> list[Any]:
-    """Indicated torque (3.1), reciprocating torque (3.5) and m_eq r² (f² − ⟨f²⟩) of one cylinder."""
-    square = torque_factor(angle, geometry.ratio) ** 2 - mean_square_factor(geometry.ratio)
-    return [
+@cache
+def _one_cylinder() -> Any:
+    """CasADi function of one cylinder: torques (3.1) and (3.5), f, df/dθ and m_eq r² (f² − ⟨f²⟩).
+
+    Made once and called with the symbols of each cylinder, many times faster than writing it anew.
+    """
+    angle, pressure, speed = (ca.SX.sym(name) for name in ("angle", "pressure", "speed"))
+    geometry = Geometry(*(ca.SX.sym(field.name) for field in fields(Geometry)))
+    factor = torque_factor(angle, geometry.ratio)
+    results = [
         indicated_torque(pressure, angle, geometry),
         reciprocating_torque(angle, speed, geometry),
-        geometry.m_eq * geometry.r**2 * square,
+        factor,
+        torque_factor_slope(angle, geometry.ratio),
+        geometry.m_eq * geometry.r**2 * (factor**2 - mean_square_factor(geometry.ratio)),
     ]
+    return ca.Function("cylinder", [angle, pressure, speed, *vars(geometry).values()], results)
 
 
 def vary_inertia(b: Blueprint, *, change: Any, inertia: Any, torque: Any) -> Any:

@@ -11,8 +11,10 @@ import casadi as ca
 import numpy as np
 
 from casadi_engine.errors import ModelError
+from casadi_engine.model import sheets
 from casadi_engine.model.declarations import ParameterDeclaration, Ports, Variable
 from casadi_engine.model.linear import LinearCore, linear_core
+from casadi_engine.model.modes import Modes, displacement_states, modes_of
 from casadi_engine.parameters import Parameters, near_matches
 
 
@@ -125,3 +127,61 @@ class Model:
         if not self.d.numel():
             return self.output_expressions
         return ca.substitute(self.output_expressions, self.d, self.drive_expressions)
+
+    # ---- modes
+
+    def modes(self, parameters: Parameters | Mapping[str, float] | None = None) -> Modes:
+        """Return eigenvalues, natural frequencies [Hz] and shapes of the linear core; laws are left out.
+
+        ModelError for a general model. `parameters` as in `parameter_vector`.
+        """
+        if self.linear is None:
+            raise ModelError(
+                f"the model {self.name} has no modes, because it has no linear core",
+                seen="equations that are not affine in states and drives",
+                allowed="a model with model.linear",
+                cure="move the nonlinear terms into laws of ports (Blueprint.port, Blueprint.law)",
+            )
+        matrix = self._state_matrix(self.parameter_vector(parameters)).full()
+        names = tuple(variable.name for variable in self.states)
+        return modes_of(matrix, states=names, displacements=displacement_states(self.linear.A))
+
+    def natural_frequency(
+        self, mode: int = 1, parameters: Parameters | Mapping[str, float] | None = None
+    ) -> float:
+        """Return the natural frequency |λ|/2π [Hz] of oscillatory mode `mode`, numbered from 1.
+
+        The rigid body mode does not count. ModelError if there is no such mode.
+        """
+        return self.modes(parameters).frequency(mode)
+
+    @cached_property
+    def _state_matrix(self) -> Any:
+        """CasADi function p -> A."""
+        return ca.Function("state_matrix", [self.p], [ca.densify(self.linear.A)]) if self.linear else None
+
+    # ---- print
+
+    def equations(self) -> str:
+        """The equations as readable text."""
+        return sheets.equations(self)
+
+    def latex(self) -> str:
+        """The equations as a LaTeX `aligned` environment."""
+        return sheets.latex(self)
+
+    def table(self) -> str:
+        """States, inputs, drives, outputs and parameters with their units, as text."""
+        return sheets.table(self)
+
+    def __str__(self) -> str:
+        return sheets.sheet(self)
+
+    def __repr__(self) -> str:
+        return f"Model({self.name!r}, {len(self.states)} states, {len(self.declarations)} parameters)"
+
+    def _repr_html_(self) -> str:
+        return sheets.html_sheet(self)
+
+    def _repr_latex_(self) -> str:
+        return f"$$\n{self.latex()}\n$$"

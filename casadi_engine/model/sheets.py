@@ -1,0 +1,138 @@
+"""The printed sheet of a model: its equations as text and LaTeX, and its tables of names and units."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+
+from casadi_engine.model.printing import write_expressions
+from casadi_engine.model.styles import LATEX, TEXT, Style
+
+if TYPE_CHECKING:
+    from casadi_engine.model.model import Model
+
+Rows = list[tuple[str, ...]]
+
+
+def equation_pairs(model: Model, style: Style) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
+    """Left and right sides of the model's equations, and of the shared parts in them.
+
+    Slots in which no law acts are left out; so are drives that pass a channel of their name on.
+    """
+    laws = model.laws
+    acting = [row for row in range(laws.numel()) if not laws[row].is_zero()]
+    idle = [row for row in range(laws.numel()) if row not in acting]
+    no_torque = ca.SX.zeros(len(idle), 1)
+
+    def without_idle(column: Any) -> Any:
+        return ca.substitute(column, model.w[idle], no_torque) if idle else column
+
+    left = [style.derivative(variable.name) for variable in model.states]
+    right = list(ca.vertsplit(without_idle(model.ode)))
+    for row, drive in enumerate(model.drives):
+        value = model.drive_expressions[row]
+        if not (value.is_symbolic() and value.name() == drive.name):
+            left.append(style.symbol(drive.name))
+            right.append(value)
+    for row in acting:
+        left.append(style.symbol(model.w[row].name()))
+        right.append(without_idle(laws[row]))
+    for row, output in enumerate(model.outputs):
+        left.append(style.symbol(output.name))
+        right.append(model.output_expressions[row])
+    written = write_expressions(right, style=style, named=_known_parts(model))
+    return list(zip(left, written.texts, strict=True)), list(written.shared)
+
+
+def _known_parts(model: Model) -> dict[str, Any]:
+    """The crank-slider factors of the cylinders, by the names f_k and df_k, to be printed once each."""
+    short = {"torque_factor": "f", "torque_factor_slope": "df"}
+    found: dict[str, Any] = {}
+    for port in model.ports:
+        for signal, letter in short.items():
+            if signal in port.signals:
+                found[f"{letter}_{port.name.removeprefix('cylinder_')}"] = port.signals[signal]
+    return found
+
+
+def equations(model: Model) -> str:
+    """The equations as plain text, one in each line; parts with a name of their own follow under "with"."""
+    main, shared = equation_pairs(model, TEXT)
+    lines = [f"{left} = {right}" for left, right in main]
+    if shared:
+        lines += ["with", *(f"  {left} = {right}" for left, right in shared)]
+    return "\n".join(lines)
+
+
+def latex(model: Model) -> str:
+    """The equations as a LaTeX `aligned` environment, without dollar signs."""
+    main, shared = equation_pairs(model, LATEX)
+    rows = " \\\\\n".join(f"{left} &= {right}" for left, right in [*main, *shared])
+    return f"\\begin{{aligned}}\n{rows}\n\\end{{aligned}}"
+
+
+def sections(model: Model) -> list[tuple[str, Rows]]:
+    """The tables of states, inputs, drives, outputs (name, unit, description) and parameters."""
+    made: list[tuple[str, Rows]] = []
+    for title, group in (
+        ("states", model.states),
+        ("inputs", model.inputs),
+        ("drives", model.drives),
+        ("outputs", model.outputs),
+    ):
+        rows: Rows = [(variable.name, "", f"[{variable.unit}]", variable.description) for variable in group]
+        if rows:
+            made.append((title, rows))
+    parameters: Rows = [
+        (
+            declared.name,
+            f"{declared.value:.6g}",
+            f"[{declared.unit}]",
+            declared.description + ("" if declared.vary else " (fixed)"),
+        )
+        for declared in model.declarations
+    ]
+    return [*made, ("parameters", parameters)] if parameters else made
+
+
+def table(model: Model) -> str:
+    """The tables as aligned text."""
+    parts = sections(model)
+    widths = [max(len(row[column]) for _, rows in parts for row in rows) for column in range(3)]
+    lines = []
+    for title, rows in parts:
+        lines.append(title)
+        lines += ["  " + _aligned(row, widths) for row in rows]
+    return "\n".join(lines)
+
+
+def sheet(model: Model) -> str:
+    """Name, description, equations and tables as text."""
+    title = model.name + (f": {model.description}" if model.description else "")
+    kind = "linear" if model.linear is not None else "general (not affine in states and drives)"
+    if model.linear is not None and model.has_slot_laws:
+        kind = "linear core with nonlinear torques in slots"
+    return f"{title}\n{kind}\n\n{equations(model)}\n\n{table(model)}"
+
+
+def html_sheet(model: Model) -> str:
+    """The same as HTML: equations in a pre block, one table for each section."""
+    parts = [f"<h4>{html.escape(model.name)}</h4>"]
+    if model.description:
+        parts.append(f"<p>{html.escape(model.description)}</p>")
+    parts.append(f"<pre>{html.escape(equations(model))}</pre>")
+    for title, rows in sections(model):
+        cells = "".join(
+            "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
+        )
+        parts.append(f"<table><caption>{title}</caption>{cells}</table>")
+    return "\n".join(parts)
+
+
+def _aligned(row: Sequence[str], widths: Sequence[int]) -> str:
+    name, value, unit, description = row
+    text = f"{name:<{widths[0]}}  {value:>{widths[1]}}  {unit:<{widths[2]}}  {description}"
+    return text.rstrip()
