@@ -93,16 +93,19 @@ def burn_factors(
     drawn = np.random.default_rng(seed).standard_normal((4, cycles + 1))
     burns = np.ones((4, cycles + 2))
     for cylinder, which in (misfire or {}).items():
-        if isinstance(which, str):
-            if which != ALL_CYCLES:
-                raise ValueError(
-                    f"misfire of cylinder {cylinder} is {which!r}: give 'all' or a list of cycles"
-                )
-            burns[cylinder - 1, :] = 0.0
-        else:
-            burns[cylinder - 1, list(which)] = 0.0
+        burns[cylinder - 1, _silent_events(cylinder, which, cycles)] = 0.0
     inside = burns[:, 1:-1] > 0.0
     drawn -= drawn[:, :-1][inside].mean() if inside.any() else 0.0
     factors = np.ones((4, cycles + 2))
     factors[:, 1:] += scatter * drawn
     return cylinders.strength[:, None] * factors * burns
+
+
+def _silent_events(cylinder: int, which: str | Sequence[int], cycles: int) -> list[int]:
+    if cylinder not in (1, 2, 3, 4):
+        raise ValueError(f"misfire of cylinder {cylinder!r}: there are cylinders 1..4")
+    if which == ALL_CYCLES:
+        return list(range(cycles + 2))
+    if isinstance(which, str) or not all(1 <= cycle <= cycles for cycle in which):
+        raise ValueError(f"misfire of cylinder {cylinder} in {which!r}: give 'all' or a list of 1..{cycles}")
+    return list(which)

@@ -5,6 +5,7 @@ Angles are crank angles theta* of a cylinder: 0 at its combustion TDC [rad].  Th
 """
 
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,8 @@ CRANKCASE = 1.0e5  # p_crank [Pa]
 COMPRESSION_RATIO = 10.0
 CLEARANCE = 2.0 * RADIUS * PISTON_AREA / (COMPRESSION_RATIO - 1.0)  # volume left at TDC [m3]
 RATIO = RADIUS / ROD
+
+Values = Any  # a number, or an array of any shape
 
 CYCLE = 4.0 * np.pi  # crank angle of one four-stroke cycle [rad]
 FIRING_ORDER = (1, 3, 4, 2)
@@ -29,13 +32,13 @@ def tdc_angles() -> np.ndarray:
     return angles
 
 
-def volume(angle, maths: ModuleType = np):
+def volume(angle: Values, maths: ModuleType = np) -> Values:
     """Cylinder volume [m3]: clearance plus piston area times the travel from TDC."""
     root = maths.sqrt(1.0 - (RATIO * maths.sin(angle)) ** 2)
     return CLEARANCE + PISTON_AREA * (RADIUS * (1.0 - maths.cos(angle)) + ROD * (1.0 - root))
 
 
-def slider(angle, maths: ModuleType = np):
+def slider(angle: Values, maths: ModuleType = np) -> tuple[Values, Values]:
     """f and df/dtheta of (3.2), both [1]: the piston moves by r f per radian."""
     sine, cosine = maths.sin(angle), maths.cos(angle)
     root = maths.sqrt(1.0 - (RATIO * sine) ** 2)
@@ -45,7 +48,7 @@ def slider(angle, maths: ModuleType = np):
     return factor, slope
 
 
-def cylinder_torque(angle, speed, pressure, maths: ModuleType = np):
+def cylinder_torque(angle: Values, speed: Values, pressure: Values, maths: ModuleType = np) -> Values:
     """Indicated plus reciprocating torque [N m], (3.6); the theta'' term is left out as in (3.5)."""
     factor, slope = slider(angle, maths)
     indicated = (pressure - CRANKCASE) * PISTON_AREA * RADIUS * factor

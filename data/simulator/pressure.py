@@ -12,7 +12,7 @@ from types import ModuleType
 
 import numpy as np
 
-from .geometry import CLEARANCE, CYCLE, volume
+from .geometry import CLEARANCE, CYCLE, Values, volume
 
 DEGREE = np.pi / 180.0
 
@@ -49,20 +49,23 @@ def unequal_cylinders() -> Cylinders:
 
 
 def identical_cylinders() -> Cylinders:
+    """Four cylinders that do not differ, for comparison."""
     return Cylinders(strength=np.ones(4), intake=np.ones(4), delay=np.zeros(4))
 
 
-def event_number(angle):
+def event_number(angle: Values) -> Values:
     """Which combustion an angle belongs to: event k has its TDC at 4 pi (k - 1) of that cylinder's angle."""
     return (angle - SEAM) // CYCLE + 2
 
 
-def burned(angle, delay=0.0, maths: ModuleType = np):
+def burned(angle: Values, delay: Values = 0.0, maths: ModuleType = np) -> Values:
     """Share of the charge that has burned, 0..1: a double exponential, steep at first, with a long tail."""
     return maths.exp(-maths.exp(-(angle - BURN_ANGLE - delay) / BURN_WIDTH))
 
 
-def pressure(angle, strength, intake=1.0, delay=0.0, maths: ModuleType = np):
+def pressure(
+    angle: Values, strength: Values, intake: Values = 1.0, delay: Values = 0.0, maths: ModuleType = np
+) -> Values:
     """Absolute pressure [Pa] at a cylinder's own angle [rad]; `strength` [Pa] is 0 for a motored cylinder.
 
     The strength is the pressure that a charge burned at once at TDC would add.  `maths` as in geometry.py.
@@ -71,7 +74,7 @@ def pressure(angle, strength, intake=1.0, delay=0.0, maths: ModuleType = np):
     room = volume(angle, maths)
     taken_in = INTAKE * intake
 
-    def rise(centre, width):
+    def rise(centre: float, width: float) -> Values:
         return 0.5 * (1.0 + maths.tanh((angle - centre) / width))
 
     closed = taken_in * (CLOSED_IN / room) ** MOTORED_EXPONENT

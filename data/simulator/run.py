@@ -83,7 +83,7 @@ def one_cycle(plant: Plant, start: np.ndarray, *, rtol: float = 1e-7) -> tuple[f
     solution = solve_ivp(
         plant.equation(), (0.0, limit), start, method="DOP853", events=end, rtol=rtol, atol=atol
     )
-    if not len(solution.t_events[0]):
+    if not solution.t_events or not solution.y_events or not len(solution.t_events[0]):
         raise RuntimeError("the engine stalled in a warm-up cycle")
     return float(solution.t_events[0][0]), solution.y_events[0][0]
 

@@ -1,6 +1,7 @@
 """The two functions that make a record: `simulate_two_mass` and `simulate_crankshaft`."""
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -23,12 +24,12 @@ def sample_count(speed_rpm: float, cycles: float) -> int:
     return round(cycles * 120.0 / speed_rpm * SAMPLES_PER_SECOND_OF_CYCLES)
 
 
-def simulate_two_mass(speed_rpm: float = 1200.0, **options) -> Record:
+def simulate_two_mass(speed_rpm: float = 1200.0, **options: Any) -> Record:
     """One record of the two-mass engine-load model (4.1), truth of Table 4.1; options as `simulate_shaft`."""
     return simulate_shaft(options.pop("shaft", two_mass_shaft()), speed_rpm, **options)
 
 
-def simulate_crankshaft(speed_rpm: float = 1200.0, **options) -> Record:
+def simulate_crankshaft(speed_rpm: float = 1200.0, **options: Any) -> Record:
     """One record of the seven-inertia crankshaft, truth of Table 4.12; options as `simulate_shaft`."""
     return simulate_shaft(options.pop("shaft", crankshaft_shaft()), speed_rpm, **options)
 
@@ -55,10 +56,12 @@ def simulate_shaft(
     load          braking torque [N m], a number or a function of time [s]
     cycles        engine cycles to record, all complete; combustion is drawn for as many
     duration      length of the record [s] instead, for loads that change the speed
-    misfire       {cylinder: "all" or the cycles (1, 2, ...) that do not burn}
+    misfire       {cylinder: "all" or the cycles (1, 2, ...) that do not burn}; the other cylinders make up
+                  for "all", so that the speed holds, and for a list they do not
     scatter       cycle-to-cycle standard deviation of the burn strength [1]
     sigma         standard deviation of the white noise on the speeds [rad/s]; 0 gives the clean record
-    extra         torque on every inertia, extra(time, state) -> (n,) N m: an effect that a model may lack
+    extra         torque on every inertia, extra(time, state) -> (n,) N m: an effect that a model may lack;
+                  the warm-up has it too, with time counted from the start of each of its cycles
     Returns arrays (N,) by the names of the data contract, and the truth behind them: omega_true and
     omega_load_true [rad/s], T_1..T_4 [N m], p3_assumed and p4_assumed [Pa], states (2n, N),
     factors (4, cycles + 2) and strength [Pa].
