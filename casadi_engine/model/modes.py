@@ -128,7 +128,9 @@ def displacement_states(a: Any) -> NDArray[np.bool_]:
     zero, and none of them at another such row's place.
     """
     size = a.size1()
-    constant = np.array([a[row, :].is_constant() and not a[row, :].is_zero() for row in range(size)])
+    constant = np.array(
+        [a[row, :].is_constant() and not a[row, :].is_zero() and a[row, row].is_zero() for row in range(size)]
+    )
     if constant.any():
         index = [int(row) for row in np.flatnonzero(constant)]
         among = np.array(ca.DM(ca.densify(a[index, index])))
