@@ -137,7 +137,10 @@ def _low_passed(channel: Channel, cutoff_hz: float, order: int) -> Channel:
             allowed=f"more than {edge} samples at order {order}",
             cure="lower the order or give a longer record",
         )
-    return dataclasses.replace(channel, values=signal.sosfiltfilt(sections, channel.values, padlen=edge))
+    # The ends are mirrored until the slowest pole, at 2 pi fc sin(pi / 2 order), has died away to 1e-9.
+    settling = 20.7 / (2 * np.pi * cutoff_hz * np.sin(np.pi / (2 * order)))
+    padding = min(max(edge, int(np.ceil(min(settling * rate, len(channel))))), len(channel) - 1)
+    return dataclasses.replace(channel, values=signal.sosfiltfilt(sections, channel.values, padlen=padding))
 
 
 def moving_average(experiment: Experiment, lengths: Mapping[str, int]) -> Experiment:

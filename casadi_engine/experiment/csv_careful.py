@@ -112,7 +112,7 @@ def _wrong_width(path: str, header: Header, row: int, cells: list[str]) -> NoRet
         problem = f"{path}, column number {width + 1}, row {row}: the row is too long"
         cure = "write decimal points and no thousands separators"
         if not any(cell.strip() for cell in cells[width:]):
-            cure = "take the extra commas off the end of the row, or add one to the header line"
+            cure = "take the extra commas away: those at the end of the row, or thousands separators"
     else:
         label = header.column(found).label or f"number {found + 1}"
         problem = f"{path}, column {label!r}, row {row}: the row is too short"

@@ -93,7 +93,7 @@ def read_source(path: Any) -> Source:
         ) from None
     if not content:
         raise DataFileError(
-            f"{text}: the file is empty",
+            f"{text}, row 1: the file is empty",
             allowed="a header line and two or more rows",
             cure="export the record again",
         )
@@ -143,7 +143,7 @@ def unpacked(source: Source) -> bytes:
         )
     if not content:
         raise DataFileError(
-            f"{source.path}: the file is empty when unpacked",
+            f"{source.path}, row 1: the file is empty when unpacked",
             allowed="a header line and two or more rows",
             cure="export the record again",
         )

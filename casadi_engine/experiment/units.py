@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,7 @@ CONVERSIONS: dict[str, tuple[str, float, float]] = {
 }
 
 ALLOWED_UNITS: tuple[str, ...] = SI_UNITS + tuple(CONVERSIONS)
+_HEADER = re.compile(r"([^\[\]]*)\[([^\[\]]*)\]")
 _DIMENSIONLESS = ("", "-", "%", "none", "dimensionless")
 
 
@@ -46,10 +48,8 @@ def split_header(header: str) -> tuple[str, str | None]:
     ('p1', None)
     """
     text = header.strip()
-    if text.endswith("]") and "[" in text:
-        name, unit = text[:-1].split("[", 1)
-        return name.strip(), unit.strip()
-    return text, None
+    match = _HEADER.fullmatch(text)
+    return (match[1].strip(), match[2].strip()) if match else (text, None)
 
 
 def _conversion(unit: Any, where: str) -> tuple[str, float, float]:
@@ -72,8 +72,9 @@ def _cure(text: Any) -> str:
     if text.lower() in _DIMENSIONLESS:
         return "write 1 for a dimensionless quantity"
     plain = text.replace("*", " ").replace("·", " ").replace("^", "").replace("²", "2").replace("³", "3")
-    if plain in ALLOWED_UNITS:
-        return f"did you mean {plain!r}?"
+    for unit in ALLOWED_UNITS:
+        if unit.replace(" ", "") == plain.replace(" ", ""):
+            return f"did you mean {unit!r}?"
     near = difflib.get_close_matches(plain.lower(), [unit.lower() for unit in ALLOWED_UNITS], n=1, cutoff=0.5)
     if near:
         match = next(unit for unit in ALLOWED_UNITS if unit.lower() == near[0])

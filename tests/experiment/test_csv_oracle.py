@@ -85,7 +85,7 @@ def text_lines(data):
 
 
 def parts(label):
-    match = re.fullmatch(r"([^\[]*)\[(.*)\]", label, re.DOTALL)
+    match = re.fullmatch(r"([^][]*)\[([^][]*)\]", label)
     return (match[1].strip(), match[2].strip()) if match else (label, None)
 
 
