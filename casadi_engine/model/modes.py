@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 # An eigenvalue counts as real if its imaginary part is below this share of the largest modulus.
 REAL_TOLERANCE = 1e-9
+# Eigenvalues closer than this share of their modulus count as one: rounding splits a defective pair by 1e-8.
+SIMPLE_TOLERANCE = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,16 +209,16 @@ def natural_frequency_derivatives(
 def _left_vector(a: Array, value: complex, right: NDArray[Any]) -> NDArray[Any]:
     """The left eigenvector yᵀ A = λ yᵀ with yᵀ v = 1."""
     values, vectors = np.linalg.eig(a.T)
-    left = vectors[:, int(np.argmin(np.abs(values - value)))]
-    product = left @ right
-    if abs(product) < 1e-10 * np.linalg.norm(left) * np.linalg.norm(right):
+    distance = np.abs(values - value)
+    if np.count_nonzero(distance < SIMPLE_TOLERANCE * abs(value)) > 1:
         raise ModelError(
             "the natural frequency has no derivative, because its eigenvalue is not simple",
             seen=f"lambda = {value:.6g} 1/s",
             allowed="an eigenvalue apart from all others",
             cure="move the parameters off this point, or leave this mode unconstrained",
         )
-    return left / product
+    left = vectors[:, int(np.argmin(distance))]
+    return left / (left @ right)
 
 
 def _vector_derivatives(

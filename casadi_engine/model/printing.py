@@ -172,7 +172,9 @@ class Writer:
         # Signs of the factors count for the product as a whole.
         negative ^= sum(piece.negative for piece in above + below) % 2 == 1
         whole = self.style.fraction(_unsigned(above), _unsigned(below))
-        return Piece(whole.text, whole.level, negative != whole.negative)
+        if negative and whole.level < PRODUCT:  # the sign is of the whole sum
+            return Piece(self.style.bracket(whole, PRODUCT), PRODUCT, True)
+        return Piece(whole.text, whole.level, negative)
 
     def _collect(self, number: int, factors: _Factors, *, inverse: bool, top: bool = False) -> None:
         """Sort the factors of a flat product above and below the fraction bar."""

@@ -1,0 +1,100 @@
+"""The printed sheet of a model."""
+
+import math
+
+from casadi_engine.model import Blueprint, one_inertia, two_mass
+
+
+def test_equations_of_the_two_mass_system():
+    lines = two_mass(cylinders=1).equations().splitlines()
+    assert lines == [
+        "d(omega_eng)/dt = (K_el*twist + C_el*(omega_load - omega_eng) - C_eng*omega_eng"
+        " + T_1 + w_cylinder_1)/J_eng",
+        "d(omega_load)/dt = -(K_el*twist + C_el*(omega_load - omega_eng) + T_load)/J_load",
+        "d(twist)/dt = omega_load - omega_eng",
+        "T_1 = (p1 - p_crank)*A_p*r*f_1",
+        "w_cylinder_1 = -m_eq*r**2*f_1*df_1*omega_eng**2",
+        "omega = omega_eng",
+        "with",
+        "  f_1 = sin(theta) + r*sin(theta)*cos(theta)/(L*sqrt(1 - (r*sin(theta)/L)**2))",
+        "  df_1 = cos(theta) + r*(cos(theta)**2 - sin(theta)**2 + (r*sin(theta)*cos(theta)"
+        "/(L*sqrt(1 - (r*sin(theta)/L)**2)))**2)/(L*sqrt(1 - (r*sin(theta)/L)**2))",
+    ]
+
+
+def test_equations_of_four_cylinders_show_their_offsets():
+    text = two_mass().equations()
+    for number, offset in ((1, ""), (2, " - 3*pi"), (3, " - pi"), (4, " - 2*pi")):
+        assert f"f_{number} = sin(theta{offset}) + r*sin(theta{offset})" in text
+    assert "@" not in text  # CasADi's own temporaries
+
+
+def test_linear_form_has_no_slots_in_print():
+    text = two_mass(reciprocating_speed="measured").equations()
+    assert "w_" not in text
+    assert "T_1 = (p1 - p_crank)*A_p*r*f_1 - m_eq*r**2*f_1*df_1*omega**2" in text
+
+
+def test_latex_of_one_inertia():
+    assert one_inertia().latex() == (
+        "\\begin{aligned}\n"
+        r"\frac{\mathrm{d}}{\mathrm{d}t} \omega_{\mathrm{eng}} &= "
+        r"\frac{T - C_{\mathrm{eng}} \, \omega_{\mathrm{eng}}}{J_{\mathrm{eng}}}"
+        " \\\\\n"
+        r"\omega &= \omega_{\mathrm{eng}}"
+        "\n\\end{aligned}"
+    )
+
+
+def test_latex_of_two_mass_is_balanced():
+    text = two_mass(reciprocating_inertia="variable").latex()
+    assert text.count("{") == text.count("}")
+    assert text.count(r"\left") == text.count(r"\right")
+    assert two_mass()._repr_latex_().startswith("$$\n\\begin{aligned}")
+
+
+def test_table_of_one_inertia():
+    assert one_inertia(load="constant").table().splitlines() == [
+        "states",
+        "  omega_eng            [rad/s]      speed of the engine",
+        "inputs",
+        "  T                    [N m]        torque on the engine",
+        "drives",
+        "  T                    [N m]        torque on the engine",
+        "outputs",
+        "  omega                [rad/s]      crank speed",
+        "parameters",
+        "  J_eng      0.391083  [kg m2]      inertia of the engine",
+        "  C_eng        0.1541  [N m s/rad]  absolute damping of the engine",
+        "  T_load            0  [N m]        constant load torque, braking",
+    ]
+
+
+def test_sheet_says_what_kind_of_model_it_is():
+    assert "\nlinear\n" in str(one_inertia())
+    assert "\nlinear core with nonlinear torques in slots\n" in str(two_mass())
+    assert str(two_mass()).startswith("two_mass: engine and load as two inertias")
+    assert repr(two_mass()) == "Model('two_mass', 3 states, 10 parameters)"
+
+
+def test_sheet_of_a_general_model_without_parameters_and_inputs():
+    b = Blueprint("pendulum")
+    q, v = b.state("q", unit="rad"), b.state("v", unit="rad/s")
+    b.ode("q", v)
+    b.ode("v", -(math.pi**2) * q * q)
+    b.output("q", q, unit="rad")
+    text = str(b.model())
+    assert text.startswith("pendulum\ngeneral (not affine in states and drives)\n")
+    assert "parameters" not in text
+    assert "inputs" not in text
+
+
+def test_html_is_escaped():
+    b = Blueprint("plain", description="a < b & c")
+    x = b.state("x", unit="m", description="<i>")
+    b.ode("x", -x)
+    b.output("y", x)
+    html = b.model()._repr_html_()
+    assert "a &lt; b &amp; c" in html
+    assert "&lt;i&gt;" in html
+    assert "<caption>states</caption>" in html
