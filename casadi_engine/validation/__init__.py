@@ -1,1 +1,26 @@
 """Validation: how well a model explains data, and whether its residuals are white."""
+
+from casadi_engine.validation.correlation import Correlation, autocorrelation, cross_correlation
+from casadi_engine.validation.fit_percent import FitMeasures, fit_measures
+from casadi_engine.validation.residual_tests import (
+    ResidualChecks,
+    ResidualTest,
+    check_residual,
+    independence,
+    rejected,
+    whiteness,
+)
+
+__all__ = [
+    "Correlation",
+    "FitMeasures",
+    "ResidualChecks",
+    "ResidualTest",
+    "autocorrelation",
+    "check_residual",
+    "cross_correlation",
+    "fit_measures",
+    "independence",
+    "rejected",
+    "whiteness",
+]

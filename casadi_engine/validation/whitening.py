@@ -1,0 +1,134 @@
+"""Whitening of a coloured residual with gaps by an autoregression, for the tests in residual_tests.
+
+References: H. B. Mann and A. Wald (1943) for the autoregression, H. Akaike (1974) for its order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy import fft, linalg, sparse
+
+from casadi_engine.validation.correlation import IntArray
+from casadi_engine.validation.fit_percent import BoolArray, FloatArray
+
+LARGEST_ORDER = 25
+SPECTRUM = 1024
+
+
+@dataclass(frozen=True, eq=False)
+class Whitener:
+    """The colour of a residual as an autoregression, and the linear map that removes it.
+
+    order : 0 for a white residual, which the map leaves as it is
+    predictor : (order + 1,) coefficients (1, −a_1, …) of the innovation
+    variance : of the innovation
+    matrix : (n, n) lower banded, rows scaled to one innovation variance; None for order 0
+    valid : (n,) bool, which samples are present
+    """
+
+    order: int
+    predictor: FloatArray
+    variance: float
+    matrix: sparse.csr_array | None
+    valid: BoolArray
+
+    @staticmethod
+    def white(valid: BoolArray) -> Whitener:
+        """Return the map that changes nothing."""
+        return Whitener(0, np.ones(1), 1.0, None, valid)
+
+    @staticmethod
+    def of(residual: FloatArray, valid: BoolArray) -> Whitener:
+        """Fit the autoregression to an (n,) residual that holds zeros where a sample is missing."""
+        predictors, variances = _autoregression(residual, valid)
+        order = len(predictors) - 1
+        matrix = _whitening_matrix(predictors, variances, residual.size) if order else None
+        return Whitener(order, predictors[-1], float(variances[-1]), matrix, valid)
+
+    def largest_gain_over(self, other: Whitener) -> float:
+        """Return by how much at most, over frequency, this map amplifies more than another one."""
+        own, others = (
+            np.abs(fft.rfft(noise.predictor, SPECTRUM)) ** 2 / noise.variance for noise in (self, other)
+        )
+        return float(np.max(own / others))
+
+    def apply(self, columns: FloatArray) -> FloatArray:
+        """Whiten (n, k) columns that hold zeros at missing samples, as if only the others existed."""
+        return columns if self.matrix is None else _whiten(columns, self.valid, self.matrix, self.order)
+
+
+def _autoregression(e: FloatArray, valid: BoolArray) -> tuple[list[FloatArray], FloatArray]:
+    """Fit autoregressions of rising order by least squares and choose the order by Akaike's criterion.
+
+    Only rows whose whole past is present take part: covariances of pairs, each from other samples, need not
+    belong to any process. The largest order leaves a quarter of the samples and ten rows a coefficient.
+
+    Returns the predictors (1, −a_1, …, −a_j) of order j = 0..p and their residual variances.
+    """
+    index = np.arange(e.size)
+    run = index - np.maximum.accumulate(np.where(valid, -1, index))  # present samples in a row, up to here
+    rows = np.array([np.count_nonzero(run > order) for order in range(LARGEST_ORDER + 1)])
+    needed = np.maximum(10 * np.arange(1, LARGEST_ORDER + 2), np.count_nonzero(valid) / 4)
+    largest = int(np.flatnonzero(rows >= needed).max(initial=0))
+    _, variances = _regress_on_past(e, run, largest)
+    criterion = rows[largest] * np.log(variances) + 2.0 * np.arange(largest + 1)
+    return _regress_on_past(e, run, int(np.argmin(criterion)))
+
+
+def _regress_on_past(e: FloatArray, run: IntArray, order: int) -> tuple[list[FloatArray], FloatArray]:
+    """Return predictors and residual variances of orders 0..order from one Cholesky factor."""
+    now = np.flatnonzero(run > order)
+    columns = sliding_window_view(e, order + 1)[now - order]  # e(t − order) … e(t)
+    products = np.roll((columns.T @ columns)[::-1, ::-1], -1, axis=(0, 1))  # the past first, then e(t)
+    # A residual that predicts itself perfectly (a sine without noise) would have no factor.
+    products[np.diag_indices(order + 1)] += 1e-12 * products[-1, -1]
+    factor = np.linalg.cholesky(products)
+    last = factor[-1]
+    variances = np.cumsum(last[::-1] ** 2)[::-1]
+    predictors = [
+        np.append(1.0, -linalg.solve_triangular(factor[:j, :j], last[:j], trans="T", lower=True))
+        for j in range(order + 1)
+    ]
+    return predictors, variances / now.size
+
+
+def _whitening_matrix(predictors: list[FloatArray], variances: FloatArray, size: int) -> sparse.csr_array:
+    """Return the (n, n) matrix that turns a stretch of the process into white noise of one variance.
+
+    The first rows have less past than the order: they use the predictors of lower order, scaled.
+    """
+    order = len(predictors) - 1
+    rows, columns, entries = [], [], []
+    for j, predictor in enumerate(predictors[:-1]):
+        rows.append(np.full(j + 1, j))
+        columns.append(np.arange(j, -1, -1))
+        entries.append(predictor * np.sqrt(variances[-1] / variances[j]))
+    later = np.arange(order, size)
+    for lag, coefficient in enumerate(predictors[-1]):
+        rows.append(later)
+        columns.append(later - lag)
+        entries.append(np.full(later.size, coefficient))
+    placed = (np.concatenate(entries), (np.concatenate(rows), np.concatenate(columns)))
+    return sparse.csr_array(placed, shape=(size, size))
+
+
+def _whiten(columns: FloatArray, valid: BoolArray, matrix: sparse.csr_array, order: int) -> FloatArray:
+    """Whiten columns that hold zeros at missing samples, as if only the present samples existed.
+
+    With W the whitening matrix, filling the gaps so that ‖W x‖ is least gives xᵀ V⁻¹ x of the present
+    samples exactly (Schur complement of the banded precision WᵀW), for all columns in one banded solve.
+    """
+    if valid.all():
+        return np.asarray(matrix @ columns)
+    gaps = matrix.tocsc()[:, ~valid]
+    precision = gaps.T @ gaps
+    size = precision.shape[0]
+    bands = np.zeros((min(order, size - 1) + 1, size))
+    for below in range(bands.shape[0]):
+        bands[below, : size - below] = precision.diagonal(-below)
+    filled = columns.copy()
+    filled[~valid] = -linalg.solveh_banded(bands, gaps.T @ (matrix @ columns), lower=True)
+    return np.asarray(matrix @ filled)
