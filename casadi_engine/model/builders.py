@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from casadi_engine.errors import ModelError
 from casadi_engine.model.blueprint import Blueprint
-from casadi_engine.model.chain import SPEED_SCALE, Coupling, Inertia, declare_chain, write_chain
+from casadi_engine.model.chain import SPEED_SCALE, Chain, Coupling, Inertia, declare_chain, write_chain
 from casadi_engine.model.crank_slider import Geometry
 from casadi_engine.model.cylinders import (
     TORQUE_SCALE,
@@ -60,14 +60,9 @@ def one_inertia(
     ('J_eng', 'C_eng', 'T_f', 'r', 'L', 'A_p', 'm_eq', 'p_crank')
     """
     check_option("load", load, ("none", "measured", "constant"))
-    check_option("reciprocating_inertia", reciprocating_inertia, ("mean", "variable"))
-    options = None
-    if cylinders != 0:
-        options = CylinderOptions(
-            cylinders, firing_order, firing_offsets, geometry, reciprocating_speed, reciprocating_inertia
-        )
-    else:
-        _check_without_cylinders(firing_order, firing_offsets, geometry, reciprocating_inertia)
+    options = _cylinder_options(
+        cylinders, firing_order, firing_offsets, geometry, reciprocating_speed, reciprocating_inertia
+    )
     b = Blueprint(name, description="engine as one rigid inertia")
     inertia = _inertia(b, "J_eng", J_ENG, "inertia of the engine")
     damping = _damper(b, "C_eng", C_ENG, "absolute damping of the engine")
@@ -79,23 +74,14 @@ def one_inertia(
     if load == "constant":
         braking += b.parameter("T_load", 0.0, unit="N m", description="constant load torque, braking")
     theta = _theta(b) if options else None
-    chain = declare_chain(
-        b, [Inertia("engine", "omega_eng", inertia, damping, theta, "speed of the engine")], []
-    )
-    if options is None:
-        channel = b.input("T", unit="N m", scale=TORQUE_SCALE, description="torque on the engine")
-        torque = b.drive("T", channel, scale=TORQUE_SCALE, description="torque on the engine")
-        cylinder_set = None
-    else:
-        cylinder_set = declare_cylinders(b, options, theta=theta, speeds=chain.speeds * options.cylinders)
-        torque = cylinder_set.torque
+    body = Inertia("engine", "omega_eng", inertia, damping, theta, "speed of the engine")
+    chain = declare_chain(b, [body], [])
+    torque, change = _cylinder_torque(b, options, theta, chain) if options else (_torque_drive(b), None)
     if load == "measured":
         braking += _load_drive(b)
     torque -= braking
-    if cylinder_set is not None and reciprocating_inertia == "variable":
-        torque += vary_inertia(
-            b, change=sum(cylinder_set.inertia_change), inertia=inertia, torque=chain.torques[0] + torque
-        )
+    if change is not None:
+        torque += vary_inertia(b, change=change, inertia=inertia, torque=chain.torques[0] + torque)
     write_chain(b, chain, [torque])
     _outputs(b, ("omega",), {"omega": (chain.speeds[0], "crank speed")})
     return b.model()
@@ -154,12 +140,9 @@ def two_mass(
         ],
         [Coupling("coupling", "twist", k_el, c_el, "theta_load - theta_eng")],
     )
-    cylinder_set = declare_cylinders(b, options, theta=theta, speeds=chain.speeds[:1] * options.cylinders)
-    torque = cylinder_set.torque
-    if reciprocating_inertia == "variable":
-        torque += vary_inertia(
-            b, change=sum(cylinder_set.inertia_change), inertia=j_eng, torque=chain.torques[0] + torque
-        )
+    torque, change = _cylinder_torque(b, options, theta, chain)
+    if change is not None:
+        torque += vary_inertia(b, change=change, inertia=j_eng, torque=chain.torques[0] + torque)
     write_chain(b, chain, [torque, -_load_drive(b)])
     speeds = dict(zip(("omega", "omega_load"), chain.speeds, strict=True))
     words = {"omega": "speed of the engine", "omega_load": "speed of the load"}
@@ -177,6 +160,18 @@ def _damper(b: Blueprint, name: str, value: float, description: str) -> Any:
 
 def _theta(b: Blueprint) -> Any:
     return b.input("theta", unit="rad", description="crank angle, 0 at the combustion TDC of cylinder 1")
+
+
+def _torque_drive(b: Blueprint) -> Any:
+    channel = b.input("T", unit="N m", scale=TORQUE_SCALE, description="torque on the engine")
+    return b.drive("T", channel, scale=TORQUE_SCALE, description="torque on the engine")
+
+
+def _cylinder_torque(b: Blueprint, options: CylinderOptions, theta: Any, chain: Chain) -> tuple[Any, Any]:
+    """The torque of all cylinders on the chain's first inertia [N m], and its change [kg m2] or None."""
+    made = declare_cylinders(b, options, theta=theta, speeds=chain.speeds[:1] * options.cylinders)
+    varies = options.reciprocating_inertia == "variable"
+    return made.torque, sum(made.inertia_change) if varies else None
 
 
 def _load_drive(b: Blueprint) -> Any:
@@ -197,15 +192,20 @@ def _outputs(b: Blueprint, names: Sequence[str], known: Mapping[str, tuple[Any, 
         b.output(name, expression, unit="rad/s", scale=SPEED_SCALE, description=description)
 
 
-def _check_without_cylinders(order: object, offsets: object, geometry: object, inertia: str) -> None:
-    given = {"firing_order": order, "firing_offsets": offsets, "geometry": geometry}
-    named = [key for key, value in given.items() if value is not None]
-    if inertia != "mean":
-        named.append("reciprocating_inertia")
-    if named:
+def _cylinder_options(
+    cylinders: int, order: Any, offsets: Any, geometry: Any, speed: Any, inertia: Any
+) -> CylinderOptions | None:
+    """The options of one or more cylinders; None for none, when these options must be left out."""
+    options = CylinderOptions(cylinders, order, offsets, geometry, speed, inertia)
+    if cylinders != 0:
+        return options
+    usual = CylinderOptions(0)
+    given = [key for key, value in vars(options).items() if value != getattr(usual, key)]
+    if given:
         raise ModelError(
             "options of cylinders are given, but the torque is a channel",
-            seen=f"cylinders=0 with {', '.join(named)}",
+            seen=f"cylinders=0 with {', '.join(given)}",
             allowed="these options with cylinders >= 1",
             cure="give the number of cylinders, or leave these options out",
         )
+    return None

@@ -332,6 +332,7 @@ def test_two_mass_refuses(options, problem, allowed):
         ({"load": True}, "the option load is not known"),
         ({"firing_order": (1,)}, "options of cylinders are given, but the torque is a channel"),
         ({"geometry": Geometry()}, "options of cylinders are given, but the torque is a channel"),
+        ({"reciprocating_speed": "measured"}, "options of cylinders are given, but the torque is a channel"),
         (
             {"reciprocating_inertia": "variable"},
             "options of cylinders are given, but the torque is a channel",
