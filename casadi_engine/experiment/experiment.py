@@ -223,7 +223,7 @@ class Experiment:
 
     # -- conditioned -------------------------------------------------------------------------------------
 
-    def resample(self, **factors: int) -> Experiment:
+    def resample(self, /, **factors: int) -> Experiment:
         """Keep every n-th sample of the named outputs alone; inputs stay at their rate.
 
         resample(omega=15) keeps samples 0, 15, 30, ... There is no filter in it: use ``low_pass`` first.
@@ -240,7 +240,7 @@ class Experiment:
         """
         return conditioning.low_pass(self, cutoff_hz=cutoff_hz, order=order, channels=channels)
 
-    def moving_average(self, **lengths: int) -> Experiment:
+    def moving_average(self, /, **lengths: int) -> Experiment:
         """Centred mean over an odd number of samples: moving_average(T_load=51).
 
         Towards an end the window shrinks on both sides. Missing samples are left out and stay missing.
@@ -311,7 +311,7 @@ class Experiment:
         step = Step("with_channel", {"name": channel.name}, 0, len(channel))
         return dataclasses.replace(self, channels=(*self.channels, channel), history=(*self.history, step))
 
-    def with_hold(self, **holds: str) -> Experiment:
+    def with_hold(self, /, **holds: str) -> Experiment:
         """Set how channels go on between their samples: with_hold(T_load="zero")."""
         done = {name: dataclasses.replace(self[name], hold=hold) for name, hold in holds.items()}
         return conditioning.changed(self, "with_hold", holds, done)

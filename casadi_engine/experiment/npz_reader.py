@@ -74,6 +74,7 @@ class _Archive:
             )
         self.keys: tuple[str, ...] = tuple(self._file.files)
         self._read: dict[str, FloatArray] = {}
+        self._seconds: dict[str, FloatArray] = {}
 
     def _refuse(self, error: BaseException) -> NoReturn:
         raise DataFileError(
@@ -102,6 +103,21 @@ class _Archive:
             except ExperimentError as error:
                 raise _as_file_error(error) from None
         return self._read[key]
+
+    def seconds(self, key: str) -> FloatArray:
+        """The time under a key [s]: one array for all channels on it."""
+        unit = split_header(key)[1]
+        if unit is None or unit == "s":
+            return self.get(key)
+        if key not in self._seconds:
+            where = f"{self.path}, key {key!r}"
+            time, kind = to_si(self.get(key), unit, where=where)
+            if kind != "s":
+                raise UnitError(
+                    f"{where}: not a unit of time", seen=unit, allowed="s, ms", cure="give the time in s"
+                )
+            self._seconds[key] = frozen(time, float)
+        return self._seconds[key]
 
 
 def _as_file_error(error: ExperimentError) -> DataFileError:
@@ -183,14 +199,7 @@ def _refuse_missing(arrays: _Archive, request: Request, entries: Mapping[str, An
 def _channel(arrays: _Archive, request: Request, name: str, time_key: str, key: str, unit: str) -> Channel:
     where = f"{arrays.path}, key {key!r}"
     values, si = to_si(arrays.get(key), unit, where=where)
-    time = arrays.get(time_key)
-    time_unit = split_header(time_key)[1]
-    if time_unit is not None:
-        time, kind = to_si(time, time_unit, where=f"{arrays.path}, key {time_key!r}")
-        if kind != "s":
-            raise UnitError(
-                f"{arrays.path}, key {time_key!r}: not a unit of time", seen=time_unit, allowed="s, ms"
-            )
+    time = arrays.seconds(time_key)
     missing = np.flatnonzero(np.isnan(values))
     if name in request.inputs and missing.size:
         raise DataFileError(
@@ -202,7 +211,7 @@ def _channel(arrays: _Archive, request: Request, name: str, time_key: str, key: 
         return Channel(
             name=name,
             unit=si,
-            time=frozen(time, float),
+            time=time,
             values=values,
             hold=request.hold,
             origin="assumed" if name in request.assumed else "measured",
