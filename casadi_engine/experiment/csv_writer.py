@@ -27,7 +27,7 @@ def to_csv(experiment: Experiment, path: Any) -> None:
     if text.lower().endswith(".gz"):
         packed = io.BytesIO()
         # No name and no time in the gzip header: the same experiment gives the same bytes.
-        with gzip.GzipFile(filename="", fileobj=packed, mode="wb", mtime=0) as stream:
+        with gzip.GzipFile(filename="", fileobj=packed, mode="wb", compresslevel=6, mtime=0) as stream:
             stream.write(content)
         content = packed.getvalue()
     write_atomically(text, content)

@@ -200,6 +200,17 @@ def test_what_is_not_a_readable_file(save, refused, tmp_path):
     refused(DataFileError, ["cannot be read"], read, save(GOOD) / "below.csv")
 
 
+def test_a_file_without_permission(save, refused, monkeypatch):
+    path = save(GOOD)
+
+    def closed(*_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("builtins.open", closed)
+    pieces = [f"{path}: no permission to read it", "change its permissions"]
+    refused(DataFileError, pieces, read_experiment, path)
+
+
 def test_a_hostile_gzip_file_does_not_fill_the_memory(save, refused, monkeypatch):
     monkeypatch.setattr("casadi_engine.experiment.source.LARGEST", 10_000)
     path = save(gzip.compress(b"0" * 20_000), "bomb.csv.gz")

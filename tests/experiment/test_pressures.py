@@ -67,6 +67,15 @@ def test_a_pressure_made_of_an_input_is_an_input():
     assert record().shift_pressures({"p3": "p1"}).inputs == ()
 
 
+def test_a_record_of_one_cycle_may_end_a_step_before_it_repeats(refused):
+    theta = np.linspace(0, CYCLE, 6000, endpoint=False)
+    one = record(theta=theta, p1=trace(theta, 0.0))
+    made = one.shift_pressures({"p3": "p1"})["p3"]
+    np.testing.assert_allclose(made.values, trace(theta, np.pi), rtol=2e-3)
+    fewer = one.between(0, 0.2999)
+    refused(BAD, ["too short to shift pressure"], fewer.shift_pressures, {"p3": "p1"})
+
+
 def test_a_pressure_with_its_own_time():
     theta = record()["theta"].values
     coarse = record(p1=(np.linspace(0, 0.3, 6000)[::2], trace(theta, 0.0)[::2]))
