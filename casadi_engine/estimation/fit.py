@@ -1,0 +1,141 @@
+"""Fit: what an estimation found, as numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.experiment import Experiment
+from casadi_engine.model import Model
+from casadi_engine.parameters import Parameters
+
+Array = NDArray[np.float64]
+AtBound = Literal[False, "min", "max"]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One number with its error.
+
+    value, stderr : in ``unit``; stderr is None where there is none, and ``why`` says why
+    at_bound : False, "min" or "max"; at a bound there is no symmetric error
+    """
+
+    value: float
+    stderr: float | None
+    unit: str
+    at_bound: AtBound = False
+    why: str | None = None
+    fixed: bool = False
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One output of one record at its measured times.
+
+    time : (N,) s; measured : (N,), NaN where missing; mask : (N,) bool, True where a sample counts;
+    simulated : (N,) from the estimated initial state alone; predicted : (N,) one step ahead, or None for output error
+    """
+
+    time: Array
+    measured: Array
+    mask: NDArray[np.bool_]
+    simulated: Array
+    predicted: Array | None = None
+
+    @property
+    def residual(self) -> Array:
+        """Measured less predicted (less simulated for output error), (N,); NaN where a sample is missing."""
+        model = self.simulated if self.predicted is None else self.predicted
+        return np.where(self.mask, self.measured - model, np.nan)
+
+
+@dataclass(frozen=True)
+class Direction:
+    """A combination of free parameters (or initial states) that the data do not determine.
+
+    text : in words, largest entries first; weights : name -> share of the unit vector in scaled units
+    """
+
+    text: str
+    weights: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """One local optimum of a multi-start: its cost, the free parameters, how many starts ended there."""
+
+    cost: float
+    values: Mapping[str, float]
+    starts: int
+    status: str
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The answer of ``estimate``: parameters, errors, traces and how they were found.
+
+    status : "converged", "interrupted" (the best point so far) or "not converged: <IPOPT's words>"
+    parameters : frozen set at the optimum. start : name -> value the search started from (free parameters)
+    estimates : name -> Estimate of every parameter of the set, tied, auxiliary and fixed ones too
+    free : names of the estimated vector z. z : (nz,) its values. covariance : (nz, nz), zero rows for entries at a
+    bound, NaN rows for entries that the data do not determine
+    initial : record -> state -> Estimate
+    noise : output -> (sigma, estimated)
+    cost : sum of ((y - y_hat)/sigma)^2 + priors. n : number of samples that count. dof : n less what was estimated
+    traces : record -> output -> Trace. drives : record -> drive -> (2, N) array of times [s] and values
+    fit_percent : record -> output -> {"simulation": %, "prediction": % or None}, (2.32)
+    timing : seconds of "setup", "solve", "covariance". nodes : number of shooting intervals
+    """
+
+    model: Model
+    parameters: Parameters
+    data: tuple[Experiment, ...]
+    status: str
+    estimates: Mapping[str, Estimate]
+    start: Mapping[str, float]
+    free: tuple[str, ...]
+    z: Array
+    covariance: Array
+    undetermined: tuple[Direction, ...]
+    initial: Mapping[str, Mapping[str, Estimate]]
+    noise: Mapping[str, tuple[float, bool]]
+    cost: float
+    n: int
+    dof: float
+    iterations: int
+    nodes: int
+    optima: tuple[Optimum, ...]
+    traces: Mapping[str, Mapping[str, Trace]]
+    drives: Mapping[str, Mapping[str, Array]]
+    fit_percent: Mapping[str, Mapping[str, Mapping[str, float | None]]]
+    timing: Mapping[str, float]
+    options: Mapping[str, Any] = field(default_factory=dict)
+    messages: tuple[str, ...] = ()
+    states_at_start: Mapping[str, Array] = field(default_factory=dict)
+
+    @property
+    def converged(self) -> bool:
+        """True if the solver met its tolerance."""
+        return self.status == "converged"
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Name -> value of every parameter."""
+        return {name: estimate.value for name, estimate in self.estimates.items()}
+
+    @property
+    def stderr(self) -> dict[str, float | None]:
+        """Name -> standard error; None where there is none (``estimates[name].why`` says why)."""
+        return {name: estimate.stderr for name, estimate in self.estimates.items()}
+
+    @property
+    def correlation(self) -> Array:
+        """(nz, nz) correlation of the free parameters; NaN where one has no error."""
+        spread = np.sqrt(np.diag(self.covariance))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return self.covariance / np.outer(spread, spread)
