@@ -6,6 +6,7 @@ References: H. B. Mann and A. Wald (1943) for the autoregression, H. Akaike (197
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -22,45 +23,49 @@ SPECTRUM = 1024
 class Whitener:
     """The colour of a residual as an autoregression, and the linear map that removes it.
 
-    order : 0 for a white residual, which the map leaves as it is
-    predictor : (order + 1,) coefficients (1, −a_1, …) of the innovation
-    variance : of the innovation
-    matrix : (n, n) lower banded, rows scaled to one innovation variance; None for order 0
+    predictors : (1, −a_1, …, −a_j) of order j = 0..p, the coefficients of the innovation
+    variances : (p + 1,) innovation variance of each order
     valid : (n,) bool, which samples are present
     """
 
-    order: int
-    predictor: FloatArray
-    variance: float
-    matrix: sparse.csr_array | None
+    predictors: tuple[FloatArray, ...]
+    variances: FloatArray
     valid: BoolArray
 
     @staticmethod
     def white(valid: BoolArray) -> Whitener:
         """Return the map that changes nothing."""
-        return Whitener(0, np.ones(1), 1.0, None, valid)
+        return Whitener((np.ones(1),), np.ones(1), valid)
 
     @staticmethod
     def of(residual: FloatArray, valid: BoolArray) -> Whitener:
         """Fit the autoregression to an (n,) residual that holds zeros where a sample is missing."""
-        predictors, variances = _autoregression(residual, valid)
-        order = len(predictors) - 1
-        matrix = _whitening_matrix(predictors, variances, residual.size) if order else None
-        return Whitener(order, predictors[-1], float(variances[-1]), matrix, valid)
+        return Whitener(*_autoregression(residual, valid), valid)
+
+    @property
+    def order(self) -> int:
+        """Order p of the autoregression; 0 for a white residual, which the map leaves as it is."""
+        return len(self.predictors) - 1
+
+    @cached_property
+    def matrix(self) -> sparse.csr_array:
+        """Return the (n, n) lower banded map of a complete stretch to white noise of one variance."""
+        return _whitening_matrix(self.predictors, self.variances, self.valid.size)
 
     def largest_gain_over(self, other: Whitener) -> float:
         """Return by how much at most, over frequency, this map amplifies more than another one."""
         own, others = (
-            np.abs(fft.rfft(noise.predictor, SPECTRUM)) ** 2 / noise.variance for noise in (self, other)
+            np.abs(fft.rfft(noise.predictors[-1], SPECTRUM)) ** 2 / noise.variances[-1]
+            for noise in (self, other)
         )
         return float(np.max(own / others))
 
     def apply(self, columns: FloatArray) -> FloatArray:
         """Whiten (n, k) columns that hold zeros at missing samples, as if only the others existed."""
-        return columns if self.matrix is None else _whiten(columns, self.valid, self.matrix, self.order)
+        return columns if self.order == 0 else _whiten(columns, self.valid, self.matrix, self.order)
 
 
-def _autoregression(e: FloatArray, valid: BoolArray) -> tuple[list[FloatArray], FloatArray]:
+def _autoregression(e: FloatArray, valid: BoolArray) -> tuple[tuple[FloatArray, ...], FloatArray]:
     """Fit autoregressions of rising order by least squares and choose the order by Akaike's criterion.
 
     Only rows whose whole past is present take part: covariances of pairs, each from other samples, need not
@@ -70,32 +75,37 @@ def _autoregression(e: FloatArray, valid: BoolArray) -> tuple[list[FloatArray], 
     """
     index = np.arange(e.size)
     run = index - np.maximum.accumulate(np.where(valid, -1, index))  # present samples in a row, up to here
-    rows = np.array([np.count_nonzero(run > order) for order in range(LARGEST_ORDER + 1)])
+    lengths = np.bincount(np.minimum(run, LARGEST_ORDER + 1), minlength=LARGEST_ORDER + 2)
+    rows = np.cumsum(lengths[:0:-1])[::-1]  # how many samples have 0, 1, … present ones before them
     needed = np.maximum(10 * np.arange(1, LARGEST_ORDER + 2), np.count_nonzero(valid) / 4)
     largest = int(np.flatnonzero(rows >= needed).max(initial=0))
-    _, variances = _regress_on_past(e, run, largest)
-    criterion = rows[largest] * np.log(variances) + 2.0 * np.arange(largest + 1)
-    return _regress_on_past(e, run, int(np.argmin(criterion)))
+    _, variances = _innovations(e, run, largest)
+    order = int(np.argmin(rows[largest] * np.log(variances) + 2.0 * np.arange(largest + 1)))
+    factor, variances = _innovations(e, run, order)
+    predictors = (
+        np.append(1.0, -np.linalg.solve(factor[:j, :j].T, factor[-1, :j])) for j in range(order + 1)
+    )
+    return tuple(predictors), variances
 
 
-def _regress_on_past(e: FloatArray, run: IntArray, order: int) -> tuple[list[FloatArray], FloatArray]:
-    """Return predictors and residual variances of orders 0..order from one Cholesky factor."""
+def _innovations(e: FloatArray, run: IntArray, order: int) -> tuple[FloatArray, FloatArray]:
+    """Return the Cholesky factor of the products of e(t−1) … e(t−order), e(t), and what follows from it.
+
+    Its last row gives the residual variances of all orders 0..order, its corners their predictors.
+    """
     now = np.flatnonzero(run > order)
     columns = sliding_window_view(e, order + 1)[now - order]  # e(t − order) … e(t)
     products = np.roll((columns.T @ columns)[::-1, ::-1], -1, axis=(0, 1))  # the past first, then e(t)
     # A residual that predicts itself perfectly (a sine without noise) would have no factor.
     products[np.diag_indices(order + 1)] += 1e-12 * products[-1, -1]
     factor = np.linalg.cholesky(products)
-    last = factor[-1]
-    variances = np.cumsum(last[::-1] ** 2)[::-1]
-    predictors = [
-        np.append(1.0, -linalg.solve_triangular(factor[:j, :j], last[:j], trans="T", lower=True))
-        for j in range(order + 1)
-    ]
-    return predictors, variances / now.size
+    variances = np.cumsum(factor[-1, ::-1] ** 2)[::-1] / now.size
+    return factor, np.asarray(variances, dtype=float)
 
 
-def _whitening_matrix(predictors: list[FloatArray], variances: FloatArray, size: int) -> sparse.csr_array:
+def _whitening_matrix(
+    predictors: tuple[FloatArray, ...], variances: FloatArray, size: int
+) -> sparse.csr_array:
     """Return the (n, n) matrix that turns a stretch of the process into white noise of one variance.
 
     The first rows have less past than the order: they use the predictors of lower order, scaled.

@@ -126,35 +126,35 @@ def test_what_has_no_correlation_says_why(result, why):
     ("arguments", "message"),
     [
         (
-            dict(residual=np.ones(3), drive=np.ones(4)),
+            {"residual": np.ones(3), "drive": np.ones(4)},
             "the drive does not fit the residual; seen: drive (4,), residual (3,); allowed: equal lengths; "
             "do: give the drive at the residual's times",
         ),
         (
-            dict(residual=np.ones(3), drive=[1.0, NAN, 2.0]),
+            {"residual": np.ones(3), "drive": [1.0, NAN, 2.0]},
             "the drive is not finite; seen: 1 of 3 samples; allowed: a complete drive; "
             "do: fill the gaps of the inputs before the fit",
         ),
         (
-            dict(residual=np.full(3, NAN), drive=np.ones(3)),
+            {"residual": np.full(3, NAN), "drive": np.ones(3)},
             "the residual has no valid sample; seen: 0 of 3; allowed: at least 1 in every output; "
             "do: look at the mask, or leave this output out",
         ),
         (
-            dict(residual=[1.0, np.inf], drive=np.ones(2)),
+            {"residual": [1.0, np.inf], "drive": np.ones(2)},
             "the residual has valid samples that are not finite; seen: 1 of 2; "
             "do: mask them, or find out why the model or the data gives them",
         ),
         (
-            dict(residual=np.ones((3, 2)), drive=np.ones(3)),
+            {"residual": np.ones((3, 2)), "drive": np.ones(3)},
             "the residual must be one signal; seen: shape (3, 2); allowed: shape (N,), N >= 1",
         ),
         (
-            dict(residual=np.ones(3), drive=np.ones(3), lags=0),
+            {"residual": np.ones(3), "drive": np.ones(3), "lags": 0},
             "the number of lags does not fit; seen: 0; allowed: a whole number >= 1",
         ),
         (
-            dict(residual=np.ones(3), drive=np.ones(3), lags=2.5),
+            {"residual": np.ones(3), "drive": np.ones(3), "lags": 2.5},
             "the number of lags does not fit; seen: 2.5; allowed: a whole number >= 1",
         ),
     ],

@@ -102,31 +102,31 @@ def test_the_percentage_does_not_depend_on_unit_or_origin(scale, shift, seed):
     ("arguments", "message"),
     [
         (
-            dict(measured=[1.0, 2.0], predicted=[1.0]),
+            {"measured": [1.0, 2.0], "predicted": [1.0]},
             "the prediction does not fit the measurement; seen: measured (2,), predicted (1,); "
             "allowed: equal shapes",
         ),
         (
-            dict(measured=[1.0, 2.0], predicted=[1.0, NAN]),
+            {"measured": [1.0, 2.0], "predicted": [1.0, NAN]},
             "the predicted output is not finite; seen: 1 of 2 valid samples; "
             "do: the simulation diverged: look at the parameters and the step",
         ),
         (
-            dict(measured=[NAN, NAN], predicted=[1.0, 2.0]),
+            {"measured": [NAN, NAN], "predicted": [1.0, 2.0]},
             "the measured output has no valid sample; seen: 0 of 2; allowed: at least 1 in every output; "
             "do: look at the mask, or leave this output out",
         ),
         (
-            dict(measured=[1.0, NAN], predicted=[1.0, 2.0], mask=np.array([True, True])),
+            {"measured": [1.0, NAN], "predicted": [1.0, 2.0], "mask": np.array([True, True])},
             "the measured output has valid samples that are not finite; seen: 1 of 2; "
             "do: mask them, or find out why the model or the data gives them",
         ),
         (
-            dict(measured=[1.0, 2.0], predicted=[1.0, 2.0], mask=[1, 0]),
+            {"measured": [1.0, 2.0], "predicted": [1.0, 2.0], "mask": [1, 0]},
             "the mask of the measured output must be boolean; seen: int64; allowed: bool",
         ),
         (
-            dict(measured=[1.0, 2.0], predicted=[1.0, 2.0], mask=np.array([True])),
+            {"measured": [1.0, 2.0], "predicted": [1.0, 2.0], "mask": np.array([True])},
             "the mask does not fit the measured output; seen: mask (1,), the measured output (2,); "
             "allowed: one flag per sample",
         ),
