@@ -47,7 +47,9 @@ class DiscreteCore:
     z : (nz,) SX, the estimated vector
     physical : (np,) SX, the model's parameters as expressions of z
     step : sampling interval h [s]
-    hold : "first" or "zero" for each merged drive, see ``merge``
+    hold : "first" or "zero" for each drive of the model
+    scale : (n,) magnitudes by which the states are divided inside
+    method : "exact", or "euler" for x[k+1] = x[k] + h dx/dt
     """
 
     def __init__(
@@ -68,10 +70,10 @@ class DiscreteCore:
             )
         self.step, self.method, self.parameters = step, method, int(z.numel())
         self.states, self.outputs = int(core.A.shape[0]), int(core.C.shape[0])
-        groups, b, d = merge(core.B, core.D, core.e, core.c)
-        self.groups = groups
+        self.groups, b, d = merge(core.B, core.D, core.e, core.c, hold)
         self.drives = int(b.shape[1])
-        self.first = np.array([*[h == "first" for h in hold], *[False] * (self.drives - len(hold))])
+        self.first = np.zeros(self.drives, dtype=bool)
+        self.first[: len(self.groups)] = [hold[group[0]] == "first" for group in self.groups]
         s = ca.DM(scale)
         scaled = (ca.diag(1 / s) @ core.A @ ca.diag(s), ca.diag(1 / s) @ b, core.C @ ca.diag(s), d)
         flat = ca.vertcat(*[ca.vec(ca.densify(part)) for part in scaled])
@@ -131,7 +133,9 @@ class DiscreteCore:
         return Discretisation(phi0, held - ramp, ramp, c, d, nz, order, ah[0])
 
 
-def merge(b: ca.SX, d: ca.SX, e: ca.SX, c: ca.SX) -> tuple[tuple[tuple[int, ...], ...], ca.SX, ca.SX]:
+def merge(
+    b: ca.SX, d: ca.SX, e: ca.SX, c: ca.SX, hold: tuple[str, ...]
+) -> tuple[tuple[tuple[int, ...], ...], ca.SX, ca.SX]:
     """Join drives that act alike and append the constant terms as a last drive of value 1.
 
     Returns the groups of drive numbers (the constant is not among them) and the joined B and D. The four cylinders of
@@ -141,7 +145,8 @@ def merge(b: ca.SX, d: ca.SX, e: ca.SX, c: ca.SX) -> tuple[tuple[tuple[int, ...]
     groups: list[list[int]] = []
     for j, column in enumerate(columns):
         for group in groups:
-            if ca.is_equal(ca.densify(columns[group[0]]), ca.densify(column), 10):
+            same_hold = hold[group[0]] == hold[j]
+            if same_hold and ca.is_equal(ca.densify(columns[group[0]]), ca.densify(column), 10):
                 group.append(j)
                 break
         else:

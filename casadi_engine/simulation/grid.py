@@ -1,0 +1,175 @@
+"""The uniform time grid of one record: channels and drives on it, and where the outputs were measured.
+
+Inputs are taken at their own rate; every output keeps its own times. An output sample between two grid points is
+compared with the cubic through the four nearest grid points of its shooting interval.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.errors import SimulationError
+from casadi_engine.experiment import Channel, Experiment
+from casadi_engine.experiment.channel import sampling_rate
+from casadi_engine.model import Model
+from casadi_engine.simulation.jets import Array
+from casadi_engine.simulation.tape import ArrayFunction
+
+# Samples that lie closer to a grid point than this share of a step count as on it.
+_ON_GRID = 1e-3
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One output's valid samples: time (N,), values (N,), position (N,) in steps from the grid's start."""
+
+    time: Array
+    values: Array
+    position: Array
+    on_grid: bool
+    index: NDArray[np.intp]  # of the samples in the channel
+
+
+@dataclass(frozen=True)
+class Grid:
+    """start [s], step [s], samples N; channels (nu, N) on the grid; holds of the channels; outputs by name."""
+
+    start: float
+    step: float
+    samples: int
+    channels: Array
+    holds: tuple[str, ...]
+    measured: dict[str, Measured]
+
+    @property
+    def time(self) -> Array:
+        """(N,) s."""
+        return self.start + self.step * np.arange(self.samples)
+
+
+def lay_grid(model: Model, experiment: Experiment, *, outputs: tuple[str, ...] | None = None) -> Grid:
+    """The grid of a record for a model; outputs not in ``outputs`` (default: all of the model's) are left out.
+
+    Raises ExperimentError if channels are missing, have gaps in an input, or do not cover the outputs.
+    """
+    wanted = tuple(v.name for v in model.outputs) if outputs is None else outputs
+    units = {v.name: v.unit for v in model.outputs}
+    experiment.require(
+        inputs={v.name: v.unit for v in model.inputs}, outputs={name: units[name] for name in wanted}
+    )
+    inputs = [experiment[v.name] for v in model.inputs]
+    observed = [experiment[name] for name in wanted]
+    first, last = _span(observed or inputs)
+    leader = _leader(inputs or observed)
+    rate = sampling_rate(leader.time, _ON_GRID)
+    step = 1 / rate if rate else float(np.median(np.diff(leader.time)))
+    origin = leader.time[0] if rate else first
+    start = origin + step * math.floor((first - origin) / step + _ON_GRID)
+    samples = math.ceil((last - start) / step - _ON_GRID) + 1
+    if samples < 2:
+        raise SimulationError(
+            "the record holds fewer than two samples of the outputs",
+            seen=f"{experiment.place}: {samples}",
+            allowed="two samples or more",
+            cure="take a longer record",
+        )
+    time = start + step * np.arange(samples)
+    channels = np.array([_sampled(channel, time, step) for channel in inputs]).reshape(len(inputs), samples)
+    measured = {channel.name: _measured(channel, start, step) for channel in observed}
+    return Grid(start, step, samples, channels, tuple(c.hold for c in inputs), measured)
+
+
+def _span(channels: list[Channel]) -> tuple[float, float]:
+    valid = [c.time[c.mask] for c in channels]
+    return min(float(t[0]) for t in valid), max(float(t[-1]) for t in valid)
+
+
+def _leader(channels: list[Channel]) -> Channel:
+    """The channel that sets the grid: the uniform one with the highest rate, else the densest."""
+    uniform = [c for c in channels if sampling_rate(c.time, _ON_GRID)]
+    return max(uniform or channels, key=lambda c: (len(c.time) - 1) / (c.span[1] - c.span[0]))
+
+
+def _sampled(channel: Channel, time: Array, step: float) -> Array:
+    """The channel's values at the grid times, by its hold."""
+    at = np.searchsorted(channel.time, time[0] - 0.5 * step)
+    own = channel.time[at : at + len(time)]
+    if len(own) == len(time) and np.abs(own - time).max() < _ON_GRID * step:
+        return channel.values[at : at + len(time)]
+    if channel.hold == "first":
+        return np.interp(time, channel.time, channel.values)
+    held = np.searchsorted(channel.time, time + _ON_GRID * step, side="right") - 1
+    return channel.values[np.clip(held, 0, len(channel.time) - 1)]
+
+
+def _measured(channel: Channel, start: float, step: float) -> Measured:
+    index = np.flatnonzero(channel.mask)
+    position = (channel.time[index] - start) / step
+    nearest = np.rint(position)
+    on_grid = bool(np.abs(position - nearest).max() < _ON_GRID)
+    return Measured(channel.time[index], channel.values[index], nearest if on_grid else position, on_grid, index)
+
+
+@dataclass(frozen=True)
+class DriveSamples:
+    """Drives on the grid at one z: value (m, N), first (a, m, N) and second (pairs of a, m, N) derivatives in the
+    ``active`` entries of z (none for drives made of channels and known geometry alone)."""
+
+    value: Array
+    active: NDArray[np.intp]
+    first: Array
+    second: Array
+
+
+class Drives:
+    """The drives of a model over a grid, as functions of the estimated vector."""
+
+    def __init__(self, model: Model, grid: Grid, z: ca.SX, physical: ca.SX) -> None:
+        self.names = tuple(v.name for v in model.drives)
+        count = len(self.names)
+        expression = model.drive_expressions
+        self.holds = tuple(
+            "zero"
+            if any(
+                h == "zero" and ca.depends_on(expression[j], model.u[i]) for i, h in enumerate(grid.holds)
+            )
+            else "first"
+            for j in range(count)
+        )
+        if model.p.numel() and ca.depends_on(expression, model.p):
+            expression = ca.substitute(expression, model.p, physical)
+        parts = [ca.densify(expression)]
+        self.active = np.zeros(0, np.intp)
+        if z.numel() and ca.depends_on(expression, z):
+            mask = ca.which_depends(expression, z, 1, False)
+            self.active = np.flatnonzero(mask)
+            chosen = ca.vertcat(*[z[int(i)] for i in self.active])
+            first = ca.jacobian(expression, chosen)
+            second = ca.jacobian(ca.vec(first), chosen)
+            parts += [ca.vec(ca.densify(first)), ca.vec(ca.densify(second))]
+        self._function = ArrayFunction([model.u, model.t, z], parts)
+        self._count, self._samples = count, grid.samples
+        self._inputs = (grid.channels, grid.time.reshape(1, -1))
+        self._constant: DriveSamples | None = None
+
+    def at(self, z: Array) -> DriveSamples:
+        """Samples at z : (nz,)."""
+        if self._constant is not None:
+            return self._constant
+        m, a, n = self._count, len(self.active), self._samples
+        if m == 0:
+            self._constant = DriveSamples(np.zeros((0, n)), self.active, np.zeros((0, 0, n)), np.zeros((0, 0, n)))
+            return self._constant
+        found = self._function(*self._inputs, np.asarray(z, dtype=float))
+        if a == 0:
+            none = np.zeros((0, m, n))
+            self._constant = DriveSamples(found[0], self.active, none, none)
+            return self._constant
+        i, j = np.triu_indices(a)
+        second = found[2].reshape(a, a, m, n)[j, i]
+        return DriveSamples(found[0], self.active, found[1].reshape(a, m, n), second)
