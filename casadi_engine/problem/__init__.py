@@ -1,5 +1,7 @@
 """Problem: a model, its parameters, a reader, records and noise."""
 
+from casadi_engine.problem.load import load_problem
 from casadi_engine.problem.noise import Noise
+from casadi_engine.problem.problem import Problem
 
-__all__ = ["Noise"]
+__all__ = ["Noise", "Problem", "load_problem"]
