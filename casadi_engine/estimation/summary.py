@@ -1,0 +1,390 @@
+"""A fit on one screen: what was found, how sure it is, and what to do next."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from casadi_engine.estimation.fit import Estimate, Fit
+
+if TYPE_CHECKING:
+    from casadi_engine.parameters import Parameter
+
+LINES, COLUMNS = 45, 100
+# Rows of each part at most; what is left out is said in words.
+ROWS = {"fit": 6, "parameters": 20, "initial": 4, "correlations": 5, "directions": 3}
+STRONG = 0.5
+# Two costs closer than this are one optimum for the reader: a chi-square difference of 0.01 means nothing.
+SAME_COST = 0.01
+
+BOUND_WORDS = {"min": "lower", "max": "upper"}
+
+
+def summary(fit: Fit) -> str:
+    """Return a fit as text of at most 45 lines and 100 columns, with the next step last.
+
+    Values stand with their standard errors in the parameter's unit; fit percentages (2.32) are labelled
+    simulation or one-step prediction.
+    """
+    for rows in range(ROWS["parameters"], 3, -1):
+        lines = _lines(fit, rows)
+        if len(lines) <= LINES:
+            break
+    return "\n".join(line.rstrip() for line in lines[:LINES])
+
+
+def _lines(fit: Fit, rows: int) -> list[str]:
+    return [
+        *_header(fit),
+        *_fit_rows(fit),
+        *parameter_lines(fit, rows),
+        *_initial(fit),
+        *_correlations(fit),
+        *_directions(fit),
+        *_optima(fit),
+        *(f"Note: {line}" for message in fit.messages[:2] for line in wrapped(message, "", 90)[:1]),
+        *wrapped(f"Next: {'; '.join(next_steps(fit)[:2])}", "      "),
+    ]
+
+
+# ---- numbers ------------------------------------------------------------------------------------------
+
+
+def with_error(value: float, stderr: float | None) -> str:
+    """Write ``value ± stderr``: the error with two significant digits, the value to the same place.
+
+    >>> with_error(0.391083, 0.00042), with_error(1992.0, 12.0), with_error(2.5, None)
+    ('0.39108 ± 0.00042', '1992 ± 12', '2.5')
+    >>> with_error(3.1234e9, 2.1e6), with_error(0.0, 3.0e-7)
+    ('3.1234e+09 ± 2.1e+06', '0 ± 3.0e-07')
+    """
+    if stderr is None or not math.isfinite(stderr) or not math.isfinite(value):
+        return f"{value:.6g}"
+    if stderr <= 0:
+        return f"{value:.6g} ± 0"
+    place = math.floor(math.log10(float(f"{stderr:.1e}")))  # after rounding: 0.0996 is 0.10
+    size = max(abs(value), stderr)
+    if 1e-4 <= size < 1e6 and -8 <= place <= 5:
+        decimals = max(1 - place, 0)
+        return f"{value:.{decimals}f} ± {stderr:.{decimals}f}"
+    digits = 0 if value == 0 else max(math.floor(math.log10(abs(value))) - place + 1, 0)
+    return f"{'0' if value == 0 else f'{value:.{digits}e}'} ± {stderr:.1e}"
+
+
+def percent(value: float, stderr: float | None) -> str:
+    """Write the standard error as a share of the value, ``(3.2 %)``; empty if there is none.
+
+    >>> percent(2.0, 0.064), percent(2.0, None), percent(1.0, 0.996)
+    ('(3.2 %)', '', '(100 %)')
+    """
+    if stderr is None or not math.isfinite(stderr) or value == 0 or not math.isfinite(value):
+        return ""
+    share = 100 * stderr / abs(value)
+    if share >= 1000:
+        return "(> 1000 %)"
+    return f"({share:.3g} %)" if share >= 99.5 else f"({share:.2g} %)"
+
+
+def number(value: float | None, form: str = ".6g") -> str:
+    """Write a number, or a dash where there is none."""
+    return "-" if value is None or not math.isfinite(value) else f"{value:{form}}"
+
+
+def count(n: int) -> str:
+    """Write a count with thin groups of three: ``14 400``."""
+    return f"{n:,}".replace(",", " ")
+
+
+# ---- parts --------------------------------------------------------------------------------------------
+
+
+def _header(fit: Fit) -> list[str]:
+    seconds = sum(fit.timing.values())
+    parts = ", ".join(f"{name} {value:.2g}" for name, value in fit.timing.items())
+    how = f"{fit.iterations} iterations, {seconds:.2g} s" + (f" ({parts})" if parts else "")
+    names = [experiment.name for experiment in fit.data]
+    lines = wrapped(f"Fit of {fit.model.name}: {fit.status}", "  ")[:3]
+    lines += _labelled("records", _some(names, 4) + assumed_words(fit))
+    lines += _labelled("samples", f"{count(fit.n)} that count, in {count(fit.nodes)} shooting intervals")
+    lines += _labelled("solved", how)
+    lines += _labelled("noise", "; ".join(noise_words(fit)))
+    lines += _labelled("cost", cost_words(fit))
+    return lines
+
+
+def assumed_words(fit: Fit) -> str:
+    """Say which channels were not measured but assumed; empty if none."""
+    wanted = {variable.name for variable in (*fit.model.inputs, *fit.model.outputs)}
+    assumed = {
+        channel.name
+        for experiment in fit.data
+        for channel in experiment.channels
+        if channel.origin == "assumed" and channel.name in wanted
+    }
+    return f" (assumed, not measured: {', '.join(sorted(assumed))})" if assumed else ""
+
+
+def noise_words(fit: Fit) -> list[str]:
+    """One phrase for each output: sigma with its unit, known or estimated."""
+    units = {variable.name: variable.unit for variable in fit.model.outputs}
+    return [
+        f"{name} sigma {number(sigma, '.4g')} {units.get(name, '')} ({'estimated' if estimated else 'known'})"
+        for name, (sigma, estimated) in fit.noise.items()
+    ]
+
+
+def cost_words(fit: Fit) -> str:
+    """The cost, what it is per sample, and what that can tell."""
+    text = f"{number(fit.cost, '.7g')}   chi2/N {number(fit.cost / fit.n if fit.n else None, '.4g')}"
+    if fit.noise and all(estimated for _, estimated in fit.noise.values()):
+        text += " (near 1 by construction: sigma is estimated)"
+    return text + f"   dof {number(fit.dof, '.6g')}"
+
+
+def fit_rows(fit: Fit) -> list[tuple[str, str, str, str]]:
+    """Record, output, fit % in simulation, fit % of the one-step prediction (a dash for output error)."""
+    return [
+        (record, output, number(found.get("simulation"), ".2f"), number(found.get("prediction"), ".2f"))
+        for record, outputs in fit.fit_percent.items()
+        for output, found in outputs.items()
+    ]
+
+
+def _fit_rows(fit: Fit) -> list[str]:
+    rows = fit_rows(fit)
+    shown = [(short(record, 40), short(output, 20), *rest) for record, output, *rest in rows[: ROWS["fit"]]]
+    header = ("fit %", "output", "simulation", "one-step prediction")
+    lines = aligned([header, *shown], right=(2, 3))
+    if len(rows) > len(shown):
+        lines.append(f"  … and {len(rows) - len(shown)} more: fit.fit_percent")
+    return lines
+
+
+def parameter_rows(fit: Fit) -> list[tuple[str, str, str, str, str]]:
+    """Name, value ± stderr, unit, relative error and notes of every parameter."""
+    return [
+        (
+            name,
+            with_error(estimate.value, _error(estimate)),
+            estimate.unit,
+            percent(estimate.value, _error(estimate)),
+            "  ".join(_notes(fit, name, estimate)),
+        )
+        for name, estimate in fit.estimates.items()
+    ]
+
+
+def parameter_lines(fit: Fit, rows: int) -> list[str]:
+    """The table of parameters; with more than ``rows`` of them the fixed ones move into one sentence."""
+    body = parameter_rows(fit)
+    fixed: list[str] = []
+    if len(body) > rows:
+        fixed = [f"{row[0]} {row[1]} {row[2]}" for row in body if fit.estimates[row[0]].fixed]
+        body = [row for row in body if not fit.estimates[row[0]].fixed]
+    room = rows - 2 * bool(fixed)
+    shown = [(short(row[0], 30), *row[1:]) for row in body[:room]]
+    lines = ["Parameters", *(short(line, COLUMNS) for line in aligned(shown, right=()))]
+    if len(body) > room:
+        lines.append(f"  … and {len(body) - room} more: fit.estimates")
+    if fixed:
+        lines += limited(wrapped(f"  fixed: {', '.join(fixed)}", "    "), 2)
+    return lines
+
+
+def parameter_of(fit: Fit, name: str) -> Parameter | None:
+    """The parameter behind a name, also behind ``name@record``; None for an unknown one."""
+    for known in (name, name.split("@", maxsplit=1)[0]):
+        if known in fit.parameters:
+            return fit.parameters[known]
+    return None
+
+
+def _error(estimate: Estimate) -> float | None:
+    return None if estimate.at_bound or estimate.fixed else estimate.stderr
+
+
+def _notes(fit: Fit, name: str, estimate: Estimate) -> list[str]:
+    parameter = parameter_of(fit, name)
+    notes = []
+    if estimate.at_bound:
+        notes.append(f"at its {BOUND_WORDS[estimate.at_bound]} bound: no symmetric error")
+    if name in fit.start:
+        notes.append(f"(start {fit.start[name]:.4g})")
+    if parameter is not None and parameter.tie is not None:
+        notes.append(f"== {parameter.tie}")
+    if estimate.fixed:
+        notes.append("(fixed)")
+    if estimate.stderr is None and not estimate.fixed and not estimate.at_bound:
+        notes.append(f"no error: {estimate.why or 'not known'}")
+    if parameter is not None and parameter.prior is not None:
+        notes.append("prior {:.4g} ± {:.4g}".format(*parameter.prior))
+    return notes
+
+
+def initial_words(fit: Fit, record: str) -> str:
+    """The initial states of one record in one phrase."""
+    words = []
+    for state, estimate in fit.initial[record].items():
+        text = f"{state} {with_error(estimate.value, _error(estimate))} {estimate.unit}"
+        if estimate.fixed:
+            text += " (fixed)"
+        elif estimate.at_bound:
+            text += f" (at its {BOUND_WORDS[estimate.at_bound]} bound)"
+        elif estimate.stderr is None:
+            text += f" (no error: {estimate.why or 'not known'})"
+        words.append(text)
+    return ", ".join(words)
+
+
+def _initial(fit: Fit) -> list[str]:
+    if not fit.initial:
+        return []
+    shown = list(fit.initial)[: ROWS["initial"]]
+    lines = ["Initial states"]
+    for record in shown:
+        lines += limited(wrapped(f"  {short(record, 40)}: {initial_words(fit, record)}", "    "), 2)
+    if len(fit.initial) > len(shown):
+        lines.append(f"  … and {len(fit.initial) - len(shown)} more: fit.initial")
+    return lines
+
+
+def correlations(fit: Fit) -> list[tuple[str, str, float]]:
+    """Pairs of free parameters and their correlation, the strongest first."""
+    matrix = fit.correlation
+    first, second = np.triu_indices(len(fit.free), 1)
+    values = matrix[first, second]
+    order = [k for k in np.argsort(-np.abs(values), kind="stable") if np.isfinite(values[k])]
+    return [(fit.free[first[k]], fit.free[second[k]], float(values[k])) for k in order]
+
+
+def _correlations(fit: Fit) -> list[str]:
+    pairs = correlations(fit)
+    if not pairs:
+        return []
+    strong = [pair for pair in pairs if abs(pair[2]) >= STRONG]
+    if not strong:
+        return [f"Correlations: all below {STRONG} in size"]
+    words = [f"{a} ~ {b} {value:+.3f}" for a, b, value in strong[: ROWS["correlations"]]]
+    rest = len(strong) - len(words)
+    more = f", {rest} more at or above {STRONG}: fit.correlation" if rest > 0 else ""
+    return limited(wrapped(f"Correlations: {', '.join(words)}{more}", "  "), 3)
+
+
+def _directions(fit: Fit) -> list[str]:
+    if not fit.undetermined:
+        return []
+    shown = fit.undetermined[: ROWS["directions"]]
+    lines = ["Not determined by these data:"]
+    for direction in shown:
+        lines += limited(wrapped(f"  {direction.text}", "    "), 2)
+    if len(fit.undetermined) > len(shown):
+        lines.append(f"  … and {len(fit.undetermined) - len(shown)} more: fit.undetermined")
+    return lines
+
+
+def _optima(fit: Fit) -> list[str]:
+    return limited(wrapped(f"Optima: {optima_words(fit)}", "  "), 2) if len(fit.optima) > 1 else []
+
+
+def optima_words(fit: Fit) -> str:
+    """How many starts ended where, the lowest cost first."""
+    ordered = sorted(fit.optima, key=lambda optimum: (not math.isfinite(optimum.cost), optimum.cost))
+    total = sum(optimum.starts for optimum in ordered)
+    words = [f"{ordered[0].starts} of {total} starts reached the lowest cost {number(ordered[0].cost)}"]
+    words += [f"{optimum.starts} ended at {number(optimum.cost)}" for optimum in ordered[1:4]]
+    if len(ordered) > 4:
+        words.append(f"{len(ordered) - 4} more optima: fit.optima")
+    return "; ".join(words)
+
+
+# ---- what to do next ----------------------------------------------------------------------------------
+
+
+def next_steps(fit: Fit) -> list[str]:
+    """What to type next, the most urgent first; never empty."""
+    steps = []
+    if fit.status == "interrupted":
+        steps.append("it was interrupted; go on from here: ce.estimate(model, data, warm=fit)")
+    elif not fit.converged:
+        steps.append("try other starts: ce.estimate(model, data, starts=8), or bounds closer to what can be")
+    steps += list(dict.fromkeys(_cure(fit, direction.weights) for direction in fit.undetermined))
+    for name, estimate in fit.estimates.items():
+        if estimate.at_bound and name in fit.free:
+            bound = estimate.at_bound
+            steps.append(f'{name} rests on its bound: widen it, pars["{name}"].set({bound}=...), or fix it')
+    lowest = min((optimum.cost for optimum in fit.optima if math.isfinite(optimum.cost)), default=math.nan)
+    if fit.converged and fit.cost > lowest + max(SAME_COST, 1e-9 * abs(lowest)):
+        steps.append("a lower optimum was found than this one: look at fit.optima")
+    elif len(fit.optima) > 1 and min(fit.optima, key=lambda optimum: optimum.cost).starts == 1:
+        steps.append("only one start found the lowest cost: repeat with starts=32")
+    if not steps:
+        steps.append("test it on data it has not seen: print(ce.validate(fit, fresh))")
+    return steps
+
+
+def _cure(fit: Fit, weights: object) -> str:
+    """What to type to determine a direction: fix its largest parameter, or its initial state."""
+    names = sorted(dict(weights), key=lambda name: -abs(dict(weights)[name]))  # type: ignore[call-overload]
+    for name in names:
+        parameter = parameter_of(fit, name)
+        if parameter is not None and parameter.vary:
+            known = parameter.name
+            return (
+                f'fix one of them or give it a prior: pars.fix("{known}"), pars["{known}"].set(prior=(m, s))'
+            )
+    for name in names:
+        for state in (variable.name for variable in fit.model.states):
+            if state in name.replace("@", " ").replace("[", " ").replace("(", " ").split():
+                return f'give the initial state: initial={{"{state}": ...}}'
+    return "fix one of them, or add an experiment that excites it"
+
+
+# ---- layout -------------------------------------------------------------------------------------------
+
+
+def aligned(rows: Sequence[Sequence[str]], *, right: Iterable[int], indent: str = "  ") -> list[str]:
+    """Lines of cells in columns, the columns in ``right`` flush right."""
+    if not rows:
+        return []
+    flush = set(right)
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return [
+        indent
+        + "  ".join(
+            cell.rjust(width) if k in flush else cell.ljust(width)
+            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
+
+
+def _labelled(label: str, text: str) -> list[str]:
+    return limited(wrapped(f"  {label:<9} {text}", " " * 12), 2)
+
+
+def wrapped(text: str, indent: str, width: int = COLUMNS) -> list[str]:
+    """Lines of at most ``width`` columns, the later ones indented; spaces at the start are kept."""
+    lead = text[: len(text) - len(text.lstrip())]
+    flat = lead + " ".join(text.split("\n"))[len(lead) :]
+    return textwrap.wrap(flat, width, subsequent_indent=indent, break_on_hyphens=False) or [""]
+
+
+def limited(lines: list[str], most: int) -> list[str]:
+    """The first lines; the last of them ends in … if any are left out."""
+    if len(lines) <= most:
+        return lines
+    return [*lines[: most - 1], lines[most - 1][: COLUMNS - 2].rstrip() + " …"]
+
+
+def short(text: str, width: int) -> str:
+    """The text, cut to ``width`` characters with … at its end."""
+    return text if len(text) <= width else text[: width - 1] + "…"
+
+
+def _some(names: Sequence[str], most: int) -> str:
+    shown = ", ".join(short(name, 40) for name in names[:most])
+    return shown + (f" and {len(names) - most} more" if len(names) > most else "")

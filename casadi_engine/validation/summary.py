@@ -1,0 +1,166 @@
+"""A validation on one screen: how well the fit explains each record, and whether its residuals are white."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol
+
+from casadi_engine.estimation.fit import Fit, Trace
+from casadi_engine.estimation.summary import COLUMNS, LINES, aligned, limited, number, short, wrapped
+from casadi_engine.validation.correlation import Correlation
+from casadi_engine.validation.residual_tests import ResidualTest, rejected
+
+# Rows of outputs, and of reasons why a test could not be made, at most.
+OUTPUTS, REASONS = 16, 4
+
+
+class OutputCheck(Protocol):
+    """What a validation says of one output of one record."""
+
+    @property
+    def fit_percent(self) -> Mapping[str, float | None]: ...
+    @property
+    def rmse(self) -> float: ...
+    @property
+    def S1(self) -> float: ...
+    @property
+    def S2(self) -> float: ...
+    @property
+    def whiteness(self) -> ResidualTest: ...
+    @property
+    def cross(self) -> Mapping[str, ResidualTest]: ...
+    @property
+    def autocorrelation(self) -> Correlation: ...
+    @property
+    def cross_correlation(self) -> Mapping[str, Correlation]: ...
+    @property
+    def trace(self) -> Trace: ...
+
+
+class Checked(Protocol):
+    """What a validation holds."""
+
+    @property
+    def fit(self) -> Fit: ...
+    @property
+    def records(self) -> Mapping[str, Mapping[str, OutputCheck]]: ...
+    @property
+    def passed(self) -> bool: ...
+    @property
+    def alpha(self) -> float: ...
+
+
+def summary(validation: Checked) -> str:
+    """Return a validation as text of at most 45 lines and 100 columns, the verdict first.
+
+    Errors stand in the unit of the output; p-values are those of the tests of `residual_tests`.
+    """
+    model = validation.fit.model.name
+    lines = limited(wrapped(f"Validation of {model} on {', '.join(validation.records)}", "  "), 2)
+    lines += [*limited(wrapped(verdict(validation), "  "), 3), ""]
+    rows = output_rows(validation)
+    lines += aligned([MEASURES, *(row[: len(MEASURES)] for row in rows[:OUTPUTS])], right=range(2, 9))
+    if len(rows) > OUTPUTS:
+        lines.append(f"  … and {len(rows) - OUTPUTS} more: validation.records")
+    lines += ["", *_drives(validation)]
+    reasons = list(dict.fromkeys(untested(validation)))
+    for reason in reasons[:REASONS]:
+        lines += limited(wrapped(f"  not tested: {reason}", "    "), 2)
+    step = f"Next: {next_step(validation)}"
+    return "\n".join([short(line, COLUMNS) for line in lines[: LINES - 2]] + ["", step])
+
+
+MEASURES = ("record", "output", "unit", "fit % sim.", "fit % 1-step", "rmse", "S1", "S2", "whiteness p")
+
+
+def output_rows(validation: Checked) -> list[tuple[str, ...]]:
+    """Record, output, unit, fit % in simulation and one step ahead, rmse, S1, S2 and whiteness p as text."""
+    units = {variable.name: variable.unit for variable in validation.fit.model.outputs}
+    return [
+        (
+            short(record, 24),
+            output,
+            units.get(output, ""),
+            number(check.fit_percent.get("simulation"), ".2f"),
+            number(check.fit_percent.get("prediction"), ".2f"),
+            number(check.rmse, ".3g"),
+            number(check.S1, ".3g"),
+            number(check.S2, ".3g"),
+            p_text(check.whiteness),
+        )
+        for record, outputs in validation.records.items()
+        for output, check in outputs.items()
+    ]
+
+
+def p_text(test: ResidualTest) -> str:
+    """Write a p-value, or a dash where there is no test.
+
+    >>> p_text(ResidualTest(30.0, 25, 0.2236, 1000)), p_text(ResidualTest(3e3, 25, 1e-300, 1000))
+    ('0.22', '< 1e-16')
+    """
+    if test.p_value is None:
+        return "-"
+    if test.p_value < 1e-16:
+        return "< 1e-16"
+    return f"{test.p_value:.2g}"
+
+
+def cross_rows(validation: Checked) -> list[tuple[str, str, str, str]]:
+    """Record, output, drive and the p-value of the test against that drive."""
+    return [
+        (record, output, drive, p_text(test))
+        for record, outputs in validation.records.items()
+        for output, check in outputs.items()
+        for drive, test in check.cross.items()
+    ]
+
+
+def tests_of(validation: Checked) -> dict[str, ResidualTest]:
+    """Every test by a name that says record, output and what it was held against."""
+    found: dict[str, ResidualTest] = {}
+    for record, outputs in validation.records.items():
+        for output, check in outputs.items():
+            found[f"{record}, {output}: whiteness"] = check.whiteness
+            found |= {f"{record}, {output}: {drive}": test for drive, test in check.cross.items()}
+    return found
+
+
+def verdict(validation: Checked) -> str:
+    """The verdict in one sentence, with the false-alarm rate it was made at."""
+    tests = tests_of(validation)
+    made = sum(test.p_value is not None for test in tests.values())
+    level = f"{made} residual tests at alpha = {validation.alpha:g}"
+    if validation.passed:
+        return f"PASSED: nothing is left in the residuals that these tests can see ({level})"
+    failed = rejected(tests, alpha=validation.alpha)
+    which = f": {'; '.join(failed[:2])}" + (f" and {len(failed) - 2} more" if len(failed) > 2 else "")
+    return f"FAILED: {len(failed)} of {level}{which if failed else ''}"
+
+
+def untested(validation: Checked) -> list[str]:
+    """Why tests could not be made, one sentence each."""
+    return [
+        f"{name}: {test.why}"
+        for name, test in tests_of(validation).items()
+        if test.p_value is None and test.why
+    ]
+
+
+def next_step(validation: Checked) -> str:
+    """What to type next."""
+    if validation.passed:
+        return 'keep it: ce.report(validation, "report.html")'
+    return "look at the residual: ce.plot(validation); it says what the model lacks"
+
+
+def _drives(validation: Checked) -> list[str]:
+    """One row for each output: the p-value of the test against each drive, as many as fit."""
+    rows = []
+    for record, outputs in validation.records.items():
+        for output, check in outputs.items():
+            words = ", ".join(f"{drive} {p_text(test)}" for drive, test in check.cross.items())
+            rows.append((short(record, 24), output, words))
+    if not any(words for _, _, words in rows):
+        return ["  no drives to test the residual against"]
+    return ["p of the residual against each drive", *aligned(rows[:OUTPUTS], right=())]
