@@ -96,11 +96,11 @@ def _innovations(e: FloatArray, run: IntArray, order: int) -> tuple[FloatArray, 
     now = np.flatnonzero(run > order)
     columns = sliding_window_view(e, order + 1)[now - order]  # e(t − order) … e(t)
     products = np.roll((columns.T @ columns)[::-1, ::-1], -1, axis=(0, 1))  # the past first, then e(t)
-    # A residual that predicts itself perfectly (a sine without noise) would have no factor.
-    products[np.diag_indices(order + 1)] += 1e-12 * products[-1, -1]
-    factor = np.linalg.cholesky(products)
+    # A residual that predicts itself perfectly (a sine without noise), or is zero here, has no factor.
+    products[np.diag_indices(order + 1)] += 1e-12 * float(e @ e) + np.finfo(float).tiny
+    factor = np.asarray(np.linalg.cholesky(products), dtype=np.float64)
     variances = np.cumsum(factor[-1, ::-1] ** 2)[::-1] / now.size
-    return factor, np.asarray(variances, dtype=float)
+    return factor, np.asarray(variances, dtype=np.float64)
 
 
 def _whitening_matrix(

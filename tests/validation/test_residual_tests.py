@@ -19,6 +19,7 @@ from casadi_engine.validation.residual_tests import (
 from casadi_engine.validation.whitening import Whitener
 
 NAN = float("nan")
+NOISE_300 = np.random.default_rng(28).standard_normal(300)
 SIZE = 1000
 
 
@@ -307,6 +308,13 @@ def test_what_the_parameters_absorb_is_not_held_against_the_model():
     fresh = rng.standard_normal(SIZE) + 0.02 * (sensitivity - sensitivity.mean())
     assert independence(fresh, torque).p_value < 1e-6
     assert independence(fresh, torque, jacobian=sensitivity).p_value > 0.01
+
+
+def test_a_residual_that_vanishes_wherever_it_has_a_past_is_tested():
+    pattern = np.arange(300) % 5
+    mask = pattern != 1
+    result = independence(np.where(pattern == 2, (-1.0) ** (np.arange(300) // 5), 0.0), NOISE_300, mask=mask)
+    assert 0.0 < result.p_value <= 1.0
 
 
 # Gaps and strides
