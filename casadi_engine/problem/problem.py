@@ -131,6 +131,14 @@ class Problem:
         line = None if error is None else line_in(self.source, error)
         return f"{shown(self.source)}{'' if line is None else f', line {line}'}: "
 
+    def initial_of(self, experiments: Iterable[Experiment]) -> dict[str, Any] | None:
+        """The `initial` that concerns these experiments: settings of the problem's other records are left out."""
+        if self.initial is None:
+            return None
+        others = {*record_keys(self.records), *record_keys(self.validation)}
+        others -= {experiment.name for experiment in experiments}
+        return {key: value for key, value in self.initial.items() if key not in others} or None
+
     # ---- changed copies
 
     def with_data(self, files: Iterable[Record] = (), validate: Iterable[Record] = ()) -> Problem:
@@ -140,9 +148,16 @@ class Problem:
         validate : replace the validation records
         """
         files, validate = _record_tuple(files, "records"), _record_tuple(validate, "validation")
-        if files:
-            return dataclasses.replace(self, records=files, validation=validate)
-        return dataclasses.replace(self, validation=validate) if validate else self
+        if not files and not validate:
+            return self
+        made = dataclasses.replace(self, records=files or self.records, validation=validate)
+        if self.initial is None:
+            return made
+        # Settings of a record that is no longer there would name nothing.
+        gone = {*record_keys(self.records), *record_keys(self.validation)}
+        gone -= {*record_keys(made.records), *record_keys(made.validation)}
+        kept = {key: value for key, value in self.initial.items() if key not in gone}
+        return dataclasses.replace(made, initial=kept or None)
 
     def with_parameters(self, parameters: Parameters) -> Problem:
         """The problem with another parameter set."""
@@ -171,6 +186,16 @@ class Problem:
         )
 
     __repr__ = __str__
+
+
+def record_keys(records: Iterable[Record]) -> tuple[str, ...]:
+    """The keys that records will have when they are read by file stem; a repeat gets ``stem_2``.
+
+    >>> record_keys(["a/run.csv", "b/run.csv.gz"])
+    ('run', 'run_2')
+    """
+    stems = [r.name if isinstance(r, Experiment) else record_key(os.fsdecode(os.fspath(r))) for r in records]
+    return unique_names(stems)
 
 
 def _from_folder(folder: Path, record: Record) -> Record:

@@ -57,15 +57,9 @@ def _lost(entry: Any) -> str | None:
     """Why an entry (a number, or an array of them) has a null in its place; None if it has not."""
     if isinstance(entry, float | np.floating):
         return None if math.isfinite(entry) else f"not a finite number ({float(entry)})"
-    if isinstance(entry, list | tuple | np.ndarray):
-        try:
-            numbers = np.asarray(entry, dtype=float)
-        except (TypeError, ValueError):
-            return None
-        if not np.isfinite(numbers[~_is_none(entry, numbers)]).all():
-            return "entries that are null are not finite numbers"
+    if isinstance(entry, np.ndarray):
+        broken = entry.dtype.kind == "f" and not np.isfinite(entry).all()
+        return "entries that are null are not finite numbers" if broken else None
+    if isinstance(entry, list | tuple) and any(_lost(part) is not None for part in entry):
+        return "entries that are null are not finite numbers"
     return None
-
-
-def _is_none(entry: Any, numbers: Any) -> Any:
-    return np.equal(np.asarray(entry, dtype=object), None).reshape(numbers.shape)

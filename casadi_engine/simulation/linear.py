@@ -166,14 +166,15 @@ class LinearPropagator:
 
     # ---- second order
 
-    def contraction(self, z: Array, path: LinearTrajectory, rho: Array, lam: Array) -> tuple[Array, Array]:
-        """Second derivatives of sum(rho * y) + sum(lam * end): in (z, z) (nz, nz), and (z, start) (nz, n, M).
+    def contraction(self, z: Array, path: LinearTrajectory, rho: Array, lam: Array) -> tuple[Array, Array, Array]:
+        """Second derivatives of sum(rho * y) + sum(lam * end): (z, z) (nz, nz), (z, start) (nz, n, M) and (start,
+        start) (M, n, n), which vanish: the model is linear in its state.
 
-        rho : (R*ny, b, M); lam : (n, M). Those in (start, start) vanish: the model is linear in its state.
+        rho : (R*ny, b, M); lam : (n, M).
         """
         plan, n, nz = self.intervals, self.n, self.nz
         if nz == 0:
-            return np.zeros((0, 0)), np.zeros((0, n, plan.m))
+            return np.zeros((0, 0)), np.zeros((0, n, plan.m)), np.zeros((plan.m, n, n))
         p = path.blocks.p
         if len(p) == 1 + nz:
             path.blocks = self._blocks(z, 2)
@@ -207,8 +208,10 @@ class LinearPropagator:
             block[c, a] = extra
             hzz[np.ix_(samples.active, samples.active)] += block
         pulled = np.matmul(p[1 : 1 + nz, :, :n].transpose(0, 2, 1), rows).reshape(nz, n, plan.b, plan.m)
-        hzs = np.einsum("iabm,bac->icm", pulled, path.phi[:-1], optimize=True)
-        return hzz, hzs
+        # (nz*M, b*n) @ (b*n, n): the block states hang on the interval's start by phi.
+        flat = np.ascontiguousarray(pulled.transpose(0, 3, 2, 1)).reshape(nz * plan.m, -1)
+        hzs = (flat @ path.phi[:-1].reshape(-1, n)).reshape(nz, plan.m, n).transpose(0, 2, 1)
+        return hzz, hzs, np.zeros((plan.m, n, n))
 
 
 def corrected(discrete: Discretisation, gain: NDArray[np.float64]) -> Discretisation:

@@ -15,6 +15,9 @@ from scipy.special import erf
 
 from casadi_engine.simulation.jets import Array
 
+# Columns worked on at a time: the arrays of one instruction then stay in the cache.
+_CHUNK = 4096
+
 _UNARY: dict[int, Callable[[Any], Any]] = {
     ca.OP_ASSIGN: lambda a: a,
     ca.OP_NEG: np.negative,
@@ -89,6 +92,12 @@ class ArrayFunction:
     def __call__(self, *arguments: Array) -> list[Array]:
         """Outputs (numel, N) at the arguments (rows, N) or (rows,)."""
         count = max((a.shape[1] for a in arguments if a.ndim == 2), default=1)
+        if count > _CHUNK and self._replay:
+            pieces = [
+                self(*[a[:, k : k + _CHUNK] if a.ndim == 2 else a for a in arguments])
+                for k in range(0, count, _CHUNK)
+            ]
+            return [np.concatenate(parts, axis=1) for parts in zip(*pieces, strict=True)]
         if not self._replay:
             wide = [a if a.ndim == 2 else np.repeat(a[:, None], count, axis=1) for a in arguments]
             found = self._function.map(count)(*wide)

@@ -1,0 +1,44 @@
+"""``casadi-engine fit``: estimate the free parameters, and test the residuals."""
+
+from __future__ import annotations
+
+from casadi_engine.cli.job import ANSWERED, INTERRUPTED, NO_ANSWER, Job, complain, run, say
+from casadi_engine.cli.options import Data, Debug, Fix, Free, Jobs, Options, Out, ProblemFile, Seed, Set, Validate
+from casadi_engine.cli.work import estimate_job, say_where, write_answer
+
+
+def fit(
+    problem: ProblemFile,
+    data: Data = None,
+    validate: Validate = None,
+    set: Set = None,  # the option's name is --set
+    free: Free = None,
+    fix: Fix = None,
+    out: Out = None,
+    seed: Seed = 0,
+    jobs: Jobs = 1,
+    debug: Debug = False,
+) -> None:
+    """Estimate the free parameters of a problem from its records.
+
+    The residual tests are made on the validation records, or on the fitted ones if there are none.
+    """
+    run(Options.collect("fit", locals()), _work)
+
+
+def _work(job: Job) -> int:
+    from casadi_engine import validation
+
+    records = job.problem.load_records()
+    fresh = job.problem.load_validation()  # a fault in these files shows before the long work
+    found = estimate_job(job, records, job.problem.parameters, title="fit")
+    check = validation.validate(found, fresh or None) if found.converged else None
+    write_answer(job, found, check)
+    say(found)
+    if check is not None:
+        say(check)
+    say_where(job)
+    if found.converged:
+        return ANSWERED
+    complain("fit", f"no answer: {found.status}; the best point so far is in {job.folder}")
+    return INTERRUPTED if found.status == "interrupted" else NO_ANSWER

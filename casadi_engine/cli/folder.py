@@ -1,0 +1,58 @@
+"""The folder of the results: found to be writable before the work, made only when there is something in it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+from pathlib import Path
+
+from casadi_engine.errors import OutputError
+
+
+def check_folder(folder: Path, *, files: tuple[str, ...] = ("result.json", "report.html")) -> None:
+    """Try to write into `folder`, and leave the disk as it was.
+
+    OutputError with the path if it cannot be made or written, or if one of `files` is a folder there.
+    """
+    made: list[Path] = []
+    try:
+        for path in reversed([folder, *folder.parents]):
+            if not path.exists():
+                path.mkdir()
+                made.append(path)
+        trial = folder / f".trial.{secrets.token_hex(6)}.tmp"
+        trial.write_bytes(b"trial")
+        trial.unlink()
+        for name in files:
+            if (folder / name).is_dir():
+                raise IsADirectoryError(f"{name} is a folder there")
+    except (OSError, ValueError) as error:
+        raise _unwritable(folder, error) from None
+    finally:
+        for path in reversed(made):
+            with contextlib.suppress(OSError):
+                path.rmdir()
+
+
+def make_folder(folder: Path) -> None:
+    """Make `folder` and its parents; OutputError if that fails."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        raise _unwritable(folder, error) from None
+
+
+def _unwritable(folder: Path, error: Exception) -> OutputError:
+    reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    at = error.filename if isinstance(error, OSError) and error.filename else None
+    if at is not None and os.path.basename(str(at)).startswith(".trial."):
+        at = folder
+    if at is not None and Path(str(at)) != folder:
+        reason = f"{reason}: {at}"
+    return OutputError(
+        f"the folder of the results cannot be written: {folder}",
+        seen=reason,
+        allowed="a folder that may be made and written",
+        cure="give another one by --out DIR",
+    )

@@ -1,0 +1,61 @@
+"""Loss functions of the weighted residual: least squares, and Huber's for outliers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.errors import EstimationError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Loss:
+    """rho(r) = r^2/2 up to |r| = knee, linear beyond (Huber 1964); knee = inf is least squares."""
+
+    knee: float = math.inf
+
+    @property
+    def robust(self) -> bool:
+        """True for Huber's loss."""
+        return math.isfinite(self.knee)
+
+    def value(self, r: Array) -> float:
+        """Sum of rho."""
+        if not self.robust:
+            return 0.5 * float(np.vdot(r, r))
+        size = np.abs(r)
+        return float(np.where(size <= self.knee, 0.5 * r * r, self.knee * (size - 0.5 * self.knee)).sum())
+
+    def slope(self, r: Array) -> Array:
+        """rho'(r)."""
+        return np.clip(r, -self.knee, self.knee) if self.robust else r
+
+    def curvature(self, r: Array) -> Array | None:
+        """rho''(r), or None where it is 1 throughout."""
+        return (np.abs(r) <= self.knee).astype(float) if self.robust else None
+
+
+def read_loss(loss: Any) -> Loss:
+    """Loss of the ``loss`` option: "square", "huber" (knee 1.345) or ("huber", knee)."""
+    if isinstance(loss, Loss):
+        return loss
+    if loss == "square":
+        return Loss()
+    if loss == "huber":
+        return Loss(1.345)
+    if isinstance(loss, tuple) and len(loss) == 2 and loss[0] == "huber":
+        knee = loss[1]
+        if isinstance(knee, (int, float)) and math.isfinite(knee) and knee > 0:
+            return Loss(float(knee))
+    raise EstimationError(
+        "the loss is not known",
+        seen=repr(loss),
+        allowed='"square", "huber", or ("huber", knee) with the knee in standard deviations',
+        cure='leave it out for least squares, or give ("huber", 1.345)',
+    )

@@ -1,0 +1,125 @@
+"""One record's share of the estimation problem: weighted residuals and their derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.estimation.loss import Loss
+from casadi_engine.experiment import Experiment
+from casadi_engine.model import Model
+from casadi_engine.simulation.grid import Grid, lay_grid
+from casadi_engine.simulation.intervals import Intervals, Observation, cut
+from casadi_engine.simulation.propagator import make_propagator
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class RecordPoint:
+    """A record evaluated at one point: residuals (K, M), Jacobians, and the states at the intervals' ends.
+
+    r : weighted residual (y_hat - y)/sigma, 0 where nothing was measured; jz : (nz, K, M) weighted;
+    js : (K, n) unweighted if all intervals share it, else (K, M, n)
+    """
+
+    path: Any
+    r: Array
+    jz: Array
+    js: Array
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Hessian blocks of a record: zz (nz, nz), zs (nz, n, M), ss (M, n, n)."""
+
+    zz: Array
+    zs: Array
+    ss: Array
+
+
+class RecordTerm:
+    """Residuals of one record over its shooting intervals.
+
+    active : entries of the global vector that this record depends on; n : states; scale : (n,) of the states
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        experiment: Experiment,
+        v: ca.SX,
+        physical: ca.SX,
+        *,
+        length: int | None,
+        gain: Array | None,
+        method: str,
+        grid: Grid | None = None,
+    ) -> None:
+        self.experiment, self.model = experiment, model
+        self.outputs = tuple(out.name for out in model.outputs)
+        self.grid = grid or lay_grid(model, experiment)
+        self.plan: Intervals = cut(self.grid, length)
+        self.observation = Observation(self.grid, self.plan, self.outputs)
+        self.scale = np.array([state.scale for state in model.states])
+        depends = ca.which_depends(physical, v, 1, False) if v.numel() and physical.numel() else []
+        self.active = np.flatnonzero(depends) if len(depends) else np.zeros(0, np.intp)
+        local = ca.vertcat(*[v[int(i)] for i in self.active]) if len(self.active) else ca.SX(0, 1)
+        self.propagator = make_propagator(
+            model, self.grid, self.plan, local, physical, scale=self.scale, method=method, gain=gain
+        )
+        self.n = len(self.scale)
+        self.weight = self.observation.valid.astype(float)
+
+    @property
+    def count(self) -> int:
+        """Number of samples that count."""
+        return int(self.observation.valid.sum())
+
+    def set_sigma(self, sigma: Array) -> None:
+        """Weight the residuals by the standard deviations (ny,) of the outputs."""
+        self.weight = self.observation.valid / sigma[self.observation.column]
+
+    def evaluate(self, v: Array, nodes: Array, *, order: int = 1) -> RecordPoint:
+        """Residuals at the global vector and the interval starts (M, n), scaled states."""
+        path = self.propagator.propagate(v[self.active], nodes, order)
+        y = self.observation.observe(path.y)
+        r = (y[0] - self.observation.measured) * self.weight
+        jz = y[1:] * self.weight
+        return RecordPoint(path, r, jz, self.observation.observe_starts(path.ys))
+
+    def gradient(self, point: RecordPoint, loss: Loss) -> tuple[Array, Array]:
+        """Gradient of the summed loss in the active parameters (nz,) and the starts (M, n)."""
+        slope = loss.slope(point.r)
+        in_z = point.jz.reshape(len(point.jz), -1) @ slope.ravel()
+        weighted = slope * self.weight
+        if point.js.ndim == 2:
+            return in_z, weighted.T @ point.js
+        return in_z, np.einsum("km,kma->ma", weighted, point.js)
+
+    def gauss_newton(self, point: RecordPoint, loss: Loss) -> Blocks:
+        """Gauss-Newton Hessian blocks of the summed loss."""
+        curvature = loss.curvature(point.r)
+        jz = point.jz if curvature is None else point.jz * curvature
+        nz, k, m = jz.shape
+        zz = jz.reshape(nz, -1) @ point.jz.reshape(nz, -1).T
+        weight = self.weight if curvature is None else self.weight * curvature
+        js, n = point.js, self.n
+        if js.ndim == 2:
+            zs = np.matmul((jz * self.weight).transpose(0, 2, 1), js).transpose(0, 2, 1)
+            outer = (js[:, :, None] * js[:, None, :]).reshape(k, -1)
+            ss = ((weight * self.weight).T @ outer).reshape(m, n, n)
+        else:
+            zs = np.einsum("zkm,kma->zam", jz * self.weight, js, optimize=True)
+            ss = np.einsum("km,kma,kmb->mab", weight * self.weight, js, js, optimize=True)
+        return Blocks(zz, zs, ss)
+
+    def curvature(self, v: Array, point: RecordPoint, loss: Loss, factor: float, lam: Array) -> Blocks:
+        """Second-order part of the Lagrangian's Hessian: factor * loss + lam * ends; lam : (n, M)."""
+        rho = self.observation.adjoint(factor * loss.slope(point.r) * self.weight)
+        zz, zs, ss = self.propagator.contraction(v[self.active], point.path, rho, lam)
+        return Blocks(zz, zs, ss)
