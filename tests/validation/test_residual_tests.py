@@ -135,7 +135,7 @@ def test_scale_and_offset_do_not_matter():
 
 
 # The quick runs guard the code, the slow ones (2000 draws a case) the claim.
-QUICK_AND_SLOW = [pytest.param(400, id="quick"), pytest.param(2000, id="study", marks=pytest.mark.slow)]
+QUICK_AND_SLOW = [pytest.param(250, id="quick"), pytest.param(2000, id="study", marks=pytest.mark.slow)]
 
 
 @pytest.mark.parametrize("draws", QUICK_AND_SLOW)
