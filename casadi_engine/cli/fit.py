@@ -3,7 +3,19 @@
 from __future__ import annotations
 
 from casadi_engine.cli.job import ANSWERED, INTERRUPTED, NO_ANSWER, Job, complain, run, say
-from casadi_engine.cli.options import Data, Debug, Fix, Free, Jobs, Options, Out, ProblemFile, Seed, Set, Validate
+from casadi_engine.cli.options import (
+    Data,
+    Debug,
+    Fix,
+    Free,
+    Jobs,
+    Options,
+    Out,
+    ProblemFile,
+    Seed,
+    Set,
+    Validate,
+)
 from casadi_engine.cli.work import estimate_job, say_where, write_answer
 
 
@@ -33,7 +45,7 @@ def _work(job: Job) -> int:
     fresh = job.problem.load_validation()  # a fault in these files shows before the long work
     found = estimate_job(job, records, job.problem.parameters, title="fit")
     check = validation.validate(found, fresh or None) if found.converged else None
-    write_answer(job, found, check)
+    write_answer(job, found, check=check)
     say(found)
     if check is not None:
         say(check)

@@ -1,4 +1,4 @@
-"""The folder of the results: found to be writable before the work, made only when there is something in it."""
+"""The folder of the results: tried before the work, made when there is something to put into it."""
 
 from __future__ import annotations
 

@@ -65,7 +65,7 @@ def guarded(command: str, work: Callable[[], int], *, debug: bool) -> int:
         code, message = error.exit_code, str(error)
     except KeyboardInterrupt:
         code, message = INTERRUPTED, "interrupted before there was anything to write"
-    except Exception as error:  # the last line of defence: whatever arrives here is our bug
+    except Exception as error:  # noqa: BLE001  the last line of defence: whatever arrives here is our bug
         code = OUR_BUG
         words = " ".join(str(error).split())
         message = f"a bug of this program: {type(error).__name__}: {words}"

@@ -22,7 +22,9 @@ Data = Annotated[
 Validate = Annotated[
     list[Path] | None,
     typer.Option(
-        "--validate", metavar="FILE", help="Data file that replaces the validation records; repeat for several."
+        "--validate",
+        metavar="FILE",
+        help="Data file that replaces the validation records; repeat for several.",
     ),
 ]
 Set = Annotated[
@@ -38,9 +40,7 @@ Fix = Annotated[
 ]
 Out = Annotated[
     Path | None,
-    typer.Option(
-        "--out", metavar="DIR", help="Folder of the results; default results/<problem>-<command>."
-    ),
+    typer.Option("--out", metavar="DIR", help="Folder of the results; default results/<problem>-<command>."),
 ]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of everything that is random.")]
 Jobs = Annotated[int, typer.Option("--jobs", min=1, help="Processes for several starts.")]
@@ -68,9 +68,10 @@ class Options:
     @staticmethod
     def collect(command: str, given: dict[str, Any], *, extra: tuple[str, ...] = ()) -> Options:
         """Options from the arguments of a command function (its ``locals()``)."""
-        many = {name: tuple(given[name] or ()) for name in ("data", "validate", "set", "free", "fix")}
-        single = {name: given[name] for name in ("problem", "out", "seed", "jobs", "debug")}
-        return Options(command, **many, **single, extra={name: given[name] for name in extra})
+        fields: dict[str, Any] = {name: given[name] for name in ("problem", "out", "seed", "jobs", "debug")}
+        for name in ("data", "validate", "set", "free", "fix"):
+            fields[name] = tuple(given[name] or ())
+        return Options(command, **fields, extra={name: given[name] for name in extra})
 
     def arguments(self) -> dict[str, Any]:
         """The arguments as JSON-able data for result.json."""
@@ -84,5 +85,8 @@ class Options:
             "out": None if self.out is None else str(self.out),
             "seed": self.seed,
             "jobs": self.jobs,
-            **{name: str(value) if isinstance(value, Path) else value for name, value in self.extra.items()},
+            **{
+                name.rstrip("_"): str(value) if isinstance(value, Path) else value
+                for name, value in self.extra.items()
+            },
         }

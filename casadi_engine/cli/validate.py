@@ -9,13 +9,27 @@ import typer
 
 from casadi_engine.cli.earlier import values_of
 from casadi_engine.cli.job import ANSWERED, INTERRUPTED, NEGATIVE, NO_ANSWER, Job, complain, run, say
-from casadi_engine.cli.options import Data, Debug, Fix, Free, Jobs, Options, Out, ProblemFile, Seed, Set, Validate
+from casadi_engine.cli.options import (
+    Data,
+    Debug,
+    Fix,
+    Free,
+    Jobs,
+    Options,
+    Out,
+    ProblemFile,
+    Seed,
+    Set,
+    Validate,
+)
 from casadi_engine.cli.work import estimate_job, held, say_where, write_answer
 
 From = Annotated[
     Path | None,
     typer.Option(
-        "--from", metavar="RESULT", help="result.json of an earlier fit (or its folder) that gives the values."
+        "--from",
+        metavar="RESULT",
+        help="result.json of an earlier fit (or its folder) that gives the values.",
     ),
 ]
 Check = Annotated[bool, typer.Option("--check", help="End with exit code 1 if a residual test fails.")]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from casadi_engine.cli.folder import make_folder
 from casadi_engine.cli.job import Job, say, uninterrupted
 from casadi_engine.cli.progress import Progress
+from casadi_engine.errors import NotConvergedError
 from casadi_engine.experiment import Experiment
 from casadi_engine.parameters import Parameters
 
@@ -14,33 +16,47 @@ if TYPE_CHECKING:
     from casadi_engine.estimation.fit import Fit
 
 
+# What the contract asks of a result where there is no answer to take it from.
+EMPTY: dict[str, dict[str, Any]] = {
+    "fit": {"iterations": 0, "nodes": 0, "optima": [], "fit_percent": {}},
+    "validate": {"records": {}, "passed": False},
+}
+
+
 def estimate_job(job: Job, records: Sequence[Experiment], parameters: Parameters, *, title: str) -> Fit:
-    """Estimate `parameters` from `records` with the settings of the job's problem."""
+    """Estimate `parameters` from `records` with the settings of the job's problem.
+
+    A search that ends with nothing at all is written as a result with its status before the error goes on.
+    """
     from casadi_engine import estimation
 
     problem = job.problem
     with Progress(title) as progress:
-        return estimation.estimate(
-            problem.model,
-            records,
-            parameters=parameters,
-            noise=problem.noise,
-            interval=problem.interval,
-            initial=problem.initial_of(records),
-            loss=problem.loss,
-            ties=problem.ties,
-            method=problem.method,
-            starts=problem.starts,
-            seed=job.options.seed,
-            jobs=job.options.jobs,
-            progress=progress,
-        )
+        try:
+            return estimation.estimate(
+                problem.model,
+                records,
+                parameters=parameters,
+                noise=problem.noise,
+                interval=problem.interval,
+                initial=problem.initial_of(records),
+                loss=problem.loss,
+                ties=problem.ties,
+                method=problem.method,
+                starts=problem.starts,
+                seed=job.options.seed,
+                jobs=job.options.jobs,
+                progress=progress,
+            )
+        except NotConvergedError as error:
+            _write_nothing_found(job, records, parameters, error)
+            raise
 
 
 def held(parameters: Parameters, free: Sequence[str] = ()) -> Parameters:
     """A copy with every parameter fixed at its value, but for those in `free`.
 
-    Constraints are left behind when nothing is free: they restrict a search, and there is none.
+    Ties and constraints are left behind when nothing is free: they restrict a search, and there is none.
     """
     result = parameters.copy() if free else Parameters(parameters[name] for name in parameters)
     for name in result:
@@ -49,11 +65,55 @@ def held(parameters: Parameters, free: Sequence[str] = ()) -> Parameters:
     return result
 
 
-def write_answer(job: Job, answer: Any, check: Any = None, **fields: Any) -> None:
-    """Write result.json, then report.html, each atomically, into the folder of the job."""
-    raise NotImplementedError
+def write_answer(
+    job: Job, answer: Any, *, check: Any = None, data_files: Mapping[str, Experiment] | None = None
+) -> None:
+    """Write data files, result.json and report.html into the folder of the job, each all or nothing.
+
+    check : the Validation that goes with a Fit
+    """
+    from casadi_engine.report import report, to_result, write_result
+
+    document = EMPTY.get(job.options.command, {}) | to_result(answer, **_common(job))
+    if check is not None:
+        # Beside what the contract asks of a fit: the residual tests that were made of it.
+        tested = to_result(check, **_common(job))
+        document["validation"] = {key: tested[key] for key in ("inputs", "records", "passed", "alpha")}
+    with uninterrupted():
+        make_folder(job.folder)
+        for name, experiment in (data_files or {}).items():
+            experiment.to_csv(job.folder / name)
+        write_result(job.folder / "result.json", document)
+        report(answer, job.folder / "report.html")
 
 
-def say_where(job: Job) -> None:
+def _common(job: Job) -> dict[str, Any]:
+    options = job.options
+    return {
+        "command": options.command,
+        "arguments": options.arguments(),
+        "seconds": job.seconds,
+        "seed": options.seed,
+    }
+
+
+def _write_nothing_found(
+    job: Job, records: Sequence[Experiment], parameters: Parameters, error: NotConvergedError
+) -> None:
+    """Write the result of a search that failed: where it started, and its status."""
+    from casadi_engine.report import Simulated, to_result, write_result
+
+    started_from = Simulated(job.problem.model, parameters, tuple(records), ())
+    document = EMPTY.get(job.options.command, {}) | to_result(started_from, **_common(job))
+    document["status"] = f"not converged: {error.problem}"
+    with uninterrupted():
+        make_folder(job.folder)
+        # A page of an earlier run would stand beside a result that it does not belong to.
+        (job.folder / "report.html").unlink(missing_ok=True)
+        write_result(job.folder / "result.json", document)
+
+
+def say_where(job: Job, *others: str) -> None:
     """Say where the files are."""
-    say(f"\nWritten: {job.folder / 'result.json'}\n         {job.folder / 'report.html'}")
+    names = ("result.json", "report.html", *others)
+    say("\n" + "\n".join(f"{'Written:' if k == 0 else '':<9}{job.folder / n}" for k, n in enumerate(names)))

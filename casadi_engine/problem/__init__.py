@@ -2,6 +2,6 @@
 
 from casadi_engine.problem.load import load_problem
 from casadi_engine.problem.noise import Noise
-from casadi_engine.problem.problem import Problem
+from casadi_engine.problem.problem import NAME, Problem
 
-__all__ = ["Noise", "Problem", "load_problem"]
+__all__ = ["NAME", "Noise", "Problem", "load_problem"]

@@ -41,9 +41,7 @@ class Noise:
                     cure=f'write Noise({output}="estimate") if it is not known',
                 )
         self._levels: Mapping[str, Level] = dict(levels)
-        self.gain: NDArray[np.float64] | None = (
-            None if gain is None else np.atleast_2d(np.asarray(gain, float))
-        )
+        self.gain: NDArray[np.float64] | None = None if gain is None else _matrix(gain)
 
     @property
     def outputs(self) -> tuple[str, ...]:

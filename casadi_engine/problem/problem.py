@@ -12,6 +12,7 @@ from typing import Any
 
 from casadi_engine.errors import CasadiEngineError, ProblemError
 from casadi_engine.experiment import Experiment, read_experiment, with_unique_names
+from casadi_engine.experiment.source import record_key
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters, near_matches
 from casadi_engine.problem.blame import line_in, shown
@@ -132,7 +133,7 @@ class Problem:
         return f"{shown(self.source)}{'' if line is None else f', line {line}'}: "
 
     def initial_of(self, experiments: Iterable[Experiment]) -> dict[str, Any] | None:
-        """The `initial` that concerns these experiments: settings of the problem's other records are left out."""
+        """The `initial` that concerns these experiments, without settings of the problem's other records."""
         if self.initial is None:
             return None
         others = {*record_keys(self.records), *record_keys(self.validation)}
@@ -195,7 +196,12 @@ def record_keys(records: Iterable[Record]) -> tuple[str, ...]:
     ('run', 'run_2')
     """
     stems = [r.name if isinstance(r, Experiment) else record_key(os.fsdecode(os.fspath(r))) for r in records]
-    return unique_names(stems)
+    keys: list[str] = []
+    for stem in stems:
+        # As with_unique_names does it: a number that no other record's own stem has taken.
+        numbered = (f"{stem}_{number}" for number in range(2, 2 * len(stems) + 2))
+        keys.append(stem if stem not in keys else next(key for key in numbered if key not in (*keys, *stems)))
+    return tuple(keys)
 
 
 def _from_folder(folder: Path, record: Record) -> Record:

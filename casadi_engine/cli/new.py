@@ -1,0 +1,73 @@
+"""``casadi-engine new``: a problem file to start from."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.resources
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from casadi_engine.cli.job import ANSWERED, guarded, say
+from casadi_engine.cli.options import Debug
+from casadi_engine.errors import OutputError, ProblemError
+from casadi_engine.problem import NAME
+
+Name = Annotated[str, typer.Argument(metavar="NAME", help="Name of the problem; writes NAME.py.")]
+
+
+def new(name: Name, debug: Debug = False) -> None:
+    """Write a commented problem file NAME.py that runs on a data file of yours; nothing is overwritten."""
+    raise typer.Exit(guarded("new", lambda: _work(name), debug=debug))
+
+
+def _work(name: str) -> int:
+    path = write_template(name)
+    shown = os.fspath(path)
+    say(
+        f"Written: {shown}\n"
+        f"Next: casadi-engine fit {shown} --data YOUR_RECORD.csv\n"
+        "The file says what the record holds, and which lines to change."
+    )
+    return ANSWERED
+
+
+def write_template(name: str) -> Path:
+    """Write the template as NAME.py (NAME may have folders before it, which must be there).
+
+    ProblemError for a name that is not acceptable, OutputError for a file that is there or cannot be made.
+    """
+    path = Path(name if name.endswith(".py") else f"{name}.py")
+    if not NAME.fullmatch(path.stem):
+        raise ProblemError(
+            "the name of the new problem is not acceptable",
+            seen=repr(name),
+            allowed="up to 100 letters A-Z a-z, digits, _ and -, not starting with -",
+            cure="give a name such as my_engine",
+        )
+    resource = importlib.resources.files("casadi_engine.cli") / "template.txt"
+    text = resource.read_text(encoding="utf-8").replace("{{name}}", path.stem)
+    try:
+        # Mode x: a file that appears in this very moment is not overwritten either.
+        with open(path, "x", encoding="utf-8", newline="\n") as stream:
+            try:
+                stream.write(text)
+            except OSError:
+                with contextlib.suppress(OSError):
+                    path.unlink()
+                raise
+    except FileExistsError:
+        raise OutputError(
+            f"{path}: there is a file of that name already",
+            allowed="a name that is not taken; nothing is overwritten",
+            cure="give another name, or move that file away",
+        ) from None
+    except OSError as error:
+        raise OutputError(
+            f"{path}: cannot be written",
+            seen=error.strerror or str(error),
+            cure="give a name in a folder that is there and may be written",
+        ) from None
+    return path

@@ -1,0 +1,100 @@
+"""``casadi-engine simulate``: the model's outputs for the inputs of the records."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from casadi_engine.cli.job import ANSWERED, Job, run, say
+from casadi_engine.cli.options import (
+    Data,
+    Debug,
+    Fix,
+    Free,
+    Jobs,
+    Options,
+    Out,
+    ProblemFile,
+    Seed,
+    Set,
+    Validate,
+)
+from casadi_engine.cli.work import say_where, write_answer
+
+
+def simulate(
+    problem: ProblemFile,
+    data: Data = None,
+    validate: Validate = None,
+    set: Set = None,  # the option's name is --set
+    free: Free = None,
+    fix: Fix = None,
+    out: Out = None,
+    seed: Seed = 0,
+    jobs: Jobs = 1,
+    debug: Debug = False,
+) -> None:
+    """Simulate the records of a problem with its parameter values, and write a data file for each.
+
+    The files given by --validate are simulated too. The initial state is the problem's where it gives all
+    states as numbers, and otherwise the one that fits the measured outputs best.
+    """
+    run(Options.collect("simulate", locals()), _work)
+
+
+def _work(job: Job) -> int:
+    from casadi_engine import estimation
+    from casadi_engine.report import Simulated
+
+    problem = job.problem
+    records = problem.load_records()
+    if job.options.validate:
+        records += problem.load_validation()
+    made = tuple(
+        estimation.simulate(
+            problem.model,
+            record,
+            parameters=problem.parameters,
+            initial=initial_state(problem.initial, record.name, [s.name for s in problem.model.states]),
+            method=problem.method,
+        )
+        for record in records
+    )
+    files = file_names(record.name for record in records)
+    answer = Simulated(problem.model, problem.parameters, records, made, files)
+    write_answer(job, answer, data_files=dict(zip(files, made, strict=True)))
+    say(f"Simulated {problem.model.name}: {', '.join(record.name for record in records)}")
+    say_where(job, *files)
+    return ANSWERED
+
+
+def initial_state(
+    initial: Mapping[str, Any] | None, record: str, states: Iterable[str]
+) -> dict[str, float] | None:
+    """The initial state of a record if every state is given as a number, else None."""
+    given = initial or {}
+    own = given.get(record)
+    values = {**given, **own} if isinstance(own, Mapping) else given
+    chosen = {state: values.get(state) for state in states}
+    if all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in chosen.values()):
+        return {state: float(value) for state, value in chosen.items() if value is not None}
+    return None
+
+
+def file_names(records: Iterable[str]) -> tuple[str, ...]:
+    """A file name for each record key, safe on every operating system, each its own.
+
+    >>> file_names(["normal_1200rpm", "a/b", "a:b"])
+    ('normal_1200rpm.csv', 'a_b.csv', 'a_b_2.csv')
+    """
+    names: list[str] = []
+    taken: set[str] = set()
+    for record in records:
+        stem = re.sub(r"[^A-Za-z0-9._@+-]", "_", record).lstrip(".")[:100] or "record"
+        name, number = f"{stem}.csv", 2
+        while name.lower() in taken:
+            name, number = f"{stem}_{number}.csv", number + 1
+        taken.add(name.lower())
+        names.append(name)
+    return tuple(names)
