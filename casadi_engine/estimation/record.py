@@ -14,6 +14,7 @@ from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.simulation.grid import Grid, lay_grid
 from casadi_engine.simulation.intervals import Intervals, Observation, cut
+from casadi_engine.simulation.linear import LinearPropagator
 from casadi_engine.simulation.propagator import make_propagator
 
 Array = NDArray[np.float64]
@@ -61,6 +62,7 @@ class RecordTerm:
         grid: Grid | None = None,
     ) -> None:
         self.experiment, self.model = experiment, model
+        self.symbols, self.gain, self.method = (v, physical), gain, method
         self.outputs = tuple(out.name for out in model.outputs)
         self.grid = grid or lay_grid(model, experiment)
         self.plan: Intervals = cut(self.grid, length)
@@ -74,6 +76,18 @@ class RecordTerm:
         )
         self.n = len(self.scale)
         self.weight = self.observation.valid.astype(float)
+
+    @property
+    def linear(self) -> bool:
+        """True if the state at an interval's end is affine in that at its start."""
+        return isinstance(self.propagator, LinearPropagator)
+
+    def single(self) -> RecordTerm:
+        """The same record as one interval, for simulation."""
+        return RecordTerm(
+            self.model, self.experiment, *self.symbols,
+            length=None, gain=self.gain, method=self.method, grid=self.grid,
+        )  # fmt: skip
 
     @property
     def count(self) -> int:

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_engine.model import Model
-from casadi_engine.simulation.grid import Grid
+from casadi_engine.simulation.grid import Drives, Grid
 from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.tape import ArrayFunction
@@ -91,6 +91,11 @@ class GeneralPropagator:
         self._symbols = (inputs, both, state, y, mu, rho)
         self._second: ArrayFunction | None = None
         self._lay_inputs(grid)
+        self._drives = Drives(model, grid, z, physical)
+
+    def drives_at(self, z: Array) -> Array:
+        """(m, N) drives of the model on the grid."""
+        return self._drives.at(z).value
 
     def _substeps(self, model: Model, z: ca.SX, physical: ca.SX, step: float, scale: Array) -> int:
         """Runge-Kutta steps of one sample, from the fastest eigenvalue at the start values and unit states."""

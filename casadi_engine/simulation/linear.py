@@ -123,6 +123,10 @@ class LinearPropagator:
             self._block_drives = (samples, value, first, second)
         return self._block_drives
 
+    def drives_at(self, z: Array) -> Array:
+        """(m, N) drives of the model on the grid."""
+        return self._drives.at(z).value
+
     # ---- forward
 
     def _blocks(self, z: Array, order: int) -> Blocks:

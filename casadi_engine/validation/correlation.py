@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
 from casadi_engine.errors import ExperimentError
-from casadi_engine.validation.fit_percent import CONSTANT, BoolArray, FloatArray, as_samples, valid_samples
+from casadi_engine.estimation.fit_percent import CONSTANT, BoolArray, FloatArray, as_samples, valid_samples
 
 IntArray = NDArray[np.int_]
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadi_engine.validation.fit_percent import FloatArray
+from casadi_engine.estimation.fit_percent import FloatArray
 
 # A combination of drive lags with less than this share of the strongest one's energy is numerical dust.
 WEAKEST = 1e-6

@@ -32,7 +32,7 @@ from casadi_engine.validation.correlation import (
     is_constant,
     lagged_products,
 )
-from casadi_engine.validation.fit_percent import BoolArray, FloatArray, as_samples
+from casadi_engine.estimation.fit_percent import BoolArray, FloatArray, as_samples
 from casadi_engine.validation.projection import QuadraticForm, orthonormal
 from casadi_engine.validation.whitening import Whitener
 

@@ -13,7 +13,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy import fft, linalg, sparse
 
 from casadi_engine.validation.correlation import IntArray
-from casadi_engine.validation.fit_percent import BoolArray, FloatArray
+from casadi_engine.estimation.fit_percent import BoolArray, FloatArray
 
 LARGEST_ORDER = 25
 SPECTRUM = 1024

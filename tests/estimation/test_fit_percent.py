@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from casadi_engine.errors import ExperimentError
-from casadi_engine.validation.fit_percent import fit_measures, fit_percent
+from casadi_engine.estimation.fit_percent import fit_measures, fit_percent
 
 NAN = float("nan")
 

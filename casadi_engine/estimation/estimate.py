@@ -1,0 +1,173 @@
+"""estimate: fit a model's free parameters to experiments by multiple shooting."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from casadi_engine.errors import EstimationError
+from casadi_engine.estimation.answer import make_fit
+from casadi_engine.estimation.fit import Fit, Optimum
+from casadi_engine.estimation.loss import read_loss
+from casadi_engine.estimation.options import whole
+from casadi_engine.estimation.search import Attempt, Search
+from casadi_engine.estimation.starts import drawn_starts
+from casadi_engine.experiment import Experiment
+from casadi_engine.experiment.experiment import with_unique_names
+from casadi_engine.model import Model
+from casadi_engine.parameters import Parameters
+from casadi_engine.problem.noise import Noise
+
+# Two optima are one when their costs and their scaled parameters agree to these shares.
+_SAME_COST, _SAME_PLACE = 1e-6, 1e-3
+
+
+def estimate(
+    model: Model,
+    data: Experiment | Sequence[Experiment],
+    *,
+    parameters: Parameters | None = None,
+    noise: Noise | None = None,
+    interval: Any = "auto",
+    initial: Any = None,
+    loss: Any = "square",
+    ties: str = "substitute",
+    method: str = "exact",
+    starts: int = 1,
+    seed: int = 0,
+    warm: Any = None,
+    progress: Any = None,
+    max_iterations: int = 200,
+    tolerance: float = 1e-9,
+) -> Fit:
+    """Estimate the free parameters and initial states of a model from one experiment or several.
+
+    Minimises the sum of squared weighted residuals plus priors by direct multiple shooting (Bock & Plitt 1984) with
+    IPOPT, subject to the bounds, ties and constraints of the parameter set.
+
+    Parameters
+    ----------
+    model : the equations; data : one Experiment or several, each with its own initial state
+    parameters : the set to start from (default: the model's); it is copied, never changed
+    noise : standard deviations per output, known or "estimate" (the default), and the gain of a one-step predictor
+    interval : shooting interval: "auto", "single", a number of samples, or a time such as "10 ms"
+    initial : initial states: state -> number (fixed), (low, high), "free"; or record -> such a mapping
+    loss : "square", "huber", or ("huber", knee in standard deviations)
+    ties : "substitute", or "constraint" to keep ties as equality constraints of the solver: the same answer
+    method : "exact", or "euler" for the forward-Euler discretisation of a linear model
+    starts, seed : number of starts, the first from the set's values, the others drawn within the bounds
+    warm : a Fit (or loaded result) whose parameters and initial states are the start
+    progress : None for a bar on a terminal, False for none, or a function (iteration, cost, fit percent)
+    max_iterations, tolerance : of IPOPT, for each start
+
+    Returns a Fit; its ``status`` says "converged", "interrupted" (Ctrl-C: the best point so far) or why not.
+    Raises EstimationError, ParameterError, ConstraintError, ExperimentError for input that cannot be used.
+
+    >>> import numpy as np, casadi_engine as ce
+    >>> t = np.arange(200) * 0.01
+    >>> exp = ce.Experiment.from_arrays("run_up", time=t, units={"T": "N m", "omega": "rad/s"}, hold="zero",
+    ...     T=np.full(200, 2.0), omega=4 * (1 - np.exp(-t / 0.8)))
+    >>> pars = ce.one_inertia().parameters()
+    >>> fit = ce.estimate(ce.one_inertia(), exp, parameters=pars, noise=ce.Noise(omega=0.01))
+    >>> {name: round(value, 4) for name, value in fit.values.items()}
+    {'J_eng': 0.4, 'C_eng': 0.5}
+    """
+    begun = time.perf_counter()
+    records = _records(data)
+    starts = whole("starts", starts, 1)
+    max_iterations = whole("max_iterations", max_iterations, 1)
+    chosen = (model.parameters() if parameters is None else parameters).copy()
+    search = Search(
+        model,
+        records,
+        chosen,
+        noise or Noise(),
+        interval=interval,
+        initial=initial,
+        loss=read_loss(loss),
+        ties=ties,
+        method=method,
+        max_iterations=max_iterations,
+        tolerance=tolerance,
+        warm=warm,
+        progress=_reporter(progress, starts, max_iterations),
+    )
+    setup = time.perf_counter() - begun
+    attempts: list[Attempt] = []
+    for start in drawn_starts(search.pmap, starts, seed):
+        attempts.append(search.run(start, first=not attempts))
+        if attempts[-1].solution.status == "interrupted":
+            break
+    search.close()
+    best = min(attempts, key=lambda a: (a.solution.status != "converged", a.cost))
+    solve = time.perf_counter() - begun - setup
+    options = {
+        "interval": interval,
+        "loss": loss if isinstance(loss, str) else repr(loss),
+        "ties": ties,
+        "method": method,
+        "starts": starts,
+        "seed": seed,
+        "max_iterations": max_iterations,
+        "tolerance": tolerance,
+    }
+    optima = _optima(search, attempts)
+    return make_fit(search, best, optima, options, {"setup": setup, "solve": solve}, begun)
+
+
+def _records(data: Any) -> tuple[Experiment, ...]:
+    records = (data,) if isinstance(data, Experiment) else tuple(data or ())
+    if not records or not all(isinstance(record, Experiment) for record in records):
+        raise EstimationError(
+            "there is nothing to fit to",
+            seen=f"{type(data).__name__}: {[type(record).__name__ for record in records]}",
+            allowed="an Experiment, or a sequence of one or more",
+            cure="read one by read_experiment(path)",
+        )
+    return with_unique_names(records)
+
+
+def _optima(search: Search, attempts: list[Attempt]) -> tuple[Optimum, ...]:
+    """Distinct optima by rising cost, each with the number of starts that ended there."""
+    groups: list[list[Attempt]] = []
+    for attempt in sorted(attempts, key=lambda a: a.cost):
+        for group in groups:
+            gap = abs(attempt.cost - group[0].cost)
+            apart = np.abs(attempt.v - group[0].v).max(initial=0.0)
+            if gap <= _SAME_COST * abs(group[0].cost) and apart <= _SAME_PLACE:
+                group.append(attempt)
+                break
+        else:
+            groups.append([attempt])
+    names, scale = search.pmap.free, search.pmap.scale
+    return tuple(
+        Optimum(
+            group[0].cost,
+            dict(zip(names, (group[0].v * scale).tolist(), strict=True)),
+            len(group),
+            group[0].solution.status,
+        )
+        for group in groups
+    )
+
+
+def _reporter(progress: Any, starts: int, most: int) -> Any:
+    if progress is None:
+        from casadi_engine.estimation.progress import terminal_bar
+
+        return terminal_bar(starts, most)
+    if progress is False:
+        return None
+    if not callable(progress):
+        raise EstimationError(
+            "progress is not acceptable",
+            seen=repr(progress),
+            allowed="None, False, or a function of (iteration, cost, fit percent)",
+            cure="leave it out",
+        )
+    return progress
+
+

@@ -1,0 +1,225 @@
+"""IPOPT through ``nlpsol`` with supplied derivatives: damped Gauss-Newton first, then the exact Hessian.
+
+Gauss-Newton alone is not contractive where the residual is large against weak directions; the exact Hessian far from
+the solution leads to other optima. The switch is made in one run, when the objective has settled.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.estimation.shooting import ShootingProblem
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, float], bool]
+
+# Share of the Gauss-Newton diagonal that is added to it; relative change of the objective that counts as settled.
+_DAMPING = 0.1
+_SETTLED = 1e-2
+
+_WORDS = {
+    "Infeasible_Problem_Detected": "the constraints cannot be met together",
+    "Maximum_Iterations_Exceeded": "the iterations ran out; allow more with max_iterations",
+    "Restoration_Failed": "no step reduces the violation of the constraints",
+    "Diverging_Iterates": "the iterates run away; give bounds to the free parameters",
+    "Search_Direction_Becomes_Too_Small": "the steps became too small",
+    "Invalid_Number_Detected": "the model gave a number that is not finite",
+    "NonIpopt_Exception_Thrown": "the model could not be evaluated",
+}
+
+
+@dataclass
+class Solution:
+    """status : "converged", "interrupted" or "not converged: ..."; x : (size,), iterations done, multipliers."""
+
+    x: Array
+    lam_g: Array
+    lam_x: Array
+    status: str
+    iterations: int
+    words: str
+
+
+class _Supplied(ca.Callback):
+    """A function with the names and sparsities that nlpsol asks for."""
+
+    def __init__(self, name: str, inputs: dict[str, Any], outputs: dict[str, Any], run: Callable[..., Any]) -> None:
+        ca.Callback.__init__(self)
+        self._in, self._out, self._run = inputs, outputs, run
+        self.construct(name, {})
+
+    def get_n_in(self) -> int:
+        return len(self._in)
+
+    def get_n_out(self) -> int:
+        return len(self._out)
+
+    def get_name_in(self, i: int) -> str:
+        return list(self._in)[i]
+
+    def get_name_out(self, i: int) -> str:
+        return list(self._out)[i]
+
+    def get_sparsity_in(self, i: int) -> Any:
+        return list(self._in.values())[i]
+
+    def get_sparsity_out(self, i: int) -> Any:
+        return list(self._out.values())[i]
+
+    def eval(self, arguments: Any) -> Any:
+        return self._run(*arguments)
+
+
+class Solver:
+    """nlpsol set up once for a problem, to be run from several starts."""
+
+    def __init__(
+        self,
+        problem: ShootingProblem,
+        *,
+        max_iterations: int = 200,
+        tolerance: float = 1e-9,
+        progress: Progress | None = None,
+    ) -> None:
+        self.problem, self._progress = problem, progress
+        self._interrupted = False
+        self._history: list[float] = []
+        self._best: tuple[float, Array] | None = None
+        size, rows = problem.size, problem.rows
+        x, g, none, one = (ca.Sparsity.dense(k, 1) for k in (size, rows, 0, 1))
+        jac, hess = problem.jacobian_pattern, problem.hessian_pattern
+        at = {"x": x, "p": none}
+
+        def point(value: Any) -> Any:
+            return problem.at(np.asarray(value, dtype=float).ravel())
+
+        def jacobian(value: Any, _: Any) -> Any:
+            found = point(value)
+            return [found.constraints, jac.matrix(problem.jacobian(found.x))]
+
+        def gradient(value: Any, _: Any) -> Any:
+            found = point(value)
+            return [found.objective, found.gradient]
+
+        def hessian(value: Any, _: Any, factor: Any, lam: Any) -> Any:
+            found = point(value)
+            return [hess.matrix(problem.hessian(found.x, float(factor), np.asarray(lam, dtype=float).ravel()))]
+
+        def both(value: Any, _: Any) -> Any:
+            found = point(value)
+            return [found.objective, found.constraints]
+
+        nlp = _Supplied("nlp", at, {"f": one, "g": g}, both)
+        multipliers = {"lam_f": one, "lam_g": g}
+        # The solver holds no reference of its own to Python callbacks.
+        self._kept = [
+            nlp,
+            _Supplied("nlp_grad_f", at, {"f": one, "grad_f_x": x}, gradient),
+            _Supplied("nlp_jac_g", at, {"g": g, "jac_g_x": jac.sparsity}, jacobian),
+            _Supplied("nlp_hess_l", {**at, **multipliers}, {"hess_gamma_x_x": hess.sparsity}, hessian),
+            self._watcher(x, g, none, one),
+        ]
+        ipopt = {
+            "print_level": 0,
+            "sb": "yes",
+            "max_iter": max_iterations,
+            "tol": tolerance,
+            "mu_init": 1e-4,
+            "dual_inf_tol": 1.0,
+            "constr_viol_tol": 1e-8,
+            "acceptable_iter": 0,
+            "bound_relax_factor": 0.0,
+            "nlp_scaling_method": "none",
+        }
+        options = {
+            "grad_f": self._kept[1],
+            "jac_g": self._kept[2],
+            "hess_lag": self._kept[3],
+            "iteration_callback": self._kept[4],
+            "no_nlp_grad": True,
+            "calc_lam_p": False,
+            "print_time": False,
+            "error_on_fail": False,
+            "show_eval_warnings": False,
+            "ipopt": ipopt,
+        }
+        self._solver = ca.nlpsol("fit", "ipopt", nlp, options)
+
+    def _watcher(self, x: Any, g: Any, none: Any, one: Any) -> _Supplied:
+        """Called once an iteration: shows progress, keeps the best point, switches the Hessian, stops on Ctrl-C."""
+        inputs = {"x": x, "f": one, "g": g, "lam_x": x, "lam_g": g, "lam_p": none}
+
+        def watch(value: Any, cost: Any, constraints: Any, *_: Any) -> Any:
+            found = float(cost)
+            self._history.append(found)
+            gap = float(np.abs(np.asarray(constraints)[self.problem.user.count :]).max(initial=0.0))
+            if gap < 1e-3 and (self._best is None or found < self._best[0]):
+                self._best = (found, np.asarray(value, dtype=float).ravel().copy())
+            if not self.problem.exact and self._settled(gap):
+                self.problem.exact = True
+            stop = self._interrupted
+            if self._progress is not None and self._progress(len(self._history) - 1, found):
+                self._interrupted = stop = True
+            return [1.0 if stop else 0.0]
+
+        return _Supplied("watch", inputs, {"ret": one}, watch)
+
+    def _settled(self, gap: float) -> bool:
+        if len(self._history) < 3:
+            return False
+        if len(self._history) > 25:
+            return True
+        change = abs(self._history[-2] - self._history[-1])
+        return gap < 1e-2 and change < _SETTLED * abs(self._history[-1])
+
+    def solve(self, start: Array, lower: Array, upper: Array, *, exact: bool = False) -> Solution:
+        """Run from ``start`` (size,) within bounds (size,)."""
+        problem = self.problem
+        problem.exact, problem.damping = exact, _DAMPING
+        self._history, self._best, self._interrupted = [], None, False
+        joints = problem.rows - problem.user.count
+        low = np.concatenate([problem.user.lower, np.zeros(joints)])
+        high = np.concatenate([problem.user.upper, np.zeros(joints)])
+        with _Interrupts(self):
+            answer = self._solver(x0=start, lbx=lower, ubx=upper, lbg=low, ubg=high)
+        stats = self._solver.stats()
+        words = str(stats["return_status"])
+        x = np.asarray(answer["x"], dtype=float).ravel()
+        if self._interrupted:
+            status = "interrupted"
+            x = self._best[1] if self._best is not None else x
+        elif stats["success"]:
+            status = "converged"
+        else:
+            status = f"not converged: {_WORDS.get(words, words.replace('_', ' ').lower())}"
+        lam_g, lam_x = (np.asarray(answer[key], dtype=float).ravel() for key in ("lam_g", "lam_x"))
+        return Solution(x, lam_g, lam_x, status, int(stats["iter_count"]), words)
+
+
+class _Interrupts:
+    """Turns the first Ctrl-C of a solve into a stop at the next iteration; a second one raises as usual."""
+
+    def __init__(self, solver: Solver) -> None:
+        self._solver = solver
+        self._main = threading.current_thread() is threading.main_thread()
+
+    def __enter__(self) -> None:
+        if self._main:
+            self._old = signal.getsignal(signal.SIGINT)
+            signal.signal(signal.SIGINT, self._note)
+
+    def _note(self, *_: Any) -> None:
+        self._solver._interrupted = True
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    def __exit__(self, *_: object) -> None:
+        if self._main:
+            signal.signal(signal.SIGINT, self._old)

@@ -1,0 +1,110 @@
+"""The options of ``estimate``, read and checked."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.errors import EstimationError
+from casadi_engine.model import Model
+from casadi_engine.parameters import near_matches
+from casadi_engine.simulation.grid import Grid
+
+Array = NDArray[np.float64]
+
+# "auto" cuts a record into about this many intervals.
+_AUTO = 24
+_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
+_TEXT = re.compile(r"^\s*([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*(s|ms|us|samples|sample)\s*$")
+
+
+def interval_length(interval: Any, grid: Grid) -> int | None:
+    """Samples of a shooting interval, or None for single shooting.
+
+    interval : "auto", "single", a number of samples, or text such as "10 ms" or "144 samples"
+    """
+    if interval == "auto":
+        return max(16, 16 * round(grid.samples / _AUTO / 16))
+    if interval in ("single", None):
+        return None
+    found: float | None = None
+    if isinstance(interval, (int, np.integer)) and not isinstance(interval, bool):
+        found = float(interval)
+    elif isinstance(interval, str) and (match := _TEXT.match(interval)):
+        number, unit = float(match[1]), match[2]
+        found = round(number * _UNITS[unit] / grid.step) if unit in _UNITS else number
+    if found is None or found < 1 or found != int(found):
+        raise EstimationError(
+            "the shooting interval is not acceptable",
+            seen=repr(interval),
+            allowed='"auto", "single", a whole number of samples >= 1, or a time such as "10 ms"',
+            cure='leave it out for "auto"',
+        )
+    return int(found)
+
+
+def initial_bounds(
+    initial: Any, model: Model, record: str, records: Sequence[str]
+) -> tuple[Array, Array, Array]:
+    """(lower, upper, start) of the initial state (n,), in the states' units; NaN start where it is free.
+
+    initial : None; state -> number (fixed), (low, high) or "free"; or record -> such a mapping
+    """
+    names = [state.name for state in model.states]
+    lower, upper = np.full(len(names), -np.inf), np.full(len(names), np.inf)
+    start = np.full(len(names), np.nan)
+    if initial is None:
+        return lower, upper, start
+    if not isinstance(initial, Mapping):
+        raise _bad_initial(initial)
+    if initial and all(isinstance(value, Mapping) for value in initial.values()):
+        for key in initial:
+            if key not in records:
+                raise EstimationError(
+                    "initial states are given for a record that is not there",
+                    seen=repr(key),
+                    allowed=", ".join(records),
+                    cure="use the record's name",
+                )
+        initial = initial.get(record, {})
+    for name, value in initial.items():
+        if name not in names:
+            raise EstimationError(
+                f"the model {model.name} has no such state",
+                seen=repr(name),
+                allowed=near_matches(name, names),
+                cure="print(model.table()) lists the states",
+            )
+        k = names.index(name)
+        if value == "free":
+            continue
+        if isinstance(value, (int, float)) and math.isfinite(value):
+            lower[k] = upper[k] = start[k] = float(value)
+        elif isinstance(value, (tuple, list)) and len(value) == 2 and value[0] < value[1]:
+            lower[k], upper[k] = float(value[0]), float(value[1])
+        else:
+            raise _bad_initial({name: value})
+    return lower, upper, start
+
+
+def _bad_initial(seen: Any) -> EstimationError:
+    return EstimationError(
+        "the initial states are not acceptable",
+        seen=repr(seen),
+        allowed='a mapping of state to a number (fixed), a pair (low, high) with low < high, or "free"',
+        cure='write initial={"omega_eng": 125.0, "twist": (-0.1, 0.1)}, for instance',
+    )
+
+
+def whole(name: str, value: Any, least: int) -> int:
+    """A whole number >= least, or an error that names the option."""
+    if isinstance(value, (int, np.integer)) and not isinstance(value, bool) and value >= least:
+        return int(value)
+    raise EstimationError(
+        f"{name} is not acceptable", seen=repr(value), allowed=f"a whole number >= {least}", cure=f"leave {name} out"
+    )

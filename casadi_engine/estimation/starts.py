@@ -1,0 +1,110 @@
+"""Where a fit starts: shooting nodes from the measurement, parameters from the user or drawn within the bounds."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.estimation.record import RecordTerm
+from casadi_engine.parameters.compiled import ParameterMap
+
+Array = NDArray[np.float64]
+
+# Samples on each side of a node whose mean stands for the measured output there.
+_SMOOTH = 4
+# Weight of the measured outputs against the wish for a quasi-steady state.
+_TRUST = 1e3
+# A start is drawn within this factor of the given one where the bounds leave more room.
+_REACH = 3.0
+
+
+def nodes_from_measurement(record: RecordTerm, physical: Array) -> Array:
+    """Starts (M, n) of a record's intervals, scaled: the quasi-steady state that explains the measured outputs.
+
+    For each interval the least-squares solution of C x = y (trusted) and dx/dt = 0 under the mean input; for a chain
+    of inertias that is equal speeds and the twists that carry the mean torque.
+    """
+    model, scale = record.model, record.scale
+    slope = ca.jacobian(model.closed_ode, model.x)
+    out = ca.jacobian(model.closed_outputs, model.x)
+    arguments = [model.x, model.u, model.t, model.p]
+    function = ca.Function("quasi", arguments, [slope, out, model.closed_ode, model.closed_outputs])
+    mean = record.grid.channels.mean(axis=1)
+    guess = scale.copy() * 0.0
+    observed = _measured_at_nodes(record)
+    weights = np.array([variable.scale for variable in model.outputs])
+    middle = np.nanmean(observed, axis=1)
+    for _ in range(3):  # a nonlinear model needs a few steps; a linear one is done after the first
+        a, c, f, g = (np.asarray(part, dtype=float) for part in function(guess, mean, 0.0, physical))
+        if not (np.isfinite(a).all() and np.isfinite(f).all()):
+            a, f = np.zeros_like(a), np.zeros_like(f)
+        guess = guess + _balanced(a, c, f.ravel(), middle - g.ravel(), scale, weights)
+    offset = observed - middle[:, None]
+    shift = _balanced(a, c, np.zeros(len(scale)), offset, scale, weights)
+    return np.ascontiguousarray(((guess[:, None] + shift) / scale[:, None]).T)
+
+
+def _balanced(a: Array, c: Array, f: Array, y: Array, scale: Array, weights: Array) -> Array:
+    """Change of state that brings the outputs by y (ny,) or (ny, M) and dx/dt by -f; missing outputs count as 0."""
+    rows = a * scale[None, :] / scale[:, None]
+    size = np.maximum(np.abs(rows).max(axis=1), 1e-12)
+    matrix = np.vstack([_TRUST * c * scale[None, :] / weights[:, None], rows / size[:, None]])
+    wide = y.reshape(len(y), -1)
+    steady = np.repeat((-f / scale / size)[:, None], wide.shape[1], axis=1)
+    right = np.vstack([_TRUST * np.nan_to_num(wide) / weights[:, None], steady])
+    found = np.linalg.lstsq(matrix, right, rcond=1e-12)[0] * scale[:, None]
+    return found if y.ndim == 2 else found[:, 0]
+
+
+def _measured_at_nodes(record: RecordTerm) -> Array:
+    """(ny, M) outputs at the interval starts, each the mean of a few samples; NaN where an output has none."""
+    plan, found = record.plan, []
+    for name in record.outputs:
+        measured = record.grid.measured.get(name)
+        if measured is None:
+            found.append(np.full(plan.m, np.nan))
+            continue
+        width = min(_SMOOTH, max(1, plan.length // 2), len(measured.values))
+        kernel = np.ones(2 * width - 1)
+        weight = np.convolve(np.ones(len(measured.values)), kernel, mode="same")[: len(measured.values)]
+        smooth = np.convolve(measured.values, kernel, mode="same")[: len(measured.values)] / weight
+        found.append(np.interp(np.arange(plan.m) * plan.length, measured.position, smooth))
+    return np.array(found)
+
+
+def chained_nodes(record: RecordTerm, v: Array, first: Array) -> Array:
+    """Nodes (M, n) of the trajectory that starts at ``first`` (n,), scaled: continuous by construction."""
+    plan = record.plan
+    nodes = np.tile(first, (plan.m, 1))
+    if plan.m == 1:
+        return nodes
+    if record.linear:
+        path = record.propagator.propagate(v[record.active], nodes * 0.0, 0)
+        free, forced = path.end_s[0], path.end
+        for i in range(plan.m - 1):
+            nodes[i + 1] = free @ nodes[i] + forced[:, i]
+        return nodes
+    whole = record.single()
+    path = whole.propagator.propagate(v[record.active], first[None], 0)
+    return np.ascontiguousarray(path.x[: plan.m * plan.length : plan.length, :, 0])[: plan.m]
+
+
+def drawn_starts(pmap: ParameterMap, count: int, seed: int) -> list[Array]:
+    """``count`` starts of z: the given one, then points drawn within the bounds and a factor 3 of it."""
+    starts = [pmap.start.copy()]
+    rng = np.random.default_rng(seed)
+    for _ in range(count - 1):
+        share = rng.random(len(pmap.start))
+        point = np.empty(len(share))
+        for i, part in enumerate(share):
+            low, high, at = pmap.lower[i], pmap.upper[i], pmap.start[i]
+            if low >= 0 and at > 0:
+                low, high = max(low, at / _REACH), min(high, at * _REACH)
+                point[i] = low * (high / low) ** part
+            else:
+                width = _REACH * pmap.scale[i]
+                low, high = max(low, at - width), min(high, at + width)
+                point[i] = low + (high - low) * part
+        starts.append(point)
+    return starts
