@@ -60,8 +60,8 @@ def make_trace(experiment, truth, *, predicted=False):
 def make_fit(*, records=("misfire_1200rpm",), predicted=False, n=1200, theta=True, **changes):
     model = changes.pop("model", None) or two_mass()
     pars = model.parameters()
-    for name in VALUES:
-        pars[name].set(VALUES[name] if name != "C_el" else 0.0, min=0.0)
+    for name, value in VALUES.items():
+        pars[name].set(value, min=0.0)
     pars["C_eng"].set(prior=(0.15, 0.01))
     pars.add("C_half", 0.07, unit="N m s/rad")
     pars.tie("C_half", "C_eng/2")
