@@ -1,3 +1,11 @@
 """casadi-engine: grey-box identification of engine-load systems in CasADi."""
 
+from casadi_engine.errors import CasadiEngineError
+from casadi_engine.estimation import estimate, simulate
+from casadi_engine.experiment import Experiment, read_experiment
+from casadi_engine.model import Blueprint, Model, one_inertia, two_mass
+from casadi_engine.parameters import Parameters
+from casadi_engine.problem import Noise
+from casadi_engine.validation import validate
+
 __version__ = "0.1.0"

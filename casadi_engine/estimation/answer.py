@@ -91,6 +91,7 @@ def make_fit(
         options=options,
         messages=_messages(search, best, v, directions),
         states_at_start=first,
+        gain=search.noise.gain,
     )
 
 

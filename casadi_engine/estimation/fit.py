@@ -89,7 +89,8 @@ class Fit:
     cost : sum of ((y - y_hat)/sigma)^2 + priors. n : number of samples that count. dof : n less what was estimated
     traces : record -> output -> Trace. drives : record -> drive -> (2, N) array of times [s] and values
     fit_percent : record -> output -> {"simulation": %, "prediction": % or None}, (2.32)
-    timing : seconds of "setup", "solve", "covariance". nodes : number of shooting intervals
+    timing : seconds of "setup", "solve", "covariance", "total". nodes : number of shooting intervals
+    messages : what the user should know. gain : correction gain of the predictor, None for output error
     """
 
     model: Model
@@ -117,6 +118,12 @@ class Fit:
     options: Mapping[str, Any] = field(default_factory=dict)
     messages: tuple[str, ...] = ()
     states_at_start: Mapping[str, Array] = field(default_factory=dict)
+    gain: Array | None = None
+
+    def __str__(self) -> str:
+        from casadi_engine.estimation.summary import summary
+
+        return summary(self)
 
     @property
     def converged(self) -> bool:

@@ -64,6 +64,13 @@ def lay_grid(model: Model, experiment: Experiment, *, outputs: tuple[str, ...] |
     )
     inputs = [experiment[v.name] for v in model.inputs]
     observed = [experiment[name] for name in wanted]
+    if not inputs and not observed:
+        raise SimulationError(
+            "the model takes no input and the record holds no output: there is no time grid",
+            seen=f"{experiment.place}: {', '.join(experiment.names)}",
+            allowed=f"a record with {', '.join(v.name for v in model.outputs)}",
+            cure="give the record a channel for an output, with the times wanted",
+        )
     first, last = _span(observed or inputs)
     leader = _leader(inputs or observed)
     rate = sampling_rate(leader.time, _ON_GRID)

@@ -10,8 +10,12 @@ from casadi_engine.validation.residual_tests import (
     rejected,
     whiteness,
 )
+from casadi_engine.validation.validate import OutputCheck, Validation, validate
 
 __all__ = [
+    "OutputCheck",
+    "Validation",
+    "validate",
     "Correlation",
     "FitMeasures",
     "ResidualChecks",

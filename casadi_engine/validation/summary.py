@@ -133,9 +133,14 @@ def verdict(validation: Checked) -> str:
     level = f"{made} residual tests at alpha = {validation.alpha:g}"
     if validation.passed:
         return f"PASSED: nothing is left in the residuals that these tests can see ({level})"
-    failed = rejected(tests, alpha=validation.alpha)
+    failed = failed_tests(validation)
     which = f": {'; '.join(failed[:2])}" + (f" and {len(failed) - 2} more" if len(failed) > 2 else "")
     return f"FAILED: {len(failed)} of {level}{which if failed else ''}"
+
+
+def failed_tests(validation: Checked) -> tuple[str, ...]:
+    """Names of the tests that fail by Holm's rule at the validation's alpha."""
+    return rejected(tests_of(validation), alpha=validation.alpha)
 
 
 def untested(validation: Checked) -> list[str]:

@@ -1,0 +1,161 @@
+"""validate: how well a fitted model explains data, and whether what is left is noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.errors import EstimationError, ExperimentError
+from casadi_engine.estimation import Fit, Trace, estimate
+from casadi_engine.estimation.fit_percent import fit_measures
+from casadi_engine.experiment import Experiment
+from casadi_engine.model import Model
+from casadi_engine.parameters import Parameters
+from casadi_engine.problem.noise import Noise
+from casadi_engine.validation.correlation import Correlation
+from casadi_engine.validation.residual_tests import ResidualTest, check_residual, rejected
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class OutputCheck:
+    """One output of one record.
+
+    fit_percent : {"simulation": %, "prediction": % or None}, (2.32); rmse, S1, S2 in the output's unit, (2.34), of the
+    prediction where there is one, else of the simulation; whiteness, cross (by drive): the tests of the verdict;
+    autocorrelation, cross_correlation (by drive) : with 99 % bands, for the eye
+    """
+
+    fit_percent: Mapping[str, float | None]
+    rmse: float
+    S1: float
+    S2: float
+    whiteness: ResidualTest
+    cross: Mapping[str, ResidualTest]
+    autocorrelation: Correlation
+    cross_correlation: Mapping[str, Correlation]
+    trace: Trace
+
+
+@dataclass(frozen=True, eq=False)
+class Validation:
+    """The answer of ``validate``.
+
+    records : record -> output -> OutputCheck; passed : no residual test is rejected at ``alpha`` over all of them
+    (Holm); failed : the rejected ones as "record/output/whiteness" or "record/output/drive"; fit : the parameters
+    held and the initial states found on these data
+    """
+
+    records: Mapping[str, Mapping[str, OutputCheck]]
+    passed: bool
+    failed: tuple[str, ...]
+    alpha: float
+    fit: Fit
+
+    def __str__(self) -> str:
+        from casadi_engine.validation.summary import summary
+
+        return summary(self)
+
+
+def validate(
+    fit: Fit | Model,
+    data: Experiment | Sequence[Experiment] | None = None,
+    *,
+    parameters: Parameters | None = None,
+    noise: Noise | None = None,
+    alpha: float = 0.01,
+    lags: int = 25,
+) -> Validation:
+    """Test a fit on data: fit percentages (2.32), residual sizes (2.34), whiteness and independence of the drives.
+
+    fit : a Fit; or a model, with ``parameters`` and ``data``
+    data : fresh experiments, on which only initial states are found; None tests the fit on its own data
+    parameters : other values than the fit's; noise : other noise levels than the fit's
+    alpha : false-alarm rate of the verdict over all tests together; lags : of the tests
+
+    Raises EstimationError if there are no data, ExperimentError for data that do not suit the model.
+
+    >>> import numpy as np, casadi_engine as ce
+    >>> rng = np.random.default_rng(1)
+    >>> t = np.arange(400) * 0.01
+    >>> exp = ce.Experiment.from_arrays("run_up", time=t, units={"T": "N m", "omega": "rad/s"}, hold="zero",
+    ...     T=np.full(400, 2.0), omega=4 * (1 - np.exp(-t / 0.8)) + 0.01 * rng.standard_normal(400))
+    >>> check = ce.validate(ce.estimate(ce.one_inertia(), exp))
+    >>> check.passed, round(check.records["run_up"]["omega"].rmse, 4)
+    (True, 0.0097)
+    """
+    if not 0 < alpha < 1:
+        raise ExperimentError("alpha is not acceptable", seen=alpha, allowed="a number between 0 and 1")
+    held = _hold(fit, data, parameters, noise)
+    tests: dict[str, ResidualTest] = {}
+    records: dict[str, dict[str, OutputCheck]] = {}
+    for name, traces in held.traces.items():
+        records[name] = {}
+        for output, trace in traces.items():
+            check = _check(held, name, output, trace, lags)
+            records[name][output] = check
+            tests[f"{name}/{output}/whiteness"] = check.whiteness
+            tests.update({f"{name}/{output}/{drive}": test for drive, test in check.cross.items()})
+    failed = rejected(tests, alpha=alpha)
+    return Validation(records, not failed, tuple(failed), alpha, held)
+
+
+def _hold(fit: Fit | Model, data: Any, parameters: Parameters | None, noise: Noise | None) -> Fit:
+    """A Fit in which the parameters are held and the initial states found; the fit itself on its own data."""
+    if isinstance(fit, Fit):
+        if data is None and parameters is None and noise is None:
+            return fit
+        model, source = fit.model, fit.parameters if parameters is None else parameters
+        records = fit.data if data is None else data
+        levels = noise or Noise(
+            gain=fit.gain, **{k: "estimate" if estimated else sigma for k, (sigma, estimated) in fit.noise.items()}
+        )
+        method = str(fit.options.get("method", "exact"))
+    else:
+        model, source, records, levels, method = fit, parameters, data, noise or Noise(), "exact"
+        if records is None:
+            raise EstimationError(
+                "there are no data to validate on",
+                seen="data=None with a model",
+                allowed="an experiment or several",
+                cure="give validate(model, data, parameters=...)",
+            )
+        source = model.parameters() if source is None else source
+    return estimate(model, records, parameters=held_parameters(model, source), noise=levels, method=method,
+                    progress=False)  # fmt: skip
+
+
+def held_parameters(model: Model, source: Parameters) -> Parameters:
+    """The model's own parameters, all fixed at the values of ``source``; bounds widened where needed."""
+    values, held = source.as_dict(), model.parameters()
+    for name in held.names:
+        value, parameter = values[name], held[name]
+        parameter.set(value, min=min(parameter.min, value), max=max(parameter.max, value))
+        held.fix(name)
+    return held
+
+
+def _check(fit: Fit, record: str, output: str, trace: Trace, lags: int) -> OutputCheck:
+    model = trace.simulated if trace.predicted is None else trace.predicted
+    sizes = fit_measures(trace.measured, model, mask=trace.mask)
+    drives = {
+        name: np.interp(trace.time, values[0], values[1]) for name, values in fit.drives[record].items()
+    }
+    checks = check_residual(trace.residual, drives, mask=trace.mask, lags=lags)
+    return OutputCheck(
+        fit.fit_percent[record][output],
+        sizes.rmse,
+        sizes.S1,
+        sizes.S2,
+        checks.whiteness,
+        checks.cross,
+        checks.autocorrelation,
+        checks.cross_correlation,
+        trace,
+    )
