@@ -103,8 +103,9 @@ def count(n: int) -> str:
 
 
 def _header(fit: Fit) -> list[str]:
-    seconds = sum(fit.timing.values())
-    parts = ", ".join(f"{name} {value:.2g}" for name, value in fit.timing.items())
+    spent = {name: value for name, value in fit.timing.items() if name != "total"}
+    seconds = fit.timing.get("total", sum(spent.values()))
+    parts = ", ".join(f"{name} {value:.2g}" for name, value in spent.items())
     how = f"{fit.iterations} iterations, {seconds:.2g} s" + (f" ({parts})" if parts else "")
     names = [experiment.name for experiment in fit.data]
     lines = wrapped(f"Fit of {fit.model.name}: {fit.status}", "  ")[:3]

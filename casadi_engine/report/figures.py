@@ -18,9 +18,10 @@ from casadi_engine.experiment import Experiment
 from casadi_engine.report import panels
 from casadi_engine.report.envelope import envelope
 from casadi_engine.report.files import write_file
-from casadi_engine.report.kinds import Simulated, Validated, not_shown, records_of
+from casadi_engine.report.kinds import Simulated, not_shown
 from casadi_engine.report.panels import Subject
 from casadi_engine.validation import autocorrelation
+from casadi_engine.validation.validate import Validation
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -56,7 +57,7 @@ def plot(result: Any, *, path: Any = None, what: str = "overview") -> Figure:
             allowed=", ".join(map(repr, known)),
             cure="give one of them, or leave `what` out",
         )
-    with _style():
+    with styled():
         figure = known[what]()
     if path is not None:
         _save(figure, path)
@@ -88,14 +89,14 @@ def _(result: Fit) -> dict[str, Maker]:
     return made
 
 
-@figures.register(Validated)
-def _(result: Any) -> dict[str, Maker]:
+@figures.register
+def _(result: Validation) -> dict[str, Maker]:
     traces = {
         record: {output: check.trace for output, check in outputs.items()}
         for record, outputs in result.records.items()
     }
-    made: dict[str, Maker] = {"overview": lambda: _overview(traces, result.fit, records_of(result))}
-    made |= _trace_figures(traces, result.fit, records_of(result))
+    made: dict[str, Maker] = {"overview": lambda: _overview(traces, result.fit, result.fit.data)}
+    made |= _trace_figures(traces, result.fit, result.fit.data)
     made |= {
         f"correlation {record} {output}": _later(_correlations, check, subject_of(result.fit, record, output))
         for record, output, check in each(result.records)
@@ -312,7 +313,7 @@ def _simulated(result: Simulated, names: list[str]) -> Figure:
 
 
 @contextmanager
-def _style() -> Iterator[None]:
+def styled() -> Iterator[None]:
     """Our sizes over matplotlib's defaults: a report must not depend on the user's settings."""
     import matplotlib
     import matplotlib.style
@@ -325,7 +326,7 @@ def drawn(figure: Figure, form: str, *, dpi: int = 110) -> bytes:
     """The file of a figure; the same figure gives the same bytes."""
     stream = io.BytesIO()
     metadata: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(form, {})
-    with _style():
+    with styled():
         figure.savefig(stream, format=form, dpi=dpi, metadata=metadata)
     return stream.getvalue()
 

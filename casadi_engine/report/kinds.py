@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import abc
-from dataclasses import dataclass, fields, is_dataclass
-from typing import Any
+from dataclasses import dataclass
 
 from casadi_engine.errors import ResultError
 from casadi_engine.experiment import Experiment
@@ -12,19 +10,6 @@ from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
 
 KINDS = "a Fit, a Validation, a Simulated"
-
-
-class Validated(abc.ABC):  # noqa: B024
-    """Any result with the fields of a Validation: told by its fields, so that dispatch finds it by type."""
-
-    NEEDED = frozenset({"records", "passed", "alpha", "fit"})
-
-    @classmethod
-    def __subclasshook__(cls, candidate: type) -> Any:
-        if cls is not Validated:
-            return NotImplemented
-        names = {entry.name for entry in fields(candidate)} if is_dataclass(candidate) else set()
-        return True if names >= cls.NEEDED else NotImplemented
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +36,3 @@ def not_shown(result: object, verb: str) -> ResultError:
         allowed=KINDS,
         cure="give what estimate, validate or simulate returned",
     )
-
-
-def records_of(validation: Any) -> tuple[Experiment, ...]:
-    """The experiments that a validation was made on: its own ``data``, or those of its fit."""
-    data = getattr(validation, "data", None)
-    return tuple(data) if data is not None else tuple(validation.fit.data)

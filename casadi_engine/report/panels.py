@@ -83,7 +83,7 @@ def draw_trace(
     else:
         ax.plot(*envelope(time, measured), color=MEASURED, linewidth=1.6, label="measured")
     ax.plot(*envelope(time, trace.simulated[inside]), color=SIMULATED, linewidth=0.9, label="simulated")
-    # Over a whole record the prediction would hide the simulation: it is drawn where samples can be told apart.
+    # Over a whole record the prediction would hide the simulation.
     if trace.predicted is not None and (window is not None or few):
         predicted = envelope(time, trace.predicted[inside])
         ax.plot(*predicted, color=PREDICTED, linewidth=0.9, linestyle="--", label="predicted one step ahead")
@@ -281,6 +281,8 @@ def draw_matrix(ax: Axes, matrix: Array, names: Sequence[str]) -> Any:
 
 def draw_waterfall(ax: Axes, optima: Sequence[Optimum]) -> None:
     """Cost of every start above the lowest one, sorted; starts in one optimum stand beside each other."""
+    from matplotlib.ticker import MaxNLocator
+
     ordered = sorted((o for o in optima if math.isfinite(o.cost)), key=lambda optimum: optimum.cost)
     dress(ax, x="start, sorted by cost", y="cost above the lowest [1]", title="where the starts ended")
     if not ordered:
@@ -299,7 +301,7 @@ def draw_waterfall(ax: Axes, optima: Sequence[Optimum]) -> None:
     # Linear up to 1, where costs cannot be told apart by the data, logarithmic above.
     ax.set_yscale("symlog", linthresh=1.0)
     ax.set_ylim(bottom=-0.2)
-    ax.xaxis.get_major_locator().set_params(integer=True)
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     lost = sum(o.starts for o in optima if not math.isfinite(o.cost))
     if lost:
         ax.set_title(f"where the starts ended ({lost} without a finite cost are not shown)", loc="left")

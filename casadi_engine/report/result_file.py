@@ -18,8 +18,9 @@ from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
 from casadi_engine.report.files import write_file
-from casadi_engine.report.kinds import Simulated, Validated, not_shown, records_of
+from casadi_engine.report.kinds import Simulated, not_shown
 from casadi_engine.report.plain import plain
+from casadi_engine.validation.validate import Validation
 
 SCHEMA = "casadi-engine/1"
 NO_PREDICTOR = "output error: the model is simulated, there is no predictor"
@@ -95,14 +96,14 @@ def _(result: Fit) -> dict[str, Any]:
     }
 
 
-@content.register(Validated)
-def _(result: Any) -> dict[str, Any]:
+@content.register
+def _(result: Validation) -> dict[str, Any]:
     fit: Fit = result.fit
     cost, n = _cost(result)
     return {
         "status": "answered",
         "timing": {},
-        "inputs": describe(records_of(result), fit.model),
+        "inputs": describe(result.fit.data, fit.model),
         "noise": noise(fit),
         "cost": cost,
         "n": n,

@@ -2,55 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Protocol
+from typing import TYPE_CHECKING
 
-from casadi_engine.estimation.fit import Fit, Trace
 from casadi_engine.estimation.summary import COLUMNS, LINES, aligned, limited, number, short, wrapped
-from casadi_engine.validation.correlation import Correlation
-from casadi_engine.validation.residual_tests import ResidualTest, rejected
+from casadi_engine.validation.residual_tests import ResidualTest
+
+if TYPE_CHECKING:
+    from casadi_engine.validation.validate import Validation
 
 # Rows of outputs, and of reasons why a test could not be made, at most.
 OUTPUTS, REASONS = 16, 4
 
 
-class OutputCheck(Protocol):
-    """What a validation says of one output of one record."""
-
-    @property
-    def fit_percent(self) -> Mapping[str, float | None]: ...
-    @property
-    def rmse(self) -> float: ...
-    @property
-    def S1(self) -> float: ...
-    @property
-    def S2(self) -> float: ...
-    @property
-    def whiteness(self) -> ResidualTest: ...
-    @property
-    def cross(self) -> Mapping[str, ResidualTest]: ...
-    @property
-    def autocorrelation(self) -> Correlation: ...
-    @property
-    def cross_correlation(self) -> Mapping[str, Correlation]: ...
-    @property
-    def trace(self) -> Trace: ...
-
-
-class Checked(Protocol):
-    """What a validation holds."""
-
-    @property
-    def fit(self) -> Fit: ...
-    @property
-    def records(self) -> Mapping[str, Mapping[str, OutputCheck]]: ...
-    @property
-    def passed(self) -> bool: ...
-    @property
-    def alpha(self) -> float: ...
-
-
-def summary(validation: Checked) -> str:
+def summary(validation: Validation) -> str:
     """Return a validation as text of at most 45 lines and 100 columns, the verdict first.
 
     Errors stand in the unit of the output; p-values are those of the tests of `residual_tests`.
@@ -73,7 +37,7 @@ def summary(validation: Checked) -> str:
 MEASURES = ("record", "output", "unit", "fit % sim.", "fit % 1-step", "rmse", "S1", "S2", "whiteness p")
 
 
-def output_rows(validation: Checked) -> list[tuple[str, ...]]:
+def output_rows(validation: Validation) -> list[tuple[str, ...]]:
     """Record, output, unit, fit % in simulation and one step ahead, rmse, S1, S2 and whiteness p as text."""
     units = {variable.name: variable.unit for variable in validation.fit.model.outputs}
     return [
@@ -106,7 +70,7 @@ def p_text(test: ResidualTest) -> str:
     return f"{test.p_value:.2g}"
 
 
-def cross_rows(validation: Checked) -> list[tuple[str, str, str, str]]:
+def cross_rows(validation: Validation) -> list[tuple[str, str, str, str]]:
     """Record, output, drive and the p-value of the test against that drive."""
     return [
         (record, output, drive, p_text(test))
@@ -116,34 +80,29 @@ def cross_rows(validation: Checked) -> list[tuple[str, str, str, str]]:
     ]
 
 
-def tests_of(validation: Checked) -> dict[str, ResidualTest]:
-    """Every test by a name that says record, output and what it was held against."""
+def tests_of(validation: Validation) -> dict[str, ResidualTest]:
+    """Every test by the name that ``failed`` uses: "record/output/whiteness" or "record/output/drive"."""
     found: dict[str, ResidualTest] = {}
     for record, outputs in validation.records.items():
         for output, check in outputs.items():
-            found[f"{record}, {output}: whiteness"] = check.whiteness
-            found |= {f"{record}, {output}: {drive}": test for drive, test in check.cross.items()}
+            found[f"{record}/{output}/whiteness"] = check.whiteness
+            found |= {f"{record}/{output}/{drive}": test for drive, test in check.cross.items()}
     return found
 
 
-def verdict(validation: Checked) -> str:
+def verdict(validation: Validation) -> str:
     """The verdict in one sentence, with the false-alarm rate it was made at."""
     tests = tests_of(validation)
     made = sum(test.p_value is not None for test in tests.values())
     level = f"{made} residual tests at alpha = {validation.alpha:g}"
     if validation.passed:
         return f"PASSED: nothing is left in the residuals that these tests can see ({level})"
-    failed = failed_tests(validation)
+    failed = validation.failed
     which = f": {'; '.join(failed[:2])}" + (f" and {len(failed) - 2} more" if len(failed) > 2 else "")
     return f"FAILED: {len(failed)} of {level}{which if failed else ''}"
 
 
-def failed_tests(validation: Checked) -> tuple[str, ...]:
-    """Names of the tests that fail by Holm's rule at the validation's alpha."""
-    return rejected(tests_of(validation), alpha=validation.alpha)
-
-
-def untested(validation: Checked) -> list[str]:
+def untested(validation: Validation) -> list[str]:
     """Why tests could not be made, one sentence each."""
     return [
         f"{name}: {test.why}"
@@ -152,14 +111,14 @@ def untested(validation: Checked) -> list[str]:
     ]
 
 
-def next_step(validation: Checked) -> str:
+def next_step(validation: Validation) -> str:
     """What to type next."""
     if validation.passed:
         return 'keep it: ce.report(validation, "report.html")'
     return "look at the residual: ce.plot(validation); it says what the model lacks"
 
 
-def _drives(validation: Checked) -> list[str]:
+def _drives(validation: Validation) -> list[str]:
     """One row for each output: the p-value of the test against each drive, as many as fit."""
     rows = []
     for record, outputs in validation.records.items():

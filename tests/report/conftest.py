@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 from casadi_engine.estimation.fit import Direction, Estimate, Fit, Optimum, Trace
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import two_mass
-from casadi_engine.validation import check_residual, fit_measures
+from casadi_engine.validation import OutputCheck, Validation, check_residual, fit_measures, rejected
 
 RATE, SIGMA = 2000.0, 0.1
 VALUES = {"J_eng": 0.391083, "J_load": 0.177117, "K_el": 1992.0, "C_el": 0.0, "C_eng": 0.1541}
@@ -150,31 +149,10 @@ def fit():
     return make_fit()
 
 
-@dataclass(frozen=True, eq=False)
-class OutputCheck:
-    fit_percent: dict
-    rmse: float
-    S1: float
-    S2: float
-    whiteness: object
-    cross: dict
-    autocorrelation: object
-    cross_correlation: dict
-    trace: Trace
-
-
-@dataclass(frozen=True, eq=False)
-class Validation:
-    records: dict
-    passed: bool
-    alpha: float
-    fit: Fit
-
-
 def make_validation(fit=None, *, white=True):
     """Residual tests of the traces; with ``white=False`` a sine is left in the residual."""
     fit = fit or make_fit()
-    records = {}
+    records, tests = {}, {}
     for record, outputs in fit.traces.items():
         for output, trace in outputs.items():
             time = trace.time
@@ -188,7 +166,10 @@ def make_validation(fit=None, *, white=True):
                 {"simulation": size.fit_percent, "prediction": None}, size.rmse, size.S1, size.S2,
                 found.whiteness, found.cross, found.autocorrelation, found.cross_correlation, trace,
             )  # fmt: skip
-    return Validation(records, white, 0.01, fit)
+            tests[f"{record}/{output}/whiteness"] = found.whiteness
+            tests |= {f"{record}/{output}/{drive}": test for drive, test in found.cross.items()}
+    failed = rejected(tests)
+    return Validation(records, not failed, failed, 0.01, fit)
 
 
 @pytest.fixture
