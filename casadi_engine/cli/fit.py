@@ -16,7 +16,7 @@ from casadi_engine.cli.options import (
     Set,
     Validate,
 )
-from casadi_engine.cli.work import estimate_job, say_where, write_answer
+from casadi_engine.cli.work import estimate_job, fitting, say_where, write_answer
 
 
 def fit(
@@ -42,14 +42,25 @@ def _work(job: Job) -> int:
     from casadi_engine import validation
 
     records = job.problem.load_records()
-    fresh = job.problem.load_validation()  # a fault in these files shows before the long work
-    found = estimate_job(job, records, job.problem.parameters, title="fit")
-    check = validation.validate(found, fresh or None) if found.converged else None
+    fresh = fitting(job, job.problem.load_validation())  # a fault in these files shows before the long work
+    found = estimate_job(job, records, job.problem.parameters)
+    check, stopped = None, False
+    if found.converged:
+        try:
+            check = validation.validate(found, fresh or None)
+        except KeyboardInterrupt:
+            stopped = True
+        except Exception:
+            write_answer(job, found)  # the fit is not lost with its tests
+            raise
     write_answer(job, found, check=check)
     say(found)
     if check is not None:
         say(check)
     say_where(job)
+    if stopped:
+        complain("fit", f"interrupted in the residual tests; the fit itself is in {job.folder}")
+        return INTERRUPTED
     if found.converged:
         return ANSWERED
     complain("fit", f"no answer: {found.status}; the best point so far is in {job.folder}")

@@ -59,19 +59,20 @@ def run(options: Options, work: Callable[[Job], int]) -> None:
 
 def guarded(command: str, work: Callable[[], int], *, debug: bool) -> int:
     """Exit code of `work`; every error becomes one message on standard error."""
+    found: BaseException
     try:
         return work()
     except CasadiEngineError as error:
-        code, message = error.exit_code, str(error)
-    except KeyboardInterrupt:
-        code, message = INTERRUPTED, "interrupted before there was anything to write"
+        found, code, message = error, error.exit_code, str(error)
+    except KeyboardInterrupt as error:
+        found, code, message = error, INTERRUPTED, "interrupted before there was anything to write"
     except Exception as error:  # noqa: BLE001  the last line of defence: whatever arrives here is our bug
-        code = OUR_BUG
+        found, code = error, OUR_BUG
         words = " ".join(str(error).split())
         message = f"a bug of this program: {type(error).__name__}: {words}"
         message += "" if debug else "; do: repeat it with --debug and report the traceback"
     if debug:
-        traceback.print_exc()
+        traceback.print_exception(found)
     complain(command, message)
     return code
 

@@ -37,8 +37,8 @@ def simulate(
 ) -> None:
     """Simulate the records of a problem with its parameter values, and write a data file for each.
 
-    The files given by --validate are simulated too. The initial state is the problem's where it gives all
-    states as numbers, and otherwise the one that fits the measured outputs best.
+    The files given by --validate are simulated too. Initial states that the problem does not give as numbers
+    are those that fit the measured outputs best.
     """
     run(Options.collect("simulate", locals()), _work)
 
@@ -72,14 +72,20 @@ def _work(job: Job) -> int:
 def initial_state(
     initial: Mapping[str, Any] | None, record: str, states: Iterable[str]
 ) -> dict[str, float] | None:
-    """The initial state of a record if every state is given as a number, else None."""
+    """The initial states of a record that are given as numbers, or None if there are none.
+
+    >>> initial_state({"omega_eng": 125.0, "twist": "free"}, "run", ["omega_eng", "twist"])
+    {'omega_eng': 125.0}
+    """
     given = initial or {}
     own = given.get(record)
     values = {**given, **own} if isinstance(own, Mapping) else given
-    chosen = {state: values.get(state) for state in states}
-    if all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in chosen.values()):
-        return {state: float(value) for state, value in chosen.items() if value is not None}
-    return None
+    chosen = {state: values[state] for state in states if state in values}
+    return {
+        state: float(value)
+        for state, value in chosen.items()
+        if isinstance(value, (int, float)) and not isinstance(value, bool)
+    } or None
 
 
 def file_names(records: Iterable[str]) -> tuple[str, ...]:

@@ -65,7 +65,7 @@ def _work(job: Job) -> int:
     if earlier is not None:
         parameters = values_of(earlier, parameters, given=options)
     records = job.problem.load_validation() or job.problem.load_records()
-    found = estimate_job(job, records, held(parameters, options.free), title="validate")
+    found = estimate_job(job, records, held(parameters, options.free))
     checked = validation.validate(found) if found.converged else None
     write_answer(job, checked if checked is not None else found)
     say(checked if checked is not None else found)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from casadi_engine.cli.folder import make_folder
 from casadi_engine.cli.job import Job, say, uninterrupted
-from casadi_engine.cli.progress import Progress
 from casadi_engine.errors import NotConvergedError
 from casadi_engine.experiment import Experiment
 from casadi_engine.parameters import Parameters
@@ -23,7 +23,7 @@ EMPTY: dict[str, dict[str, Any]] = {
 }
 
 
-def estimate_job(job: Job, records: Sequence[Experiment], parameters: Parameters, *, title: str) -> Fit:
+def estimate_job(job: Job, records: Sequence[Experiment], parameters: Parameters) -> Fit:
     """Estimate `parameters` from `records` with the settings of the job's problem.
 
     A search that ends with nothing at all is written as a result with its status before the error goes on.
@@ -31,26 +31,42 @@ def estimate_job(job: Job, records: Sequence[Experiment], parameters: Parameters
     from casadi_engine import estimation
 
     problem = job.problem
-    with Progress(title) as progress:
-        try:
-            return estimation.estimate(
-                problem.model,
-                records,
-                parameters=parameters,
-                noise=problem.noise,
-                interval=problem.interval,
-                initial=problem.initial_of(records),
-                loss=problem.loss,
-                ties=problem.ties,
-                method=problem.method,
-                starts=problem.starts,
-                seed=job.options.seed,
-                jobs=job.options.jobs,
-                progress=progress,
-            )
-        except NotConvergedError as error:
-            _write_nothing_found(job, records, parameters, error)
-            raise
+    try:
+        return estimation.estimate(
+            problem.model,
+            records,
+            parameters=parameters,
+            noise=problem.noise,
+            interval=problem.interval,
+            initial=problem.initial_of(records),
+            loss=problem.loss,
+            ties=problem.ties,
+            method=problem.method,
+            starts=problem.starts,
+            seed=job.options.seed,
+            **_processes(job.options.jobs),
+        )
+    except NotConvergedError as error:
+        _write_nothing_found(job, records, parameters, error)
+        raise
+
+
+def fitting(job: Job, records: Sequence[Experiment]) -> Sequence[Experiment]:
+    """The records, if they have what the model needs; else ExperimentError, before the long work begins."""
+    model = job.problem.model
+    for record in records:
+        record.require(
+            inputs={variable.name: variable.unit for variable in model.inputs},
+            outputs={variable.name: variable.unit for variable in model.outputs},
+        )
+    return records
+
+
+def _processes(jobs: int) -> dict[str, int]:
+    """The option `jobs` of estimate, where it has one: without it several starts run one after the other."""
+    from casadi_engine import estimation
+
+    return {"jobs": jobs} if "jobs" in inspect.signature(estimation.estimate).parameters else {}
 
 
 def held(parameters: Parameters, free: Sequence[str] = ()) -> Parameters:
@@ -84,7 +100,7 @@ def write_answer(
         for name, experiment in (data_files or {}).items():
             experiment.to_csv(job.folder / name)
         write_result(job.folder / "result.json", document)
-        report(answer, job.folder / "report.html")
+        report(answer, job.folder / "report.html", validation=check, arguments=job.options.arguments())
 
 
 def _common(job: Job) -> dict[str, Any]:

@@ -1,0 +1,63 @@
+"""The folder of the results: tried before the work, and left as it was."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from casadi_engine.cli.folder import check_folder, make_folder
+from casadi_engine.errors import OutputError
+
+
+def test_a_trial_leaves_nothing(tmp_path):
+    check_folder(tmp_path / "a" / "b")
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "result.json").write_text("{}")
+    check_folder(tmp_path / "a")
+    check_folder(tmp_path / "a" / "b" / "c")
+    assert os.listdir(tmp_path / "a") == ["result.json"]
+
+
+def test_a_relative_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    from pathlib import Path
+
+    check_folder(Path("results/x"))
+    assert os.listdir(tmp_path) == []
+    make_folder(Path("results/x"))
+    assert (tmp_path / "results" / "x").is_dir()
+
+
+def test_a_file_in_its_place(tmp_path):
+    (tmp_path / "taken").write_text("x")
+    for folder in (tmp_path / "taken", tmp_path / "taken" / "below"):
+        for function in (check_folder, make_folder):
+            with pytest.raises(OutputError) as caught:
+                function(folder)
+            assert f"the folder of the results cannot be written: {folder}" in str(caught.value)
+            assert "--out DIR" in str(caught.value)
+    assert (tmp_path / "taken").read_text() == "x"
+
+
+def test_a_read_only_place():
+    from pathlib import Path
+
+    with pytest.raises(OutputError, match="cannot be written: /proc/results"):
+        check_folder(Path("/proc/results"))
+
+
+def test_a_folder_in_the_place_of_a_result(tmp_path):
+    (tmp_path / "result.json").mkdir()
+    with pytest.raises(OutputError, match="is a folder there"):
+        check_folder(tmp_path)
+    assert os.listdir(tmp_path) == ["result.json"]
+
+
+def test_a_name_that_no_system_takes(tmp_path):
+    with pytest.raises(OutputError, match="cannot be written"):
+        check_folder(tmp_path / ("x" * 300))
+    with pytest.raises(OutputError, match="cannot be written"):
+        check_folder(tmp_path / "a\0b")
+    assert list(tmp_path.iterdir()) == []

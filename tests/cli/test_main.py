@@ -1,0 +1,143 @@
+"""The program itself: help, version, missing packages, and real processes."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from casadi_engine import __version__, cli
+
+
+def run(*arguments, cwd, code=None, **options):
+    start = ["-c", code] if code else ["-m", "casadi_engine"]
+    return subprocess.run(
+        [sys.executable, *start, *map(str, arguments)],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        **options,
+    )
+
+
+def test_help_and_version(call):
+    done = call("--version")
+    assert (done.code, done.out) == (0, f"{__version__}\n")
+    done = call("--help")
+    assert done.code == 0
+    for command in ("simulate", "fit", "validate", "new"):
+        assert command in done.out
+    done = call("fit", "--help")
+    for option in (
+        "--data",
+        "--validate",
+        "--set",
+        "--free",
+        "--fix",
+        "--out",
+        "--seed",
+        "--jobs",
+        "--debug",
+    ):
+        assert option in done.out
+    assert "130 interrupted" in " ".join(done.out.split())
+    assert call("validate", "-h").out.count("  --check ") == 1
+    assert call().code == 2
+
+
+@pytest.mark.parametrize("name", ["typer", "rich", "jinja2"])
+def test_a_missing_package_is_named_with_its_cure(name, monkeypatch, call):
+    monkeypatch.setitem(sys.modules, name, None)
+    done = call("fit", "problem.py")
+    assert (done.code, done.out) == (2, "")
+    assert done.err == (
+        "casadi-engine: the command line needs packages that are not installed; "
+        f"seen: without {name}; do: pip install 'casadi-engine[app]'\n"
+    )
+
+
+def test_all_missing_packages_in_one_message(monkeypatch, call):
+    for name in cli.NEEDED:
+        monkeypatch.setitem(sys.modules, name, None)
+    assert "without typer, rich, jinja2" in call("new", "x").err
+
+
+def test_as_a_module(here):
+    done = run("fit", "nowhere.py", cwd=here)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == (
+        "casadi-engine fit: nowhere.py: no such problem file; "
+        "do: give the path of a problem file; `casadi-engine new NAME` writes one\n"
+    )
+
+
+# Slows each iteration of a search that has very many starts, and says when it runs.
+SLOW = """
+import sys, time
+from casadi_engine import estimation, cli
+real = estimation.estimate
+def estimate(*arguments, **options):
+    def progress(iteration, cost, fit_percent):
+        print("iteration", iteration, flush=True)
+        time.sleep(0.02)
+    return real(*arguments, **{**options, "starts": 100_000, "progress": progress})
+estimation.estimate = estimate
+sys.exit(cli.main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_ctrl_c_in_a_fit(here):
+    process = subprocess.Popen(
+        [sys.executable, "-c", SLOW, "fit", "problem.py", "--out", "out"],
+        cwd=here, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        for _ in range(8):
+            assert process.stdout.readline().startswith("iteration")
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=30)
+    finally:
+        process.kill()
+        process.communicate()
+    assert process.returncode == 130, err
+    assert (
+        err.splitlines()[-1] == "casadi-engine fit: no answer: interrupted; the best point so far is in out"
+    )
+    assert "Traceback" not in err
+    result = json.loads((here / "out" / "result.json").read_text())
+    assert result["status"] == "interrupted"
+    assert (here / "out" / "report.html").is_file()
+    assert "Written: " in out
+
+
+@pytest.mark.skipif(os.name == "nt", reason="pipes of POSIX")
+def test_a_reader_that_goes_away_is_no_error(here):
+    command = f'{sys.executable} -m casadi_engine fit problem.py --out out > >(true); echo "code $?"'
+    done = subprocess.run(["bash", "-c", command], cwd=here, capture_output=True, text=True, timeout=60)
+    assert done.stdout.strip().endswith("code 0"), done.stderr
+    assert "BrokenPipe" not in done.stderr
+
+
+def test_a_terminal_without_unicode(here):
+    done = run("fit", "problem.py", "--out", "out", cwd=here, env={**os.environ, "PYTHONIOENCODING": "ascii"})
+    assert done.returncode == 0, done.stderr
+    assert "J_eng" in done.stdout
+
+
+def test_nothing_on_the_progress_line_in_a_pipe(here):
+    done = run("fit", "problem.py", "--out", "out", cwd=here)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_wall_time_is_without_the_import(here):
+    begin = time.perf_counter()
+    run("validate", "problem.py", "--out", "out", cwd=here)
+    seconds = json.loads((here / "out" / "result.json").read_text())["seconds"]
+    assert 0 < seconds < time.perf_counter() - begin

@@ -1,0 +1,52 @@
+"""casadi-engine new: the template."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from casadi_engine.cli.new import write_template
+from casadi_engine.errors import OutputError, ProblemError
+
+
+def test_it_writes_a_file_and_says_what_next(tmp_path, monkeypatch, call):
+    monkeypatch.chdir(tmp_path)
+    done = call("new", "my_engine")
+    assert (done.code, done.err) == (0, "")
+    assert done.out.startswith("Written: my_engine.py\nNext: casadi-engine fit my_engine.py --data")
+    text = (tmp_path / "my_engine.py").read_text()
+    assert "{{" not in text
+    assert text.startswith('"""my_engine: ')
+    compile(text, "my_engine.py", "exec")
+    assert os.listdir(tmp_path) == ["my_engine.py"]
+
+
+def test_the_ending_may_be_given_and_folders_before_it(tmp_path):
+    assert write_template(str(tmp_path / "rig.py")) == tmp_path / "rig.py"
+    assert 'name="rig"' in (tmp_path / "rig.py").read_text()
+
+
+def test_nothing_is_overwritten(tmp_path, monkeypatch, call):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "rig.py").write_text("mine")
+    done = call("new", "rig")
+    assert done.code == 2
+    assert done.err.startswith("casadi-engine new: rig.py: there is a file of that name already")
+    assert "give another name" in done.err
+    assert (tmp_path / "rig.py").read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["", "a b", "ä", ".py", "x" * 101, "a.b"])
+def test_names_that_are_not_acceptable(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ProblemError, match="the name of the new problem is not acceptable") as caught:
+        write_template(name)
+    assert "my_engine" in str(caught.value)
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_folder_that_is_not_there(tmp_path):
+    with pytest.raises(OutputError, match="cannot be written; seen: No such file or directory") as caught:
+        write_template(str(tmp_path / "nowhere" / "rig"))
+    assert "give a name in a folder that is there" in str(caught.value)
