@@ -21,9 +21,10 @@ from casadi_engine.estimation.shooting import ShootingProblem
 Array = NDArray[np.float64]
 Progress = Callable[[int, float], bool]
 
-# Share of the Gauss-Newton diagonal that is added to it; relative change of the objective that counts as settled.
-_DAMPING = 0.1
-_SETTLED = 1e-2
+# Share of the Gauss-Newton diagonal that is added to it: at the start, and its range as steps succeed or fail.
+_DAMPING, _LEAST, _MOST = 0.1, 1e-3, 0.3
+# Relative change of the objective that counts as settled.
+_SETTLED = 1e-1
 
 _WORDS = {
     "Infeasible_Problem_Detected": "the constraints cannot be met together",
@@ -163,14 +164,25 @@ class Solver:
             gap = float(np.abs(np.asarray(constraints)[self.problem.user.count :]).max(initial=0.0))
             if gap < 1e-3 and (self._best is None or found < self._best[0]):
                 self._best = (found, np.asarray(value, dtype=float).ravel().copy())
-            if not self.problem.exact and self._settled(gap):
-                self.problem.exact = True
+            self._adapt(gap)
             stop = self._interrupted
             if self._progress is not None and self._progress(len(self._history) - 1, found):
                 self._interrupted = stop = True
             return [1.0 if stop else 0.0]
 
         return _Supplied("watch", inputs, {"ret": one}, watch)
+
+    def _adapt(self, gap: float) -> None:
+        """Less damping after a step that lowered the objective, more after one that did not; exact once settled."""
+        problem = self.problem
+        if problem.exact or len(self._history) < 2:
+            return
+        if self._settled(gap):
+            problem.exact = True
+        elif self._history[-1] < self._history[-2]:
+            problem.damping = max(problem.damping / 4, _LEAST)
+        else:
+            problem.damping = min(problem.damping * 4, _MOST)
 
     def _settled(self, gap: float) -> bool:
         if len(self._history) < 3:

@@ -18,7 +18,7 @@ from casadi_engine.simulation.grid import Grid
 Array = NDArray[np.float64]
 
 # "auto" cuts a record into about this many intervals.
-_AUTO = 24
+_AUTO = 100
 _UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 _TEXT = re.compile(r"^\s*([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*(s|ms|us|samples|sample)\s*$")
 

@@ -74,7 +74,7 @@ class ShootingProblem:
         rows, points = [values], []
         for record, lay in zip(self.records, self.layouts, strict=True):
             nodes = lay.take(x)
-            point = record.evaluate(v, nodes)
+            point = record.evaluate(v, nodes, order=2 if self.exact else 1)
             in_z, in_nodes = record.gradient(point, self.loss)
             gradient[lay.active] += in_z
             gradient[lay.at : lay.at + in_nodes.size] = in_nodes.ravel()

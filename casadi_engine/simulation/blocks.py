@@ -64,9 +64,10 @@ def block_matrices(discrete: Discretisation, length: int, samples: NDArray[np.in
     forced[:, :, :, 0, :] = first[:, :, at, :]
     rows = len(samples)
     x_end = np.concatenate([free[:, :, length], forced[:, :, rows].reshape(k, n, -1)], axis=2)
-    exact = long_transition(discrete, length)
-    if exact is not None:
-        x_end[0, :, :n] = exact
+    if discrete.order == 0:  # a simulation may run for long; a fit's steps do not need the last digit
+        exact = long_transition(discrete, length)
+        if exact is not None:
+            x_end[0, :, :n] = exact
     wide = np.concatenate([free[:, :, samples], forced[:, :, :rows].reshape(k, n, rows, -1)], axis=3)
     y = jets.product(discrete.c, wide.reshape(k, n, -1), nz).reshape(k, ny, rows, -1)
     y = np.ascontiguousarray(y.transpose(0, 2, 1, 3))
