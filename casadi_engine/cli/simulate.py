@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from casadi_engine.cli.job import ANSWERED, Job, run, say
+from casadi_engine.cli.one_time import on_one_time
 from casadi_engine.cli.options import (
     Data,
     Debug,
@@ -45,26 +46,31 @@ def simulate(
 
 def _work(job: Job) -> int:
     from casadi_engine import estimation
-    from casadi_engine.report import Simulated
+    from casadi_engine.report import Simulated, text
 
     problem = job.problem
     records = problem.load_records()
     if job.options.validate:
         records += problem.load_validation()
+    states = [state.name for state in problem.model.states]
+    outputs = [output.name for output in problem.model.outputs]
     made = tuple(
-        estimation.simulate(
-            problem.model,
-            record,
-            parameters=problem.parameters,
-            initial=initial_state(problem.initial, record.name, [s.name for s in problem.model.states]),
-            method=problem.method,
+        on_one_time(
+            estimation.simulate(
+                problem.model,
+                record,
+                parameters=problem.parameters,
+                initial=initial_state(problem.initial, record.name, states),
+                method=problem.method,
+            ),
+            outputs,
         )
         for record in records
     )
     files = file_names(record.name for record in records)
     answer = Simulated(problem.model, problem.parameters, records, made, files)
     write_answer(job, answer, data_files=dict(zip(files, made, strict=True)))
-    say(f"Simulated {problem.model.name}: {', '.join(record.name for record in records)}")
+    say(text(answer))
     say_where(job, *files)
     return ANSWERED
 
