@@ -7,7 +7,6 @@ import numpy as np
 from casadi_engine.cli.one_time import on_one_time
 from casadi_engine.experiment import Experiment, read_experiment
 
-
 UNITS = {"T": "N m", "p": "Pa", "omega": "rad/s"}
 HOLDS = {"T": "first", "p": "zero", "omega": "first"}
 
