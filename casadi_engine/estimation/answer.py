@@ -42,8 +42,8 @@ def make_fit(
     x = _snapped(search, x, bound)
     v = x[: problem.nv]
     covariance = _covariance(search, v, bound, information)
-    z = v * pmap.scale
-    estimates = _estimates(search, z, covariance, bound)
+    z, slope = search.coordinates.values(v), search.coordinates.slope(v)
+    estimates = _estimates(search, z, slope, covariance, bound)
     directions = tuple(Direction(*in_words(d, _names(search))) for d in covariance.directions)
     traces, drives, percents, first = {}, {}, {}, {}
     initial: dict[str, dict[str, Estimate]] = {}
@@ -71,7 +71,7 @@ def make_fit(
         start=dict(zip(pmap.free, pmap.start.tolist(), strict=True)),
         free=pmap.free,
         z=z,
-        covariance=_parameter_covariance(covariance, pmap.scale, bound),
+        covariance=_parameter_covariance(covariance, slope, bound),
         undetermined=directions,
         initial=initial,
         noise={
@@ -106,7 +106,9 @@ def _information(search: Search, best: Attempt) -> tuple[Array, Array]:
     for record, found in zip(search.records, point.records, strict=True):
         # Huber's information is that of least squares times the efficiency of the clipped residuals.
         blocks = record.gauss_newton(found, Loss())
-        own = chained_information(record, found, blocks) * _efficiency(search.loss, found.r[record.observation.valid])
+        own = chained_information(record, found, blocks) * _efficiency(
+            search.loss, found.r[record.observation.valid]
+        )
         where = np.concatenate([record.active, np.arange(at, at + record.n)])
         information[np.ix_(where, where)] += own
         at += record.n
@@ -184,13 +186,13 @@ def _names(search: Search) -> list[str]:
 
 
 def _estimates(
-    search: Search, z: Array, covariance: Covariance, bound: list[AtBound]
+    search: Search, z: Array, scale: Array, covariance: Covariance, bound: list[AtBound]
 ) -> dict[str, Estimate]:
     """Every reported parameter with its error, propagated through ties to first order."""
     pmap, nv = search.pmap, search.problem.nv
     values = pmap.values(z)
     function = ca.Function("j", [pmap.z], [ca.densify(ca.jacobian(pmap.reported_expressions, pmap.z))])
-    slopes = np.asarray(function(z), dtype=float).reshape(len(values), nv) * pmap.scale
+    slopes = np.asarray(function(z), dtype=float).reshape(len(values), nv) * scale
     matrix = covariance.matrix[:nv, :nv]
     found = {}
     for (name, value), slope in zip(values.items(), slopes, strict=True):
@@ -259,7 +261,11 @@ def _traces(search: Search, record: RecordTerm, v: Array, start: Array) -> dict[
         channel = record.experiment[name]
         size, counts = len(channel.time), np.zeros(len(channel.time), dtype=bool)
         counts[sample.index] = record.observation.series(record.observation.valid, name)
-        rows = [_filled(size, sample.index, part[1].series(part[0], name)) for part in (simulated, predicted) if part]
+        rows = [
+            _filled(size, sample.index, part[1].series(part[0], name))
+            for part in (simulated, predicted)
+            if part
+        ]
         measured = np.where(counts, channel.values, np.nan)
         found[name] = Trace(channel.time, measured, counts, rows[0], rows[1] if len(rows) > 1 else None)
     return found
@@ -305,9 +311,7 @@ def _write_values(parameters: Any, values: dict[str, float]) -> None:
         parameter.set(float(np.clip(np.mean(own), parameter.min, parameter.max)))
 
 
-def _messages(
-    search: Search, best: Attempt, v: Array, directions: tuple[Direction, ...]
-) -> tuple[str, ...]:
+def _messages(search: Search, best: Attempt, v: Array, directions: tuple[Direction, ...]) -> tuple[str, ...]:
     found = []
     for direction in directions:
         found.append(

@@ -77,7 +77,9 @@ def hessian_pattern(nz: int, layouts: list[NodeLayout], size: int) -> Pattern:
         base = lay.at + np.arange(lay.m)[:, None] * lay.n
         rows.append((base + p).ravel())
         columns.append((base + q).ravel())
-    return Pattern(np.concatenate(rows).astype(np.intp), np.concatenate(columns).astype(np.intp), (size, size))
+    return Pattern(
+        np.concatenate(rows).astype(np.intp), np.concatenate(columns).astype(np.intp), (size, size)
+    )
 
 
 def hessian_values(zz: Array, blocks: list[tuple[Array, Array]]) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.errors import ConstraintError
+from casadi_engine.estimation.coordinates import Coordinates
 from casadi_engine.model import Model, matrix_derivatives, natural_frequency_derivatives
 from casadi_engine.parameters.compiled import ParameterMap
 
@@ -31,14 +32,12 @@ class ParameterConstraints:
     labels : (nc,) names for messages; values, jacobian (nc, nv), and the Hessian of lam @ g.
     """
 
-    def __init__(self, model: Model, pmap: ParameterMap, v: ca.SX) -> None:
-        scaled = v * pmap.scale if v.numel() else v
+    def __init__(self, model: Model, pmap: ParameterMap, coordinates: Coordinates) -> None:
+        v = coordinates.symbol
         compiled = pmap.constraints
         self.v = v
-        self._expression = ca.vertcat(
-            ca.SX(0, 1), *[ca.substitute(c.expression, pmap.z, scaled) for c in compiled]
-        )
-        self._frequencies = _frequencies(model, pmap, v, scaled)
+        self._expression = ca.vertcat(ca.SX(0, 1), *[coordinates.substitute(c.expression) for c in compiled])
+        self._frequencies = _frequencies(model, pmap, coordinates)
         bounds = [(c.min, c.max) for c in compiled]
         bounds += [(f.min, f.max) for f in pmap.frequency_constraints for _ in _records(pmap)]
         self.labels = [c.label for c in compiled] + [f.label for f in self._frequencies]
@@ -49,8 +48,10 @@ class ParameterConstraints:
         hessian = ca.hessian(ca.dot(lam, self._expression), v)[0] if v.numel() else ca.SX(0, 0)
         self._second = ca.Function("constraints_second", [v, lam], [ca.densify(hessian)])
         self.scale = np.ones(self.count)
-        start = np.abs(self.evaluate(pmap.start / pmap.scale)[0]) if self.count else np.zeros(0)
-        limits = np.array([[abs(b) if np.isfinite(b) else 0.0 for b in pair] for pair in bounds]).reshape(-1, 2)
+        start = np.abs(self.evaluate(coordinates.of(pmap.start))[0]) if self.count else np.zeros(0)
+        limits = np.array([[abs(b) if np.isfinite(b) else 0.0 for b in pair] for pair in bounds]).reshape(
+            -1, 2
+        )
         size = np.maximum(start, limits.max(axis=1, initial=0.0))
         self.scale = np.where((size > 0) & np.isfinite(size), size, 1.0)
         self.lower = np.array([b[0] for b in bounds]) / self.scale
@@ -92,7 +93,7 @@ def _records(pmap: ParameterMap) -> tuple[str, ...]:
     return pmap.records if varies else pmap.records[:1]
 
 
-def _frequencies(model: Model, pmap: ParameterMap, v: ca.SX, scaled: ca.SX) -> list[Frequency]:
+def _frequencies(model: Model, pmap: ParameterMap, coordinates: Coordinates) -> list[Frequency]:
     found: list[Frequency] = []
     if not pmap.frequency_constraints:
         return found
@@ -105,11 +106,13 @@ def _frequencies(model: Model, pmap: ParameterMap, v: ca.SX, scaled: ca.SX) -> l
         )
     for constraint in pmap.frequency_constraints:
         for record in _records(pmap):
-            physical = ca.substitute(pmap.physical[record], pmap.z, scaled)
+            physical = coordinates.substitute(pmap.physical[record])
             matrix = ca.substitute(model.linear.A, model.p, physical)
             at = f" in {record}" if len(_records(pmap)) > 1 else ""
             found.append(
-                Frequency(constraint.label + at, constraint.mode, matrix_derivatives(matrix, v))
+                Frequency(
+                    constraint.label + at, constraint.mode, matrix_derivatives(matrix, coordinates.symbol)
+                )
             )
     return found
 
@@ -117,11 +120,9 @@ def _frequencies(model: Model, pmap: ParameterMap, v: ca.SX, scaled: ca.SX) -> l
 class Priors:
     """Normal priors: half the sum of ((g - mean)/sigma)^2, with exact derivatives."""
 
-    def __init__(self, pmap: ParameterMap, v: ca.SX) -> None:
-        scaled = v * pmap.scale if v.numel() else v
-        rows = [
-            (ca.substitute(p.expression, pmap.z, scaled) - p.mean) / p.sigma for p in pmap.priors
-        ]
+    def __init__(self, pmap: ParameterMap, coordinates: Coordinates) -> None:
+        v = coordinates.symbol
+        rows = [(coordinates.substitute(p.expression) - p.mean) / p.sigma for p in pmap.priors]
         self.count = len(rows)
         residual = ca.vertcat(ca.SX(0, 1), *rows)
         cost = 0.5 * ca.dot(residual, residual) if rows else ca.SX(0)

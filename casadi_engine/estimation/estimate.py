@@ -142,11 +142,11 @@ def _optima(search: Search, attempts: list[Attempt]) -> tuple[Optimum, ...]:
                 break
         else:
             groups.append([attempt])
-    names, scale = search.pmap.free, search.pmap.scale
+    names = search.pmap.free
     return tuple(
         Optimum(
             group[0].cost,
-            dict(zip(names, (group[0].v * scale).tolist(), strict=True)),
+            dict(zip(names, search.coordinates.values(group[0].v).tolist(), strict=True)),
             len(group),
             group[0].solution.status,
         )
@@ -169,5 +169,3 @@ def _reporter(progress: Any, starts: int, most: int) -> Any:
             cure="leave it out",
         )
     return progress
-
-

@@ -106,5 +106,8 @@ def whole(name: str, value: Any, least: int) -> int:
     if isinstance(value, (int, np.integer)) and not isinstance(value, bool) and value >= least:
         return int(value)
     raise EstimationError(
-        f"{name} is not acceptable", seen=repr(value), allowed=f"a whole number >= {least}", cure=f"leave {name} out"
+        f"{name} is not acceptable",
+        seen=repr(value),
+        allowed=f"a whole number >= {least}",
+        cure=f"leave {name} out",
     )

@@ -31,7 +31,9 @@ class _Bar:
             self._run += 1
         self._best = min(self._best, cost)
         run = f"start {self._run}/{self._starts}, " if self._starts > 1 else ""
-        words = f"{run}iteration {iteration}, cost {cost:.6g} (best {self._best:.6g}), fit {fit_percent:.2f} %"
+        words = (
+            f"{run}iteration {iteration}, cost {cost:.6g} (best {self._best:.6g}), fit {fit_percent:.2f} %"
+        )
         self._progress.update(self._task, completed=(self._run - 1) * self._most + iteration, words=words)
 
     def close(self) -> None:

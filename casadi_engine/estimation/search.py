@@ -6,12 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.constraints import ParameterConstraints, Priors
+from casadi_engine.estimation.coordinates import Coordinates
 from casadi_engine.estimation.ipopt import Solution, Solver
 from casadi_engine.estimation.loss import Loss
 from casadi_engine.estimation.options import initial_bounds, interval_length
@@ -71,25 +71,30 @@ class Search:
         self.pmap = compile(parameters, model.parameter_names, names, ties=ties)  # type: ignore[arg-type]
         self.parameters = parameters
         nv = len(self.pmap.free)
-        self.vsym = ca.SX.sym("v", nv)
-        scaled = self.vsym * self.pmap.scale if nv else self.vsym
+        self.coordinates = Coordinates(self.pmap)
         scale = np.array([state.scale for state in model.states])
         gain = None if noise.gain is None else noise.gain / scale[:, None]
         self.records: list[RecordTerm] = []
         made: dict[int, Any] = {}
         for record in data:
             physical = self.pmap.physical[record.name]
-            local = made.setdefault(id(physical), ca.substitute(physical, self.pmap.z, scaled) if nv else physical)
+            local = made.setdefault(id(physical), self.coordinates.substitute(physical))
             grid = lay_grid(model, record)
             self.records.append(
                 RecordTerm(
-                    model, record, self.vsym, local,
-                    length=interval_length(interval, grid), gain=gain, method=method, grid=grid,
+                    model,
+                    record,
+                    self.coordinates.symbol,
+                    local,
+                    length=interval_length(interval, grid),
+                    gain=gain,
+                    method=method,
+                    grid=grid,
                 )  # fmt: skip
             )
-        self.constraints = ParameterConstraints(model, self.pmap, self.vsym)
+        self.constraints = ParameterConstraints(model, self.pmap, self.coordinates)
         self.problem = ShootingProblem(
-            self.records, self.constraints, Priors(self.pmap, self.vsym), loss, nv
+            self.records, self.constraints, Priors(self.pmap, self.coordinates), loss, nv
         )
         self._initial = [initial_bounds(initial, model, name, names) for name in names]
         self._bounds()
@@ -106,7 +111,7 @@ class Search:
         pmap, problem = self.pmap, self.problem
         self.lower, self.upper = np.full(problem.size, -np.inf), np.full(problem.size, np.inf)
         nv = problem.nv
-        self.lower[:nv], self.upper[:nv] = pmap.lower / pmap.scale, pmap.upper / pmap.scale
+        self.lower[:nv], self.upper[:nv] = self.coordinates.of(pmap.lower), self.coordinates.of(pmap.upper)
         for lay, record, (low, high, _) in zip(problem.layouts, self.records, self._initial, strict=True):
             self.lower[lay.at : lay.at + lay.n] = low / record.scale
             self.upper[lay.at : lay.at + lay.n] = high / record.scale
@@ -175,7 +180,7 @@ class Search:
             known = self.warm.values
             z = np.array([known.get(name, value) for name, value in zip(self.pmap.free, z, strict=True)])
             z = np.clip(z, self.pmap.lower, self.pmap.upper)
-        x[:nv] = z / self.pmap.scale
+        x[:nv] = self.coordinates.of(z)
         for record, lay, bounds in zip(self.records, self.problem.layouts, self._initial, strict=True):
             nodes = self._warm_nodes(record, x[:nv]) if first else None
             if nodes is None:
@@ -186,7 +191,9 @@ class Search:
         return x
 
     def _warm_nodes(self, record: RecordTerm, v: Array) -> Array | None:
-        states = getattr(self.warm, "initial", {}).get(record.experiment.name) if self.warm is not None else None
+        states = (
+            getattr(self.warm, "initial", {}).get(record.experiment.name) if self.warm is not None else None
+        )
         if not states:
             return None
         names = [state.name for state in self.model.states]
@@ -273,5 +280,3 @@ def _check_noise(noise: Noise, outputs: tuple[str, ...], model: Model) -> None:
             allowed=f"{shape}: states {', '.join(s.name for s in model.states)} by outputs {', '.join(outputs)}",
             cure="give one row for each state and one column for each output",
         )
-
-

@@ -40,7 +40,12 @@ class ShootingProblem:
     """
 
     def __init__(
-        self, records: list[RecordTerm], constraints: ParameterConstraints, priors: Priors, loss: Loss, nv: int
+        self,
+        records: list[RecordTerm],
+        constraints: ParameterConstraints,
+        priors: Priors,
+        loss: Loss,
+        nv: int,
     ) -> None:
         self.records, self.user, self.priors, self.loss, self.nv = records, constraints, priors, loss, nv
         self.samples = sum(record.count for record in records)
@@ -70,7 +75,9 @@ class ShootingProblem:
         gradient = np.zeros(self.size)
         cost, prior_gradient, _, _ = self.priors.evaluate(v)
         gradient[: self.nv] = prior_gradient
-        values, user_jacobian = self.user.evaluate(v) if self.user.count else (np.zeros(0), np.zeros((0, self.nv)))
+        values, user_jacobian = (
+            self.user.evaluate(v) if self.user.count else (np.zeros(0), np.zeros((0, self.nv)))
+        )
         rows, points = [values], []
         for record, lay in zip(self.records, self.layouts, strict=True):
             nodes = lay.take(x)
@@ -82,7 +89,12 @@ class ShootingProblem:
             rows.append((point.path.end[:, :-1].T - nodes[1:]).ravel())
             points.append(point)
         found = Point(
-            x.copy(), points, cost / self.samples, gradient / self.samples, np.concatenate(rows), user_jacobian
+            x.copy(),
+            points,
+            cost / self.samples,
+            gradient / self.samples,
+            np.concatenate(rows),
+            user_jacobian,
         )
         self._point = found
         return found

@@ -79,7 +79,9 @@ def _fitted_start(
     fixed = model.parameters()
     for name, value in zip(model.parameter_names, values, strict=True):
         parameter = fixed[name]
-        parameter.set(float(value), min=min(parameter.min, float(value)), max=max(parameter.max, float(value)))
+        parameter.set(
+            float(value), min=min(parameter.min, float(value)), max=max(parameter.max, float(value))
+        )
         fixed.fix(name)
     fit = estimate(model, data, parameters=fixed, initial=given, method=method, progress=False)
     if not fit.converged:
@@ -93,7 +95,6 @@ def _fitted_start(
 
 def _run(model: Model, data: Experiment, values: Array, start: Array, method: str) -> Experiment:
 
-
     measured = tuple(out.name for out in model.outputs if out.name in data)
     inputs = data.only(*[v.name for v in model.inputs]) if model.inputs else data
     grid = replace(lay_grid(model, data if measured else inputs, outputs=measured), measured={})
@@ -105,5 +106,7 @@ def _run(model: Model, data: Experiment, values: Array, start: Array, method: st
     outputs = rows.reshape(len(model.outputs), -1)[:, : grid.samples]
     result = inputs if model.inputs else data.only(*measured)
     for out, row in zip(model.outputs, outputs, strict=True):
-        result = result.with_channel(Channel(out.name, out.unit, time=grid.time, values=row, origin="derived"))
+        result = result.with_channel(
+            Channel(out.name, out.unit, time=grid.time, values=row, origin="derived")
+        )
     return result

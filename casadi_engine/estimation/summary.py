@@ -21,6 +21,7 @@ STRONG = 0.5
 # Two costs closer than this are one optimum for the reader: a chi-square difference of 0.01 means nothing.
 SAME_COST = 0.01
 
+FRESH = "test it on data it has not seen: print(ce.validate(fit, fresh))"
 BOUND_WORDS = {"min": "lower", "max": "upper"}
 
 
@@ -78,8 +79,8 @@ def with_error(value: float, stderr: float | None) -> str:
 def percent(value: float, stderr: float | None) -> str:
     """Write the standard error as a share of the value, ``(3.2 %)``; empty if there is none.
 
-    >>> percent(2.0, 0.064), percent(2.0, None), percent(1.0, 0.996)
-    ('(3.2 %)', '', '(100 %)')
+    >>> percent(2.0, 0.064), percent(2.0, None), percent(1.0, 1.234)
+    ('(3.2 %)', '', '(123 %)')
     """
     if stderr is None or not math.isfinite(stderr) or value == 0 or not math.isfinite(value):
         return ""
@@ -323,7 +324,7 @@ def next_steps(fit: Fit) -> list[str]:
     elif len(fit.optima) > 1 and min(fit.optima, key=lambda optimum: optimum.cost).starts == 1:
         steps.append("only one start found the lowest cost: repeat with starts=32")
     if not steps:
-        steps.append("test it on data it has not seen: print(ce.validate(fit, fresh))")
+        steps.append(FRESH)
     return steps
 
 

@@ -66,7 +66,9 @@ class DiscreteCore:
         core = model.linear
         if core is None:
             raise SimulationError(
-                "the model has no linear core", seen=model.name, cure="use the general integrator for this model"
+                "the model has no linear core",
+                seen=model.name,
+                cure="use the general integrator for this model",
             )
         self.step, self.method, self.parameters = step, method, int(z.numel())
         self.states, self.outputs = int(core.A.shape[0]), int(core.C.shape[0])

@@ -172,7 +172,9 @@ class GeneralPropagator:
             self._pull = ArrayFunction([*inputs, rho], [slope])
         return self._second
 
-    def contraction(self, z: Array, path: GeneralTrajectory, rho: Array, lam: Array) -> tuple[Array, Array, Array]:
+    def contraction(
+        self, z: Array, path: GeneralTrajectory, rho: Array, lam: Array
+    ) -> tuple[Array, Array, Array]:
         """Second derivatives of sum(rho * y) + sum(lam * end): (z, z), (z, start) and (start, start)."""
         plan, n, nz, length = self.intervals, self.n, self.nz, self.intervals.length
         second = self._second_function()
@@ -192,4 +194,8 @@ class GeneralPropagator:
         basis[:, :, :n] = path.s[:-1]
         basis[:, :, n:, n:] = np.eye(nz)
         total = (basis.swapaxes(-1, -2) @ inner @ basis).sum(axis=0)
-        return total[:, n:, n:].sum(axis=0), np.ascontiguousarray(total[:, n:, :n].transpose(1, 2, 0)), total[:, :n, :n]
+        return (
+            total[:, n:, n:].sum(axis=0),
+            np.ascontiguousarray(total[:, n:, :n].transpose(1, 2, 0)),
+            total[:, :n, :n],
+        )

@@ -119,7 +119,9 @@ def _measured(channel: Channel, start: float, step: float) -> Measured:
     position = (channel.time[index] - start) / step
     nearest = np.rint(position)
     on_grid = bool(np.abs(position - nearest).max() < _ON_GRID)
-    return Measured(channel.time[index], channel.values[index], nearest if on_grid else position, on_grid, index)
+    return Measured(
+        channel.time[index], channel.values[index], nearest if on_grid else position, on_grid, index
+    )
 
 
 @dataclass(frozen=True)
@@ -142,9 +144,7 @@ class Drives:
         expression = model.drive_expressions
         self.holds = tuple(
             "zero"
-            if any(
-                h == "zero" and ca.depends_on(expression[j], model.u[i]) for i, h in enumerate(grid.holds)
-            )
+            if any(h == "zero" and ca.depends_on(expression[j], model.u[i]) for i, h in enumerate(grid.holds))
             else "first"
             for j in range(count)
         )
@@ -170,7 +170,9 @@ class Drives:
             return self._constant
         m, a, n = self._count, len(self.active), self._samples
         if m == 0:
-            self._constant = DriveSamples(np.zeros((0, n)), self.active, np.zeros((0, 0, n)), np.zeros((0, 0, n)))
+            self._constant = DriveSamples(
+                np.zeros((0, n)), self.active, np.zeros((0, 0, n)), np.zeros((0, 0, n))
+            )
             return self._constant
         found = self._function(*self._inputs, np.asarray(z, dtype=float))
         if a == 0:

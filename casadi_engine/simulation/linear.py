@@ -165,12 +165,16 @@ class LinearPropagator:
         y += (out @ at[0]).reshape(y.shape)
         if nz:
             y[1:] += (out[0] @ at[1:]).reshape(y[1:].shape)
+        if not np.isfinite(x[-1]).all():
+            raise FloatingPointError("the model's state is not finite here")
         ys = (out[0] @ phi[:-1]).transpose(1, 0, 2)
         return LinearTrajectory(blocks, samples, v, x, y, phi, ys)
 
     # ---- second order
 
-    def contraction(self, z: Array, path: LinearTrajectory, rho: Array, lam: Array) -> tuple[Array, Array, Array]:
+    def contraction(
+        self, z: Array, path: LinearTrajectory, rho: Array, lam: Array
+    ) -> tuple[Array, Array, Array]:
         """Second derivatives of sum(rho * y) + sum(lam * end): (z, z) (nz, nz), (z, start) (nz, n, M) and (start,
         start) (M, n, n), which vanish: the model is linear in its state.
 

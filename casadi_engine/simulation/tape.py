@@ -81,7 +81,8 @@ class ArrayFunction:
         self._rows = [int(out.numel()) for out in dense]
         f = self._function
         self._code = [
-            (f.instruction_id(k), f.instruction_input(k), f.instruction_output(k)) for k in range(f.n_instructions())
+            (f.instruction_id(k), f.instruction_input(k), f.instruction_output(k))
+            for k in range(f.n_instructions())
         ]
         self._constants = [
             f.instruction_constant(k) if op == ca.OP_CONST else 0.0 for k, (op, _, _) in enumerate(self._code)
@@ -102,7 +103,9 @@ class ArrayFunction:
             wide = [a if a.ndim == 2 else np.repeat(a[:, None], count, axis=1) for a in arguments]
             found = self._function.map(count)(*wide)
             parts = found if isinstance(found, (tuple, list)) else (found,)
-            return [np.asarray(p, dtype=float).reshape(r, count) for p, r in zip(parts, self._rows, strict=True)]
+            return [
+                np.asarray(p, dtype=float).reshape(r, count) for p, r in zip(parts, self._rows, strict=True)
+            ]
         work: list[Any] = [0.0] * self._function.sz_w()
         outputs = [np.zeros((rows, count)) for rows in self._rows]
         with np.errstate(all="ignore"):  # the caller looks for what is not finite
