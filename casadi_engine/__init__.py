@@ -5,7 +5,28 @@ from casadi_engine.estimation import estimate, simulate
 from casadi_engine.experiment import Experiment, read_experiment
 from casadi_engine.model import Blueprint, Model, one_inertia, two_mass
 from casadi_engine.parameters import Parameters
-from casadi_engine.problem import Noise
+from casadi_engine.problem import Noise, Problem, load_problem
+from casadi_engine.report import load_result, plot, report
 from casadi_engine.validation import validate
 
 __version__ = "0.1.0"
+
+__all__ = [
+    "Blueprint",
+    "CasadiEngineError",
+    "Experiment",
+    "Model",
+    "Noise",
+    "Parameters",
+    "Problem",
+    "estimate",
+    "load_problem",
+    "load_result",
+    "one_inertia",
+    "plot",
+    "read_experiment",
+    "report",
+    "simulate",
+    "two_mass",
+    "validate",
+]

@@ -155,7 +155,7 @@ class Solver:
             "bound_relax_factor": 0.0,
             "nlp_scaling_method": "none",
         }
-        options = {
+        options: dict[str, Any] = {
             "grad_f": self._kept[1],
             "jac_g": self._kept[2],
             "hess_lag": self._kept[3],

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from casadi_engine.estimation.loss import Loss
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
+from casadi_engine.simulation.discretisation import Method
 from casadi_engine.simulation.grid import Grid, lay_grid
 from casadi_engine.simulation.intervals import Intervals, Observation, cut
 from casadi_engine.simulation.linear import LinearPropagator
@@ -58,7 +59,7 @@ class RecordTerm:
         *,
         length: int | None,
         gain: Array | None,
-        method: str,
+        method: Method,
         grid: Grid | None = None,
     ) -> None:
         self.experiment, self.model = experiment, model
@@ -109,7 +110,7 @@ class RecordTerm:
     def gradient(self, point: RecordPoint, loss: Loss) -> tuple[Array, Array]:
         """Gradient of the summed loss in the active parameters (nz,) and the starts (M, n)."""
         slope = loss.slope(point.r)
-        in_z = point.jz.reshape(len(point.jz), -1) @ slope.ravel()
+        in_z = point.jz.reshape(len(point.jz), slope.size) @ slope.ravel()
         weighted = slope * self.weight
         if point.js.ndim == 2:
             return in_z, weighted.T @ point.js
@@ -120,7 +121,7 @@ class RecordTerm:
         curvature = loss.curvature(point.r)
         jz = point.jz if curvature is None else point.jz * curvature
         nz, k, m = jz.shape
-        zz = jz.reshape(nz, -1) @ point.jz.reshape(nz, -1).T
+        zz = jz.reshape(nz, k * m) @ point.jz.reshape(nz, k * m).T
         weight = self.weight if curvature is None else self.weight * curvature
         js, n = point.js, self.n
         if js.ndim == 2:

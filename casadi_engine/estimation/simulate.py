@@ -14,6 +14,7 @@ from casadi_engine.estimation.estimate import estimate
 from casadi_engine.experiment import Channel, Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters, near_matches
+from casadi_engine.simulation.discretisation import Method
 from casadi_engine.simulation.grid import lay_grid
 from casadi_engine.simulation.intervals import cut
 from casadi_engine.simulation.propagator import make_propagator
@@ -27,7 +28,7 @@ def simulate(
     *,
     parameters: Parameters | Mapping[str, float] | None = None,
     initial: Mapping[str, float] | None = None,
-    method: str = "exact",
+    method: Method = "exact",
 ) -> Experiment:
     """Simulate a model over the time of an experiment; return its inputs with the simulated outputs beside them.
 
@@ -73,7 +74,7 @@ def simulate(
 
 
 def _fitted_start(
-    model: Model, data: Experiment, values: Array, given: Mapping[str, float], method: str
+    model: Model, data: Experiment, values: Array, given: Mapping[str, float], method: Method
 ) -> dict[str, float]:
     """The initial state that explains the measured outputs best, parameters held."""
     fixed = model.parameters()
@@ -93,14 +94,14 @@ def _fitted_start(
     return {name: estimate.value for name, estimate in fit.initial[data.name].items()}
 
 
-def _run(model: Model, data: Experiment, values: Array, start: Array, method: str) -> Experiment:
+def _run(model: Model, data: Experiment, values: Array, start: Array, method: Method) -> Experiment:
 
     measured = tuple(out.name for out in model.outputs if out.name in data)
     inputs = data.only(*[v.name for v in model.inputs]) if model.inputs else data
     grid = replace(lay_grid(model, data if measured else inputs, outputs=measured), measured={})
     scale = np.array([state.scale for state in model.states])
     plan = cut(grid, None)
-    propagator = make_propagator(model, grid, plan, ca.SX(0, 1), ca.DM(values), scale=scale, method=method)
+    propagator = make_propagator(model, grid, plan, ca.SX(0, 1), ca.SX(ca.DM(values)), scale=scale, method=method)
     path = propagator.propagate(np.zeros(0), (start / scale)[None], 0)
     rows = path.y[0].reshape(len(plan.samples), len(model.outputs), plan.b).transpose(1, 2, 0)
     outputs = rows.reshape(len(model.outputs), -1)[:, : grid.samples]

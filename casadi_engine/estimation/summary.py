@@ -188,7 +188,12 @@ def parameter_lines(fit: Fit, rows: int) -> list[str]:
         fixed = [f"{row[0]} {row[1]} {row[2]}" for row in body if fit.estimates[row[0]].fixed]
         body = [row for row in body if not fit.estimates[row[0]].fixed]
     room = rows - 2 * bool(fixed)
-    shown = [(short(row[0], 30), *row[1:]) for row in body[:room]]
+    wide = max((len(row[3]) for row in body[:room]), default=0)
+    shown = []
+    for name, value, unit, share, notes in body[:room]:
+        # A missing error is explained at length, where the relative error would stand.
+        long = not share and not fit.estimates[name].fixed
+        shown.append((short(name, 30), value, unit, notes if long else f"{share:<{wide}}  {notes}"))
     lines = ["Parameters", *(short(line, COLUMNS) for line in aligned(shown, right=()))]
     if len(body) > room:
         lines.append(f"  … and {len(body) - room} more: fit.estimates")

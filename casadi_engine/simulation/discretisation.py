@@ -9,8 +9,6 @@ States are scaled inside: x stands for state / scale.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
-
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +19,8 @@ from casadi_engine.simulation import jets
 from casadi_engine.simulation.exponential import phi_functions, transition
 from casadi_engine.simulation.jets import Array
 
-Method = Literal["exact", "euler"]
+# "exact" or "euler"; checked where a propagator is made.
+Method = str
 
 
 @dataclass(frozen=True)
@@ -113,7 +112,7 @@ class DiscreteCore:
         parts, at = [], 0
         for rows, columns in shapes:
             block = flat[:, at : at + rows * columns]
-            parts.append(np.ascontiguousarray(block.reshape(-1, columns, rows).transpose(0, 2, 1)))
+            parts.append(np.ascontiguousarray(block.reshape(len(flat), columns, rows).transpose(0, 2, 1)))
             at += rows * columns
         return parts[0], parts[1], parts[2], parts[3]
 

@@ -49,7 +49,8 @@ class Grid:
     @property
     def time(self) -> Array:
         """(N,) s."""
-        return self.start + self.step * np.arange(self.samples)
+        time: Array = self.start + self.step * np.arange(self.samples)
+        return time
 
 
 def lay_grid(model: Model, experiment: Experiment, *, outputs: tuple[str, ...] | None = None) -> Grid:
@@ -85,7 +86,7 @@ def lay_grid(model: Model, experiment: Experiment, *, outputs: tuple[str, ...] |
             allowed="two samples or more",
             cure="take a longer record",
         )
-    time = start + step * np.arange(samples)
+    time: Array = start + step * np.arange(samples)
     channels = np.array([_sampled(channel, time, step) for channel in inputs]).reshape(len(inputs), samples)
     measured = {channel.name: _measured(channel, start, step) for channel in observed}
     return Grid(start, step, samples, channels, tuple(c.hold for c in inputs), measured)

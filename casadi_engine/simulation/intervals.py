@@ -163,7 +163,8 @@ class Observation:
         if self._index is None:
             return rho.reshape(rows * ny, b, m)
         spread = (rho[..., None] * self._weights).ravel()
-        return np.bincount(self._index.ravel(), spread, minlength=rows * ny * b * m).reshape(rows * ny, b, m)
+        total: Array = np.bincount(self._index.ravel(), spread, minlength=rows * ny * b * m)
+        return total.reshape(rows * ny, b, m)
 
     def series(self, values: Array, name: str) -> Array:
         """(K, M) values at the valid samples of one output, in time order."""

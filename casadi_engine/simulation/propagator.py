@@ -8,6 +8,7 @@ import casadi as ca
 
 from casadi_engine.errors import SimulationError
 from casadi_engine.model import Model
+from casadi_engine.simulation.discretisation import Method
 from casadi_engine.simulation.general import GeneralPropagator
 from casadi_engine.simulation.grid import Grid
 from casadi_engine.simulation.intervals import Intervals
@@ -37,7 +38,7 @@ def make_propagator(
     physical: ca.SX,
     *,
     scale: Array,
-    method: str = "exact",
+    method: Method = "exact",
     gain: Array | None = None,
 ) -> LinearPropagator | GeneralPropagator:
     """Propagator of a model over one record.

@@ -80,7 +80,7 @@ def cross_rows(validation: Validation) -> list[tuple[str, str, str, str]]:
     ]
 
 
-def tests_of(validation: Validation) -> dict[str, ResidualTest]:
+def all_tests(validation: Validation) -> dict[str, ResidualTest]:
     """Every test by the name that ``failed`` uses: "record/output/whiteness" or "record/output/drive"."""
     found: dict[str, ResidualTest] = {}
     for record, outputs in validation.records.items():
@@ -92,7 +92,7 @@ def tests_of(validation: Validation) -> dict[str, ResidualTest]:
 
 def verdict(validation: Validation) -> str:
     """The verdict in one sentence, with the false-alarm rate it was made at."""
-    tests = tests_of(validation)
+    tests = all_tests(validation)
     made = sum(test.p_value is not None for test in tests.values())
     level = f"{made} residual tests at alpha = {validation.alpha:g}"
     if validation.passed:
@@ -106,7 +106,7 @@ def untested(validation: Validation) -> list[str]:
     """Why tests could not be made, one sentence each."""
     return [
         f"{name}: {test.why}"
-        for name, test in tests_of(validation).items()
+        for name, test in all_tests(validation).items()
         if test.p_value is None and test.why
     ]
 

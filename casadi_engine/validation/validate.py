@@ -118,7 +118,7 @@ def _hold(fit: Fit | Model, data: Any, parameters: Parameters | None, noise: Noi
         )
         method = str(fit.options.get("method", "exact"))
     else:
-        model, source, records, levels, method = fit, parameters, data, noise or Noise(), "exact"
+        model, records, levels, method = fit, data, noise or Noise(), "exact"
         if records is None:
             raise EstimationError(
                 "there are no data to validate on",
@@ -126,7 +126,7 @@ def _hold(fit: Fit | Model, data: Any, parameters: Parameters | None, noise: Noi
                 allowed="an experiment or several",
                 cure="give validate(model, data, parameters=...)",
             )
-        source = model.parameters() if source is None else source
+        source = model.parameters() if parameters is None else parameters
     return estimate(model, records, parameters=held_parameters(model, source), noise=levels, method=method,
                     progress=False)  # fmt: skip
 
