@@ -1,4 +1,4 @@
-"""Derivatives of the general propagator against CasADi's own, on the same Runge-Kutta recursion written out."""
+"""Derivatives of the general propagator against CasADi, on the same Runge-Kutta recursion written out."""
 
 from __future__ import annotations
 
