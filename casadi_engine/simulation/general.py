@@ -85,7 +85,10 @@ class GeneralPropagator:
         both = ca.vertcat(x, z)
         mu, rho = ca.SX.sym("mu", self.n), ca.SX.sym("rho", self.ny)
         inputs = [x, u0, u1, t0, z]
-        self._step = ca.Function("step", inputs, [state])
+        step = ca.Function("step", inputs, [state])
+        # All intervals side by side, then sample after sample: one call for the whole record.
+        batch = step.map(intervals.m) if intervals.m > 1 else step
+        self._sweep = batch.mapaccum(intervals.length)
         self._first = ArrayFunction(inputs, [ca.jacobian(state, both), y, ca.jacobian(y, both)])
         self._value = ArrayFunction(inputs, [y])
         self._symbols = (inputs, both, state, y, mu, rho)
@@ -110,15 +113,14 @@ class GeneralPropagator:
         plan = self.intervals
         tail = np.repeat(grid.channels[:, -1:], plan.padded + 1 - grid.samples, axis=1)
         u = np.concatenate([grid.channels, tail], axis=1)
-        width = len(u)
-        # (L, nu, M): sample of the interval, channel, interval
-        self._u0 = np.ascontiguousarray(u[:, :-1].reshape(width, plan.m, plan.length).transpose(2, 0, 1))
-        self._u1 = np.ascontiguousarray(u[:, 1:].reshape(width, plan.m, plan.length).transpose(2, 0, 1))
-        time = grid.start + grid.step * np.arange(plan.padded)
-        self._t = np.ascontiguousarray(time.reshape(plan.m, plan.length).T)[:, None, :]
+        at = np.arange(plan.points)[:, None] + plan.length * np.arange(plan.m)
+        # (points, nu, M): sample of the interval, channel, interval
+        self._u0 = np.ascontiguousarray(u[:, at].transpose(1, 0, 2))
+        self._u1 = np.ascontiguousarray(u[:, np.minimum(at + 1, plan.padded)].transpose(1, 0, 2))
+        self._t = np.asarray(grid.start + grid.step * at, dtype=np.float64)[:, None, :]
 
     def _columns(self, x: Array, z: Array) -> list[Array]:
-        """Arguments of the array functions: all samples side by side, (rows, L*M)."""
+        """Arguments of the array functions: all samples side by side, (rows, points*M)."""
 
         def flat(part: Array) -> Array:
             return np.ascontiguousarray(part.transpose(1, 0, 2)).reshape(part.shape[1], -1)
@@ -127,40 +129,43 @@ class GeneralPropagator:
 
     def propagate(self, z: Array, nodes: Array, order: int = 1) -> GeneralTrajectory:
         """Advance all intervals from ``nodes`` (M, n), scaled states, at z : (nz,)."""
-        plan, n, nz, length = self.intervals, self.n, self.nz, self.intervals.length
+        plan, n, nz = self.intervals, self.n, self.nz
+        length, points = plan.length, plan.points
         x = np.empty((length + 1, n, plan.m))
         x[0] = nodes.T
-        for k in range(length):
-            x[k + 1] = np.asarray(self._step(x[k], self._u0[k], self._u1[k], self._t[k], z))
+        given = self._columns(x[:0], z)[1:4]
+        many = np.repeat(np.asarray(z, dtype=float)[:, None], plan.m * length, axis=1)
+        swept = np.asarray(self._sweep(x[0], *given, many), dtype=float)
+        x[1:] = swept.reshape(n, length, plan.m).transpose(1, 0, 2)
         if not np.isfinite(x).all():
             raise FloatingPointError("the model's state is not finite here")
-        columns = self._columns(x[:-1], z)
+        columns = self._columns(x[:points], z)
         if order == 0:
-            y = self._value(*columns)[0].reshape(1, self.ny, length, plan.m)
+            y = self._value(*columns)[0].reshape(1, self.ny, points, plan.m)
             none = np.zeros((0, 0, 0, 0))
             return GeneralTrajectory(x, none, none, self._rows(y), none)
         jacobian, value, slope = self._first(*columns)
-        step = jacobian.reshape(n + nz, n, length, plan.m).transpose(2, 3, 1, 0)
-        out = slope.reshape(n + nz, self.ny, length, plan.m).transpose(2, 3, 1, 0)
+        step = jacobian.reshape(n + nz, n, points, plan.m).transpose(2, 3, 1, 0)
+        out = slope.reshape(n + nz, self.ny, points, plan.m).transpose(2, 3, 1, 0)
         s = np.zeros((length + 1, plan.m, n, n + nz))
         s[0, :, :, :n] = np.eye(n)
         a = np.ascontiguousarray(step[..., :n])
         for k in range(length):
             np.matmul(a[k], s[k], out=s[k + 1])
             s[k + 1, :, :, n:] += step[k, :, :, n:]
-        full = out[..., :n] @ s[:-1]
+        full = out[..., :n] @ s[:points]
         full[..., n:] += out[..., n:]
         y = np.concatenate(
-            [value.reshape(1, self.ny, length, plan.m), full[..., n:].transpose(3, 2, 0, 1)], axis=0
+            [value.reshape(1, self.ny, points, plan.m), full[..., n:].transpose(3, 2, 0, 1)], axis=0
         )
         ys = self._rows(full[..., :n].transpose(3, 2, 0, 1)).transpose(1, 2, 3, 0)
         return GeneralTrajectory(x, s, a, self._rows(y), np.ascontiguousarray(ys))
 
     def _rows(self, y: Array) -> Array:
-        """(., ny, L, M) to the batch's layout (., R*ny, b, M)."""
+        """(., ny, points, M) to the batch's layout (., R*ny, b, M)."""
         plan = self.intervals
-        y = y.reshape(len(y), self.ny, plan.b, plan.q, plan.m)[:, :, :, plan.samples, :]
-        return np.ascontiguousarray(y.transpose(0, 3, 1, 2, 4)).reshape(len(y), -1, plan.b, plan.m)
+        rows = y[:, :, plan.samples[:, None] + plan.q * np.arange(plan.b)]
+        return np.ascontiguousarray(rows.transpose(0, 2, 1, 3, 4)).reshape(len(y), -1, plan.b, plan.m)
 
     def _second_function(self) -> ArrayFunction:
         if self._second is None:
@@ -176,22 +181,29 @@ class GeneralPropagator:
         self, z: Array, path: GeneralTrajectory, rho: Array, lam: Array
     ) -> tuple[Array, Array, Array]:
         """Second derivatives of sum(rho * y) + sum(lam * end): (z, z), (z, start) and (start, start)."""
-        plan, n, nz, length = self.intervals, self.n, self.nz, self.intervals.length
+        plan, n, nz = self.intervals, self.n, self.nz
+        length, points = plan.length, plan.points
         second = self._second_function()
-        spread = np.zeros((plan.q, self.ny, plan.b, plan.m))
-        spread[plan.samples] = rho.reshape(len(plan.samples), self.ny, plan.b, plan.m)
-        weights = np.ascontiguousarray(spread.transpose(1, 2, 0, 3)).reshape(self.ny, -1)
-        columns = self._columns(path.x[:-1], z)
-        pull = self._pull(*columns, weights)[0].reshape(n, length, plan.m).transpose(1, 2, 0)
-        mu = np.empty((length + 1, plan.m, n))
-        mu[-1] = lam.T
+        spread = np.zeros((points, self.ny, plan.m))
+        for sample, row in zip(plan.samples, rho.reshape(-1, self.ny, plan.b, plan.m), strict=True):
+            # A block's end is the next block's first sample.
+            spread[sample : sample + length : plan.q] += row.transpose(1, 0, 2)
+        weights = np.ascontiguousarray(spread.transpose(1, 0, 2)).reshape(self.ny, -1)
+        columns = self._columns(path.x[:points], z)
+        pull = self._pull(*columns, weights)[0].reshape(n, points, plan.m).transpose(1, 2, 0)
+        mu = np.zeros((length + 1, plan.m, n))
+        mu[:points] = pull
+        mu[-1] += lam.T
         for k in range(length - 1, -1, -1):
-            mu[k] = (mu[k + 1][:, None, :] @ path.a[k])[:, 0] + pull[k]
-        multipliers = np.ascontiguousarray(mu[1:].transpose(2, 0, 1)).reshape(n, -1)
-        hessian = second(*columns, multipliers, weights)[0].reshape(n + nz, n + nz, length, plan.m)
+            mu[k] += (mu[k + 1][:, None, :] @ path.a[k])[:, 0]
+        multipliers = np.zeros((n, points, plan.m))
+        multipliers[:, :length] = mu[1:].transpose(2, 0, 1)
+        hessian = second(*columns, multipliers.reshape(n, -1), weights)[0].reshape(
+            n + nz, n + nz, points, plan.m
+        )
         inner = hessian.transpose(2, 3, 0, 1)
-        basis = np.zeros((length, plan.m, n + nz, n + nz))
-        basis[:, :, :n] = path.s[:-1]
+        basis = np.zeros((points, plan.m, n + nz, n + nz))
+        basis[:, :, :n] = path.s[:points]
         basis[:, :, n:, n:] = np.eye(nz)
         total = (basis.swapaxes(-1, -2) @ inner @ basis).sum(axis=0)
         return (

@@ -14,12 +14,16 @@ from casadi_engine.simulation.jets import Array
 # A block this long makes the matrix products large enough for BLAS and the block matrix cheap to build.
 _BLOCK = 16
 _LONGEST_BLOCK = 64
+# Samples of an interval that holds a cubic.
+_CUBIC = 4
 
 
 @dataclass(frozen=True)
 class Intervals:
     """m intervals of b blocks of q samples; outputs at ``samples`` of each block.
 
+    samples : numbers 0 .. q-1, and q, the block's end, where outputs are interpolated: a measured sample between an
+    interval's last grid point and the next interval's first then has grid points on both sides.
     padded : m*b*q >= N, the samples with the padding of the last interval
     """
 
@@ -34,6 +38,11 @@ class Intervals:
         return self.b * self.q
 
     @property
+    def points(self) -> int:
+        """Samples of an interval at which there are outputs or further steps: its length, or one more."""
+        return max(self.length, (self.b - 1) * self.q + int(self.samples[-1]) + 1)
+
+    @property
     def padded(self) -> int:
         """Samples of all intervals."""
         return self.m * self.length
@@ -45,23 +54,30 @@ def cut(grid: Grid, length: int | None) -> Intervals:
     A long length without a divisor that makes a good block is rounded to the next multiple of one.
     """
     stride, offset = _stride(grid)
+    beyond = 0 if _on_grid(grid) else 1
     if length is None or length >= grid.samples:
         q = _LONGEST_BLOCK if grid.samples > 20 * _LONGEST_BLOCK else min(_BLOCK, grid.samples)
         q = math.ceil(q / stride) * stride
         b = math.ceil(grid.samples / q)
-        return Intervals(1, b, q, np.arange(offset, q, stride))
+        return Intervals(1, b, q, np.arange(offset, q + beyond, stride))
+    if beyond:
+        length = max(length, _CUBIC)
     q = _block(length, stride)
     if q == 0:
         q = math.ceil(_BLOCK / stride) * stride
         length = math.ceil(length / q) * q
     if q % stride:
         stride, offset = 1, 0
-    return Intervals(math.ceil(grid.samples / length), length // q, q, np.arange(offset, q, stride))
+    return Intervals(math.ceil(grid.samples / length), length // q, q, np.arange(offset, q + beyond, stride))
+
+
+def _on_grid(grid: Grid) -> bool:
+    return all(m.on_grid for m in grid.measured.values())
 
 
 def _stride(grid: Grid) -> tuple[int, int]:
     """Step and offset of the grid points at which any output was measured; (1, 0) off the grid."""
-    if not grid.measured or not all(m.on_grid for m in grid.measured.values()):
+    if not grid.measured or not _on_grid(grid):
         return 1, 0
     points = np.unique(np.concatenate([m.position for m in grid.measured.values()])).astype(int)
     stride = int(np.gcd.reduce(np.diff(points))) if len(points) > 1 else 1
@@ -88,10 +104,10 @@ class Observation:
 
     def __init__(self, grid: Grid, intervals: Intervals, outputs: tuple[str, ...]) -> None:
         self.plan, self.outputs, self.samples = intervals, outputs, grid.measured
-        self.on_grid = all(m.on_grid for m in grid.measured.values())
+        self.on_grid = _on_grid(grid)
         rows, ny, plan = len(intervals.samples), len(outputs), intervals
         self._shape = (rows, ny, plan.b, plan.m)
-        self._row_of = np.full(plan.q, -1)
+        self._row_of = np.full(plan.q + 1, -1)
         self._row_of[plan.samples] = np.arange(rows)
         self._index: NDArray[np.intp] | None = None
         place = self._place_on_grid if self.on_grid else self._place_off_grid
@@ -105,34 +121,37 @@ class Observation:
                 kinds.ravel()[self.where[name]] = column
         self.column = kinds
 
-    def _flat(self, position: NDArray[np.intp], column: NDArray[np.intp] | int) -> NDArray[np.intp]:
-        """Index of grid points in the propagator's layout (R, ny, b, M)."""
-        interval, inside = np.divmod(position, self.plan.length)
-        block, row = np.divmod(inside, self.plan.q)
-        return np.ravel_multi_index(
-            (self._row_of[row], np.broadcast_to(column, row.shape), block, interval), self._shape
-        )
+    def _flat(
+        self, position: NDArray[np.intp], column: NDArray[np.intp] | int, interval: NDArray[np.intp]
+    ) -> NDArray[np.intp]:
+        """Index of grid points of the given intervals in the propagator's layout (R, ny, b, M)."""
+        inside = position - interval * self.plan.length
+        block = np.minimum(inside // self.plan.q, self.plan.b - 1)
+        row = self._row_of[inside - block * self.plan.q]
+        return np.ravel_multi_index((row, np.broadcast_to(column, row.shape), block, interval), self._shape)
 
     def _place_on_grid(self, grid: Grid) -> dict[str, NDArray[np.intp]]:
         rows, ny, b, m = self._shape
         self.shape = (rows * ny * b, m)
         numbers = {name: column for column, name in enumerate(self.outputs) if name in grid.measured}
-        return {k: self._flat(grid.measured[k].position.astype(int), c) for k, c in numbers.items()}
+        points = {name: grid.measured[name].position.astype(int) for name in numbers}
+        return {name: self._flat(at, numbers[name], at // self.plan.length) for name, at in points.items()}
 
     def _place_off_grid(self, grid: Grid) -> dict[str, NDArray[np.intp]]:
         names = [name for name in self.outputs if name in grid.measured]
         position = np.concatenate([grid.measured[name].position for name in names])
         kind = np.concatenate([np.full(len(grid.measured[n].position), self.outputs.index(n)) for n in names])
-        interval = np.minimum(position // self.plan.length, self.plan.m - 1).astype(int)
+        interval = np.clip(position // self.plan.length, 0, self.plan.m - 1).astype(int)
         order = np.argsort(interval, kind="stable")
         counts = np.bincount(interval, minlength=self.plan.m)
         rank = np.empty(len(position), np.intp)
         rank[order] = np.arange(len(position)) - np.repeat(np.cumsum(counts) - counts, counts)
         self.shape = (int(counts.max()), self.plan.m)
-        points, weights = _stencil(position, self.plan, grid.samples)
+        points, weights = _stencil(position, interval, self.plan, grid.samples)
         index = np.zeros((*self.shape, 4), np.intp)
         self._weights = np.zeros((*self.shape, 4))
-        index[rank, interval] = self._flat(points.ravel(), np.repeat(kind, 4)).reshape(points.shape)
+        flat = self._flat(points.ravel(), np.repeat(kind, 4), np.repeat(interval, 4))
+        index[rank, interval] = flat.reshape(points.shape)
         self._weights[rank, interval] = weights
         self._index = index
         places = np.ravel_multi_index((rank, interval), self.shape)
@@ -163,19 +182,20 @@ class Observation:
         if self._index is None:
             return rho.reshape(rows * ny, b, m)
         spread = (rho[..., None] * self._weights).ravel()
-        total: Array = np.bincount(self._index.ravel(), spread, minlength=rows * ny * b * m)
-        return total.reshape(rows * ny, b, m)
+        total = np.bincount(self._index.ravel(), spread, minlength=rows * ny * b * m)
+        return total.astype(np.float64).reshape(rows * ny, b, m)
 
     def series(self, values: Array, name: str) -> Array:
         """(K, M) values at the valid samples of one output, in time order."""
         return values.ravel()[self.where[name]]
 
 
-def _stencil(position: Array, plan: Intervals, samples: int) -> tuple[NDArray[np.intp], Array]:
+def _stencil(
+    position: Array, interval: NDArray[np.intp], plan: Intervals, samples: int
+) -> tuple[NDArray[np.intp], Array]:
     """Grid points (N, 4) and Lagrange weights (N, 4) of off-grid positions, within the sample's interval."""
-    interval = np.minimum(position // plan.length, plan.m - 1)
     low = interval * plan.length
-    high = np.minimum(low + plan.length, samples) - 1
+    high = np.minimum(low + plan.length, samples - 1)
     first = np.clip(np.floor(position) - 1, low, np.maximum(high - 3, low))
     points = first[:, None] + np.arange(4)[None, :]
     usable = points <= high[:, None]
