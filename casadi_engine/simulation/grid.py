@@ -49,8 +49,7 @@ class Grid:
     @property
     def time(self) -> Array:
         """(N,) s."""
-        time: Array = self.start + self.step * np.arange(self.samples)
-        return time
+        return np.asarray(self.start + self.step * np.arange(self.samples), dtype=np.float64)
 
 
 def lay_grid(model: Model, experiment: Experiment, *, outputs: tuple[str, ...] | None = None) -> Grid:
@@ -86,7 +85,7 @@ def lay_grid(model: Model, experiment: Experiment, *, outputs: tuple[str, ...] |
             allowed="two samples or more",
             cure="take a longer record",
         )
-    time: Array = start + step * np.arange(samples)
+    time = np.asarray(start + step * np.arange(samples), dtype=np.float64)
     channels = np.array([_sampled(channel, time, step) for channel in inputs]).reshape(len(inputs), samples)
     measured = {channel.name: _measured(channel, start, step) for channel in observed}
     return Grid(start, step, samples, channels, tuple(c.hold for c in inputs), measured)

@@ -142,7 +142,9 @@ class LinearPropagator:
         blocks = self._blocks(z, order)
         samples, v, v_first, _ = self._drive_columns(z)
         p = blocks.p[: 1 + nz]
-        forced = (p[:, :, n:].reshape(p.shape[0] * p.shape[1], v.shape[0]) @ v).reshape(1 + nz, -1, plan.b, plan.m)
+        forced = (p[:, :, n:].reshape(p.shape[0] * p.shape[1], v.shape[0]) @ v).reshape(
+            1 + nz, -1, plan.b, plan.m
+        )
         if nz:
             for k, i in enumerate(samples.active):
                 forced[1 + i] += (p[0, :, n:] @ v_first[k]).reshape(-1, plan.b, plan.m)
