@@ -1,10 +1,9 @@
 """Report: tables, figures and self-contained pages of the results."""
 
-from casadi_engine.report.figures import figures, plot
+from casadi_engine.report.figures import plot
 from casadi_engine.report.kinds import Simulated
 from casadi_engine.report.page import report
 from casadi_engine.report.result_file import to_result, write_result
-from casadi_engine.report.schema import schema
 from casadi_engine.report.stored import Result, load_result
 from casadi_engine.report.tables import as_html, fit_html, fit_text, text, validation_html, validation_text
 
@@ -12,13 +11,11 @@ __all__ = [
     "Result",
     "Simulated",
     "as_html",
-    "figures",
     "fit_html",
     "fit_text",
     "load_result",
     "plot",
     "report",
-    "schema",
     "text",
     "to_result",
     "validation_html",

@@ -18,9 +18,9 @@ def envelope(time: Array, values: Array, *, bins: int = BINS) -> tuple[Array, Ar
     Signals of up to 2·bins samples are returned as they are. The largest and the smallest value are kept.
 
     >>> import numpy as np
-    >>> t, y = envelope(np.arange(8.0), np.array([0, 5, 1, 1, 1, 1, -3, 1.0]), bins=2)
+    >>> t, y = envelope(np.arange(8.0), np.array([0, 5, 1, 1, 1, 1, -3, 2.0]), bins=2)
     >>> t, y
-    (array([0., 1., 6., 7.]), array([ 0.,  5., -3.,  1.]))
+    (array([0., 1., 6., 7.]), array([ 0.,  5., -3.,  2.]))
     """
     n = values.size
     if n <= 2 * bins:

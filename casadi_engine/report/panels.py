@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from casadi_engine.estimation.fit import Estimate, Fit, Optimum, Trace
 from casadi_engine.estimation.summary import BOUND_WORDS, number, parameter_of
@@ -78,8 +77,10 @@ def draw_trace(
     time = trace.time[inside]
     measured = np.where(trace.mask, trace.measured, np.nan)[inside]
     few = time.size <= MARKED
-    if few:
-        ax.plot(time, measured, ".", color=MEASURED, markersize=3, label="measured")
+    if few or (window is not None and time.size <= 10 * MARKED):
+        size = 3 if few else 1.5
+        # Many dots as paths would make a vector figure of megabytes.
+        ax.plot(time, measured, ".", color=MEASURED, markersize=size, label="measured", rasterized=not few)
     else:
         ax.plot(*envelope(time, measured), color=MEASURED, linewidth=1.6, label="measured")
     ax.plot(*envelope(time, trace.simulated[inside]), color=SIMULATED, linewidth=0.9, label="simulated")
@@ -111,13 +112,19 @@ def draw_residual(ax: Axes, trace: Trace, subject: Subject) -> None:
         ax.plot(trace.time, residual, ".", color=SIMULATED, markersize=3)
     else:
         ax.plot(*envelope(trace.time, residual), color=SIMULATED, linewidth=0.6)
-    if not found.any():
+    if found.any():
+        tallest = max(float(np.max(np.abs(residual[found]))), 2 * (subject.sigma or 0.0))
+        if tallest > 0 and math.isfinite(tallest):
+            ax.set_ylim(-1.1 * tallest, 1.5 * tallest)  # room for the legend
+    else:
         note(ax, "no sample counts")
     dress(ax, x="time [s]", y=subject.label("residual"), title=title)
 
 
 def draw_spectrum(ax: Axes, trace: Trace, subject: Subject) -> None:
     """Power spectral density of the residual (Welch), and the level of white noise of its sigma."""
+    from scipy import signal  # slow to import, and only needed here
+
     residual, rate = trace.residual, sampling_rate(trace.time)
     found = np.isfinite(residual)
     dress(
@@ -139,6 +146,8 @@ def draw_spectrum(ax: Axes, trace: Trace, subject: Subject) -> None:
         note(ax, "no spectrum: the residual is constant")
         return
     ax.loglog(frequency[positive], density[positive], color=SIMULATED, linewidth=0.8)
+    _plain_log_labels(ax.xaxis)
+    _plain_log_labels(ax.yaxis)
     if subject.sigma is not None and math.isfinite(subject.sigma) and subject.sigma > 0:
         level = 2 * subject.sigma**2 / rate
         ax.axhline(level, color=PREDICTED, linewidth=0.9, linestyle="--", label="white noise of this σ")
@@ -147,6 +156,14 @@ def draw_spectrum(ax: Axes, trace: Trace, subject: Subject) -> None:
         ax.set_title(
             f"spectrum of the residual ({100 * (1 - found.mean()):.2g} % missing, as zero)", loc="left"
         )
+
+
+def _plain_log_labels(axis: Any) -> None:
+    """Labels such as 100 and 2e-05: powers set as formulas take half of the time of a figure."""
+    from matplotlib.ticker import LogFormatter
+
+    axis.set_major_formatter(LogFormatter())
+    axis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.5)))
 
 
 def draw_correlation(ax: Axes, correlation: Correlation, *, title: str, with_itself: bool) -> None:
@@ -240,6 +257,7 @@ def draw_precision(ax: Axes, fit: Fit, names: Sequence[str]) -> None:
         )
     if widths:
         ax.set_xscale("log")
+        _plain_log_labels(ax.xaxis)
         ax.set_xlim(min(widths) / 4, max(widths) * 8)
     ax.set_yticks(rows, [""] * len(names))
     ax.set_ylim(-0.7, len(names) - 0.3)

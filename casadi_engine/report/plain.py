@@ -46,11 +46,24 @@ def plain(value: Any, place: str = "result") -> Any:
 
 def _object(value: Mapping[Any, Any], place: str) -> dict[str, Any]:
     made = {str(key): plain(entry, f"{place}.{key}") for key, entry in value.items()}
-    reasons = {str(key): reason for key, entry in value.items() if (reason := _lost(entry)) is not None}
+    reasons: dict[str, str] = {}
+    for key, entry in value.items():
+        if _of_numbers(entry):
+            # Names to numbers, such as times: the reason must not stand among the names, so it moves up.
+            moved = made[str(key)].pop("why", {})
+            reasons |= {f"{key}.{name}": reason for name, reason in moved.items()}
+        elif (reason := _lost(entry)) is not None:
+            reasons[str(key)] = reason
     if reasons:
         given = made.get("why")
         made["why"] = reasons | (given if isinstance(given, dict) else {})
     return made
+
+
+def _of_numbers(entry: Any) -> bool:
+    return isinstance(entry, Mapping) and all(
+        isinstance(one, float | np.floating | None) for one in entry.values()
+    )
 
 
 def _lost(entry: Any) -> str | None:

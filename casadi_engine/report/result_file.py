@@ -206,7 +206,10 @@ def _why(estimate: Estimate) -> dict[str, str]:
 
 def percents(found: Mapping[str, float | None]) -> dict[str, Any]:
     """Fit percentages (2.32) of one output, with the reason where there is none."""
-    made: dict[str, Any] = {key: found.get(key) for key in ("simulation", "prediction")}
+    made: dict[str, Any] = {}
+    for key in ("simulation", "prediction"):
+        value = found.get(key)
+        made[key] = value if value is not None and np.isfinite(value) else None
     reasons = {
         "simulation": "the measured output does not vary: (2.32) divides by its variation",
         "prediction": NO_PREDICTOR,

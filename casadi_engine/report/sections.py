@@ -139,7 +139,10 @@ def _verdict_of_fit(fit: Fit, validation: Any) -> Section:
     if assumed:
         lines.append(f"Inputs{assumed}.")
     lines += list(fit.messages)
-    lines.append(f"Next: {'; '.join(fits.next_steps(fit))}.")
+    steps = fits.next_steps(fit)
+    if steps == [fits.FRESH] and validation is not None and not set(validation.records) <= set(fit.traces):
+        steps = [validations.next_step(validation)]  # it has seen fresh data
+    lines.append(f"Next: {'; '.join(steps)}.")
     sound = fit.converged and not fit.undetermined and (validation is None or validation.passed)
     return Section("verdict", "Verdict", lines, "good" if sound else "poor")
 
@@ -158,7 +161,6 @@ def _model(model: Model) -> Section:
     return Section(
         "model",
         "Model",
-        lines=[f"{model.name}: {model.description}" if model.description else model.name],
         preformatted=[model.equations()],
         folded=[Folded("The equations in LaTeX", model.latex())],
         tables=[table(("kind", "name", "unit", "meaning"), rows)],
@@ -212,7 +214,7 @@ def _tests(validation: Any, *, fitted: Fit | None) -> Section:
         "Fit and residual tests" if fitted is None else "Residual tests",
         lines=[line for line in (validations.verdict(validation), on, note) if line]
         + (_not_drawn(records) if fitted is None else []),
-        tables=[tables.measure_table(validation), tables.test_table(validation)],
+        tables=[tables.measure_table(validation), tables.residual_table(validation)],
         wanted=wanted,
     )
 
@@ -251,10 +253,10 @@ def _data(data: Sequence[Experiment]) -> Section:
             (
                 experiment.name,
                 experiment.source or "(made of arrays)",
-                experiment.sha256 or "-",
                 fits.count(experiment.samples),
                 f"{experiment.duration:.6g}",
                 ", ".join(experiment.ignored) or "-",
+                experiment.sha256 or "-",
             )
         )
         for channel in experiment.channels:
@@ -272,8 +274,8 @@ def _data(data: Sequence[Experiment]) -> Section:
                 )
             )
         history += [(experiment.name, str(step)) for step in experiment.history]
-    header = ("record", "file", "SHA-256", "samples", "duration [s]", "ignored columns")
-    made = [table(header, files, right=(3, 4), caption="Records")]
+    header = ("record", "file", "samples", "duration [s]", "ignored columns", "SHA-256")
+    made = [table(header, files, right=(2, 3), caption="Records")]
     names = ("record", "channel", "unit", "samples", "missing", "rate [Hz]", "origin")
     made.append(table(names, channels, right=(3, 4, 5), caption="Channels"))
     if history:

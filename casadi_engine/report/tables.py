@@ -93,7 +93,7 @@ def fit_html(fit: Fit) -> str:
 def validation_html(validation: Any) -> str:
     """A validation as HTML: verdict, measures, tests."""
     head = f"<p><b>{html.escape(validations.verdict(validation))}</b></p>"
-    return head + measure_table(validation) + test_table(validation)
+    return head + measure_table(validation) + residual_table(validation)
 
 
 def cost_table(fit: Fit) -> str:
@@ -149,7 +149,7 @@ def measure_table(validation: Any) -> str:
     return table(validations.MEASURES, rows, right=range(3, 9), caption=caption)
 
 
-def test_table(validation: Any) -> str:
+def residual_table(validation: Any) -> str:
     """The residual tests, one row each."""
     failed = set(validation.failed)
     rows = [
@@ -160,7 +160,7 @@ def test_table(validation: Any) -> str:
             str(test.samples),
             "FAILED" if name in failed else f"not made: {test.why}" if test.p_value is None else "passed",
         )
-        for name, test in validations.tests_of(validation).items()
+        for name, test in validations.all_tests(validation).items()
     ]
     caption = f"Residual tests, failed by Holm's rule at alpha = {validation.alpha:g}"
     return table(("test", "p", "dof", "samples", "verdict"), rows, right=(1, 2, 3), caption=caption)

@@ -56,7 +56,7 @@ def make_trace(experiment, truth, *, predicted=False):
     return Trace(channel.time, channel.values, channel.mask, simulated, truth.copy() if predicted else None)
 
 
-def make_fit(*, records=("misfire_1200rpm",), predicted=False, n=1200, theta=True, **changes):
+def make_fit(*, records=("misfire_1200rpm",), predicted=False, samples=1200, theta=True, **changes):
     model = changes.pop("model", None) or two_mass()
     pars = model.parameters()
     for name, value in VALUES.items():
@@ -81,7 +81,7 @@ def make_fit(*, records=("misfire_1200rpm",), predicted=False, n=1200, theta=Tru
     }
     estimates["C_half"] = Estimate(0.07705, 0.000155, "N m s/rad")
     spread = np.array([ERRORS[name] or 0.0 for name in VALUES])
-    made = [make_experiment(name, n=n, seed=k, theta=theta) for k, name in enumerate(records)]
+    made = [make_experiment(name, n=samples, seed=k, theta=theta) for k, name in enumerate(records)]
     data = tuple(experiment for experiment, _ in made)
     given = {
         "model": model,
