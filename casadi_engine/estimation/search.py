@@ -167,8 +167,9 @@ class Search:
 
     @property
     def free_count(self) -> int:
-        """Number of free parameters and initial states."""
+        """Number of free parameters and initial states, less the equalities between them."""
         fixed = sum(int((low == high).sum()) for low, high, _ in self._initial)
+        fixed += int((self.constraints.lower == self.constraints.upper).sum())
         return self.problem.nv + sum(record.n for record in self.records) - fixed
 
     # ---- run

@@ -1,8 +1,8 @@
 """Covariance of the estimate, through continuity, priors, ties, constraints and active bounds.
 
-The intervals are chained first, so that only the parameters and the initial states remain; their information matrix
-is restricted to the directions that active bounds and constraints leave open and inverted there. Directions without
-information are named instead of inverted.
+The intervals are chained first, so that only the parameters and the initial states remain; their information
+matrix is restricted to the directions that active bounds and constraints leave open and inverted there. Directions
+without information are named instead of inverted.
 """
 
 from __future__ import annotations
@@ -17,23 +17,26 @@ from casadi_engine.estimation.record import Blocks, RecordPoint, RecordTerm
 
 Array = NDArray[np.float64]
 
-# Eigenvalues of the information matrix, scaled to unit diagonal, below which a direction counts as undetermined: the
-# rounding of the matrix itself is about 1e-15 times its condition.
+# Eigenvalues of the information matrix, scaled to unit diagonal, below which a direction counts as undetermined:
+# the rounding of the matrix itself is about 1e-15 times its condition.
 _NOTHING = 1e-12
 
 
 @dataclass(frozen=True)
 class Covariance:
-    """matrix : (N, N) over [v; initial states of the records]; open : (N,) True where an entry has an error;
-    directions : list of unit vectors (N,) in scaled units that the data do not determine"""
+    """Errors over the N entries of [v; initial states of the records].
+
+    matrix : (N, N); rank : number of directions that the data determine; directions : unit vectors (N,) in scaled
+    units that they do not
+    """
 
     matrix: Array
-    open: NDArray[np.bool_]
+    rank: int
     directions: list[Array]
 
 
 def chained_information(record: RecordTerm, point: RecordPoint, blocks: Blocks) -> Array:
-    """Information matrix (nz+n, nz+n) of [active parameters; initial state] of one record, nodes eliminated."""
+    """Information matrix (nz+n, nz+n) of a record's active parameters and initial state, nodes eliminated."""
     nz, n, m = len(record.active), record.n, record.plan.m
     end_z, end_s = point.path.end_z, point.path.end_s
     chain = np.empty((m, n, nz + n))
@@ -65,22 +68,21 @@ def invert(information: Array, closed: NDArray[np.bool_], active_rows: Array) ->
     lost = values < _NOTHING * max(1.0, values[-1] if len(values) else 1.0)
     seen = vectors[:, ~lost] / spread[:, None]
     matrix = basis @ (seen / values[~lost]) @ seen.T @ basis.T
-    directions, open_ = [], free.copy()
+    directions = []
     for vector in (vectors[:, lost] / spread[:, None]).T:
         whole = basis @ vector
-        whole = whole / np.linalg.norm(whole)
-        directions.append(whole)
-        open_ &= np.abs(whole) < 1e-6
-    return Covariance(matrix, open_ & (np.diag(matrix) > 0), directions)
+        directions.append(whole / np.linalg.norm(whole))
+    return Covariance(matrix, int(np.sum(~lost)), directions)
 
 
 def in_words(vector: Array, names: list[str], most: int = 4) -> tuple[str, dict[str, float]]:
-    """A direction in words: its largest entries, normalised to the largest."""
-    order = np.argsort(-np.abs(vector))
-    lead = vector[order[0]]
-    weights = {names[i]: float(vector[i] / lead) for i in order if abs(vector[i] / lead) > 1e-3}
-    terms = [f"{share:+.3g}*{name}" for name, share in list(weights.items())[:most]]
-    text = " ".join(terms).lstrip("+").replace("1*", "", 1) if terms else ""
-    if len(weights) == 1:
-        return names[order[0]], weights
+    """A direction in words, largest entries first, in units of the largest: ``J_eng - 0.5*C_eng``."""
+    size = np.abs(vector) / np.abs(vector).max()
+    order = np.argsort(-np.round(size, 6), kind="stable")  # equal entries stay in the order of their names
+    weights = {names[i]: float(vector[i] / vector[order[0]]) for i in order if size[i] > 1e-3}
+    text = ""
+    for name, share in list(weights.items())[:most]:
+        factor = f"{abs(share):.3g}*".removeprefix("1*")
+        sign = ("" if share > 0 else "-") if not text else (" + " if share > 0 else " - ")
+        text += f"{sign}{factor}{name}"
     return text + (" ..." if len(weights) > most else ""), weights

@@ -1,0 +1,201 @@
+"""Standard errors at the best point of a search: bounds and constraints that act, and errors through ties."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.estimation.fit import AtBound, Direction, Estimate
+from casadi_engine.estimation.loss import Loss
+from casadi_engine.estimation.record import RecordTerm
+from casadi_engine.estimation.search import Attempt, Search
+from casadi_engine.estimation.uncertainty import Covariance, chained_information, in_words, invert
+
+Array = NDArray[np.float64]
+
+# An entry this close to its bound, and a constraint this close to its limit (in scaled units), is at it.
+_AT_LIMIT = 1e-7
+# A variance below this share of what its parts would give is rounding: the constraints leave nothing open.
+_HELD = 1e-12
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """What is known of the errors at the point x (size,), parameters at a bound put on it.
+
+    bound : False, "min" or "max" of every entry of [v; initial states]; covariance : over the same entries
+    """
+
+    search: Search
+    x: Array
+    bound: list[AtBound]
+    covariance: Covariance
+
+    @property
+    def v(self) -> Array:
+        """(nv,) solver's coordinates of the free parameters."""
+        return self.x[: self.search.problem.nv]
+
+    @property
+    def directions(self) -> tuple[Direction, ...]:
+        """What the data do not determine, in words."""
+        return tuple(Direction(*in_words(d, _names(self.search))) for d in self.covariance.directions)
+
+    def of_parameters(self) -> Array:
+        """(nz, nz) covariance in the parameters' units; NaN where the data do not determine an entry."""
+        scale = self.search.coordinates.slope(self.v)
+        nv = len(scale)
+        matrix = self.covariance.matrix[:nv, :nv] * np.outer(scale, scale)
+        unknown = np.zeros(nv, dtype=bool)
+        for direction in self.covariance.directions:
+            unknown |= np.abs(direction[:nv]) >= 1e-6
+        matrix[unknown, :] = np.nan
+        matrix[:, unknown] = np.nan
+        return matrix
+
+    def estimates(self) -> dict[str, Estimate]:
+        """Every reported parameter with its error, propagated through ties to first order."""
+        search, nv, matrix = self.search, len(self.v), self.covariance.matrix
+        pmap, z = search.pmap, search.coordinates.values(self.v)
+        function = ca.Function("j", [pmap.z], [ca.densify(ca.jacobian(pmap.reported_expressions, pmap.z))])
+        values = pmap.values(z)
+        slopes = np.asarray(function(z), dtype=float).reshape(len(values), nv)
+        slopes = slopes * search.coordinates.slope(self.v)
+        found = {}
+        for (name, value), slope in zip(values.items(), slopes, strict=True):
+            side: AtBound = self.bound[pmap.free.index(name)] if name in pmap.free else False
+            error, why = self._error(slope, matrix[:nv, :nv], side)
+            unit = search.parameters[name.split("@")[0]].unit
+            found[name] = Estimate(value, error, unit, side, why, fixed=not slope.any())
+        return found
+
+    def _error(self, slope: Array, matrix: Array, side: AtBound) -> tuple[float | None, str | None]:
+        """Standard error of a quantity with this slope (nv,), or why there is none."""
+        if not slope.any():
+            return None, "fixed"
+        if side is not False:
+            return None, f"at its {'lower' if side == 'min' else 'upper'} bound: there is no symmetric error"
+        size = float(np.linalg.norm(slope))
+        if any(abs(d[: len(slope)] @ slope) > 1e-6 * size for d in self.covariance.directions):
+            return None, "the data do not determine it"
+        variance = float(slope @ matrix @ slope)
+        # what it would be if the entries were independent
+        if variance <= _HELD * float(slope**2 @ np.diag(matrix)):
+            return None, "held by active bounds or constraints"
+        return float(np.sqrt(variance)), None
+
+    def initial_states(self, record: RecordTerm, limits: tuple[Array, ...], at: int) -> dict[str, Estimate]:
+        """The initial states of a record, whose entries of the covariance begin ``at``."""
+        lay = self.search.problem.layouts[self.search.records.index(record)]
+        start = lay.take(self.x)[0] * record.scale
+        found = {}
+        for k, state in enumerate(self.search.model.states):
+            fixed = bool(limits[0][k] == limits[1][k])
+            side = self.bound[at + k]
+            error, why = None, None
+            if fixed:
+                side, why = False, "fixed"
+            elif side is not False:
+                why = f"at its {'lower' if side == 'min' else 'upper'} bound: there is no symmetric error"
+            elif any(abs(d[at + k]) >= 1e-6 for d in self.covariance.directions):
+                why = "the data do not determine it"
+            else:
+                error = float(np.sqrt(self.covariance.matrix[at + k, at + k]) * record.scale[k])
+            found[state.name] = Estimate(float(start[k]), error, state.unit, side, why, fixed)
+        return found
+
+
+def uncertainty(search: Search, best: Attempt) -> Uncertainty:
+    """Errors at the best point, with the noise levels found there."""
+    information = _information(search, best)
+    limits = [(low, high) for low, high, _ in search._initial]
+    fixed = np.concatenate([np.zeros(search.problem.nv, dtype=bool), *[low == high for low, high in limits]])
+    open_ = invert(information, fixed, np.zeros((0, len(information))))
+    bound = _at_bounds(search, best, open_)
+    x = best.solution.x.copy()
+    for k, side in enumerate(bound[: search.problem.nv]):
+        if side is not False:
+            x[k] = search.lower[k] if side == "min" else search.upper[k]
+    closed = np.array([side is not False for side in bound], dtype=bool)
+    rows = _active_rows(search, best, x[: search.problem.nv], open_)
+    return Uncertainty(search, x, bound, invert(information, closed, rows))
+
+
+def _information(search: Search, best: Attempt) -> Array:
+    """The information matrix over [v; initial states]."""
+    problem, x = search.problem, best.solution.x
+    point = problem.at(x)
+    size = problem.nv + sum(record.n for record in search.records)
+    information = np.zeros((size, size))
+    information[: problem.nv, : problem.nv] = problem.priors.evaluate(x[: problem.nv])[3]
+    at = problem.nv
+    for record, found in zip(search.records, point.records, strict=True):
+        # Huber's information is that of least squares times the efficiency of the clipped residuals.
+        blocks = record.gauss_newton(found, Loss())
+        own = chained_information(record, found, blocks) * _efficiency(
+            search.loss, found.r[record.observation.valid]
+        )
+        where = np.concatenate([record.active, np.arange(at, at + record.n)])
+        information[np.ix_(where, where)] += own
+        at += record.n
+    return information
+
+
+def _efficiency(loss: Loss, r: Array) -> float:
+    """(mean rho'')^2 / mean rho'^2: 1 for least squares with unit residuals (Huber 1981, section 7.6)."""
+    if not loss.robust:
+        return 1.0
+    curvature, slope = loss.curvature(r), loss.slope(r)
+    return float(np.mean(curvature) ** 2 / np.mean(slope**2)) if curvature is not None else 1.0
+
+
+def _acts(near: float, force: float, variance: float) -> bool:
+    """True if a limit at the distance ``near`` holds the estimate back.
+
+    An interior-point method stops a little inside: a limit acts too if its force, let go, would carry the
+    estimate well beyond it. force : on the summed cost; variance : of the estimate across the limit
+    """
+    return near < _AT_LIMIT or (near < 1e-2 and force > 0 and force * variance > 3 * near)
+
+
+def _at_bounds(search: Search, best: Attempt, open_: Covariance) -> list[AtBound]:
+    """For v and the initial states: False, "min" or "max"."""
+    problem, x, found = search.problem, best.solution.x, []
+    entries = list(range(problem.nv))
+    for lay in problem.layouts:
+        entries += range(lay.at, lay.at + lay.n)
+    for k, entry in enumerate(entries):
+        low, high = x[entry] - search.lower[entry], search.upper[entry] - x[entry]
+        force = float(best.solution.lam_x[entry]) * problem.samples
+        side: AtBound = "min" if low <= high else "max"
+        near = float(min(low, high))
+        acts = _acts(near, -force if side == "min" else force, float(open_.matrix[k, k]))
+        found.append(side if acts else False)
+    return found
+
+
+def _active_rows(search: Search, best: Attempt, v: Array, open_: Covariance) -> Array:
+    """Gradients (c, N) of the constraints that act."""
+    user, nv = search.constraints, search.problem.nv
+    if not user.count:
+        return np.zeros((0, len(open_.matrix)))
+    value, jacobian = user.evaluate(v)
+    variance = np.einsum("ca,ab,cb->c", jacobian, open_.matrix[:nv, :nv], jacobian)
+    force = best.solution.lam_g[: user.count] * search.problem.samples
+    active = user.lower == user.upper
+    for near, push in ((value - user.lower, -force), (user.upper - value, force)):
+        active |= np.array([_acts(*numbers) for numbers in zip(near, push, variance, strict=True)])
+    rows = np.zeros((int(active.sum()), len(open_.matrix)))
+    rows[:, :nv] = jacobian[active]
+    return rows
+
+
+def _names(search: Search) -> list[str]:
+    names = list(search.pmap.free)
+    for record in search.records:
+        at = f" at the start of {record.experiment.name}" if len(search.records) > 1 else " at the start"
+        names += [state.name + at for state in search.model.states]
+    return names
