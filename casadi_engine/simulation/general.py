@@ -133,7 +133,7 @@ class GeneralPropagator:
         length, points = plan.length, plan.points
         x = np.empty((length + 1, n, plan.m))
         x[0] = nodes.T
-        given = self._columns(x[:0], z)[1:4]
+        given = [part[:, : length * plan.m] for part in self._columns(x[:0], z)[1:4]]
         many = np.repeat(np.asarray(z, dtype=float)[:, None], plan.m * length, axis=1)
         swept = np.asarray(self._sweep(x[0], *given, many), dtype=float)
         x[1:] = swept.reshape(n, length, plan.m).transpose(1, 0, 2)

@@ -115,7 +115,7 @@ def made():
 
 
 def _unrolled(model, grid, plan, physical, z, one_step, scale):
-    """Function (z, start, u (nu, L+1), t0) -> outputs (L*ny, 1), end state: an interval written out."""
+    """Function (z, start, u (nu, L+1), t0) -> outputs ((L+1)*ny, 1), end state: an interval written out."""
     x = ca.SX.sym("x", len(scale))
     u = ca.SX.sym("u", model.u.numel(), plan.length + 1)
     t0, zm = ca.SX.sym("t0"), ca.SX.sym("z", z.numel())
@@ -126,6 +126,7 @@ def _unrolled(model, grid, plan, physical, z, one_step, scale):
     for k in range(plan.length):
         rows.append(out(state * s, u[:, k], t0 + k * grid.step, p))
         state = step(state * s, u[:, k], u[:, k + 1], t0 + k * grid.step) / s
+    rows.append(out(state * s, u[:, plan.length], t0 + plan.length * grid.step, p))
     return ca.Function("unrolled", [zm, x, u, t0], [ca.vertcat(*rows), state])
 
 
@@ -219,7 +220,7 @@ class Reference:
         return u[:, at : at + length + 1], grid.start + grid.step * at
 
     def first(self, z, nodes):
-        """Per interval: y (L, ny), end (n,), dy (L, ny, n+nz), dend (n, n+nz), columns (start, z)."""
+        """Per interval: y (L+1, ny), end (n,), dy (L+1, ny, n+nz), dend (n, n+nz), columns (start, z)."""
         found = []
         for i, node in enumerate(nodes):
             y, end, dy, dend = (
@@ -231,7 +232,7 @@ class Reference:
         return [np.array(part) for part in zip(*found, strict=True)]
 
     def second(self, z, nodes, rho, lam):
-        """(M, n+nz, n+nz) Hessians of sum(rho (M, L, ny) * y) + sum(lam (M, n) * end)."""
+        """(M, n+nz, n+nz) Hessians of sum(rho (M, L+1, ny) * y) + sum(lam (M, n) * end)."""
         return np.array(
             [
                 np.asarray(self._second(z, node, *self._arguments(i), rho[i].ravel(), lam[i]), dtype=float)
@@ -284,9 +285,9 @@ def compare(propagator, reference, z, nodes, rng):
         off(path.end_z.transpose(2, 1, 0)[inner], dend[inner][:, :, n:]),
         off(end_s[inner], dend[inner][:, :, :n]),
     ]
-    spread = np.zeros((m, plan.length, ny))
+    spread = np.zeros((m, plan.length + 1, ny))
     weights = rng.normal(size=(m, len(at), ny)) * real[:, :, None]
-    spread[:, at] = weights
+    np.add.at(spread, (slice(None), at), weights)
     rho = weights.reshape(m, plan.b, len(plan.samples), ny).transpose(2, 3, 1, 0).reshape(-1, plan.b, m)
     lam = rng.normal(size=(n, m)) * inner
     hessian = reference.second(z, nodes, spread, lam.T)
