@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from types import SimpleNamespace
 
 import numpy as np
@@ -77,7 +78,8 @@ def quick_report(monkeypatch):
         path.write_text("<!doctype html><title>stub</title>")
         return path
 
-    monkeypatch.setattr("casadi_engine.report.report", page, raising=False)
+    # By the import system: the attribute `report` of the package may be the function of that name.
+    monkeypatch.setattr(importlib.import_module("casadi_engine.report"), "report", page)
 
 
 def tree(folder):
