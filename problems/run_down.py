@@ -133,4 +133,4 @@ if __name__ == "__main__":
     m = model()
     for path in sys.argv[1:]:
         values, error = leave_one_cycle_out(read(path), m, parameters(m))
-        print(f"{path}: J_eng without one cycle {values.round(5)}, standard error {error:.1g} kg m2")
+        print(f"{path}: J_eng without one cycle {values.round(5)}, standard error {error:.2g} kg m2")
