@@ -247,7 +247,6 @@ def test_a_linear_form_with_the_measured_speed_agrees(page, real):
 
 
 @pytest.mark.shared
-@pytest.mark.slow
 def test_the_scatter_between_cycles_is_larger_than_the_standard_error(page, problem, real):
     record = problem.read(real("ENGINEOFF4"))
     values, error = page.leave_one_cycle_out(record, problem.model, problem.parameters)
