@@ -1,6 +1,7 @@
 """The uniform time grid of one record: channels and drives on it, and where the outputs were measured.
 
-Inputs are taken at their own rate; every output keeps its own times. An output sample between two grid points is
+The grid is that of the fastest input, cut finer by a whole number where an output is faster than the inputs, so that
+it shows all that the output does. Every output keeps its own times. An output sample between two grid points is
 compared with the cubic through the four nearest grid points of its shooting interval.
 """
 
@@ -20,8 +21,11 @@ from casadi_engine.model import Model
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.tape import ArrayFunction
 
-# Samples that lie closer to a grid point than this share of a step count as on it.
-_ON_GRID = 1e-3
+# Samples that lie closer to a grid point than this share of a step count as on it: files round their times, to
+# microseconds for instance.
+_ON_GRID = 1e-2
+# An output is faster than the inputs by more than this share.
+_FASTER = 0.1
 
 
 @dataclass(frozen=True)
@@ -55,7 +59,8 @@ class Grid:
 def lay_grid(model: Model, experiment: Experiment, *, outputs: tuple[str, ...] | None = None) -> Grid:
     """The grid of a record for a model; outputs not in ``outputs`` (default: all of the model's) are left out.
 
-    Raises ExperimentError if channels are missing, have gaps in an input, or do not cover the outputs.
+    Raises ExperimentError if channels are missing, have gaps in an input, or do not cover the outputs;
+    SimulationError if there is nothing to take times from, or less than two samples.
     """
     wanted = tuple(v.name for v in model.outputs) if outputs is None else outputs
     units = {v.name: v.unit for v in model.outputs}
@@ -71,18 +76,19 @@ def lay_grid(model: Model, experiment: Experiment, *, outputs: tuple[str, ...] |
             allowed=f"a record with {', '.join(v.name for v in model.outputs)}",
             cure="give the record a channel for an output, with the times wanted",
         )
-    first, last = _span(observed or inputs)
+    first, last = _span(observed) if observed else _common_span(inputs, experiment.place)
     leader = _leader(inputs or observed)
     rate = sampling_rate(leader.time, _ON_GRID)
     step = 1 / rate if rate else float(np.median(np.diff(leader.time)))
+    step /= _refinement(step, observed)
     origin = leader.time[0] if rate else first
     start = origin + step * math.floor((first - origin) / step + _ON_GRID)
     samples = math.ceil((last - start) / step - _ON_GRID) + 1
     if samples < 2:
         raise SimulationError(
-            "the record holds fewer than two samples of the outputs",
-            seen=f"{experiment.place}: {samples}",
-            allowed="two samples or more",
+            "the record is too short: there are fewer than two points of its time grid",
+            seen=f"{experiment.place}: {samples} in {last - first:.6g} s, step {step:.6g} s",
+            allowed="two or more",
             cure="take a longer record",
         )
     time = np.asarray(start + step * np.arange(samples), dtype=np.float64)
@@ -94,6 +100,26 @@ def lay_grid(model: Model, experiment: Experiment, *, outputs: tuple[str, ...] |
 def _span(channels: list[Channel]) -> tuple[float, float]:
     valid = [c.time[c.mask] for c in channels]
     return min(float(t[0]) for t in valid), max(float(t[-1]) for t in valid)
+
+
+def _common_span(inputs: list[Channel], place: str) -> tuple[float, float]:
+    """Where all inputs are there, for a simulation without measured outputs."""
+    first, last = max(c.span[0] for c in inputs), min(c.span[1] for c in inputs)
+    if last <= first:
+        raise SimulationError(
+            "the inputs do not overlap in time",
+            seen=f"{place}: "
+            + ", ".join(f"{c.name} from {c.span[0]:.9g} to {c.span[1]:.9g} s" for c in inputs),
+            allowed="a span of time that all inputs cover",
+            cure="take records of the same run, or correct the times",
+        )
+    return first, last
+
+
+def _refinement(step: float, outputs: list[Channel]) -> int:
+    """Into how many parts to cut the inputs' step, so that the fastest output has a grid point for each sample."""
+    rates = [(len(c.time) - 1) / (c.span[1] - c.span[0]) for c in outputs]
+    return max([1, *(math.ceil(step * rate - _FASTER) for rate in rates)])
 
 
 def _leader(channels: list[Channel]) -> Channel:
@@ -118,7 +144,7 @@ def _measured(channel: Channel, start: float, step: float) -> Measured:
     index = np.flatnonzero(channel.mask)
     position = (channel.time[index] - start) / step
     nearest = np.rint(position)
-    on_grid = bool(np.abs(position - nearest).max() < _ON_GRID)
+    on_grid = bool(np.abs(position - nearest).max() < _ON_GRID and (np.diff(nearest) > 0).all())
     return Measured(
         channel.time[index], channel.values[index], nearest if on_grid else position, on_grid, index
     )
