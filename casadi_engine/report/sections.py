@@ -126,8 +126,8 @@ def _verdict_of_fit(fit: Fit, validation: Any) -> Section:
         if (value := found.get("simulation")) is not None and math.isfinite(value)
     ]
     if percents:
-        low, high = min(percents), max(percents)
-        span = f"{low:.2f} %" if len(percents) == 1 else f"{low:.2f} to {high:.2f} %"
+        low, high = f"{min(percents):.2f}", f"{max(percents):.2f}"
+        span = f"{low} %" if low == high else f"{low} to {high} %"
         lines.append(f"Fit in simulation (2.32): {span}.")
     if validation is not None:
         lines.append(f"Residual tests {validations.verdict(validation)}.")
