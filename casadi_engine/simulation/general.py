@@ -21,6 +21,8 @@ from casadi_engine.simulation.tape import ArrayFunction
 # |lambda| h of one Runge-Kutta step: its error is then below 1e-5 of the fastest mode per radian.
 _STEP = 0.25
 _MOST_SUBSTEPS = 40
+# Samples of one sweep.
+_LONGEST = 256
 
 
 @dataclass
@@ -84,16 +86,24 @@ class GeneralPropagator:
         y = out(x * s, u0, t0, physical)
         both = ca.vertcat(x, z)
         mu, rho = ca.SX.sym("mu", self.n), ca.SX.sym("rho", self.ny)
-        inputs = [x, u0, u1, t0, z]
+        # What hangs on the channels alone (crank kinematics, gas torque) is worked out once for the whole record.
+        channels = ca.vertcat(u0, u1, t0)
+        rest, symbols, known = ca.extract_parametric(ca.vertcat(state, y), channels, {})
+        state, y = rest[: self.n], rest[self.n :]
+        inputs = [x, ca.vertcat(channels, *symbols), z]
         step = ca.Function("step", inputs, [state])
         # All intervals side by side, then sample after sample: one call for the whole record.
         batch = step.map(intervals.m) if intervals.m > 1 else step
-        self._sweep = batch.mapaccum(intervals.length)
+        # The graph of a long sweep takes long to build: a part of it is called several times.
+        self._part = max(
+            k for k in range(1, min(intervals.length, _LONGEST) + 1) if intervals.length % k == 0
+        )
+        self._sweep = batch.mapaccum(self._part)
         self._first = ArrayFunction(inputs, [ca.jacobian(state, both), y, ca.jacobian(y, both)])
         self._value = ArrayFunction(inputs, [y])
         self._symbols = (inputs, both, state, y, mu, rho)
         self._second: ArrayFunction | None = None
-        self._lay_inputs(grid)
+        self._known = self._on_samples(grid, ArrayFunction([u0, u1, t0], [ca.vertcat(channels, *known)]))
         self._drives = Drives(model, grid, z, physical)
 
     def drives_at(self, z: Array) -> Array:
@@ -109,23 +119,18 @@ class GeneralPropagator:
         fastest = float(np.abs(np.linalg.eigvals(matrix)).max()) if np.isfinite(matrix).all() else 0.0
         return min(max(1, math.ceil(fastest * step / _STEP)), _MOST_SUBSTEPS)
 
-    def _lay_inputs(self, grid: Grid) -> None:
+    def _on_samples(self, grid: Grid, function: ArrayFunction) -> Array:
+        """A function of (u0, u1, t0) on the record, (rows, points*M): point of the interval, then interval."""
         plan = self.intervals
         tail = np.repeat(grid.channels[:, -1:], plan.padded + 1 - grid.samples, axis=1)
         u = np.concatenate([grid.channels, tail], axis=1)
-        at = np.arange(plan.points)[:, None] + plan.length * np.arange(plan.m)
-        # (points, nu, M): sample of the interval, channel, interval
-        self._u0 = np.ascontiguousarray(u[:, at].transpose(1, 0, 2))
-        self._u1 = np.ascontiguousarray(u[:, np.minimum(at + 1, plan.padded)].transpose(1, 0, 2))
-        self._t = np.asarray(grid.start + grid.step * at, dtype=np.float64)[:, None, :]
+        at = (np.arange(plan.points)[:, None] + plan.length * np.arange(plan.m)).ravel()
+        time = np.asarray(grid.start + grid.step * at, dtype=np.float64)
+        return function(u[:, at], u[:, np.minimum(at + 1, plan.padded)], time[None])[0]
 
     def _columns(self, x: Array, z: Array) -> list[Array]:
-        """Arguments of the array functions: all samples side by side, (rows, points*M)."""
-
-        def flat(part: Array) -> Array:
-            return np.ascontiguousarray(part.transpose(1, 0, 2)).reshape(part.shape[1], -1)
-
-        return [flat(x), flat(self._u0), flat(self._u1), flat(self._t), z]
+        """Arguments of the array functions, all samples side by side: states (n, points*M), known terms, z."""
+        return [np.ascontiguousarray(x.transpose(1, 0, 2)).reshape(self.n, -1), self._known, z]
 
     def propagate(self, z: Array, nodes: Array, order: int = 1) -> GeneralTrajectory:
         """Advance all intervals from ``nodes`` (M, n), scaled states, at z : (nz,)."""
@@ -133,10 +138,12 @@ class GeneralPropagator:
         length, points = plan.length, plan.points
         x = np.empty((length + 1, n, plan.m))
         x[0] = nodes.T
-        given = [part[:, : length * plan.m] for part in self._columns(x[:0], z)[1:4]]
-        many = np.repeat(np.asarray(z, dtype=float)[:, None], plan.m * length, axis=1)
-        swept = np.asarray(self._sweep(x[0], *given, many), dtype=float)
-        x[1:] = swept.reshape(n, length, plan.m).transpose(1, 0, 2)
+        steps = plan.m * self._part
+        many = np.repeat(np.asarray(z, dtype=float)[:, None], steps, axis=1)
+        for k in range(0, length, self._part):
+            known = self._known[:, k * plan.m : k * plan.m + steps]
+            swept = np.asarray(self._sweep(x[k], known, many), dtype=float)
+            x[k + 1 : k + 1 + self._part] = swept.reshape(n, self._part, plan.m).transpose(1, 0, 2)
         if not np.isfinite(x).all():
             raise FloatingPointError("the model's state is not finite here")
         columns = self._columns(x[:points], z)
