@@ -78,14 +78,16 @@ def from_combustion_tdc(exp):
     turn = np.rint(theta / (2 * np.pi))
     top = np.abs(theta - 2 * np.pi * turn) < np.radians(5)
     odd = p[top & (turn % 2 == 1)].mean() > p[top & (turn % 2 == 0)].mean()
-    return changed(exp, theta=theta - 2 * np.pi * odd)
+    first = TDC + 360 * int(odd)
+    return changed(exp, "theta", theta - 2 * np.pi * odd, "from_combustion_tdc", tdc_deg=first)
 
 
 def peg(exp):
     """Take the sensor's drift away: the pressure at the start of each compression lies on a line in time."""
     theta, p, time = exp["theta"].values, exp["p1"].values, exp["theta"].time
     near = np.abs((theta + np.pi + 2 * np.pi) % (4 * np.pi) - 2 * np.pi) < np.radians(20)
-    return changed(exp, p1=p - np.polyval(np.polyfit(time[near], p[near], 1), time))
+    line = np.polyfit(time[near], p[near], 1)
+    return changed(exp, "p1", p - np.polyval(line, time), "peg", drift_bar_per_s=round(line[0] / 1e5, 4))
 
 
 def even_teeth(exp, slot):
@@ -96,13 +98,15 @@ def even_teeth(exp, slot):
     pitch = np.ones(60)
     for k in np.unique(slot[keep]):
         pitch[k] = np.median(ratio[keep & (slot == k)])
-    return changed(exp, omega=omega.values / pitch[slot])
+    spread = round(float(np.std(pitch[np.unique(slot[keep])])), 5)
+    return changed(exp, "omega", omega.values / pitch[slot], "even_teeth", relative_spread=spread)
 
 
-def changed(exp, **values):
-    for name, new in values.items():
-        exp = exp.with_channel(replace(exp[name], values=new, origin="derived"))
-    return exp
+def changed(exp, name, values, function, **arguments):
+    """Replace a channel's values, and write into the history what was done."""
+    done = exp.with_channel(replace(exp[name], values=values, origin="derived"))
+    step = replace(done.history[-1], function=function, arguments={"channel": name, **arguments})
+    return replace(done, history=(*exp.history, step))
 
 
 def problem():

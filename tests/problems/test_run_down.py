@@ -138,7 +138,11 @@ def test_the_record_says_what_was_done_to_it(problem, made):
     assert record.inputs == ("theta", "p1")
     assert {record[name].origin for name in record.names} == {"derived"}
     assert record.sha256
-    assert [step.function for step in record.history][:3] == ["read_experiment", "masked", "without"]
+    steps = {step.function: step.arguments for step in record.history}
+    assert list(steps) == ["read_experiment", "masked", "without", "from_combustion_tdc", "peg", "even_teeth"]
+    assert steps["from_combustion_tdc"] == {"channel": "theta", "tdc_deg": 244.2}
+    assert steps["peg"]["drift_bar_per_s"] == pytest.approx(-2, rel=0.01)
+    assert steps["even_teeth"]["relative_spread"] == pytest.approx(0.004 * 2**0.5, rel=0.25)
     with np.load(path) as arrays:
         slot = arrays["edge_slot"][:-1] % 60
     assert not record["omega"].mask[np.isin(slot, (0, 1, 55, 56, 57))].any()
