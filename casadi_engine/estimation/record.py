@@ -16,7 +16,7 @@ from casadi_engine.simulation.discretisation import Method
 from casadi_engine.simulation.grid import Grid, lay_grid
 from casadi_engine.simulation.intervals import Intervals, Observation, cut
 from casadi_engine.simulation.linear import LinearPropagator
-from casadi_engine.simulation.propagator import make_propagator
+from casadi_engine.simulation.propagator import after_missing, make_propagator
 
 Array = NDArray[np.float64]
 
@@ -76,6 +76,8 @@ class RecordTerm:
             model, self.grid, self.plan, local, physical, scale=self.scale, method=method, gain=gain
         )
         self.n = len(self.scale)
+        if gain is not None:
+            self.observation.leave_out(after_missing(self.grid))
         self.weight = self.observation.valid.astype(float)
 
     @property

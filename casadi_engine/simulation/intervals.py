@@ -121,6 +121,12 @@ class Observation:
                 kinds.ravel()[self.where[name]] = column
         self.column = kinds
 
+    def leave_out(self, points: NDArray[np.bool_]) -> None:
+        """Take the samples at the given grid points, (N,) True, out of those that count."""
+        for name, where in self.where.items():
+            gone = points[self.samples[name].position.astype(int)]
+            self.valid.ravel()[where[gone]] = False
+
     def _flat(
         self, position: NDArray[np.intp], column: NDArray[np.intp] | int, interval: NDArray[np.intp]
     ) -> NDArray[np.intp]:

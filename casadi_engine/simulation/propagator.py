@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import Protocol
 
 import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
 
 from casadi_engine.errors import SimulationError
 from casadi_engine.model import Model
@@ -44,12 +46,17 @@ def make_propagator(
     """Propagator of a model over one record.
 
     method : "exact", or "euler" for a linear model; gain : (n, ny) correction gain per scaled state, or None
-    Raises SimulationError where a method or a gain does not go with the model.
+    Raises SimulationError where a method or a gain does not go with the model or with the record.
     """
     if method not in ("exact", "euler"):
-        raise SimulationError("the method is not known", seen=repr(method), allowed='"exact" or "euler"')
+        raise SimulationError(
+            "the method is not known",
+            seen=repr(method),
+            allowed='"exact" or "euler"',
+            cure='leave it out for "exact"',
+        )
     if model.linear is not None and not model.has_slot_laws:
-        feedback = _feedback(model, grid) if gain is not None else None
+        feedback = None if gain is None else _feedback(model, grid, gain, scale)
         return LinearPropagator(
             model, grid, intervals, z, physical, scale=scale, method=method, gain=gain, feedback=feedback
         )
@@ -63,10 +70,26 @@ def make_propagator(
     return GeneralPropagator(model, grid, intervals, z, physical, scale=scale)
 
 
-def _feedback(model: Model, grid: Grid) -> Array:
-    """(ny, N) measured outputs on the grid, for the correction of the one-step predictor."""
-    import numpy as np
+def after_missing(grid: Grid) -> NDArray[np.bool_]:
+    """(N,) True for the grid points that follow one at which an output was not measured.
 
+    A predictor that starts each step from the measurement has no prediction there: adjacent pairs alone count
+    (thesis 2.37).
+    """
+    there = np.ones(grid.samples, dtype=bool)
+    for measured in grid.measured.values():
+        own = np.zeros(grid.samples, dtype=bool)
+        own[measured.position.astype(int)] = True
+        there &= own
+    return np.concatenate([[False], ~there[:-1]])
+
+
+def _feedback(model: Model, grid: Grid, gain: Array, scale: Array) -> Array:
+    """(ny, N) measured outputs on the grid, for the correction of the one-step predictor.
+
+    Where a sample is missing it is interpolated; the sample after it must not count then (``after_missing``).
+    That is enough for a gain with L C = I alone: any other carries the interpolated value on.
+    """
     rows = []
     for output in model.outputs:
         measured = grid.measured.get(output.name)
@@ -74,9 +97,36 @@ def _feedback(model: Model, grid: Grid) -> Array:
             raise SimulationError(
                 "a predictor needs every output on the inputs' time grid",
                 seen=f"{output.name} off the grid",
+                allowed="outputs that were sampled together with the inputs",
                 cure="resample the inputs to the output's times, or take output error (no gain)",
             )
-        row = np.full(grid.samples, np.nan)
-        row[measured.position.astype(int)] = measured.values
-        rows.append(row)
+        rows.append(np.interp(np.arange(grid.samples), measured.position, measured.values))
+    lost = {name: grid.samples - len(m.values) for name, m in grid.measured.items()}
+    if any(lost.values()):
+        seen = ", ".join(
+            f"{count} of {grid.samples} samples of {name} missing" for name, count in lost.items()
+        )
+        if not _starts_afresh(model, gain, scale):
+            raise SimulationError(
+                "a predictor with this gain needs outputs without missing samples",
+                seen=seen,
+                allowed="no gaps, or a gain with L C = I that starts each step from the measured state",
+                cure="cut the record at the gaps by between, or take output error (no gain)",
+            )
+        if after_missing(grid)[1:].all():
+            raise SimulationError(
+                "there are no two neighbouring samples to predict one from the other",
+                seen=seen,
+                allowed="outputs at the rate of the inputs",
+                cure="resample the inputs to the output's times, or take output error (no gain)",
+            )
     return np.array(rows)
+
+
+def _starts_afresh(model: Model, gain: Array, scale: Array) -> bool:
+    """True if L C = I whatever the parameters: the corrected state is the measured one, without memory."""
+    core = model.linear
+    if core is None or ca.depends_on(core.C, model.p):
+        return False
+    c = np.asarray(ca.evalf(ca.densify(core.C)), dtype=float) * scale
+    return bool(np.abs(gain @ c - np.eye(len(scale))).max() < 1e-9)
