@@ -151,7 +151,14 @@ class Solver:
             "mu_init": 1e-4,
             "dual_inf_tol": 1.0,
             "constr_viol_tol": 1e-8,
-            "acceptable_iter": 0,
+            # Where the data say much, rounding keeps the gradient above the tolerance: then the objective stands
+            # still to its last digits.
+            "acceptable_iter": 2,
+            "acceptable_tol": 1e-5,
+            "acceptable_obj_change_tol": 1e-13,
+            "acceptable_constr_viol_tol": 1e-8,
+            "acceptable_compl_inf_tol": 1e-8,
+            "acceptable_dual_inf_tol": 1.0,
             "bound_relax_factor": 0.0,
             "nlp_scaling_method": "none",
         }
