@@ -101,26 +101,33 @@ def _feedback(model: Model, grid: Grid, gain: Array, scale: Array) -> Array:
                 cure="resample the inputs to the output's times, or take output error (no gain)",
             )
         rows.append(np.interp(np.arange(grid.samples), measured.position, measured.values))
-    lost = {name: grid.samples - len(m.values) for name, m in grid.measured.items()}
-    if any(lost.values()):
-        seen = ", ".join(
-            f"{count} of {grid.samples} samples of {name} missing" for name, count in lost.items()
-        )
-        if not _starts_afresh(model, gain, scale):
-            raise SimulationError(
-                "a predictor with this gain needs outputs without missing samples",
-                seen=seen,
-                allowed="no gaps, or a gain with L C = I that starts each step from the measured state",
-                cure="cut the record at the gaps by between, or take output error (no gain)",
-            )
-        if after_missing(grid)[1:].all():
-            raise SimulationError(
-                "there are no two neighbouring samples to predict one from the other",
-                seen=seen,
-                allowed="outputs at the rate of the inputs",
-                cure="resample the inputs to the output's times, or take output error (no gain)",
-            )
+    _check_gaps(model, grid, gain, scale)
     return np.array(rows)
+
+
+def _check_gaps(model: Model, grid: Grid, gain: Array, scale: Array) -> None:
+    lost = {name: grid.samples - len(m.values) for name, m in grid.measured.items()}
+    if not any(lost.values()):
+        return
+    seen = ", ".join(
+        f"{count} of {grid.samples} samples of {name} missing" for name, count in lost.items() if count
+    )
+    if not _starts_afresh(model, gain, scale):
+        raise SimulationError(
+            "a predictor with this gain needs outputs without missing samples",
+            seen=seen,
+            allowed="no gaps, or a gain with L C = I that starts each step from the measured state",
+            cure="cut the record at the gaps by between, or take output error (no gain)",
+        )
+    after = after_missing(grid)
+    after[0] = True
+    if all(after[m.position.astype(int)].all() for m in grid.measured.values()):
+        raise SimulationError(
+            "there are no two neighbouring samples to predict one from the other",
+            seen=seen,
+            allowed="outputs at the rate of the inputs",
+            cure="resample the inputs to the output's times, or take output error (no gain)",
+        )
 
 
 def _starts_afresh(model: Model, gain: Array, scale: Array) -> bool:

@@ -234,8 +234,9 @@ def test_inputs_that_do_not_overlap_are_an_error(model):
     with pytest.raises(SimulationError) as info:
         lay_grid(model, channels, outputs=())
     assert str(info.value) == (
-        "the inputs do not overlap in time; seen: experiment 'run': a from 0 to 1 s, c from 5 to 6 s; allowed: "
-        "a span of time that all inputs cover; do: take records of the same run, or correct the times"
+        "the inputs do not overlap in time; seen: experiment 'run': a from 0 to 1 s, c from 5 to 6 s; "
+        "allowed: a span of time that all inputs cover; do: take records of the same run, "
+        "or correct the times"
     )
 
 
