@@ -40,6 +40,13 @@ class Loss:
         """rho''(r), or None where it is 1 throughout."""
         return (np.abs(r) <= self.knee).astype(float) if self.robust else None
 
+    def secant(self, r: Array) -> Array | None:
+        """rho'(r)/r: the parabola through r with this curvature lies above rho, so its steps lower the loss.
+
+        Far from the solution rho'' vanishes nearly everywhere and says nothing about the length of a step.
+        """
+        return self.knee / np.maximum(np.abs(r), self.knee) if self.robust else None
+
 
 def read_loss(loss: Any) -> Loss:
     """Loss of the ``loss`` option: "square", "huber" (knee 1.345) or ("huber", knee)."""
@@ -51,7 +58,8 @@ def read_loss(loss: Any) -> Loss:
         return Loss(1.345)
     if isinstance(loss, tuple) and len(loss) == 2 and loss[0] == "huber":
         knee = loss[1]
-        if isinstance(knee, (int, float)) and math.isfinite(knee) and knee > 0:
+        number = isinstance(knee, (int, float)) and not isinstance(knee, bool)
+        if number and math.isfinite(knee) and knee > 0:
             return Loss(float(knee))
     raise EstimationError(
         "the loss is not known",

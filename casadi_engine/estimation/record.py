@@ -118,9 +118,8 @@ class RecordTerm:
             return in_z, weighted.T @ point.js
         return in_z, np.einsum("km,kma->ma", weighted, point.js)
 
-    def gauss_newton(self, point: RecordPoint, loss: Loss) -> Blocks:
-        """Gauss-Newton Hessian blocks of the summed loss."""
-        curvature = loss.curvature(point.r)
+    def gauss_newton(self, point: RecordPoint, curvature: Array | None = None) -> Blocks:
+        """Gauss-Newton Hessian blocks of the summed loss with this curvature (K, M) (None: 1 throughout)."""
         jz = point.jz if curvature is None else point.jz * curvature
         nz, k, m = jz.shape
         zz = jz.reshape(nz, k * m) @ point.jz.reshape(nz, k * m).T

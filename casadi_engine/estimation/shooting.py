@@ -115,7 +115,8 @@ class ShootingProblem:
             zz = zz + self.user.hessian(v, lam[: self.user.count])
         blocks = []
         for record, lay, found in zip(self.records, self.layouts, point.records, strict=True):
-            gn = record.gauss_newton(found, self.loss)
+            bend = self.loss.curvature(found.r) if self.exact else self.loss.secant(found.r)
+            gn = record.gauss_newton(found, bend)
             own, zs, ss = scale * gn.zz, scale * gn.zs, scale * gn.ss
             if self.exact:
                 ends = np.zeros((lay.n, lay.m))

@@ -134,7 +134,7 @@ def _information(search: Search, best: Attempt) -> Array:
     at = problem.nv
     for record, found in zip(search.records, point.records, strict=True):
         # Huber's information is that of least squares times the efficiency of the clipped residuals.
-        blocks = record.gauss_newton(found, Loss())
+        blocks = record.gauss_newton(found)
         own = chained_information(record, found, blocks) * _efficiency(
             search.loss, found.r[record.observation.valid]
         )

@@ -1,8 +1,8 @@
 """Covariance of the estimate, through continuity, priors, ties, constraints and active bounds.
 
 The intervals are chained first, so that only the parameters and the initial states remain; their information
-matrix is restricted to the directions that active bounds and constraints leave open and inverted there. Directions
-without information are named instead of inverted.
+matrix is restricted to the directions that active bounds and constraints leave open and inverted there.
+Directions without information are named instead of inverted.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from casadi_engine.estimation.record import Blocks, RecordPoint, RecordTerm
 
 Array = NDArray[np.float64]
 
-# Eigenvalues of the information matrix, scaled to unit diagonal, below which a direction counts as undetermined:
-# the rounding of the matrix itself is about 1e-15 times its condition.
+# Eigenvalues of the information matrix, scaled to unit diagonal, below which a direction counts as not
+# determined: the rounding of the matrix itself is about 1e-15 times its condition.
 _NOTHING = 1e-12
 
 
@@ -26,8 +26,8 @@ _NOTHING = 1e-12
 class Covariance:
     """Errors over the N entries of [v; initial states of the records].
 
-    matrix : (N, N); rank : number of directions that the data determine; directions : unit vectors (N,) in scaled
-    units that they do not
+    matrix : (N, N); rank : number of directions that the data determine; directions : unit vectors (N,) in
+    scaled units that they do not
     """
 
     matrix: Array

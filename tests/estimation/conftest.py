@@ -36,8 +36,8 @@ def refused() -> Refused:
 
 
 def run_up(
-    name="run_up", *, n=400, step=0.02, seed=0, J=0.4, C=0.5, sigma=0.05, start=20.0, missing=0.0, outliers=0.0,
-    euler=False,
+    name="run_up", *, n=400, step=0.02, seed=0, J=0.4, C=0.5, sigma=0.05, start=20.0, missing=0.0,
+    outliers=0.0, euler=False,
 ):  # fmt: skip
     """One inertia under a switching torque, zero-order hold, by its exact (or Euler) recursion."""
     rng = np.random.default_rng(seed)
@@ -86,7 +86,7 @@ def shaft(name="shaft", *, n=1200, step=2e-3, seed=0, sigma=(0.05, 0.1), two=Tru
         x[i + 1] = f @ x[i] + held @ u[:, i] + ramp @ (u[:, i + 1] - u[:, i])
     y = x[:, :2] + rng.standard_normal((n, 2)) * sigma
     outputs = {"omega": y[:, 0], "omega_load": y[:, 1]} if two else {"omega": y[:, 0]}
-    units = {"T": "N m", "T_load": "N m", "omega": "rad/s", "omega_load": "rad/s"}
+    units = {"T": "N m", "T_load": "N m", **dict.fromkeys(outputs, "rad/s")}
     made = ce.Experiment.from_arrays(name, time=time, units=units, T=torque, T_load=load, **outputs)
     return SimpleNamespace(data=made, truth=p, start=x[0], states=x)
 
@@ -162,15 +162,3 @@ def misfire():
     """Cycles of the kept misfire record: misfire(1, 2) are the first two."""
     whole = ce.read_experiment(DATA / "misfire_1200rpm.csv.gz", optional=("omega_load",))
     return lambda first, last: whole.cycles(first, last)
-
-
-@pytest.fixture
-def same():
-    """same(fit, other, 1e-6): all values agree to this share of their size or, where given, standard error."""
-
-    def check(fit, other, share, names=None):
-        for name in names or fit.values:
-            found, wanted = fit.values[name], other.values[name] if hasattr(other, "values") else other[name]
-            assert found == pytest.approx(wanted, rel=share), name
-
-    return check
