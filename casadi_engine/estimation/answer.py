@@ -157,6 +157,26 @@ def _messages(search: Search, best: Attempt, v: Array, directions: tuple[Directi
     violated = search.constraints.violated(v)
     if violated:
         found.append(f"not met: {', '.join(violated)}")
+    found += _coloured(search, best)
     if best.solution.status == "interrupted":
         found.append("stopped by the user: this is the best point so far, not an optimum")
     return tuple(found)
+
+
+def _coloured(search: Search, best: Attempt) -> list[str]:
+    """Outputs whose neighbouring residuals go together: their standard errors, made for white noise, are too small."""
+    found = []
+    point = search.problem.at(best.solution.x)
+    for record, part in zip(search.records, point.records, strict=True):
+        for name in record.observation.where:
+            r = record.observation.series(part.r, name)
+            r = r[record.observation.series(record.weight, name) > 0]
+            if len(r) < _FEW or not r.any():
+                continue
+            share = float(r[1:] @ r[:-1] / (r @ r))
+            if share * np.sqrt(len(r)) > _COLOUR:
+                found.append(
+                    f"the residual of {record.experiment.name}/{name} is not white (neighbours correlate by {share:.2f}): "
+                    "the model lacks something, and the standard errors are too small; see validate"
+                )
+    return found
