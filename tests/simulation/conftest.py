@@ -13,7 +13,7 @@ from casadi_engine.model import Blueprint
 from casadi_engine.simulation.grid import Grid, Measured
 
 
-def _linear_model(rng, *, states, inputs, outputs, parameters=2, through=True, offsets=True):
+def _linear_model(rng, *, states, inputs=1, outputs=1, parameters=2, through=True, offsets=True):
     """A random linear model: every matrix depends on the parameters in its own nonlinear way."""
     b = Blueprint("random")
     p = [b.parameter(f"p{i}", rng.uniform(0.5, 1.5)) for i in range(parameters)]

@@ -204,8 +204,8 @@ def test_a_gain_with_memory_needs_every_sample(made):
     with pytest.raises(SimulationError) as info:
         propagator(made, shaft(outputs=("w",)), [[1.0], [0.0]], gone=(4, 5))
     assert str(info.value) == (
-        "a predictor with this gain needs outputs without missing samples; seen: 2 of 30 samples of w missing; "
-        "allowed: no gaps, or a gain with L C = I that starts each step from the measured state; "
+        "a predictor with this gain needs outputs without missing samples; seen: 2 of 30 samples "
+        "of w missing; allowed: no gaps, or a gain with L C = I that starts each step from the measured state; "
         "do: cut the record at the gaps by between, or take output error (no gain)"
     )
 
@@ -238,6 +238,6 @@ def test_outputs_off_the_grid_cannot_be_predicted(made):
         )
     assert str(info.value) == (
         "a predictor needs every output on the inputs' time grid; seen: w off the grid; allowed: outputs "
-        "that were sampled together with the inputs; do: resample the inputs to the output's times, or take output "
-        "error (no gain)"
+        "that were sampled together with the inputs; do: resample the inputs to the output's times, "
+        "or take output error (no gain)"
     )
