@@ -75,7 +75,7 @@ def make_fit(
         fit_percent=percents,
         timing=timing,
         options=options,
-        messages=_messages(search, best, v, directions),
+        messages=_messages(search, best, v, directions, optima),
         states_at_start=first,
         gain=search.noise.gain,
     )
@@ -147,7 +147,13 @@ def _write_values(parameters: Any, values: dict[str, float]) -> None:
         parameter.set(float(np.clip(np.mean(own), parameter.min, parameter.max)))
 
 
-def _messages(search: Search, best: Attempt, v: Array, directions: tuple[Direction, ...]) -> tuple[str, ...]:
+def _messages(
+    search: Search,
+    best: Attempt,
+    v: Array,
+    directions: tuple[Direction, ...],
+    optima: tuple[Optimum, ...],
+) -> tuple[str, ...]:
     found = []
     for direction in directions:
         found.append(
@@ -159,7 +165,9 @@ def _messages(search: Search, best: Attempt, v: Array, directions: tuple[Directi
         found.append(f"not met: {', '.join(violated)}")
     found += _coloured(search, best)
     if best.solution.status == "interrupted":
-        found.append("stopped by the user: this is the best point so far, not an optimum")
+        done = sum(optimum.starts for optimum in optima if optimum.status == "converged")
+        what = f"the best of {done} optima so far" if done else "the best point so far, not an optimum"
+        found.append(f"stopped by the user: this is {what}")
     return tuple(found)
 
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.answer import make_fit
@@ -20,6 +22,8 @@ from casadi_engine.experiment.experiment import with_unique_names
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
 from casadi_engine.problem.noise import Noise
+
+Array = NDArray[np.float64]
 
 # Two optima are one when their costs and their scaled parameters agree to these shares.
 _SAME_COST, _SAME_PLACE = 1e-6, 1e-3
@@ -96,13 +100,11 @@ def estimate(
         progress=_reporter(progress, starts, max_iterations),
     )
     setup = time.perf_counter() - begun
-    attempts: list[Attempt] = []
-    for start in drawn_starts(search.pmap, starts, seed):
-        attempts.append(search.run(start, first=not attempts))
-        if attempts[-1].solution.status == "interrupted":
-            break
-    search.close()
+    attempts = _attempts(search, drawn_starts(search.pmap, starts, seed))
+    optima = _optima(search, attempts)
     best = min(attempts, key=lambda a: (a.solution.status != "converged", a.cost))
+    if attempts[-1].solution.status == "interrupted":
+        best = replace(best, solution=replace(best.solution, status="interrupted"))
     solve = time.perf_counter() - begun - setup
     options = {
         "interval": interval,
@@ -114,8 +116,25 @@ def estimate(
         "max_iterations": max_iterations,
         "tolerance": tolerance,
     }
-    optima = _optima(search, attempts)
     return make_fit(search, best, optima, options, {"setup": setup, "solve": solve}, begun)
+
+
+def _attempts(search: Search, starts: list[Array]) -> list[Attempt]:
+    """The outcome of every start up to an interruption; drawn starts at which the model fails are passed over."""
+    attempts: list[Attempt] = []
+    try:
+        for start in starts:
+            try:
+                attempts.append(search.run(start, first=not attempts))
+            except EstimationError:
+                if not attempts:
+                    raise
+                continue
+            if attempts[-1].solution.status == "interrupted":
+                break
+    finally:
+        search.close()
+    return attempts
 
 
 def _records(data: Any) -> tuple[Experiment, ...]:

@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.errors import ModelError
 from casadi_engine.estimation.shooting import ShootingProblem
 
 Array = NDArray[np.float64]
@@ -58,6 +59,7 @@ class _Supplied(ca.Callback):
     ) -> None:
         ca.Callback.__init__(self)
         self._in, self._out, self._run = inputs, outputs, run
+        self.failure: BaseException | None = None
         self.construct(name, {})
 
     def get_n_in(self) -> int:
@@ -79,7 +81,14 @@ class _Supplied(ca.Callback):
         return list(self._out.values())[i]
 
     def eval(self, arguments: Any) -> Any:
-        return self._run(*arguments)
+        """Run the function; what goes wrong in it is kept, for the solver would pass over it."""
+        try:
+            return self._run(*arguments)
+        except BaseException as failure:  # noqa: BLE001 - raised again after the solve
+            self.failure = failure
+            if self.name() == "watch":
+                return [1.0]
+            raise
 
 
 class Solver:
@@ -108,7 +117,7 @@ class Solver:
             """The point, or None where the model cannot be evaluated: IPOPT then shortens its step."""
             try:
                 return problem.at(np.asarray(value, dtype=float).ravel())
-            except (FloatingPointError, np.linalg.LinAlgError):
+            except (FloatingPointError, np.linalg.LinAlgError, ModelError):
                 return None
 
         def jacobian(value: Any, _: Any) -> Any:
@@ -213,6 +222,10 @@ class Solver:
         high = np.concatenate([problem.user.upper, np.zeros(joints)])
         with _Interrupts(self):
             answer = self._solver(x0=start, lbx=lower, ubx=upper, lbg=low, ubg=high)
+        for function in self._kept:
+            if function.failure is not None:
+                failure, function.failure = function.failure, None
+                raise failure
         stats = self._solver.stats()
         words = str(stats["return_status"])
         x = np.asarray(answer["x"], dtype=float).ravel()

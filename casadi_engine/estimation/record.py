@@ -79,6 +79,7 @@ class RecordTerm:
         if gain is not None:
             self.observation.leave_out(after_missing(self.grid))
         self.weight = self.observation.valid.astype(float)
+        self._common: float | None = None  # the weight, where all samples count and count alike
 
     @property
     def linear(self) -> bool:
@@ -100,13 +101,16 @@ class RecordTerm:
     def set_sigma(self, sigma: Array) -> None:
         """Weight the residuals by the standard deviations (ny,) of the outputs."""
         self.weight = self.observation.valid / sigma[self.observation.column]
+        first = float(self.weight.flat[0])
+        self._common = first if (self.weight == first).all() else None
 
     def evaluate(self, v: Array, nodes: Array, *, order: int = 1) -> RecordPoint:
         """Residuals at the global vector and the interval starts (M, n), scaled states."""
         path = self.propagator.propagate(v[self.active], nodes, order)
         y = self.observation.observe(path.y)
-        r = (y[0] - self.observation.measured) * self.weight
-        jz = y[1:] * self.weight
+        weight = self.weight if self._common is None else self._common
+        r = (y[0] - self.observation.measured) * weight
+        jz = y[1:] * weight
         return RecordPoint(path, r, jz, self.observation.observe_starts(path.ys))
 
     def gradient(self, point: RecordPoint, loss: Loss) -> tuple[Array, Array]:
@@ -125,7 +129,10 @@ class RecordTerm:
         zz = jz.reshape(nz, k * m) @ point.jz.reshape(nz, k * m).T
         weight = self.weight if curvature is None else self.weight * curvature
         js, n = point.js, self.n
-        if js.ndim == 2:
+        if js.ndim == 2 and self._common is not None and curvature is None:
+            zs = np.matmul(jz.transpose(0, 2, 1), js * self._common).transpose(0, 2, 1)
+            ss = np.broadcast_to(js.T @ js * self._common**2, (m, n, n))
+        elif js.ndim == 2:
             zs = np.matmul((jz * self.weight).transpose(0, 2, 1), js).transpose(0, 2, 1)
             outer = (js[:, :, None] * js[:, None, :]).reshape(k, -1)
             ss = ((weight * self.weight).T @ outer).reshape(m, n, n)

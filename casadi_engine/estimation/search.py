@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -66,7 +66,7 @@ class Search:
         self.model, self.data, self.noise, self.loss = model, data, noise, loss
         self.outputs = tuple(out.name for out in model.outputs)
         _check_noise(noise, self.outputs, model)
-        self.warm, self._progress = warm, progress
+        self.warm, self._progress = _checked_warm(warm), progress
         names = tuple(record.name for record in data)
         self.pmap = compile(parameters, model.parameter_names, names, ties=ties)  # type: ignore[arg-type]
         self.parameters = parameters
@@ -200,13 +200,25 @@ class Search:
         names = [state.name for state in self.model.states]
         if not all(name in states for name in names):
             return None
-        first = np.array([states[name].value for name in names]) / record.scale
-        return chained_nodes(record, v, first)
+        # the states of a Fit are estimates, those of a stored result numbers
+        first = np.array([float(getattr(states[name], "value", states[name])) for name in names])
+        try:
+            return chained_nodes(record, v, first / record.scale)
+        except FloatingPointError:
+            return None
+
+    def _warm_levels(self) -> Array:
+        """Noise levels to start from: those of a warm start, as far as they are not known."""
+        levels, before = self._first_levels(), getattr(self.warm, "noise", {})
+        for k, name in enumerate(self.outputs):
+            found = before.get(name) if self.estimated[k] else None
+            levels[k] = found[0] if isinstance(found, tuple) and found[0] > 0 else levels[k]
+        return levels
 
     def run(self, z: Array, *, first: bool = True) -> Attempt:
         """Search from z : (nz,), in the parameters' units."""
         x = self._start(z, first=first)
-        self._weigh(self._first_levels())
+        self._weigh(self._warm_levels() if first else self._first_levels())
         if not np.isfinite(self._objective(x)):
             raise EstimationError(
                 "the model cannot be evaluated at the start values",
@@ -214,7 +226,9 @@ class Search:
                 allowed="values for which the equations give finite numbers",
                 cure="change the start values or the bounds",
             )
-        solution = self.solver.solve(x, self.lower, self.upper)
+        known = {record.experiment.name for record in self.records} <= set(getattr(self.warm, "initial", ()))
+        near = first and known and bool(getattr(self.warm, "converged", False))
+        solution = self.solver.solve(x, self.lower, self.upper, exact=near)
         iterations = solution.iterations
         alone = sum(self.estimated) == 1 == len(self.outputs)
         settle = any(self.estimated) and (not alone or self.problem.priors.count or self.loss.robust)
@@ -250,6 +264,17 @@ class Search:
         """End the progress display."""
         if hasattr(self._progress, "close"):
             self._progress.close()  # type: ignore[union-attr]
+
+
+def _checked_warm(warm: Any) -> Any:
+    if warm is None or isinstance(getattr(warm, "values", None), Mapping):
+        return warm
+    raise EstimationError(
+        "warm is not a result to start from",
+        seen=repr(warm),
+        allowed="a Fit, or a result loaded from a file",
+        cure="give the fit itself: warm=fit",
+    )
 
 
 def _variation(records: list[RecordTerm]) -> float:

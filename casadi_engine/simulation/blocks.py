@@ -69,7 +69,10 @@ def block_matrices(discrete: Discretisation, length: int, samples: NDArray[np.in
         if exact is not None:
             x_end[0, :, :n] = exact
     wide = np.concatenate([free[:, :, samples], forced[:, :, :rows].reshape(k, n, rows, -1)], axis=3)
-    y = jets.product(discrete.c, wide.reshape(k, n, -1), nz).reshape(k, ny, rows, -1)
+    flat = wide.reshape(k, n, -1)
+    c = discrete.c
+    y = c[0] @ flat if jets.is_constant(c) else jets.product(c, flat, nz)
+    y = y.reshape(k, ny, rows, -1)
     y = np.ascontiguousarray(y.transpose(0, 2, 1, 3))
     if discrete.d.any():
         for row, sample in enumerate(samples):

@@ -120,7 +120,7 @@ class DiscreteCore:
         """The discrete matrices and their derivatives up to ``order`` at z : (nz,)."""
         a, b, c, d = self.matrices(z, order)
         nz, h = self.parameters, self.step
-        if not np.isfinite(a).all() or not np.isfinite(b).all():
+        if not (np.isfinite(a).all() and np.isfinite(b).all() and np.isfinite(jets.norm(a))):
             raise FloatingPointError("the linear core is not finite here")
         ah = a * h
         if self.method == "euler":
@@ -128,8 +128,8 @@ class DiscreteCore:
             f[0] += np.eye(self.states)
             return Discretisation(f, b * h, np.zeros_like(b), c, d, nz, order, np.zeros((0, 0)))
         phi0, phi1, phi2 = phi_functions(ah, nz)
-        held = jets.product(phi1, b, nz) * h
-        ramp = jets.product(phi2, b, nz) * h
+        both = jets.product(np.concatenate([phi1, phi2], axis=1), b, nz) * h
+        held, ramp = both[:, : self.states], both[:, self.states :]
         ramp[:, :, ~self.first] = 0.0
         return Discretisation(phi0, held - ramp, ramp, c, d, nz, order, ah[0])
 

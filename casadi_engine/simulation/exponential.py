@@ -27,6 +27,20 @@ def _degree(size: float) -> int:
     return degree
 
 
+def _series(z: Array, d: int, degree: int) -> Array:
+    """phi_2 of a small jet by its Taylor polynomial, in groups of three powers (Paterson & Stockmeyer 1973)."""
+    square = jets.product(z, z, d)
+    cube = jets.product(z, square, d)
+    total = np.zeros_like(z)
+    for group in range(degree // 3, -1, -1):
+        if group < degree // 3:
+            total = jets.product(cube, total, d)
+        a, b, c = (1 / math.factorial(3 * group + k + 2) for k in range(3))
+        total += b * z + c * square
+        total[0] += a * np.eye(z.shape[1])
+    return total
+
+
 def _doublings(size: float) -> int:
     return max(0, math.ceil(math.log2(size / _RADIUS))) if size > _RADIUS else 0
 
@@ -37,12 +51,7 @@ def phi_functions(z: Array, d: int) -> tuple[Array, Array, Array]:
     doublings = _doublings(size)
     z = z / 2.0**doublings
     identity = np.eye(z.shape[1])
-    degree = _degree(min(size, _RADIUS))
-    phi2 = np.zeros_like(z)
-    phi2[0] = identity / math.factorial(degree + 2)
-    for power in range(degree - 1, -1, -1):
-        phi2 = jets.product(z, phi2, d)
-        phi2[0] += identity / math.factorial(power + 2)
+    phi2 = _series(z, d, _degree(min(size, _RADIUS)))
     phi1 = jets.product(z, phi2, d)
     phi1[0] += identity
     phi0 = jets.product(z, phi1, d)

@@ -132,6 +132,8 @@ class GeneralPropagator:
         """Arguments of the array functions, all samples side by side: states (n, points*M), known terms, z."""
         return [np.ascontiguousarray(x.transpose(1, 0, 2)).reshape(self.n, -1), self._known, z]
 
+    # A trial point of the search may be far off: what overflows is found by its result.
+    @np.errstate(over="ignore", invalid="ignore")
     def propagate(self, z: Array, nodes: Array, order: int = 1) -> GeneralTrajectory:
         """Advance all intervals from ``nodes`` (M, n), scaled states, at z : (nz,)."""
         plan, n, nz = self.intervals, self.n, self.nz
@@ -184,6 +186,7 @@ class GeneralPropagator:
             self._pull = ArrayFunction([*inputs, rho], [slope])
         return self._second
 
+    @np.errstate(over="ignore", invalid="ignore")
     def contraction(
         self, z: Array, path: GeneralTrajectory, rho: Array, lam: Array
     ) -> tuple[Array, Array, Array]:

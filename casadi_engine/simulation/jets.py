@@ -48,6 +48,11 @@ def product(x: Array, y: Array, d: int) -> Array:
     return out
 
 
+def is_constant(x: Array) -> bool:
+    """True if all derivatives vanish."""
+    return not x[1:].any()
+
+
 def norm(x: Array) -> float:
     """The 1-norm of a jet's value."""
     return float(np.abs(x[0]).sum(axis=0).max()) if x[0].size else 0.0

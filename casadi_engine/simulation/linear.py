@@ -135,6 +135,8 @@ class LinearPropagator:
             discrete = corrected(discrete, self._gain)
         return block_matrices(discrete, self.intervals.q, self.intervals.samples)
 
+    # A trial point of the search may be far off: what overflows is found by its result.
+    @np.errstate(over="ignore", invalid="ignore")
     def propagate(self, z: Array, nodes: Array, order: int = 1) -> LinearTrajectory:
         """Advance all intervals from ``nodes`` (M, n), scaled states, at z : (nz,)."""
         plan, n = self.intervals, self.n
@@ -167,13 +169,14 @@ class LinearPropagator:
         y += (out @ at[0]).reshape(y.shape)
         if nz:
             y[1:] += (out[0] @ at[1:]).reshape(y[1:].shape)
-        if not np.isfinite(x[-1]).all():
+        if not (np.isfinite(x[-1]).all() and np.isfinite(y).all()):
             raise FloatingPointError("the model's state is not finite here")
         ys = (out[0] @ phi[:-1]).transpose(1, 0, 2)
         return LinearTrajectory(blocks, samples, v, x, y, phi, ys)
 
     # ---- second order
 
+    @np.errstate(over="ignore", invalid="ignore")
     def contraction(
         self, z: Array, path: LinearTrajectory, rho: Array, lam: Array
     ) -> tuple[Array, Array, Array]:
