@@ -17,6 +17,9 @@ from casadi_engine.estimation.starts import chained_nodes
 
 Array = NDArray[np.float64]
 
+# Lag-one correlation, in its standard errors, from which a residual counts as coloured; least samples to say so.
+_COLOUR, _FEW = 5.0, 30
+
 
 def make_fit(
     search: Search,
