@@ -20,7 +20,9 @@ class CasadiEngineError(Exception):
 
     exit_code = 2
 
-    def __init__(self, problem: str, *, seen: Any = None, allowed: str | None = None, cure: str | None = None):
+    def __init__(
+        self, problem: str, *, seen: Any = None, allowed: str | None = None, cure: str | None = None
+    ):
         self.problem, self.seen, self.allowed, self.cure = problem, seen, allowed, cure
         parts = [problem]
         if seen is not None:

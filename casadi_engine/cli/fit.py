@@ -56,7 +56,7 @@ def _work(job: Job) -> int:
     write_answer(job, found, check=check)
     say(found)
     if check is not None:
-        say(check)
+        say(f"\n{check}")
     say_where(job)
     if stopped:
         complain("fit", f"interrupted in the residual tests; the fit itself is in {job.folder}")

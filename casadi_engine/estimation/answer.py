@@ -57,7 +57,7 @@ def make_fit(
         data=search.data,
         status=best.solution.status,
         estimates=errors.estimates(),
-        start=dict(zip(pmap.free, pmap.start.tolist(), strict=True)),
+        start=dict(zip(pmap.free, best.start.tolist(), strict=True)),
         free=pmap.free,
         z=z,
         covariance=errors.of_parameters(),

@@ -10,6 +10,9 @@ from casadi_engine.parameters.compiled import ParameterMap
 
 Array = NDArray[np.float64]
 
+# Beyond this an exponential is no number; a search that runs away must end with one.
+_FARTHEST = 300.0
+
 
 class Coordinates:
     """z = scale * exp(v) where the lower bound is positive (inertias, stiffnesses), else z = scale * v.
@@ -35,7 +38,8 @@ class Coordinates:
 
     def values(self, v: Array) -> Array:
         """z (nz,) at v (nz,)."""
-        return self.scale * np.where(self.log, np.exp(np.where(self.log, v, 0.0)), v)
+        power = np.clip(np.where(self.log, v, 0.0), -_FARTHEST, _FARTHEST)
+        return self.scale * np.where(self.log, np.exp(power), v)
 
     def of(self, z: Array) -> Array:
         """v (nz,) at z (nz,); -inf and inf stay."""

@@ -84,7 +84,7 @@ class _Supplied(ca.Callback):
         """Run the function; what goes wrong in it is kept, for the solver would pass over it."""
         try:
             return self._run(*arguments)
-        except BaseException as failure:  # noqa: BLE001 - raised again after the solve
+        except BaseException as failure:
             self.failure = failure
             if self.name() == "watch":
                 return [1.0]

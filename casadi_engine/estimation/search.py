@@ -41,6 +41,7 @@ class Attempt:
     cost: float
     sigma: Array
     iterations: int
+    start: Array
 
 
 class Search:
@@ -90,7 +91,7 @@ class Search:
                     gain=gain,
                     method=method,
                     grid=grid,
-                )  # fmt: skip
+                )
             )
         self.constraints = ParameterConstraints(model, self.pmap, self.coordinates)
         self.problem = ShootingProblem(
@@ -174,13 +175,15 @@ class Search:
 
     # ---- run
 
+    def _warm_values(self, z: Array) -> Array:
+        """The free parameters of a warm start as far as it has them, moved into the bounds."""
+        known = self.warm.values
+        found = [known.get(name, value) for name, value in zip(self.pmap.free, z, strict=True)]
+        return np.clip(np.array(found, dtype=float), self.pmap.lower, self.pmap.upper)
+
     def _start(self, z: Array, *, first: bool) -> Array:
         x = np.zeros(self.problem.size)
         nv = self.problem.nv
-        if self.warm is not None and first:
-            known = self.warm.values
-            z = np.array([known.get(name, value) for name, value in zip(self.pmap.free, z, strict=True)])
-            z = np.clip(z, self.pmap.lower, self.pmap.upper)
         x[:nv] = self.coordinates.of(z)
         for record, lay, bounds in zip(self.records, self.problem.layouts, self._initial, strict=True):
             nodes = self._warm_nodes(record, x[:nv]) if first else None
@@ -217,6 +220,7 @@ class Search:
 
     def run(self, z: Array, *, first: bool = True) -> Attempt:
         """Search from z : (nz,), in the parameters' units."""
+        z = self._warm_values(z) if first and self.warm is not None else z
         x = self._start(z, first=first)
         self._weigh(self._warm_levels() if first else self._first_levels())
         if not np.isfinite(self._objective(x)):
@@ -245,7 +249,7 @@ class Search:
         if any(self.estimated):
             self._weigh(self.levels_at(solution.x))
         cost = 2 * self.problem.samples * self._objective(solution.x)
-        return Attempt(solution, solution.x[: self.problem.nv], cost, self.sigma.copy(), iterations)
+        return Attempt(solution, solution.x[: self.problem.nv], cost, self.sigma.copy(), iterations, z)
 
     def _objective(self, x: Array) -> float:
         try:

@@ -101,7 +101,9 @@ def _run(model: Model, data: Experiment, values: Array, start: Array, method: Me
     grid = replace(lay_grid(model, data if measured else inputs, outputs=measured), measured={})
     scale = np.array([state.scale for state in model.states])
     plan = cut(grid, None)
-    propagator = make_propagator(model, grid, plan, ca.SX(0, 1), ca.SX(ca.DM(values)), scale=scale, method=method)
+    propagator = make_propagator(
+        model, grid, plan, ca.SX(0, 1), ca.SX(ca.DM(values)), scale=scale, method=method
+    )
     path = propagator.propagate(np.zeros(0), (start / scale)[None], 0)
     rows = path.y[0].reshape(len(plan.samples), len(model.outputs), plan.b).transpose(1, 2, 0)
     outputs = rows.reshape(len(model.outputs), -1)[:, : grid.samples]

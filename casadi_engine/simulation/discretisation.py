@@ -9,6 +9,7 @@ States are scaled inside: x stands for state / scale.
 from __future__ import annotations
 
 from dataclasses import dataclass
+
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray

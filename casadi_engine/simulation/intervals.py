@@ -51,7 +51,8 @@ class Intervals:
 def cut(grid: Grid, length: int | None) -> Intervals:
     """Cut a record into intervals of about ``length`` samples (None: one interval, single shooting).
 
-    A long length without a divisor that makes a good block is rounded to the next multiple of one.
+    A length is rounded to the next multiple of the outputs' stride, if they were measured at every k-th sample; and a
+    long one without a divisor that makes a good block to the next multiple of one.
     """
     stride, offset = _stride(grid)
     beyond = 0 if _on_grid(grid) else 1
@@ -62,6 +63,8 @@ def cut(grid: Grid, length: int | None) -> Intervals:
         return Intervals(1, b, q, np.arange(offset, q + beyond, stride))
     if beyond:
         length = max(length, _CUBIC)
+    if length > stride:
+        length = math.ceil(length / stride) * stride
     q = _block(length, stride)
     if q == 0:
         q = math.ceil(_BLOCK / stride) * stride

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from casadi_engine.model import Model
 from casadi_engine.simulation import jets
 from casadi_engine.simulation.blocks import Blocks, block_matrices
-from casadi_engine.simulation.discretisation import Discretisation, DiscreteCore, Method
+from casadi_engine.simulation.discretisation import DiscreteCore, Discretisation, Method
 from casadi_engine.simulation.grid import Drives, DriveSamples, Grid
 from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.jets import Array

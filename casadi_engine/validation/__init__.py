@@ -1,7 +1,7 @@
 """Validation: how well a model explains data, and whether its residuals are white."""
 
-from casadi_engine.validation.correlation import Correlation, autocorrelation, cross_correlation
 from casadi_engine.estimation.fit_percent import FitMeasures, fit_measures
+from casadi_engine.validation.correlation import Correlation, autocorrelation, cross_correlation
 from casadi_engine.validation.residual_tests import (
     ResidualChecks,
     ResidualTest,
@@ -13,18 +13,18 @@ from casadi_engine.validation.residual_tests import (
 from casadi_engine.validation.validate import OutputCheck, Validation, validate
 
 __all__ = [
-    "OutputCheck",
-    "Validation",
-    "validate",
     "Correlation",
     "FitMeasures",
+    "OutputCheck",
     "ResidualChecks",
     "ResidualTest",
+    "Validation",
     "autocorrelation",
     "check_residual",
     "cross_correlation",
     "fit_measures",
     "independence",
     "rejected",
+    "validate",
     "whiteness",
 ]

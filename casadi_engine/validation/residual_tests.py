@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 from casadi_engine.errors import ExperimentError
+from casadi_engine.estimation.fit_percent import BoolArray, FloatArray, as_samples
 from casadi_engine.validation.correlation import (
     CONSTANT_DRIVE,
     Correlation,
@@ -32,7 +33,6 @@ from casadi_engine.validation.correlation import (
     is_constant,
     lagged_products,
 )
-from casadi_engine.estimation.fit_percent import BoolArray, FloatArray, as_samples
 from casadi_engine.validation.projection import QuadraticForm, orthonormal
 from casadi_engine.validation.whitening import Whitener
 

@@ -114,7 +114,8 @@ def _hold(fit: Fit | Model, data: Any, parameters: Parameters | None, noise: Noi
         model, source = fit.model, fit.parameters if parameters is None else parameters
         records = fit.data if data is None else data
         levels = noise or Noise(
-            gain=fit.gain, **{k: "estimate" if estimated else sigma for k, (sigma, estimated) in fit.noise.items()}
+            gain=fit.gain,
+            **{k: "estimate" if estimated else sigma for k, (sigma, estimated) in fit.noise.items()},
         )
         method = str(fit.options.get("method", "exact"))
     else:

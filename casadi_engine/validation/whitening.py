@@ -12,8 +12,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import fft, linalg, sparse
 
-from casadi_engine.validation.correlation import IntArray
 from casadi_engine.estimation.fit_percent import BoolArray, FloatArray
+from casadi_engine.validation.correlation import IntArray
 
 LARGEST_ORDER = 25
 SPECTRUM = 1024

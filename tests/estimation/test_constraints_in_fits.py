@@ -118,7 +118,7 @@ def test_a_two_sided_constraint_on_an_expression(line, line_data, low, high, act
     np.testing.assert_allclose(fit.z, values, rtol=1e-6)
     np.testing.assert_allclose(fit.covariance, covariance, rtol=1e-4)
     assert fit.dof == (198 if active is None else 199)
-    assert fit.messages == ()
+    assert not any("not met" in message for message in fit.messages)
 
 
 def test_a_constraint_that_hardly_acts_still_restricts_the_covariance(line, line_data):
