@@ -205,8 +205,8 @@ def test_a_gain_with_memory_needs_every_sample(made):
         propagator(made, shaft(outputs=("w",)), [[1.0], [0.0]], gone=(4, 5))
     assert str(info.value) == (
         "a predictor with this gain needs outputs without missing samples; seen: 2 of 30 samples "
-        "of w missing; allowed: no gaps, or a gain with L C = I that starts each step from the measured state; "
-        "do: cut the record at the gaps by between, or take output error (no gain)"
+        "of w missing; allowed: no gaps, or a gain with L C = I that starts each step from the measured "
+        "state; do: cut the record at the gaps by between, or take output error (no gain)"
     )
 
 
