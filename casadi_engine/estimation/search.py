@@ -179,7 +179,8 @@ class Search:
         """The free parameters of a warm start as far as it has them, moved into the bounds."""
         known = self.warm.values
         found = [known.get(name, value) for name, value in zip(self.pmap.free, z, strict=True)]
-        return np.clip(np.array(found, dtype=float), self.pmap.lower, self.pmap.upper)
+        values = np.array(found, dtype=float)
+        return np.clip(np.where(np.isfinite(values), values, z), self.pmap.lower, self.pmap.upper)
 
     def _start(self, z: Array, *, first: bool) -> Array:
         x = np.zeros(self.problem.size)
