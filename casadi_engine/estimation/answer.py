@@ -187,7 +187,7 @@ def _coloured(search: Search, best: Attempt) -> list[str]:
             share = float(r[1:] @ r[:-1] / (r @ r))
             if share * np.sqrt(len(r)) > _COLOUR:
                 found.append(
-                    f"the residual of {record.experiment.name}/{name} is not white (neighbours correlate by {share:.2f}): "
-                    "the model lacks something, and the standard errors are too small; see validate"
+                    f"the residual of {record.experiment.name}/{name} is not white (neighbours correlate by "
+                    f"{share:.2f}): the model lacks something, and the standard errors are too small; see validate"
                 )
     return found
