@@ -1,0 +1,162 @@
+"""The general propagator: order of its steps, agreement with the exact one, and a Duffing oscillator."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from casadi_engine.model import Blueprint
+from casadi_engine.simulation.general import GeneralPropagator
+from casadi_engine.simulation.intervals import cut
+from casadi_engine.simulation.linear import LinearPropagator
+
+NONE = np.zeros(0)
+
+
+def run(made, model, grid, start, *, kind=GeneralPropagator, length=None, p=None):
+    """Outputs (samples, ny) from one start."""
+    p = ca.DM(model.parameter_vector() if p is None else p)
+    plan = cut(grid, length)
+    scale = made.scale(model)
+    propagator = kind(model, grid, plan, ca.SX(0, 1), p, scale=scale)
+    path = propagator.propagate(NONE, np.asarray(start)[None] / scale, 0)
+    return made.by_interval(plan, len(model.outputs), path.y)[0, : grid.samples, :, 0]
+
+
+def duffing():
+    b = Blueprint("duffing")
+    q, v, force = b.state("q", scale=0.3), b.state("v", scale=2.0), b.input("F")
+    k3 = b.parameter("k3", 3.0)
+    b.ode("q", v)
+    b.ode("v", force + ca.cos(2 * b.time) - 0.2 * v - q - k3 * q**3)
+    b.output("q", q)
+    b.output("energy", v**2 / 2 + q**2 / 2 + k3 * q**4 / 4)
+    return b.model()
+
+
+def test_duffing_equals_scipys_integrator(made):
+    model = duffing()
+    step, samples, start = 0.01, 1501, 0.4
+    time = start + step * np.arange(samples)
+    # A broken line, as recorded: corners every 25 samples.
+    force = np.interp(time, time[::25], np.random.default_rng(0).normal(size=61))
+    grid = made.grid(force, step=step, start=start)
+    found = run(made, model, grid, [0.5, -1.0])
+
+    def slope(t, x):
+        return [x[1], np.interp(t, time, force) + np.cos(2 * t) - 0.2 * x[1] - x[0] - 3 * x[0] ** 3]
+
+    wanted = solve_ivp(
+        slope, time[[0, -1]], [0.5, -1.0], method="DOP853", rtol=1e-11, atol=1e-11, t_eval=time, max_step=0.05
+    )
+    np.testing.assert_allclose(found[:, 0], wanted.y[0], atol=2e-7)
+    q, v = wanted.y
+    np.testing.assert_allclose(found[:, 1], v**2 / 2 + q**2 / 2 + 0.75 * q**4, atol=1e-6)
+
+
+def test_steps_are_of_fourth_order(made):
+    model = duffing()
+    ends = []
+    for count in (20, 40, 80, 640):
+        step = 2.0 / count
+        # A straight line is held exactly whatever the step.
+        grid = made.grid(0.3 * step * np.arange(count + 1), step=step, start=0.0)
+        ends.append(run(made, model, grid, [0.5, -1.0])[-1, 0])
+    errors = np.abs(np.array(ends[:-1]) - ends[-1])
+    orders = np.log2(errors[:-1] / errors[1:])
+    assert ((orders > 3.8) & (orders < 4.3)).all()
+
+
+@pytest.mark.parametrize("holds", [("first", "first"), ("zero", "zero"), ("zero", "first")])
+def test_a_linear_model_equals_the_exact_propagator(made, holds):
+    b = Blueprint("linear")
+    x, y, u, v = b.state("x", scale=3.0), b.state("y"), b.input("u"), b.input("v")
+    b.ode("x", y - 0.5 * x + u + 2.0)
+    b.ode("y", -x + v)
+    b.output("first", x + u)
+    b.output("second", y - 1)
+    model = b.model()
+    grid = made.grid(np.random.default_rng(1).normal(size=(2, 200)), step=0.02, holds=holds)
+    exact = run(made, model, grid, [1.0, 2.0], kind=LinearPropagator)
+    steps = run(made, model, grid, [1.0, 2.0])
+    np.testing.assert_allclose(steps, exact, atol=1e-8)
+
+
+def test_a_fast_mode_is_stepped_more_finely(made):
+    b = Blueprint("stiff")
+    x, rate, u = b.state("x"), b.parameter("rate", 900.0), b.input("u")
+    b.ode("x", rate * (u - x))
+    b.output("x", x)
+    model = b.model()
+    grid = made.grid(np.sin(0.3 * np.arange(60)), step=0.01)
+    exact = run(made, model, grid, [0.4], kind=LinearPropagator)
+    z = ca.SX.sym("z", 1)
+    plan = cut(grid, None)
+    propagator = GeneralPropagator(model, grid, plan, z, 900 * z, scale=np.ones(1))
+    # One step of h rate = 9 would be unstable.
+    found = made.by_interval(plan, 1, propagator.propagate(np.ones(1), np.full((1, 1), 0.4), 0).y)
+    np.testing.assert_allclose(found[0, :60, :, 0], exact, atol=1e-4)
+
+
+def test_the_number_of_small_steps_keeps_the_derivatives_exact(made):
+    rng = np.random.default_rng(2)
+    model = made.general(rng, states=2)
+    step = 0.25  # |lambda| h is about 0.6: three steps a sample
+    grid = made.grid(rng.normal(size=(1, 6)), step=step)
+    plan = cut(grid, 3)
+    z = ca.SX.sym("z", 2)
+    scale = made.scale(model)
+    propagator = GeneralPropagator(model, grid, plan, z, z, scale=scale)
+    substeps = propagator._substeps(model, z, z, step, scale)
+    assert substeps > 1
+    reference = made.reference(model, grid, plan, z, z, scale, made.runge_kutta_step(substeps))
+    nodes = rng.normal(size=(plan.m, 2))
+    assert max(made.compare(propagator, reference, np.array([0.8, 1.1]), nodes, rng)) < 1e-9
+
+
+def test_orders_zero_and_one_give_the_same_outputs(made):
+    model = made.general(np.random.default_rng(3), states=3)
+    grid = made.grid(np.random.default_rng(4).normal(size=(1, 40)), step=0.05)
+    z, scale = ca.SX.sym("z", 2), made.scale(model)
+    propagator = GeneralPropagator(model, grid, cut(grid, 8), z, z, scale=scale)
+    nodes = np.random.default_rng(5).normal(size=(5, 3))
+    value = propagator.propagate(np.ones(2), nodes, 0)
+    both = propagator.propagate(np.ones(2), nodes, 1)
+    np.testing.assert_allclose(both.y[0], value.y[0], rtol=1e-13)
+    np.testing.assert_array_equal(both.end, value.end)
+
+
+def test_a_model_without_channels_and_parameters(made):
+    b = Blueprint("pendulum")
+    q, v = b.state("q"), b.state("v")
+    b.ode("q", v)
+    b.ode("v", -ca.sin(q))
+    b.output("energy", v**2 / 2 - ca.cos(q))
+    grid = made.grid(np.zeros((0, 400)), samples=400, step=0.05)
+    energy = run(made, b.model(), grid, [1.0, 0.0])
+    np.testing.assert_allclose(energy, -np.cos(1.0), atol=2e-6)
+    plan = cut(grid, 30)
+    propagator = GeneralPropagator(b.model(), grid, plan, ca.SX(0, 1), ca.SX(0, 1), scale=np.ones(2))
+    path = propagator.propagate(NONE, np.ones((plan.m, 2)), 1)
+    zz, zs, ss = propagator.contraction(NONE, path, np.ones(path.y[0].shape), np.ones((2, plan.m)))
+    assert (zz.shape, zs.shape, ss.shape) == ((0, 0), (0, 2, plan.m), (plan.m, 2, 2))
+
+
+def test_a_state_that_runs_away_is_reported_without_noise(made):
+    b = Blueprint("burst")
+    x = b.state("x")
+    b.ode("x", x**3)
+    b.output("x", x)
+    grid = made.grid(np.zeros((0, 100)), samples=100, step=0.05)
+    with pytest.raises(FloatingPointError, match="the model's state is not finite here"):
+        run(made, b.model(), grid, [5.0])
+
+
+def test_drives_are_told(made):
+    model = made.general(np.random.default_rng(0))
+    grid = made.grid(np.arange(6.0), step=0.1, start=1.0)
+    propagator = GeneralPropagator(model, grid, cut(grid, None), model.p, model.p, scale=made.scale(model))
+    found = propagator.drives_at(np.array([2.0, 1.0]))
+    np.testing.assert_allclose(found, [2 * np.arange(6.0) ** 2 + np.cos(grid.time)], rtol=1e-13)
