@@ -65,7 +65,9 @@ def make_fit(
         initial=initial,
         noise={
             name: (float(sigma), estimated)
-            for name, sigma, estimated in zip(search.outputs, best.sigma, search.estimated, strict=True)
+            for name, sigma, estimated in zip(
+                search.levels.outputs, best.sigma, search.levels.estimated, strict=True
+            )
         },
         cost=best.cost,
         n=problem.samples,

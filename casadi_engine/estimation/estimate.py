@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +14,7 @@ from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.answer import make_fit
 from casadi_engine.estimation.fit import Fit, Optimum
 from casadi_engine.estimation.loss import read_loss
-from casadi_engine.estimation.options import whole
+from casadi_engine.estimation.options import small, whole
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.starts import drawn_starts
 from casadi_engine.experiment import Experiment
@@ -83,12 +83,12 @@ def estimate(
     records = _records(data)
     starts = whole("starts", starts, 1)
     max_iterations = whole("max_iterations", max_iterations, 1)
-    chosen = (model.parameters() if parameters is None else parameters).copy()
+    seed, tolerance = whole("seed", seed, 0), small(tolerance)
     search = Search(
         model,
         records,
-        chosen,
-        noise or Noise(),
+        _own(model, parameters),
+        noise,
         interval=interval,
         initial=initial,
         loss=read_loss(loss),
@@ -101,8 +101,8 @@ def estimate(
     )
     setup = time.perf_counter() - begun
     attempts = _attempts(search, drawn_starts(search.pmap, starts, seed))
-    optima = _optima(search, attempts)
-    best = min(attempts, key=lambda a: (a.solution.status != "converged", a.cost))
+    best = min(attempts, key=lambda a: (a.solution.status != "converged", a.merit))
+    optima = _optima(search, attempts, best)
     if attempts[-1].solution.status == "interrupted":
         best = replace(best, solution=replace(best.solution, status="interrupted"))
     solve = time.perf_counter() - begun - setup
@@ -137,8 +137,23 @@ def _attempts(search: Search, starts: list[Array]) -> list[Attempt]:
     return attempts
 
 
+def _own(model: Model, parameters: Any) -> Parameters:
+    """A copy of the parameter set, or the model's own."""
+    if parameters is None:
+        return model.parameters()
+    if not isinstance(parameters, Parameters):
+        raise EstimationError(
+            "the parameters are not a parameter set",
+            seen=type(parameters).__name__,
+            allowed="a Parameters object",
+            cure="start from model.parameters() and set values by pars[name].set(value)",
+        )
+    return parameters.copy()
+
+
 def _records(data: Any) -> tuple[Experiment, ...]:
-    records = (data,) if isinstance(data, Experiment) else tuple(data or ())
+    several = isinstance(data, Iterable) and not isinstance(data, str)
+    records = (data,) if isinstance(data, Experiment) else tuple(data) if several else ()
     if not records or not all(isinstance(record, Experiment) for record in records):
         raise EstimationError(
             "there is nothing to fit to",
@@ -149,10 +164,11 @@ def _records(data: Any) -> tuple[Experiment, ...]:
     return with_unique_names(records)
 
 
-def _optima(search: Search, attempts: list[Attempt]) -> tuple[Optimum, ...]:
-    """Distinct optima by rising cost, each with the number of starts that ended there."""
+def _optima(search: Search, attempts: list[Attempt], best: Attempt) -> tuple[Optimum, ...]:
+    """Distinct optima by rising cost at the best one's noise levels, and how many starts ended there."""
     groups: list[list[Attempt]] = []
-    for attempt in sorted(attempts, key=lambda a: a.cost):
+    compared = [replace(attempt, cost=search.cost_of(attempt, best.sigma)) for attempt in attempts]
+    for attempt in sorted(compared, key=lambda a: a.cost):
         for group in groups:
             gap = abs(attempt.cost - group[0].cost)
             apart = np.abs(attempt.v - group[0].v).max(initial=0.0)

@@ -37,8 +37,9 @@ def interval_length(interval: Any, grid: Grid) -> int | None:
         found = float(interval)
     elif isinstance(interval, str) and (match := _TEXT.match(interval)):
         number, unit = float(match[1]), match[2]
-        found = round(number * _UNITS[unit] / grid.step) if unit in _UNITS else number
-    if found is None or found < 1 or found != int(found):
+        found = number * _UNITS[unit] / grid.step if unit in _UNITS else number
+        found = float(round(found)) if unit in _UNITS and math.isfinite(found) else found
+    if found is None or not 1 <= found < math.inf or found != int(found):
         raise EstimationError(
             "the shooting interval is not acceptable",
             seen=repr(interval),
@@ -81,15 +82,27 @@ def initial_bounds(
                 cure="print(model.table()) lists the states",
             )
         k = names.index(name)
-        if value == "free":
+        if isinstance(value, str) and value == "free":
             continue
-        if isinstance(value, (int, float)) and math.isfinite(value):
-            lower[k] = upper[k] = start[k] = float(value)
-        elif isinstance(value, (tuple, list)) and len(value) == 2 and value[0] < value[1]:
-            lower[k], upper[k] = float(value[0]), float(value[1])
+        fixed = as_number(value)
+        pair = [as_number(part) for part in value] if isinstance(value, (tuple, list)) else []
+        if fixed is not None and math.isfinite(fixed):
+            lower[k] = upper[k] = start[k] = fixed
+        elif len(pair) == 2 and pair[0] is not None and pair[1] is not None and pair[0] < pair[1]:
+            lower[k], upper[k] = pair
         else:
             raise _bad_initial({name: value})
     return lower, upper, start
+
+
+def as_number(value: Any) -> float | None:
+    """A real number of any kind as a float, else None."""
+    if isinstance(value, (bool, np.bool_, str)) or np.ndim(value) or value is None:
+        return None
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return None
 
 
 def _bad_initial(seen: Any) -> EstimationError:
@@ -110,4 +123,17 @@ def whole(name: str, value: Any, least: int) -> int:
         seen=repr(value),
         allowed=f"a whole number >= {least}",
         cure=f"leave {name} out",
+    )
+
+
+def small(tolerance: Any) -> float:
+    """A tolerance > 0, or an error."""
+    value = as_number(tolerance)
+    if value is not None and 0 < value < math.inf:
+        return value
+    raise EstimationError(
+        "the tolerance is not acceptable",
+        seen=repr(tolerance),
+        allowed="a number > 0, such as 1e-9",
+        cure="leave it out",
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.constraints import ParameterConstraints, Priors
 from casadi_engine.estimation.coordinates import Coordinates
 from casadi_engine.estimation.ipopt import Solution, Solver
+from casadi_engine.estimation.levels import NoiseLevels, check_noise
 from casadi_engine.estimation.loss import Loss
 from casadi_engine.estimation.options import initial_bounds, interval_length
 from casadi_engine.estimation.record import RecordTerm
@@ -28,18 +29,21 @@ Array = NDArray[np.float64]
 
 # Noise levels that are estimated beside priors, several outputs or a robust loss are settled by repeated fits.
 _ROUNDS, _LEVEL = 12, 1e-6
-# Share of its median absolute deviation that the standard deviation of a normal variable is.
-_MAD = 1.4826
 
 
 @dataclass
 class Attempt:
-    """The outcome of one start: v (nv,) scaled parameters, cost = chi-squared + priors at the noise levels found."""
+    """The outcome of one start.
+
+    v : (nv,) coordinates of the parameters; sigma : (ny,) noise levels found; cost : chi-squared + priors at these;
+    merit : what starts are compared by, -2 log likelihood but for a constant; start : (nz,) parameters at the start
+    """
 
     solution: Solution
     v: Array
-    cost: float
     sigma: Array
+    cost: float
+    merit: float
     iterations: int
     start: Array
 
@@ -52,7 +56,7 @@ class Search:
         model: Model,
         data: tuple[Experiment, ...],
         parameters: Parameters,
-        noise: Noise,
+        noise: Noise | None,
         *,
         interval: Any,
         initial: Any,
@@ -64,9 +68,8 @@ class Search:
         warm: Any,
         progress: Callable[[int, float, float], Any] | None,
     ) -> None:
+        noise = check_noise(noise, model)
         self.model, self.data, self.noise, self.loss = model, data, noise, loss
-        self.outputs = tuple(out.name for out in model.outputs)
-        _check_noise(noise, self.outputs, model)
         self.warm, self._progress = _checked_warm(warm), progress
         names = tuple(record.name for record in data)
         self.pmap = compile(parameters, model.parameter_names, names, ties=ties)  # type: ignore[arg-type]
@@ -99,9 +102,8 @@ class Search:
         )
         self._initial = [initial_bounds(initial, model, name, names) for name in names]
         self._bounds()
-        self.sigma = self._first_levels()
-        self._weigh(self.sigma)
-        self._fraction = _variation(self.records)
+        self.levels = NoiseLevels(noise, model, self.records)
+        self._weigh(self.levels.first())
         self.solver = Solver(
             self.problem, max_iterations=max_iterations, tolerance=tolerance, progress=self._report
         )
@@ -117,54 +119,17 @@ class Search:
             self.lower[lay.at : lay.at + lay.n] = low / record.scale
             self.upper[lay.at : lay.at + lay.n] = high / record.scale
 
-    def _first_levels(self) -> Array:
-        """Known noise levels, and for the others the scatter between neighbouring samples."""
-        levels = []
-        for name in self.outputs:
-            level = self.noise.level(name)
-            if level != "estimate":
-                levels.append(float(level))
-                continue
-            series = [r.grid.measured[name].values for r in self.records if name in r.grid.measured]
-            steps = np.concatenate([np.diff(s, 2) for s in series]) if series else np.zeros(0)
-            size = max((float(np.abs(s).max()) for s in series), default=1.0)
-            scatter = float(np.sqrt(np.mean(steps**2) / 6)) if len(steps) else 0.0
-            levels.append(max(scatter, 1e-9 * size, 1e-300))
-        return np.array(levels)
-
     def _weigh(self, sigma: Array) -> None:
+        """Weight all residuals by the levels (ny,)."""
         self.sigma = sigma
         for record in self.records:
             record.set_sigma(sigma)
         self.problem.forget()
-
-    @property
-    def estimated(self) -> list[bool]:
-        """Whether the noise level of each output is estimated."""
-        return [self.noise.level(name) == "estimate" for name in self.outputs]
+        self._fraction = self.levels.variation()
 
     def levels_at(self, x: Array) -> Array:
         """Noise levels (ny,) from the residuals at x; known ones as they are."""
-        point = self.problem.at(x)
-        found = self.sigma.copy()
-        lost = max(0.0, float(self.free_count))
-        total = self.problem.samples
-        for k, wanted in enumerate(self.estimated):
-            if not wanted:
-                continue
-            parts = [
-                p.r[record.observation.valid & (record.observation.column == k)]
-                for record, p in zip(self.records, point.records, strict=True)
-            ]
-            r = np.concatenate(parts)
-            if not len(r):
-                continue
-            if self.loss.robust:
-                found[k] *= _MAD * float(np.median(np.abs(r - np.median(r))))
-            else:
-                found[k] *= float(np.sqrt(np.sum(r**2) / (len(r) * max(1.0 - lost / total, 1e-9))))
-        size = max(float(np.abs(r.observation.measured).max(initial=0.0)) for r in self.records)
-        return np.maximum(found, max(1e-12 * size, 1e-300))
+        return self.levels.at(self.problem.at(x).records, self.sigma, self.loss, self.free_count)
 
     @property
     def free_count(self) -> int:
@@ -211,19 +176,11 @@ class Search:
         except FloatingPointError:
             return None
 
-    def _warm_levels(self) -> Array:
-        """Noise levels to start from: those of a warm start, as far as they are not known."""
-        levels, before = self._first_levels(), getattr(self.warm, "noise", {})
-        for k, name in enumerate(self.outputs):
-            found = before.get(name) if self.estimated[k] else None
-            levels[k] = found[0] if isinstance(found, tuple) and found[0] > 0 else levels[k]
-        return levels
-
     def run(self, z: Array, *, first: bool = True) -> Attempt:
         """Search from z : (nz,), in the parameters' units."""
         z = self._warm_values(z) if first and self.warm is not None else z
         x = self._start(z, first=first)
-        self._weigh(self._warm_levels() if first else self._first_levels())
+        self._weigh(self.levels.first(self.warm if first else None))
         if not np.isfinite(self._objective(x)):
             raise EstimationError(
                 "the model cannot be evaluated at the start values",
@@ -235,22 +192,43 @@ class Search:
         near = first and known and bool(getattr(self.warm, "converged", False))
         solution = self.solver.solve(x, self.lower, self.upper, exact=near)
         iterations = solution.iterations
-        alone = sum(self.estimated) == 1 == len(self.outputs)
-        settle = any(self.estimated) and (not alone or self.problem.priors.count or self.loss.robust)
-        for _ in range(_ROUNDS if settle else 0):
+        for _ in range(_ROUNDS if self._settles else 0):
             if solution.status != "converged":
                 break
-            levels = self.levels_at(solution.x)
-            change = np.abs(levels / self.sigma - 1).max()
-            self._weigh(levels)
+            weights = self.levels.weights(self.levels_at(solution.x))
+            change = np.abs(weights / self.sigma - 1).max()
+            self._weigh(weights)
             if change < _LEVEL:
                 break
             solution = self.solver.solve(solution.x, self.lower, self.upper, exact=True)
             iterations += solution.iterations
-        if any(self.estimated):
-            self._weigh(self.levels_at(solution.x))
-        cost = 2 * self.problem.samples * self._objective(solution.x)
-        return Attempt(solution, solution.x[: self.problem.nv], cost, self.sigma.copy(), iterations, z)
+        return self._outcome(solution, iterations, z)
+
+    @property
+    def _settles(self) -> bool:
+        """True if the estimate depends on noise levels that are themselves estimated."""
+        estimated = self.levels.estimated
+        alone = len(estimated) == 1 and not self.problem.priors.count and not self.loss.robust
+        return any(estimated) and not alone
+
+    def _outcome(self, solution: Solution, iterations: int, z: Array) -> Attempt:
+        """The attempt with its noise levels; multipliers are those of the objective at these levels."""
+        x = solution.x
+        before = self._objective(x)
+        if any(self.levels.estimated) and np.isfinite(before):
+            self._weigh(self.levels_at(x))
+        objective = self._objective(x)
+        scale = objective / before if before > 0 else 1.0
+        solution = replace(solution, lam_g=solution.lam_g * scale, lam_x=solution.lam_x * scale)
+        cost = 2 * self.problem.samples * objective
+        merit = cost + 2 * float(np.log(self.sigma) @ self.levels.counts)
+        v = x[: self.problem.nv]
+        return Attempt(solution, v, self.sigma.copy(), cost, merit, iterations, z)
+
+    def cost_of(self, attempt: Attempt, sigma: Array) -> float:
+        """The cost of an attempt at other noise levels (ny,)."""
+        self._weigh(sigma)
+        return 2 * self.problem.samples * self._objective(attempt.solution.x)
 
     def _objective(self, x: Array) -> float:
         try:
@@ -280,34 +258,3 @@ def _checked_warm(warm: Any) -> Any:
         allowed="a Fit, or a result loaded from a file",
         cure="give the fit itself: warm=fit",
     )
-
-
-def _variation(records: list[RecordTerm]) -> float:
-    """Mean square of the weighted outputs about their means: what a fit of 0 % leaves."""
-    total, count = 0.0, 0
-    for record in records:
-        for name, sample in record.grid.measured.items():
-            where = record.observation.where[name]
-            weight = record.weight.ravel()[where]
-            total += float((((sample.values - sample.values.mean()) * weight) ** 2).sum())
-            count += len(sample.values)
-    return max(total / max(count, 1), 1e-300)
-
-
-def _check_noise(noise: Noise, outputs: tuple[str, ...], model: Model) -> None:
-    for name in noise.outputs:
-        if name not in outputs:
-            raise EstimationError(
-                f"the model {model.name} has no such output",
-                seen=f"noise of {name!r}",
-                allowed=", ".join(outputs),
-                cure="name the model's outputs",
-            )
-    shape = (len(model.states), len(outputs))
-    if noise.gain is not None and noise.gain.shape != shape:
-        raise EstimationError(
-            "the gain has the wrong shape",
-            seen=str(noise.gain.shape),
-            allowed=f"{shape}: states {', '.join(s.name for s in model.states)} by outputs {', '.join(outputs)}",
-            cure="give one row for each state and one column for each output",
-        )

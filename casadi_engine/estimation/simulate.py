@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.errors import SimulationError
 from casadi_engine.estimation.estimate import estimate
+from casadi_engine.estimation.options import as_number
 from casadi_engine.experiment import Channel, Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters, near_matches
@@ -50,7 +52,15 @@ def simulate(
     """
     names = [state.name for state in model.states]
     given = dict(initial or {})
-    for name in given:
+    for name, value in given.items():
+        number = as_number(value)
+        if name in names and (number is None or not math.isfinite(number)):
+            raise SimulationError(
+                f"the initial value of {name} is not a finite number",
+                seen=str(value),
+                allowed="a number in the state's unit",
+                cure="leave the state out to have it fitted",
+            )
         if name not in names:
             raise SimulationError(
                 f"the model {model.name} has no such state",
@@ -77,6 +87,12 @@ def _fitted_start(
     model: Model, data: Experiment, values: Array, given: Mapping[str, float], method: Method
 ) -> dict[str, float]:
     """The initial state that explains the measured outputs best, parameters held."""
+    known = [k for k, out in enumerate(model.outputs) if out.name in data]
+    model = replace(
+        model,
+        outputs=tuple(model.outputs[k] for k in known),
+        output_expressions=ca.vertcat(*[model.output_expressions[k] for k in known]),
+    )
     fixed = model.parameters()
     for name, value in zip(model.parameter_names, values, strict=True):
         parameter = fixed[name]
@@ -95,7 +111,7 @@ def _fitted_start(
 
 
 def _run(model: Model, data: Experiment, values: Array, start: Array, method: Method) -> Experiment:
-
+    """The simulation from a known start, as an experiment."""
     measured = tuple(out.name for out in model.outputs if out.name in data)
     inputs = data.only(*[v.name for v in model.inputs]) if model.inputs else data
     grid = replace(lay_grid(model, data if measured else inputs, outputs=measured), measured={})
@@ -104,7 +120,18 @@ def _run(model: Model, data: Experiment, values: Array, start: Array, method: Me
     propagator = make_propagator(
         model, grid, plan, ca.SX(0, 1), ca.SX(ca.DM(values)), scale=scale, method=method
     )
-    path = propagator.propagate(np.zeros(0), (start / scale)[None], 0)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            path = propagator.propagate(np.zeros(0), (start / scale)[None], 0)
+    except FloatingPointError:
+        raise SimulationError(
+            "the simulation is not finite",
+            seen=", ".join(
+                f"{n}={value:.6g}" for n, value in zip(model.parameter_names, values, strict=True)
+            ),
+            allowed="parameters and initial states that give finite numbers",
+            cure="change the parameters or the initial state",
+        ) from None
     rows = path.y[0].reshape(len(plan.samples), len(model.outputs), plan.b).transpose(1, 2, 0)
     outputs = rows.reshape(len(model.outputs), -1)[:, : grid.samples]
     result = inputs if model.inputs else data.only(*measured)

@@ -57,6 +57,19 @@ def test_several_starts_find_the_better_optimum(tone):
     assert one.optima[0].starts == 1
 
 
+def test_starts_are_compared_at_one_noise_level(tone):
+    # An estimated level makes the cost of every optimum about n: they are told apart by the likelihood.
+    model, data = tone()
+    options = {**KNOWN, "noise": None}
+    one = ce.estimate(model, data, **options)
+    fit = ce.estimate(model, data, starts=8, seed=3, **options)
+    assert one.cost == pytest.approx(fit.cost)
+    assert fit.values["f"] == pytest.approx(1.5, rel=1e-3)
+    assert fit.noise["y"][0] == pytest.approx(SIGMA, rel=0.15)
+    assert fit.optima[0].cost == pytest.approx(fit.cost, rel=1e-9)
+    assert fit.optima[1].cost > 10 * fit.cost
+
+
 def test_starts_are_those_of_the_seed(tone):
     model, data = tone()
     fits = [ce.estimate(model, data, starts=4, seed=seed, **KNOWN) for seed in (1, 1, 2)]
@@ -309,14 +322,13 @@ def test_a_converged_start_is_preferred_to_a_lower_cost(tone, monkeypatch):
     def spoilt(self, z, *, first=True):
         found = run(self, z, first=first)
         if not first:
-            found.solution.status, found.cost = "not converged: for the test", 0.0
+            found.solution.status, found.merit = "not converged: for the test", 0.0
         return found
 
     monkeypatch.setattr(module.Search, "run", spoilt)
     model, data = tone()
     fit = ce.estimate(model, data, starts=3, **KNOWN)
     assert fit.status == "converged"
-    assert fit.cost > 0
     assert {optimum.status for optimum in fit.optima} == {"converged", "not converged: for the test"}
 
 

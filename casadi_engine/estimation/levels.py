@@ -1,0 +1,131 @@
+"""Noise levels of the outputs: known ones, first guesses from the data, and estimates from residuals."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.errors import EstimationError
+from casadi_engine.estimation.loss import Loss
+from casadi_engine.estimation.record import RecordPoint, RecordTerm
+from casadi_engine.model import Model
+from casadi_engine.problem.noise import Noise
+
+Array = NDArray[np.float64]
+
+# Share of its median absolute deviation that the standard deviation of a normal variable is.
+_MAD = 1.4826
+# Levels below these shares of the largest output: with the first as weight, rounding keeps a search from ending;
+# the second is rounding itself.
+_WEIGHT, _ROUNDING = 1e-5, 1e-12
+
+
+class NoiseLevels:
+    """The levels (ny,) of a fit's outputs.
+
+    estimated : whether the level of each output is estimated; counts : (ny,) samples of each that count
+    """
+
+    def __init__(self, noise: Any, model: Model, records: list[RecordTerm]) -> None:
+        self.noise, self.records = noise, records
+        self.outputs = tuple(out.name for out in model.outputs)
+        self.estimated = [noise.level(name) == "estimate" for name in self.outputs]
+        self.counts = np.array(
+            [
+                sum(int((r.observation.valid & (r.observation.column == k)).sum()) for r in records)
+                for k in range(len(self.outputs))
+            ]
+        )
+        self._size = np.array(
+            [max((_largest(s) for s in self._series(k)), default=1.0) for k in self.outputs]
+        )
+
+    def _series(self, name: str) -> list[Array]:
+        return [r.grid.measured[name].values for r in self.records if name in r.grid.measured]
+
+    def first(self, warm: Any = None) -> Array:
+        """Known levels; for the others those of a warm start, or the scatter between neighbouring samples."""
+        before, levels = getattr(warm, "noise", {}), []
+        for name, size in zip(self.outputs, self._size, strict=True):
+            level = self.noise.level(name)
+            if level == "estimate":
+                found = before.get(name)
+                if isinstance(found, tuple) and found[0] > 0:
+                    level = found[0]
+                else:
+                    steps = np.concatenate([np.diff(s, 2) for s in self._series(name)] or [np.zeros(0)])
+                    level = np.sqrt(np.mean(steps**2) / 6) if len(steps) else size
+            levels.append(float(level))
+        return self.weights(np.array(levels))
+
+    def weights(self, levels: Array) -> Array:
+        """The levels as they can serve for weights in a search: not too small where they are estimated."""
+        least = np.maximum(_WEIGHT * self._size, 1e-300)
+        return np.where(self.estimated, np.maximum(levels, least), levels)
+
+    def at(self, points: list[RecordPoint], sigma: Array, loss: Loss, lost: int) -> Array:
+        """Levels from the residuals of points that were weighted by ``sigma``; ``lost`` degrees of freedom."""
+        found = sigma.copy()
+        share = 1.0 - lost / sum(record.count for record in self.records)
+        for k, wanted in enumerate(self.estimated):
+            parts = [
+                point.r[record.observation.valid & (record.observation.column == k)]
+                for record, point in zip(self.records, points, strict=True)
+            ]
+            r = np.concatenate(parts)
+            if not wanted or not len(r):
+                continue
+            if loss.robust:
+                found[k] *= _MAD * float(np.median(np.abs(r - np.median(r))))
+            else:
+                found[k] *= float(np.sqrt(np.mean(r**2) / max(share, 1e-9)))
+            found[k] = max(found[k], _ROUNDING * self._size[k], 1e-300)
+        return found
+
+    def variation(self) -> float:
+        """Mean square of the weighted outputs about their means: what a fit of 0 % leaves."""
+        total, count = 0.0, 0
+        for record in self.records:
+            for name, sample in record.grid.measured.items():
+                weight = record.weight.ravel()[record.observation.where[name]]
+                total += float((((sample.values - sample.values.mean()) * weight) ** 2).sum())
+                count += int((weight > 0).sum())
+        return max(total / max(count, 1), 1e-300)
+
+
+def _largest(values: Array) -> float:
+    return float(np.abs(values).max(initial=0.0))
+
+
+def check_noise(noise: Any, model: Model) -> Noise:
+    """The noise of a fit, all levels estimated if None is given."""
+    if noise is None:
+        return Noise()
+    if not isinstance(noise, Noise):
+        raise EstimationError(
+            "the noise is not acceptable",
+            seen=repr(noise),
+            allowed="a Noise, or None to estimate the levels of all outputs",
+            cure="write noise=ce.Noise(omega=0.1), for instance",
+        )
+    outputs = tuple(out.name for out in model.outputs)
+    for name in noise.outputs:
+        if name not in outputs:
+            raise EstimationError(
+                f"the model {model.name} has no such output",
+                seen=f"noise of {name!r}",
+                allowed=", ".join(outputs),
+                cure="name the model's outputs",
+            )
+    shape = (len(model.states), len(outputs))
+    if noise.gain is not None and noise.gain.shape != shape:
+        states = ", ".join(s.name for s in model.states)
+        raise EstimationError(
+            "the gain has the wrong shape",
+            seen=str(noise.gain.shape),
+            allowed=f"{shape}: states {states} by outputs {', '.join(outputs)}",
+            cure="give one row for each state and one column for each output",
+        )
+    return noise

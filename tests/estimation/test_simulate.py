@@ -1,0 +1,214 @@
+"""simulate: linear and nonlinear models, initial states given, fitted or missing."""
+
+import importlib
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import casadi_engine as ce
+
+TRUE = {"J_eng": 0.4, "C_eng": 0.5}
+
+
+def test_a_linear_model_by_its_exact_recursion(run_up):
+    data = run_up(sigma=0.0)
+    run = ce.simulate(ce.one_inertia(), data, parameters=TRUE, initial={"omega_eng": 20.0})
+    np.testing.assert_allclose(run["omega"].values, data["omega"].values, rtol=1e-12)
+    assert run["omega"].origin == "derived"
+    assert run["omega"].unit == "rad/s"
+    np.testing.assert_array_equal(run["T"].values, data["T"].values)
+    assert set(run.names) == {"T", "omega"}
+    assert run.name == data.name
+
+
+def test_without_a_measured_output(run_up):
+    data = run_up(sigma=0.0)
+    run = ce.simulate(ce.one_inertia(), data.without("omega"), parameters=TRUE, initial={"omega_eng": 20.0})
+    np.testing.assert_allclose(run["omega"].values, data["omega"].values, rtol=1e-12)
+
+
+def test_by_euler(run_up):
+    data = run_up(sigma=0.0, euler=True)
+    run = ce.simulate(ce.one_inertia(), data, parameters=TRUE, initial={"omega_eng": 20.0}, method="euler")
+    np.testing.assert_allclose(run["omega"].values, data["omega"].values, rtol=1e-12)
+
+
+def test_parameters_as_a_set_a_mapping_or_defaults(run_up):
+    data, model = run_up(), ce.one_inertia()
+    pars = model.parameters()
+    pars["J_eng"].set(0.4)
+    pars["C_eng"].set(0.5)
+    initial = {"omega_eng": 20.0}
+    runs = [ce.simulate(model, data, parameters=p, initial=initial) for p in (pars, TRUE)]
+    np.testing.assert_array_equal(runs[0]["omega"].values, runs[1]["omega"].values)
+    default = ce.simulate(model, data, initial=initial)
+    same = ce.simulate(model, data, parameters=model.parameters(), initial=initial)
+    np.testing.assert_array_equal(default["omega"].values, same["omega"].values)
+
+
+def test_parameters_outside_the_models_range_are_taken(run_up):
+    run = ce.simulate(
+        ce.one_inertia(), run_up(), parameters={"J_eng": 5e3, "C_eng": 0.0}
+    )  # J_eng <= 1e3 in a fit; the initial state is fitted with the value held
+    assert np.ptp(run["omega"].values) < 0.1
+
+
+def test_a_missing_initial_state_is_fitted_by_least_squares(run_up):
+    data = run_up(sigma=0.2)
+    run = ce.simulate(ce.one_inertia(), data, parameters=TRUE)
+    zero, one = (
+        ce.simulate(ce.one_inertia(), data, parameters=TRUE, initial={"omega_eng": x})["omega"].values
+        for x in (0.0, 1.0)
+    )
+    column, y = one - zero, data["omega"].values
+    best = column @ (y - zero) / (column @ column)
+    np.testing.assert_allclose(run["omega"].values, zero + best * column, rtol=1e-8)
+
+
+def test_some_states_given_and_the_others_fitted(shaft, shaft_model):
+    made = shaft(sigma=(0.0, 0.0))
+    run = ce.simulate(shaft_model(), made.data, parameters=made.truth, initial={"omega_eng": made.start[0]})
+    np.testing.assert_allclose(run["omega"].values, made.states[:, 0], rtol=1e-9)
+    np.testing.assert_allclose(run["omega_load"].values, made.states[:, 1], rtol=1e-9)
+
+
+def test_an_output_that_was_not_measured_is_simulated_too(shaft, shaft_model):
+    made = shaft(two=False, sigma=(0.0, 0.0))
+    run = ce.simulate(shaft_model(), made.data, parameters=made.truth)
+    np.testing.assert_allclose(run["omega_load"].values, made.states[:, 1], rtol=1e-7)
+
+
+def test_gaps_and_other_rates_of_the_output_do_not_matter(run_up):
+    data = run_up(sigma=0.0, missing=0.3)
+    run = ce.simulate(ce.one_inertia(), data, parameters=TRUE)
+    whole = run_up(sigma=0.0)
+    at = np.rint(run["omega"].time / 0.02).astype(int)  # from the first sample of the output that is there
+    assert len(at) > 390
+    np.testing.assert_allclose(run["omega"].values, whole["omega"].values[at], rtol=1e-8)
+    assert np.isfinite(run["omega"].values).all()
+
+
+def test_a_nonlinear_model_against_scipy():
+    b = ce.Blueprint("pendulum")
+    length = b.parameter("length", 1.0, min=0.1)
+    angle, rate = b.state("angle"), b.state("rate")
+    push = b.input("push")
+    b.ode("angle", rate)
+    b.ode("rate", -9.81 / length * ca.sin(angle) + push)
+    b.output("y", angle + 0.1 * rate)
+    time = np.arange(400) * 0.01
+    value = np.sin(3 * time)
+    data = ce.Experiment.from_arrays("swing", time=time, units={"push": "1"}, push=value)
+    run = ce.simulate(b.model(), data, parameters={"length": 0.8}, initial={"angle": 1.0, "rate": 0.0})
+    found = solve_ivp(
+        lambda t, x: [x[1], -9.81 / 0.8 * np.sin(x[0]) + np.interp(t, time, value)],
+        (0, time[-1]), [1.0, 0.0], "DOP853", time, rtol=1e-11, atol=1e-12, max_step=0.01,
+    )  # fmt: skip
+    np.testing.assert_allclose(run["y"].values, found.y[0] + 0.1 * found.y[1], atol=2e-7)
+
+
+def test_the_linear_and_the_nonlinear_engine_agree(misfire):
+    data = misfire(1, 1)
+    runs = [
+        ce.simulate(ce.two_mass(reciprocating_speed=speed), data)["omega"].values
+        for speed in ("measured", "model")
+    ]
+    np.testing.assert_allclose(runs[0], runs[1], atol=0.05)
+    residual = runs[1] - data["omega"].values
+    assert residual.std() == pytest.approx(0.1, rel=0.05)
+
+
+def test_a_simulated_record_can_be_fitted(shaft, shaft_model):
+    made = shaft()
+    run = ce.simulate(
+        shaft_model(), made.data, parameters=made.truth,
+        initial=dict(zip(("omega_eng", "omega_load", "twist"), made.start, strict=True)),
+    )  # fmt: skip
+    fit = ce.estimate(shaft_model(), run, progress=False)
+    for name, value in made.truth.items():
+        assert fit.values[name] == pytest.approx(value, rel=1e-6)
+
+
+def test_the_data_are_not_changed(run_up):
+    data = run_up()
+    before = data["omega"].values.copy()
+    ce.simulate(ce.one_inertia(), data)
+    np.testing.assert_array_equal(data["omega"].values, before)
+
+
+# ---- refused
+
+
+def test_no_initial_state_and_nothing_measured(run_up, refused):
+    with refused(
+        ce.errors.SimulationError,
+        "the initial state is not known, and no output was measured to fit it to",
+        seen="no value for omega_eng",
+        allowed="a value for each of omega_eng",
+        cure="give initial={state: value, ...}",
+    ):
+        ce.simulate(ce.one_inertia(), run_up().without("omega"))
+
+
+def test_an_unknown_state(run_up, refused):
+    with refused(
+        ce.errors.SimulationError,
+        "the model one_inertia has no such state",
+        seen="'omega'",
+        allowed="omega_eng",
+        cure="print(model.table()) lists the states",
+    ):
+        ce.simulate(ce.one_inertia(), run_up(), initial={"omega": 3.0})
+
+
+@pytest.mark.parametrize("value", ["fast", None, float("nan"), (1.0, 2.0)])
+def test_an_initial_value_that_is_no_number(run_up, refused, value):
+    with refused(
+        ce.errors.SimulationError,
+        "the initial value of omega_eng is not a finite number",
+        seen=str(value),
+        cure="leave the state out to have it fitted",
+    ):
+        ce.simulate(ce.one_inertia(), run_up(), initial={"omega_eng": value})
+
+
+def test_an_unknown_parameter(run_up, refused):
+    with refused(ce.errors.ModelError, "the model one_inertia has no such parameter", seen="'J'"):
+        ce.simulate(ce.one_inertia(), run_up(), parameters={"J": 1.0})
+
+
+def test_an_unknown_method(run_up, refused):
+    with refused(ce.errors.SimulationError, "the method is not known", allowed='"exact" or "euler"'):
+        ce.simulate(ce.one_inertia(), run_up(), initial={"omega_eng": 1.0}, method="rk4")
+
+
+def test_an_initial_state_that_cannot_be_fitted(run_up, refused, monkeypatch):
+    module = importlib.import_module("casadi_engine.estimation.simulate")
+    whole = module.estimate
+    monkeypatch.setattr(module, "estimate", lambda *a, **k: whole(*a, **{**k, "max_iterations": 1}))
+    b = ce.Blueprint("steep")
+    x = b.state("x", unit="rad/s")
+    torque = b.input("T", unit="N m")
+    b.ode("x", torque - 0.1 * x - 0.01 * x**3)
+    b.output("omega", x, unit="rad/s")
+    with refused(
+        ce.errors.SimulationError,
+        "the initial state could not be fitted to the measured outputs",
+        seen="not converged",
+        cure="give initial={state: value, ...}",
+    ):
+        ce.simulate(b.model(), run_up())
+
+
+def test_a_simulation_that_is_not_finite(run_up, refused):
+    with refused(
+        ce.errors.SimulationError,
+        "the simulation is not finite",
+        allowed="parameters and initial states that give finite numbers",
+        cure="change the parameters or the initial state",
+    ):
+        ce.simulate(
+            ce.one_inertia(), run_up(), parameters={"J_eng": 1e-9, "C_eng": -1e3}, initial={"omega_eng": 1.0}
+        )
