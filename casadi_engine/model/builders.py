@@ -64,8 +64,8 @@ def one_inertia(
         cylinders, firing_order, firing_offsets, geometry, reciprocating_speed, reciprocating_inertia
     )
     b = Blueprint(name, description="engine as one rigid inertia")
-    inertia = _inertia(b, "J_eng", J_ENG, "inertia of the engine")
-    damping = _damper(b, "C_eng", C_ENG, "absolute damping of the engine")
+    inertia = inertia_parameter(b, "J_eng", J_ENG, "inertia of the engine")
+    damping = damper_parameter(b, "C_eng", C_ENG, "absolute damping of the engine")
     braking: Any = 0
     if friction_torque is not None:
         braking += b.parameter(
@@ -73,17 +73,17 @@ def one_inertia(
         )
     if load == "constant":
         braking += b.parameter("T_load", 0.0, unit="N m", description="constant load torque, braking")
-    theta = _theta(b) if options else None
+    theta = crank_angle(b) if options else None
     body = Inertia("engine", "omega_eng", inertia, damping, theta, "speed of the engine")
     chain = declare_chain(b, [body], [])
     torque, change = _cylinder_torque(b, options, theta, chain) if options else (_torque_drive(b), None)
     if load == "measured":
-        braking += _load_drive(b)
+        braking += load_drive(b)
     torque -= braking
     if change is not None:
         torque += vary_inertia(b, change=change, inertia=inertia, torque=chain.torques[0] + torque)
     write_chain(b, chain, [torque])
-    _outputs(b, ("omega",), {"omega": (chain.speeds[0], "crank speed")})
+    declare_outputs(b, ("omega",), {"omega": (chain.speeds[0], "crank speed")})
     return b.model()
 
 
@@ -124,14 +124,12 @@ def two_mass(
         cylinders, firing_order, firing_offsets, geometry, reciprocating_speed, reciprocating_inertia
     )
     b = Blueprint(name, description="engine and load as two inertias with an elastic coupling")
-    j_eng = _inertia(b, "J_eng", J_ENG, "inertia of the engine")
-    j_load = _inertia(b, "J_load", J_LOAD, "inertia of the load")
-    k_el = b.parameter(
-        "K_el", K_EL, unit="N m/rad", min=1e-3, max=1e9, description="stiffness of the coupling"
-    )
-    c_el = _damper(b, "C_el", C_EL, "damping of the coupling")
-    c_eng = _damper(b, "C_eng", C_ENG, "absolute damping of the engine")
-    theta = _theta(b)
+    j_eng = inertia_parameter(b, "J_eng", J_ENG, "inertia of the engine")
+    j_load = inertia_parameter(b, "J_load", J_LOAD, "inertia of the load")
+    k_el = stiffness_parameter(b, "K_el", K_EL, "stiffness of the coupling")
+    c_el = damper_parameter(b, "C_el", C_EL, "damping of the coupling")
+    c_eng = damper_parameter(b, "C_eng", C_ENG, "absolute damping of the engine")
+    theta = crank_angle(b)
     chain = declare_chain(
         b,
         [
@@ -143,22 +141,30 @@ def two_mass(
     torque, change = _cylinder_torque(b, options, theta, chain)
     if change is not None:
         torque += vary_inertia(b, change=change, inertia=j_eng, torque=chain.torques[0] + torque)
-    write_chain(b, chain, [torque, -_load_drive(b)])
+    write_chain(b, chain, [torque, -load_drive(b)])
     speeds = dict(zip(("omega", "omega_load"), chain.speeds, strict=True))
     words = {"omega": "speed of the engine", "omega_load": "speed of the load"}
-    _outputs(b, outputs, {key: (speed, words[key]) for key, speed in speeds.items()})
+    declare_outputs(b, outputs, {key: (speed, words[key]) for key, speed in speeds.items()})
     return b.model()
 
 
-def _inertia(b: Blueprint, name: str, value: float, description: str) -> Any:
+def inertia_parameter(b: Blueprint, name: str, value: float, description: str) -> Any:
+    """Declare an inertia [kg m2]."""
     return b.parameter(name, value, unit="kg m2", min=1e-6, max=1e3, description=description)
 
 
-def _damper(b: Blueprint, name: str, value: float, description: str) -> Any:
+def stiffness_parameter(b: Blueprint, name: str, value: float, description: str) -> Any:
+    """Declare a stiffness [N m/rad]."""
+    return b.parameter(name, value, unit="N m/rad", min=1e-3, max=1e9, description=description)
+
+
+def damper_parameter(b: Blueprint, name: str, value: float, description: str) -> Any:
+    """Declare a damper [N m s/rad]."""
     return b.parameter(name, value, unit="N m s/rad", min=0, max=1e5, description=description)
 
 
-def _theta(b: Blueprint) -> Any:
+def crank_angle(b: Blueprint) -> Any:
+    """Declare the channel theta [rad]."""
     return b.input("theta", unit="rad", description="crank angle, 0 at the combustion TDC of cylinder 1")
 
 
@@ -174,12 +180,14 @@ def _cylinder_torque(b: Blueprint, options: CylinderOptions, theta: Any, chain: 
     return made.torque, sum(made.inertia_change) if varies else None
 
 
-def _load_drive(b: Blueprint) -> Any:
-    channel = b.input("T_load", unit="N m", scale=TORQUE_SCALE, description="load torque, braking")
-    return b.drive("T_load", channel, scale=TORQUE_SCALE, description="load torque, braking")
+def load_drive(b: Blueprint, name: str = "T_load") -> Any:
+    """Declare the channel and drive of a braking torque [N m]; return the drive."""
+    channel = b.input(name, unit="N m", scale=TORQUE_SCALE, description="load torque, braking")
+    return b.drive(name, channel, scale=TORQUE_SCALE, description="load torque, braking")
 
 
-def _outputs(b: Blueprint, names: Sequence[str], known: Mapping[str, tuple[Any, str]]) -> None:
+def declare_outputs(b: Blueprint, names: Sequence[str], known: Mapping[str, tuple[Any, str]]) -> None:
+    """Declare those of the `known` speeds [rad/s] that `names` asks for; ModelError for any other."""
     if isinstance(names, str) or not names or not set(names) <= set(known):
         raise ModelError(
             "the outputs are not ones of this model",

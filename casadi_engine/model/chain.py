@@ -1,4 +1,4 @@
-"""Torsional chains: inertias on a line joined by spring-damper couplings, written for any number of them."""
+"""Torsional chains: inertias on a line, or a tree, joined by spring-damper couplings, any number of them."""
 
 from __future__ import annotations
 
@@ -33,13 +33,17 @@ class Inertia:
 
 @dataclass(frozen=True, eq=False)
 class Coupling:
-    """The coupling between an inertia and the next: K [N m/rad], C [N m s/rad] and its names."""
+    """The coupling between an inertia and the next: K [N m/rad], C [N m s/rad] and its names.
+
+    behind : index of an earlier inertia that the next one is coupled to instead, which makes a branch
+    """
 
     port: str
     state: str
     stiffness: Any
     damping: Any
     description: str = ""
+    behind: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +51,7 @@ class Chain:
     """A chain whose states and ports are declared: speeds [rad/s], twists [rad], inner torques [N m].
 
     `torques[i]` acts on inertia i: of its absolute damper, its couplings and the slots of these ports.
+    `rates` are the twists' rates [rad/s]; `angles` the inertias' angles [rad], None where not known.
     """
 
     inertias: tuple[Inertia, ...]
@@ -54,22 +59,21 @@ class Chain:
     speeds: tuple[Any, ...]
     twists: tuple[Any, ...]
     torques: tuple[Any, ...]
+    rates: tuple[Any, ...]
+    angles: tuple[Any, ...]
 
 
-def declare_chain(b: Blueprint, inertias: Sequence[Inertia], couplings: Sequence[Coupling]) -> Chain:
+def declare_chain(
+    b: Blueprint, inertias: Sequence[Inertia], couplings: Sequence[Coupling], *, angle: Any = None
+) -> Chain:
     """Declare the states and ports of a chain and work out the torques inside it.
 
     The states are in the order of the thesis's appendix A, [ω1, ω2, twist21, ω3, twist32, …], with
     twist_{i+1,i} = θ_{i+1} − θ_i: a positive twist pulls inertia i forwards.
-    ModelError if there is not one coupling fewer than inertias.
+    angle : SX angle of the first inertia [rad]; all others then follow by the twists. None: an inertia's own
+    ModelError if there is not one coupling fewer than inertias, or one is behind an inertia that follows it.
     """
-    if len(couplings) != len(inertias) - 1:
-        raise ModelError(
-            "the chain's couplings do not fit its inertias",
-            seen=f"{len(inertias)} inertias, {len(couplings)} couplings",
-            allowed="one coupling fewer than inertias",
-            cure="give the coupling between each inertia and the next",
-        )
+    near = _near_sides(inertias, couplings)
     speeds: list[Any] = []
     twists: list[Any] = []
     for index, body in enumerate(inertias):
@@ -77,24 +81,49 @@ def declare_chain(b: Blueprint, inertias: Sequence[Inertia], couplings: Sequence
         if index:
             joint = couplings[index - 1]
             twists.append(b.state(joint.state, unit="rad", scale=TWIST_SCALE, description=joint.description))
+    angles = [body.angle for body in inertias] if angle is None else [angle]
+    if angle is not None:
+        for side, twist in zip(near, twists, strict=True):
+            angles.append(angles[side] + twist)
     torques: list[Any] = []
-    for body, speed in zip(inertias, speeds, strict=True):
-        signals = {"speed": speed} | ({} if body.angle is None else {"angle": body.angle})
+    for body, speed, turned in zip(inertias, speeds, angles, strict=True):
+        signals = {"speed": speed} | ({} if turned is None else {"angle": turned})
         slot = b.port(body.port, "inertia", signals, description=body.description)
         torques.append(slot if body.damping is None else -body.damping * speed + slot)
-    for index, joint in enumerate(couplings):
-        rate = speeds[index + 1] - speeds[index]
-        signals = {"twist": twists[index], "twist_rate": rate}
+    rates = [speeds[index + 1] - speeds[side] for index, side in enumerate(near)]
+    for index, (joint, side) in enumerate(zip(couplings, near, strict=True)):
+        signals = {"twist": twists[index], "twist_rate": rates[index]}
         slot = b.port(joint.port, "coupling", signals, description=joint.description)
-        torque = joint.stiffness * twists[index] + joint.damping * rate + slot
-        torques[index] = torques[index] + torque
+        torque = joint.stiffness * twists[index] + joint.damping * rates[index] + slot
+        torques[side] = torques[side] + torque
         torques[index + 1] = torques[index + 1] - torque
-    return Chain(tuple(inertias), tuple(couplings), tuple(speeds), tuple(twists), tuple(torques))
+    return Chain(*map(tuple, (inertias, couplings, speeds, twists, torques, rates, angles)))
 
 
 def write_chain(b: Blueprint, chain: Chain, outer: Sequence[Any]) -> None:
     """Write the odes of a chain with the torques `outer` [N m] that act on its inertias from outside."""
     for body, inner, torque in zip(chain.inertias, chain.torques, outer, strict=True):
         b.ode(body.state, (inner + torque) / body.inertia)
-    for index, joint in enumerate(chain.couplings):
-        b.ode(joint.state, chain.speeds[index + 1] - chain.speeds[index])
+    for joint, rate in zip(chain.couplings, chain.rates, strict=True):
+        b.ode(joint.state, rate)
+
+
+def _near_sides(inertias: Sequence[Inertia], couplings: Sequence[Coupling]) -> list[int]:
+    """For each coupling the index of the inertia on its first side."""
+    if len(couplings) != len(inertias) - 1:
+        raise ModelError(
+            "the chain's couplings do not fit its inertias",
+            seen=f"{len(inertias)} inertias, {len(couplings)} couplings",
+            allowed="one coupling fewer than inertias",
+            cure="give the coupling between each inertia and the next",
+        )
+    near = [index if joint.behind is None else joint.behind for index, joint in enumerate(couplings)]
+    for index, side in enumerate(near):
+        if not 0 <= side <= index:
+            raise ModelError(
+                f"the coupling {couplings[index].port} is behind an inertia that does not come before it",
+                seen=f"behind={side}",
+                allowed=f"0 to {index}, counted from 0",
+                cure="list the inertias from the first one outwards",
+            )
+    return near

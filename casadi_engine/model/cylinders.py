@@ -25,6 +25,7 @@ ReciprocatingSpeed = Literal["model", "measured"]
 ReciprocatingInertia = Literal["mean", "variable"]
 
 TORQUE_SCALE = 100.0
+FORCE_SCALE = 1.0e4
 PRESSURE_SCALE = 1.0e6
 
 _UNITS = {"r": "m", "L": "m", "A_p": "m2", "m_eq": "kg", "p_crank": "Pa"}
@@ -72,7 +73,7 @@ class CylinderOptions:
 class Cylinders:
     """Cylinders declared in a blueprint.
 
-    drives, slots : for each cylinder its two torques on the crank [N m]
+    drives, slots : for each cylinder its two torques on the crank [N m]; a drive that is no torque counts 0
     common : slot symbol of the port `cylinders` [N m], which acts on the crank as a whole
     inertia_change : for each cylinder m_eq r² (f² − ⟨f²⟩) [kg m2] at its angle
     """
@@ -112,12 +113,20 @@ def declare_geometry(b: Blueprint, geometry: Geometry) -> Geometry:
 
 
 def declare_cylinders(
-    b: Blueprint, options: CylinderOptions, *, theta: Any, speeds: Sequence[Any]
+    b: Blueprint,
+    options: CylinderOptions,
+    *,
+    theta: Any,
+    speeds: Sequence[Any],
+    angles: Sequence[Any] | None = None,
 ) -> Cylinders:
     """Declare channels p1…pN (and omega), drives T_1…T_N, ports cylinder_1…N and cylinders, and their laws.
 
-    theta : SX symbol of the crank angle [rad], 0 at the combustion TDC of cylinder 1
+    theta : SX symbol of the channel crank angle [rad], 0 at the combustion TDC of cylinder 1; None if there is
+        no such channel: then the drives are the gas forces F_1…F_N [N], and laws make torques of them
     speeds : for each cylinder the speed of its inertia [rad/s]
+    angles : for each cylinder the crank angle at its inertia [rad], an expression of states; None: theta.
+        Drives use channels alone, so what an angle differs from theta enters by the law of the cylinder's port
     """
     offsets = firing_offsets(options.cylinders, order=options.firing_order, offsets=options.firing_offsets)
     numbers = range(1, options.cylinders + 1)
@@ -125,21 +134,16 @@ def declare_cylinders(
         b.input(f"p{k}", unit="Pa", scale=PRESSURE_SCALE, description=f"pressure in cylinder {k}")
         for k in numbers
     ]
-    measured = options.reciprocating_speed == "measured"
-    if measured:
+    if options.reciprocating_speed == "measured":
         omega = b.input("omega", unit="rad/s", scale=100.0, description="measured crank speed")
         speeds = [omega] * options.cylinders
     geometry = declare_geometry(b, Geometry.read(options.geometry))
+    turned = [theta] * options.cylinders if angles is None else list(angles)
     drives, slots, gas_torques, changes = [], [], [], []
-    for k, pressure, offset, speed in zip(numbers, pressures, offsets, speeds, strict=True):
-        angle = theta - offset
+    for k, pressure, offset, speed, crank in zip(numbers, pressures, offsets, speeds, turned, strict=True):
+        angle = crank - offset
         gas, mass, factor, slope, change = _one_cylinder()(angle, pressure, speed, *vars(geometry).values())
-        drive = b.drive(
-            f"T_{k}",
-            gas + mass if measured else gas,
-            scale=TORQUE_SCALE,
-            description=f"{'total' if measured else 'indicated'} torque of cylinder {k}",
-        )
+        known = None if theta is None else theta - offset
         signals = {
             "angle": angle,
             "speed": speed,
@@ -149,15 +153,37 @@ def declare_cylinders(
             "torque_factor_slope": slope,
         }
         slot = b.port(f"cylinder_{k}", "cylinder", signals, description=f"cylinder {k}")
-        if not measured:
+        if options.reciprocating_speed == "measured":
+            drives.append(_torque_drive(b, k, gas + mass, "total"))
+        elif known is None:
+            force = b.drive(
+                f"F_{k}",
+                (pressure - geometry.p_crank) * geometry.A_p,
+                unit="N",
+                scale=FORCE_SCALE,
+                description=f"gas force on piston {k}",
+            )
+            b.law(f"cylinder_{k}", force * geometry.r * factor + mass)
+            drives.append(ca.SX(0))
+        elif angles is None:
+            drives.append(_torque_drive(b, k, gas, "indicated"))
             b.law(f"cylinder_{k}", mass)
-        drives.append(drive)
+        else:
+            at_theta = _one_cylinder()(known, pressure, speed, *vars(geometry).values())[0]
+            drives.append(_torque_drive(b, k, at_theta, "indicated"))
+            b.law(f"cylinder_{k}", gas - at_theta + mass)
         slots.append(slot)
         gas_torques.append(gas)
         changes.append(change)
-    signals = {"angle": theta, "speed": speeds[0], "gas_torque": sum(gas_torques)}
+    signals = {"angle": turned[0], "speed": speeds[0], "gas_torque": sum(gas_torques)}
     common = b.port("cylinders", "cylinder", signals, description="all cylinders together")
     return Cylinders(tuple(drives), tuple(slots), common, tuple(changes))
+
+
+def _torque_drive(b: Blueprint, number: int, torque: Any, word: str) -> Any:
+    return b.drive(
+        f"T_{number}", torque, scale=TORQUE_SCALE, description=f"{word} torque of cylinder {number}"
+    )
 
 
 @cache
@@ -179,13 +205,15 @@ def _one_cylinder() -> Any:
     return ca.Function("cylinder", [angle, pressure, speed, *vars(geometry).values()], results)
 
 
-def vary_inertia(b: Blueprint, *, change: Any, inertia: Any, torque: Any) -> Any:
+def vary_inertia(
+    b: Blueprint, *, change: Any, inertia: Any, torque: Any, port: str = "variable_inertia"
+) -> Any:
     """Add the inertia `change` of the reciprocating parts [kg m2] to `inertia` [kg m2] by a law.
 
     (J + ΔJ) θ̈ = T is written as J θ̈ = T + w with w = −ΔJ T/(J + ΔJ), so that the linear core keeps the
     constant J. `torque` is all of T, slots included: further laws are then divided by the true inertia too.
     Returns the slot symbol w, to be added to the torque. The port is internal: effects do not attach there.
     """
-    slot = b.port("variable_inertia", "internal", description="inertia of the reciprocating parts")
-    b.law("variable_inertia", -change * torque / (inertia + change))
+    slot = b.port(port, "internal", description="inertia of the reciprocating parts")
+    b.law(port, -change * torque / (inertia + change))
     return slot
