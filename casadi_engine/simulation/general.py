@@ -21,6 +21,8 @@ from casadi_engine.simulation.tape import ArrayFunction
 # |lambda| h of one Runge-Kutta step: its error is then below 1e-5 of the fastest mode per radian.
 _STEP = 0.25
 _MOST_SUBSTEPS = 40
+# From this number of intervals on, array operations step all of them faster than CasADi's machine does.
+_WIDE = 40
 # Samples of one sweep.
 _LONGEST = 256
 
@@ -91,14 +93,7 @@ class GeneralPropagator:
         rest, symbols, known = ca.extract_parametric(ca.vertcat(state, y), channels, {})
         state, y = rest[: self.n], rest[self.n :]
         inputs = [x, ca.vertcat(channels, *symbols), z]
-        step = ca.Function("step", inputs, [state])
-        # All intervals side by side, then sample after sample: one call for the whole record.
-        batch = step.map(intervals.m) if intervals.m > 1 else step
-        # The graph of a long sweep takes long to build: a part of it is called several times.
-        self._part = max(
-            k for k in range(1, min(intervals.length, _LONGEST) + 1) if intervals.length % k == 0
-        )
-        self._sweep = batch.mapaccum(self._part)
+        self._lay_steps(inputs, state)
         self._first = ArrayFunction(inputs, [ca.jacobian(state, both), y, ca.jacobian(y, both)])
         self._value = ArrayFunction(inputs, [y])
         self._symbols = (inputs, both, state, y, mu, rho)
@@ -138,14 +133,7 @@ class GeneralPropagator:
         """Advance all intervals from ``nodes`` (M, n), scaled states, at z : (nz,)."""
         plan, n, nz = self.intervals, self.n, self.nz
         length, points = plan.length, plan.points
-        x = np.empty((length + 1, n, plan.m))
-        x[0] = nodes.T
-        steps = plan.m * self._part
-        many = np.repeat(np.asarray(z, dtype=float)[:, None], steps, axis=1)
-        for k in range(0, length, self._part):
-            known = self._known[:, k * plan.m : k * plan.m + steps]
-            swept = np.asarray(self._sweep(x[k], known, many), dtype=float)
-            x[k + 1 : k + 1 + self._part] = swept.reshape(n, self._part, plan.m).transpose(1, 0, 2)
+        x = self._states(np.asarray(z, dtype=float), nodes)
         if not np.isfinite(x).all():
             raise FloatingPointError("the model's state is not finite here")
         columns = self._columns(x[:points], z)
@@ -169,6 +157,33 @@ class GeneralPropagator:
         )
         ys = self._rows(full[..., :n].transpose(3, 2, 0, 1)).transpose(1, 2, 3, 0)
         return GeneralTrajectory(x, s, a, self._rows(y), np.ascontiguousarray(ys))
+
+    def _lay_steps(self, inputs: list[ca.SX], state: ca.SX) -> None:
+        """The step of all intervals: an array function where they are many, else parts of the record in one call."""
+        plan = self.intervals
+        self._wide = ArrayFunction(inputs, [state]) if plan.m >= _WIDE else None
+        # The graph of a long sweep takes long to build: a part of it is called several times.
+        self._part = max(k for k in range(1, min(plan.length, _LONGEST) + 1) if plan.length % k == 0)
+        if self._wide is None:
+            part = ca.Function("step", inputs, [state]).mapaccum(self._part)
+            self._sweep = part.map(plan.m) if plan.m > 1 else part
+
+    def _states(self, z: Array, nodes: Array) -> Array:
+        """(L+1, n, M) states from ``nodes`` (M, n)."""
+        plan, n, length, part = self.intervals, self.n, self.intervals.length, self._part
+        x = np.empty((length + 1, n, plan.m))
+        x[0] = nodes.T
+        known = self._known[:, : length * plan.m].reshape(-1, length, plan.m)
+        if self._wide is not None:
+            for k in range(length):
+                x[k + 1] = self._wide(x[k], known[:, k], z)[0]
+            return x
+        many = np.repeat(z[:, None], plan.m * part, axis=1)
+        for k in range(0, length, part):
+            given = known[:, k : k + part].transpose(0, 2, 1).reshape(len(known), -1)
+            swept = np.asarray(self._sweep(x[k], given, many), dtype=float)
+            x[k + 1 : k + 1 + part] = swept.reshape(n, plan.m, part).transpose(2, 0, 1)
+        return x
 
     def _rows(self, y: Array) -> Array:
         """(., ny, points, M) to the batch's layout (., R*ny, b, M)."""

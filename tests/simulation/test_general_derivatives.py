@@ -41,6 +41,7 @@ CASES = {
     "one-sample intervals": {"states": 2, "plan": (5, 1, 1)},
     "single interval": {"states": 2, "plan": (1, 2, 3)},
     "with the intervals' ends": {"states": 2, "beyond": 1},
+    "many intervals": {"states": 2, "plan": (45, 1, 2), "beyond": 1},
     "as many intervals as states": {"states": 3, "plan": (3, 1, 2)},
 }
 

@@ -138,7 +138,7 @@ def test_the_general_propagator_too(made):
     grid = grid_of(made, 61)
     strided = {"y0": made.points(grid, np.arange(0, 61, 4)), "y1": made.points(grid, np.arange(61))}
     check_same(
-        made, model, grid_of(made, 61, strided), 1e-11, kind=GeneralPropagator, lengths=[1, 7, 16, 20, 60]
+        made, model, grid_of(made, 61, strided), 1e-11, kind=GeneralPropagator, lengths=[1, 2, 7, 16, 20, 60]
     )
 
 
