@@ -106,12 +106,19 @@ class GeneralPropagator:
         return self._drives.at(z).value
 
     def _substeps(self, model: Model, z: ca.SX, physical: ca.SX, step: float, scale: Array) -> int:
-        """Runge-Kutta steps of one sample, from the fastest eigenvalue at the start values and unit states."""
+        """Runge-Kutta steps of one sample, from the fastest eigenvalue at unit states and the magnitudes of z.
+
+        An entry of z is about 1 where it is a scaled value, and about 0 where it is a logarithm.
+        """
         slope = ca.jacobian(model.closed_ode, model.x)
         rate = ca.Function("rate", [model.x, model.u, model.t, model.p], [slope])
-        values = ca.Function("physical", [z], [physical])(np.ones(self.nz))
-        matrix = rate(scale, np.zeros(model.u.numel()), 0.0, values).full()
-        fastest = float(np.abs(np.linalg.eigvals(matrix)).max()) if np.isfinite(matrix).all() else 0.0
+        values = ca.Function("physical", [z], [physical])
+        bent = ca.which_depends(physical, z, 2, False) if self.nz and physical.numel() else [False] * self.nz
+        fastest = 0.0
+        for point in (np.ones(self.nz), np.where(np.array(bent, dtype=bool), 0.0, 1.0)):
+            matrix = rate(scale, np.zeros(model.u.numel()), 0.0, values(point)).full()
+            if np.isfinite(matrix).all():
+                fastest = max(fastest, float(np.abs(np.linalg.eigvals(matrix)).max()))
         return min(max(1, math.ceil(fastest * step / _STEP)), _MOST_SUBSTEPS)
 
     def _on_samples(self, grid: Grid, function: ArrayFunction) -> Array:

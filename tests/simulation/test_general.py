@@ -116,6 +116,19 @@ def test_the_number_of_small_steps_keeps_the_derivatives_exact(made):
     assert max(made.compare(propagator, reference, np.array([0.8, 1.1]), nodes, rng)) < 1e-9
 
 
+def test_the_small_steps_suit_scaled_values_and_logarithms(made):
+    b = Blueprint("decay")
+    x, tau = b.state("x"), b.parameter("tau", 1.0)
+    b.ode("x", -x / tau)
+    b.output("x", x)
+    model, z = b.model(), ca.SX.sym("z")
+    grid = made.grid(np.zeros((0, 5)), samples=5, step=0.1)
+    for physical in (0.05 * z, 0.05 * ca.exp(z), ca.SX(0.05)):
+        propagator = GeneralPropagator(model, grid, cut(grid, None), z, physical, scale=np.ones(1))
+        # |lambda| h = 2 in steps of 1/4
+        assert propagator._substeps(model, z, physical, grid.step, np.ones(1)) == 8
+
+
 def test_orders_zero_and_one_give_the_same_outputs(made):
     model = made.general(np.random.default_rng(3), states=3)
     grid = made.grid(np.random.default_rng(4).normal(size=(1, 40)), step=0.05)
