@@ -3,7 +3,7 @@
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation import estimate, simulate
 from casadi_engine.experiment import Experiment, read_experiment
-from casadi_engine.model import Blueprint, Model, one_inertia, two_mass
+from casadi_engine.model import Blueprint, Model, crankshaft, one_inertia, two_mass
 from casadi_engine.parameters import Parameters
 from casadi_engine.problem import Noise, Problem, load_problem
 from casadi_engine.report import load_result, plot, report
@@ -19,6 +19,7 @@ __all__ = [
     "Noise",
     "Parameters",
     "Problem",
+    "crankshaft",
     "estimate",
     "load_problem",
     "load_result",

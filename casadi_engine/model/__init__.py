@@ -4,6 +4,7 @@ from casadi_engine.model.blueprint import Blueprint
 from casadi_engine.model.builders import one_inertia, two_mass
 from casadi_engine.model.chain import Chain, Coupling, Inertia, declare_chain, write_chain
 from casadi_engine.model.crank_slider import Geometry
+from casadi_engine.model.crankshaft import Driven, crankshaft, thesis_ties
 from casadi_engine.model.declarations import ParameterDeclaration, Port, Ports, Variable
 from casadi_engine.model.firing import firing_offsets
 from casadi_engine.model.linear import LinearCore
@@ -14,6 +15,7 @@ __all__ = [
     "Blueprint",
     "Chain",
     "Coupling",
+    "Driven",
     "Geometry",
     "Inertia",
     "LinearCore",
@@ -23,11 +25,13 @@ __all__ = [
     "Port",
     "Ports",
     "Variable",
+    "crankshaft",
     "declare_chain",
     "firing_offsets",
     "matrix_derivatives",
     "natural_frequency_derivatives",
     "one_inertia",
+    "thesis_ties",
     "two_mass",
     "write_chain",
 ]

@@ -187,7 +187,10 @@ def load_drive(b: Blueprint, name: str = "T_load") -> Any:
 
 
 def declare_outputs(b: Blueprint, names: Sequence[str], known: Mapping[str, tuple[Any, str]]) -> None:
-    """Declare those of the `known` speeds [rad/s] that `names` asks for; ModelError for any other."""
+    """Declare those of the `known` speeds [rad/s] and theta [rad] that `names` asks for.
+
+    ModelError for any other.
+    """
     if isinstance(names, str) or not names or not set(names) <= set(known):
         raise ModelError(
             "the outputs are not ones of this model",
@@ -197,7 +200,8 @@ def declare_outputs(b: Blueprint, names: Sequence[str], known: Mapping[str, tupl
         )
     for name in names:
         expression, description = known[name]
-        b.output(name, expression, unit="rad/s", scale=SPEED_SCALE, description=description)
+        unit, scale = ("rad", 1.0) if name == "theta" else ("rad/s", SPEED_SCALE)
+        b.output(name, expression, unit=unit, scale=scale, description=description)
 
 
 def _cylinder_options(

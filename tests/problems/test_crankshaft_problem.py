@@ -1,0 +1,54 @@
+"""problems/crankshaft.py: a page that loads, and that finds the truth of its records in seconds."""
+
+from __future__ import annotations
+
+import importlib
+import json
+from pathlib import Path
+
+import pytest
+
+import casadi_engine as ce
+from casadi_engine import cli
+
+PAGE = Path(__file__).resolve().parents[2] / "problems" / "crankshaft.py"
+# Table 4.12 of the thesis, which the bundled records were made with.
+TRUTH = {"J1": 1 / 33.39, "J2": 1 / 22.3, "J6": 1 / 5.968, "K21": 241.8e3, "K32": 1270e3, "K65": 1427e3}
+
+
+def test_the_page_loads():
+    problem = ce.load_problem(PAGE)
+    assert problem.name == "crankshaft"
+    assert len(PAGE.read_text(encoding="utf-8").splitlines()) <= 62
+    assert problem.model.linear is not None
+    assert not problem.model.has_slot_laws
+    assert [Path(record).name for record in problem.records] == [
+        "normal_1200rpm.csv.gz",
+        "misfire_1200rpm.csv.gz",
+    ]
+    for path in (*problem.records, *problem.validation):
+        assert Path(path).is_file()
+    assert not set(problem.records) & set(problem.validation)
+    pars = problem.parameters
+    free = [name for name in pars if pars[name].vary and not pars[name].tie]
+    assert free == list(TRUTH)
+    for name in free:
+        assert pars[name].min < pars[name].value < pars[name].max
+        assert abs(pars[name].value / TRUTH[name] - 1) > 0.05  # the fit has something to find
+
+
+def test_the_fit_finds_the_truth(tmp_path, monkeypatch, capsys):
+    room = importlib.import_module("casadi_engine.report")
+    monkeypatch.setattr(room, "report", lambda result, path, **options: path.touch())  # figures take seconds
+    code = cli.main(["fit", str(PAGE), "--out", str(tmp_path)])
+    assert code == 0, capsys.readouterr().err
+    result = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
+    assert result["status"] == "converged"
+    for name, truth in TRUTH.items():
+        found = result["parameters"][name]
+        assert abs(found["value"] - truth) < 4 * found["stderr"], name
+        assert found["stderr"] < 0.08 * truth, name
+    for name in ("J3", "J4", "J5"):
+        assert result["parameters"][name]["value"] == result["parameters"]["J2"]["value"]
+    assert result["noise"]["omega"]["sigma"] == pytest.approx(0.1, rel=0.02)
+    assert result["validation"]["passed"] is True
