@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.errors import ModelError, ParameterError, TieError
-from casadi_engine.model import Driven, Geometry, thesis_ties
+from casadi_engine.model import Blueprint, Coupling, Driven, Geometry, Inertia, declare_chain, thesis_ties
 
 PI = np.pi
 R, L, A_P, M_EQ, P_CRANK = 0.043, 0.145, 0.0058, 0.7, 1.0e5
@@ -448,3 +448,21 @@ def test_a_driven_inertia_must_be_positive():
 def test_geometry_is_read():
     model = ce.crankshaft(geometry=Geometry.from_bore(0.08, stroke=0.09, rod=0.15, mass=0.6))
     assert model.parameter_vector()[-5:-1].tolist() == pytest.approx([0.045, 0.15, PI * 0.08**2 / 4, 0.6])
+
+
+def test_a_coupling_must_be_behind_an_earlier_inertia():
+    b = Blueprint("loop")
+    bodies = [Inertia("one", "omega_1", 1.0), Inertia("two", "omega_2", 1.0)]
+    with pytest.raises(
+        ModelError, match="the coupling link is behind an inertia that does not come"
+    ) as caught:
+        declare_chain(b, bodies, [Coupling("link", "twist", 1.0, 0.0, behind=1)])
+    assert "seen: behind=1; allowed: 0 to 0, counted from 0" in str(caught.value)
+    assert "do: list the inertias from the first one outwards" in str(caught.value)
+
+
+@pytest.mark.parametrize("options", [{}, {"angle": "state"}, {"reciprocating_speed": "measured"}])
+def test_drives_depend_on_channels_alone(options):
+    model = ce.crankshaft(**options)
+    assert not ca.depends_on(model.drive_expressions, ca.vertcat(model.x, model.w))
+    assert model.linear is not None
