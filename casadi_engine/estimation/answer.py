@@ -63,12 +63,7 @@ def make_fit(
         covariance=errors.of_parameters(),
         undetermined=directions,
         initial=initial,
-        noise={
-            name: (float(sigma), estimated)
-            for name, sigma, estimated in zip(
-                search.levels.outputs, best.sigma, search.levels.estimated, strict=True
-            )
-        },
+        noise=search.levels.by_name(best.sigma),
         cost=best.cost,
         n=problem.samples,
         dof=float(problem.samples - errors.covariance.rank),

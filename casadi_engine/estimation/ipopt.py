@@ -28,6 +28,25 @@ _DAMPING = 0.1
 # Relative change of the objective that counts as settled.
 _SETTLED = 3e-2
 
+# Options of IPOPT that every fit has.
+_OPTIONS = {
+    "print_level": 0,
+    "sb": "yes",
+    "mu_init": 1e-4,
+    "dual_inf_tol": 1.0,
+    "constr_viol_tol": 1e-8,
+    # Where the data say much, rounding keeps the gradient above the tolerance: then the objective stands
+    # still to its last digits.
+    "acceptable_iter": 2,
+    "acceptable_tol": 1e-5,
+    "acceptable_obj_change_tol": 1e-13,
+    "acceptable_constr_viol_tol": 1e-8,
+    "acceptable_compl_inf_tol": 1e-8,
+    "acceptable_dual_inf_tol": 1.0,
+    "bound_relax_factor": 0.0,
+    "nlp_scaling_method": "none",
+}
+
 _WORDS = {
     "Infeasible_Problem_Detected": "the constraints cannot be met together",
     "Maximum_Iterations_Exceeded": "the iterations ran out; allow more with max_iterations",
@@ -91,6 +110,55 @@ class _Supplied(ca.Callback):
             raise
 
 
+def _shapes(problem: ShootingProblem) -> tuple[Any, ...]:
+    """Sparsities of the variables, the constraints, nothing and one number."""
+    return tuple(ca.Sparsity.dense(k, 1) for k in (problem.size, problem.rows, 0, 1))
+
+
+def _functions(problem: ShootingProblem) -> list[_Supplied]:
+    """The problem, its gradient, constraint Jacobian and Hessian, as nlpsol asks for them."""
+    x, g, none, one = _shapes(problem)
+    jac, hess = problem.jacobian_pattern, problem.hessian_pattern
+    at = {"x": x, "p": none}
+
+    nothing = np.full(problem.rows, np.nan)
+
+    def point(value: Any) -> Any:
+        """The point, or None where the model cannot be evaluated: IPOPT then shortens its step."""
+        try:
+            return problem.at(np.asarray(value, dtype=float).ravel())
+        except (FloatingPointError, np.linalg.LinAlgError, ModelError):
+            return None
+
+    def jacobian(value: Any, _: Any) -> Any:
+        found = point(value)
+        if found is None:
+            return [nothing, ca.DM(jac.sparsity, np.nan)]
+        return [found.constraints, jac.matrix(problem.jacobian(found.x))]
+
+    def gradient(value: Any, _: Any) -> Any:
+        found = point(value)
+        return [np.nan, np.full(problem.size, np.nan)] if found is None else [found.objective, found.gradient]
+
+    def hessian(value: Any, _: Any, factor: Any, lam: Any) -> Any:
+        found = point(value)
+        if found is None:
+            return [ca.DM(hess.sparsity, np.nan)]
+        return [hess.matrix(problem.hessian(found.x, float(factor), np.asarray(lam, dtype=float).ravel()))]
+
+    def both(value: Any, _: Any) -> Any:
+        found = point(value)
+        return [np.nan, nothing] if found is None else [found.objective, found.constraints]
+
+    multipliers = {"lam_f": one, "lam_g": g}
+    return [
+        _Supplied("nlp", at, {"f": one, "g": g}, both),
+        _Supplied("nlp_grad_f", at, {"f": one, "grad_f_x": x}, gradient),
+        _Supplied("nlp_jac_g", at, {"g": g, "jac_g_x": jac.sparsity}, jacobian),
+        _Supplied("nlp_hess_l", {**at, **multipliers}, {"hess_gamma_x_x": hess.sparsity}, hessian),
+    ]
+
+
 class Solver:
     """nlpsol set up once for a problem, to be run from several starts."""
 
@@ -106,71 +174,8 @@ class Solver:
         self._interrupted = False
         self._history: list[float] = []
         self._best: tuple[float, Array] | None = None
-        size, rows = problem.size, problem.rows
-        x, g, none, one = (ca.Sparsity.dense(k, 1) for k in (size, rows, 0, 1))
-        jac, hess = problem.jacobian_pattern, problem.hessian_pattern
-        at = {"x": x, "p": none}
-
-        nothing = np.full(rows, np.nan)
-
-        def point(value: Any) -> Any:
-            """The point, or None where the model cannot be evaluated: IPOPT then shortens its step."""
-            try:
-                return problem.at(np.asarray(value, dtype=float).ravel())
-            except (FloatingPointError, np.linalg.LinAlgError, ModelError):
-                return None
-
-        def jacobian(value: Any, _: Any) -> Any:
-            found = point(value)
-            if found is None:
-                return [nothing, ca.DM(jac.sparsity, np.nan)]
-            return [found.constraints, jac.matrix(problem.jacobian(found.x))]
-
-        def gradient(value: Any, _: Any) -> Any:
-            found = point(value)
-            return [np.nan, np.full(size, np.nan)] if found is None else [found.objective, found.gradient]
-
-        def hessian(value: Any, _: Any, factor: Any, lam: Any) -> Any:
-            found = point(value)
-            if found is None:
-                return [ca.DM(hess.sparsity, np.nan)]
-            return [
-                hess.matrix(problem.hessian(found.x, float(factor), np.asarray(lam, dtype=float).ravel()))
-            ]
-
-        def both(value: Any, _: Any) -> Any:
-            found = point(value)
-            return [np.nan, nothing] if found is None else [found.objective, found.constraints]
-
-        nlp = _Supplied("nlp", at, {"f": one, "g": g}, both)
-        multipliers = {"lam_f": one, "lam_g": g}
         # The solver holds no reference of its own to Python callbacks.
-        self._kept = [
-            nlp,
-            _Supplied("nlp_grad_f", at, {"f": one, "grad_f_x": x}, gradient),
-            _Supplied("nlp_jac_g", at, {"g": g, "jac_g_x": jac.sparsity}, jacobian),
-            _Supplied("nlp_hess_l", {**at, **multipliers}, {"hess_gamma_x_x": hess.sparsity}, hessian),
-            self._watcher(x, g, none, one),
-        ]
-        ipopt = {
-            "print_level": 0,
-            "sb": "yes",
-            "max_iter": max_iterations,
-            "tol": tolerance,
-            "mu_init": 1e-4,
-            "dual_inf_tol": 1.0,
-            "constr_viol_tol": 1e-8,
-            # Where the data say much, rounding keeps the gradient above the tolerance: then the objective stands
-            # still to its last digits.
-            "acceptable_iter": 2,
-            "acceptable_tol": 1e-5,
-            "acceptable_obj_change_tol": 1e-13,
-            "acceptable_constr_viol_tol": 1e-8,
-            "acceptable_compl_inf_tol": 1e-8,
-            "acceptable_dual_inf_tol": 1.0,
-            "bound_relax_factor": 0.0,
-            "nlp_scaling_method": "none",
-        }
+        self._kept = [*_functions(problem), self._watcher()]
         options: dict[str, Any] = {
             "grad_f": self._kept[1],
             "jac_g": self._kept[2],
@@ -181,12 +186,13 @@ class Solver:
             "print_time": False,
             "error_on_fail": False,
             "show_eval_warnings": False,
-            "ipopt": ipopt,
+            "ipopt": {**_OPTIONS, "max_iter": max_iterations, "tol": tolerance},
         }
-        self._solver = ca.nlpsol("fit", "ipopt", nlp, options)
+        self._solver = ca.nlpsol("fit", "ipopt", self._kept[0], options)
 
-    def _watcher(self, x: Any, g: Any, none: Any, one: Any) -> _Supplied:
+    def _watcher(self) -> _Supplied:
         """Called once an iteration: shows progress, keeps the best point, switches the Hessian, stops on Ctrl-C."""
+        x, g, none, one = _shapes(self.problem)
         inputs = {"x": x, "f": one, "g": g, "lam_x": x, "lam_g": g, "lam_p": none}
 
         def watch(value: Any, cost: Any, constraints: Any, *_: Any) -> Any:

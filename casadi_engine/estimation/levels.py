@@ -84,6 +84,11 @@ class NoiseLevels:
             found[k] = max(found[k], _ROUNDING * self._size[k], 1e-300)
         return found
 
+    def by_name(self, sigma: Array) -> dict[str, tuple[float, bool]]:
+        """Output -> (level, whether it was estimated)."""
+        rows = zip(self.outputs, sigma.tolist(), self.estimated, strict=True)
+        return {name: (level, estimated) for name, level, estimated in rows}
+
     def variation(self) -> float:
         """Mean square of the weighted outputs about their means: what a fit of 0 % leaves."""
         total, count = 0.0, 0
