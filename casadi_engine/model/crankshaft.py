@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from numbers import Integral
@@ -144,8 +145,9 @@ def thesis_ties(parameters: Parameters) -> Parameters:
 
     The cylinders' inertias are tied to J2, the stiffnesses between them to K32, the dampers to C32, and the
     absolute dampers to C_eng/cylinders of an added parameter C_eng [N m s/rad], their sum. C_eng, all dampers
-    and everything behind the flywheel are fixed at their values; the rest keeps its settings. For four cylinders
-    that leaves six free: J1, J2, J6, K21, K32, K65. ModelError for the parameters of another model.
+    and everything behind the flywheel are fixed at their values; the rest keeps its settings, but bounds of tied
+    parameters that say no more than those of J2 or K32 are dropped. For four cylinders that leaves six free:
+    J1, J2, J6, K21, K32, K65. ModelError for the parameters of another model, TieError for fixed ones.
 
     >>> pars = thesis_ties(crankshaft().parameters())
     >>> [name for name in pars if pars[name].vary and not pars[name].tie]
@@ -169,10 +171,10 @@ def thesis_ties(parameters: Parameters) -> Parameters:
     for i in range(2, count + 2):
         made.tie(f"C{i}", f"C_eng/{count}")
     for i in range(3, count + 2):
-        made.tie(f"J{i}", "J2")
+        _tie_equal(made, f"J{i}", "J2")
     for i in range(4, count + 2):
-        made.tie(f"K{i}{i - 1}", "K32")
-        made.tie(f"C{i}{i - 1}", "C32")
+        _tie_equal(made, f"K{i}{i - 1}", "K32")
+        _tie_equal(made, f"C{i}{i - 1}", "C32")
     made.fix("C21")
     made.fix(f"C{count + 2}{count + 1}")
     if count > 1:
@@ -184,6 +186,14 @@ def thesis_ties(parameters: Parameters) -> Parameters:
             made.fix(each)
         number += 1
     return made
+
+
+def _tie_equal(parameters: Parameters, name: str, leader: str) -> None:
+    """Tie two parameters; bounds that the leader's imply go, or each would be a constraint of the fit."""
+    one, other = parameters[name], parameters[leader]
+    if one.min <= other.min and one.max >= other.max:
+        one.set(min=-math.inf, max=math.inf)
+    parameters.tie(name, leader)
 
 
 def _parts(b: Blueprint, count: int, others: Sequence[Driven]) -> tuple[list[Inertia], list[Coupling]]:

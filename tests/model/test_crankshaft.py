@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 import casadi_engine as ce
 from casadi_engine.errors import ModelError, ParameterError, TieError
 from casadi_engine.model import Blueprint, Coupling, Driven, Geometry, Inertia, declare_chain, thesis_ties
+from casadi_engine.parameters import compile as compile_parameters
 
 PI = np.pi
 R, L, A_P, M_EQ, P_CRANK = 0.043, 0.145, 0.0058, 0.7, 1.0e5
@@ -385,6 +386,15 @@ def test_ties_of_the_thesis(linear_form):
     assert values["C2"] == pytest.approx(values["C_eng"] / 4)
     assert given["J3"].tie is None
     assert "C_eng" not in given
+
+
+def test_ties_keep_only_bounds_that_say_more(linear_form):
+    given = linear_form.parameters()
+    assert compile_parameters(thesis_ties(given), linear_form.parameter_names).constraints == ()
+    given["J4"].set(max=0.05)
+    (kept,) = compile_parameters(thesis_ties(given), linear_form.parameter_names).constraints
+    assert (kept.label, kept.max) == ("J4 (tied)", 0.05)
+    assert given["J3"].max == 1e3
 
 
 def test_ties_with_branches_fix_all_that_is_driven():
