@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_engine.estimation.fit import Direction, Estimate, Fit, Optimum, Trace
+from casadi_engine.estimation.fit import Estimate, Fit, Optimum, Trace
 from casadi_engine.estimation.fit_percent import fit_measures
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
-from casadi_engine.estimation.standard_errors import uncertainty
+from casadi_engine.estimation.standard_errors import Uncertainty, uncertainty
 from casadi_engine.estimation.starts import chained_nodes
 
 Array = NDArray[np.float64]
@@ -28,13 +28,15 @@ def make_fit(
     options: dict[str, Any],
     timing: dict[str, float],
     begun: float,
+    *,
+    stopped: bool = False,
 ) -> Fit:
     """The Fit at the best attempt."""
     clock = time.perf_counter()
     search._weigh(best.sigma)
     problem, pmap = search.problem, search.pmap
     errors = uncertainty(search, best)
-    v, directions = errors.v, errors.directions
+    v = errors.v
     z = search.coordinates.values(v)
     traces, drives, percents, first = {}, {}, {}, {}
     initial: dict[str, dict[str, Estimate]] = {}
@@ -55,13 +57,13 @@ def make_fit(
         model=search.model,
         parameters=fitted.frozen(),
         data=search.data,
-        status=best.solution.status,
+        status="interrupted" if stopped else best.solution.status,
         estimates=errors.estimates(),
         start=dict(zip(pmap.free, best.start.tolist(), strict=True)),
         free=pmap.free,
         z=z,
         covariance=errors.of_parameters(),
-        undetermined=directions,
+        undetermined=errors.directions,
         initial=initial,
         noise=search.levels.by_name(best.sigma),
         cost=best.cost,
@@ -75,7 +77,7 @@ def make_fit(
         fit_percent=percents,
         timing=timing,
         options=options,
-        messages=_messages(search, best, v, directions, optima),
+        messages=_messages(search, best, errors, optima, stopped=stopped),
         states_at_start=first,
         gain=search.noise.gain,
     )
@@ -150,21 +152,26 @@ def _write_values(parameters: Any, values: dict[str, float]) -> None:
 def _messages(
     search: Search,
     best: Attempt,
-    v: Array,
-    directions: tuple[Direction, ...],
+    errors: Uncertainty,
     optima: tuple[Optimum, ...],
+    *,
+    stopped: bool,
 ) -> tuple[str, ...]:
     found = []
-    for direction in directions:
+    if best.solution.status != "converged":
+        found.append("this is not an optimum: the values have no standard errors")
+    for direction in errors.directions:
         found.append(
             f"the data do not determine {direction.text}: fix one of these, tie it, give it a prior, "
             "or add a record that excites it"
         )
-    violated = search.constraints.violated(v)
+    if errors.acting:
+        found.append(f"held by constraints: {', '.join(errors.acting)}; do they agree with the data?")
+    violated = search.constraints.violated(errors.v)
     if violated:
         found.append(f"not met: {', '.join(violated)}")
     found += _coloured(search, best)
-    if best.solution.status == "interrupted":
+    if stopped:
         done = sum(optimum.starts for optimum in optima if optimum.status == "converged")
         what = f"the best of {done} optima so far" if done else "the best point so far, not an optimum"
         found.append(f"stopped by the user: this is {what}")

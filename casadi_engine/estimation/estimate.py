@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.answer import make_fit
 from casadi_engine.estimation.fit import Fit, Optimum
+from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.loss import read_loss
 from casadi_engine.estimation.options import small, whole
 from casadi_engine.estimation.search import Attempt, Search
@@ -84,39 +85,41 @@ def estimate(
     starts = whole("starts", starts, 1)
     max_iterations = whole("max_iterations", max_iterations, 1)
     seed, tolerance = whole("seed", seed, 0), small(tolerance)
-    search = Search(
-        model,
-        records,
-        _own(model, parameters),
-        noise,
-        interval=interval,
-        initial=initial,
-        loss=read_loss(loss),
-        ties=ties,
-        method=method,
-        max_iterations=max_iterations,
-        tolerance=tolerance,
-        warm=warm,
-        progress=_reporter(progress, starts, max_iterations),
-    )
-    setup = time.perf_counter() - begun
-    attempts = _attempts(search, drawn_starts(search.pmap, starts, seed))
-    best = min(attempts, key=lambda a: (a.solution.status != "converged", a.merit))
-    optima = _optima(search, attempts, best)
-    if attempts[-1].solution.status == "interrupted":
-        best = replace(best, solution=replace(best.solution, status="interrupted"))
-    solve = time.perf_counter() - begun - setup
-    options = {
-        "interval": interval,
-        "loss": loss if isinstance(loss, str) else repr(loss),
-        "ties": ties,
-        "method": method,
-        "starts": starts,
-        "seed": seed,
-        "max_iterations": max_iterations,
-        "tolerance": tolerance,
-    }
-    return make_fit(search, best, optima, options, {"setup": setup, "solve": solve}, begun)
+    with Interrupts() as interrupts:
+        search = Search(
+            model,
+            records,
+            _own(model, parameters),
+            noise,
+            interval=interval,
+            initial=initial,
+            loss=read_loss(loss),
+            ties=ties,
+            method=method,
+            max_iterations=max_iterations,
+            tolerance=tolerance,
+            warm=warm,
+            progress=_reporter(progress, starts, max_iterations),
+            interrupts=interrupts,
+        )
+        setup = time.perf_counter() - begun
+        attempts = _attempts(search, drawn_starts(search.pmap, starts, seed))
+        best = min(attempts, key=lambda a: (a.solution.status != "converged", a.merit))
+        optima = _optima(search, attempts, best)
+        timing = {"setup": setup, "solve": time.perf_counter() - begun - setup}
+        options = {
+            "interval": interval,
+            "loss": loss if isinstance(loss, str) else repr(loss),
+            "ties": ties,
+            "method": method,
+            "starts": starts,
+            "seed": seed,
+            "max_iterations": max_iterations,
+            "tolerance": tolerance,
+        }
+        stopped = attempts[-1].solution.status == "interrupted"
+        fit = make_fit(search, best, optima, options, timing, begun, stopped=stopped)
+        return replace(fit, status="interrupted") if interrupts.stopped else fit
 
 
 def _attempts(search: Search, starts: list[Array]) -> list[Attempt]:

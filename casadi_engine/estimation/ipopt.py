@@ -6,8 +6,6 @@ the solution leads to other optima. The switch is made in one run, when the obje
 
 from __future__ import annotations
 
-import signal
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -17,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.errors import ModelError
+from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.shooting import ShootingProblem
 
 Array = NDArray[np.float64]
@@ -169,8 +168,10 @@ class Solver:
         max_iterations: int = 200,
         tolerance: float = 1e-9,
         progress: Progress | None = None,
+        interrupts: Interrupts | None = None,
     ) -> None:
         self.problem, self._progress = problem, progress
+        self._interrupts = interrupts or Interrupts()
         self._interrupted = False
         self._history: list[float] = []
         self._best: tuple[float, Array] | None = None
@@ -203,7 +204,7 @@ class Solver:
                 self._best = (found, np.asarray(value, dtype=float).ravel().copy())
             if not self.problem.exact and self._settled(gap):
                 self.problem.exact = True
-            stop = self._interrupted
+            stop = self._interrupted = self._interrupted or self._interrupts.stopped
             if self._progress is not None and self._progress(len(self._history) - 1, found):
                 self._interrupted = stop = True
             return [1.0 if stop else 0.0]
@@ -226,8 +227,7 @@ class Solver:
         joints = problem.rows - problem.user.count
         low = np.concatenate([problem.user.lower, np.zeros(joints)])
         high = np.concatenate([problem.user.upper, np.zeros(joints)])
-        with _Interrupts(self):
-            answer = self._solver(x0=start, lbx=lower, ubx=upper, lbg=low, ubg=high)
+        answer = self._solver(x0=start, lbx=lower, ubx=upper, lbg=low, ubg=high)
         for function in self._kept:
             if function.failure is not None:
                 failure, function.failure = function.failure, None
@@ -244,24 +244,3 @@ class Solver:
             status = f"not converged: {_WORDS.get(words, words.replace('_', ' ').lower())}"
         lam_g, lam_x = (np.asarray(answer[key], dtype=float).ravel() for key in ("lam_g", "lam_x"))
         return Solution(x, lam_g, lam_x, status, int(stats["iter_count"]), words)
-
-
-class _Interrupts:
-    """Turns the first Ctrl-C of a solve into a stop at the next iteration; a second one raises as usual."""
-
-    def __init__(self, solver: Solver) -> None:
-        self._solver = solver
-        self._main = threading.current_thread() is threading.main_thread()
-
-    def __enter__(self) -> None:
-        if self._main:
-            self._old = signal.getsignal(signal.SIGINT)
-            signal.signal(signal.SIGINT, self._note)
-
-    def _note(self, *_: Any) -> None:
-        self._solver._interrupted = True
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-
-    def __exit__(self, *_: object) -> None:
-        if self._main:
-            signal.signal(signal.SIGINT, self._old)

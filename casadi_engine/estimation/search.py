@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.constraints import ParameterConstraints, Priors
 from casadi_engine.estimation.coordinates import Coordinates
+from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.ipopt import Solution, Solver
 from casadi_engine.estimation.levels import NoiseLevels, check_noise
 from casadi_engine.estimation.loss import Loss
@@ -67,6 +68,7 @@ class Search:
         tolerance: float,
         warm: Any,
         progress: Callable[[int, float, float], Any] | None,
+        interrupts: Interrupts | None = None,
     ) -> None:
         noise = check_noise(noise, model)
         self.model, self.data, self.noise, self.loss = model, data, noise, loss
@@ -105,7 +107,11 @@ class Search:
         self.levels = NoiseLevels(noise, model, self.records)
         self._weigh(self.levels.first())
         self.solver = Solver(
-            self.problem, max_iterations=max_iterations, tolerance=tolerance, progress=self._report
+            self.problem,
+            max_iterations=max_iterations,
+            tolerance=tolerance,
+            progress=self._report,
+            interrupts=interrupts,
         )
 
     # ---- bounds, noise

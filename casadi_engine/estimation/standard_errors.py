@@ -33,6 +33,8 @@ class Uncertainty:
     x: Array
     bound: list[AtBound]
     covariance: Covariance
+    acting: tuple[str, ...] = ()  # constraints that hold the estimate back, with the limit that does
+    optimal: bool = True
 
     @property
     def v(self) -> Array:
@@ -52,6 +54,8 @@ class Uncertainty:
         unknown = np.zeros(nv, dtype=bool)
         for direction in self.covariance.directions:
             unknown |= np.abs(direction[:nv]) >= 1e-6
+        if not self.optimal:
+            unknown[:] = True
         matrix[unknown, :] = np.nan
         matrix[:, unknown] = np.nan
         return matrix
@@ -78,6 +82,8 @@ class Uncertainty:
             return None, "fixed"
         if side is not False:
             return None, f"at its {'lower' if side == 'min' else 'upper'} bound: there is no symmetric error"
+        if not self.optimal:
+            return None, "the search did not end at an optimum"
         size = float(np.linalg.norm(slope))
         if any(abs(d[: len(slope)] @ slope) > 1e-6 * size for d in self.covariance.directions):
             return None, "the data do not determine it"
@@ -100,6 +106,8 @@ class Uncertainty:
                 side, why = False, "fixed"
             elif side is not False:
                 why = f"at its {'lower' if side == 'min' else 'upper'} bound: there is no symmetric error"
+            elif not self.optimal:
+                why = "the search did not end at an optimum"
             elif any(abs(d[at + k]) >= 1e-6 for d in self.covariance.directions):
                 why = "the data do not determine it"
             else:
@@ -120,8 +128,9 @@ def uncertainty(search: Search, best: Attempt) -> Uncertainty:
         if side is not False:
             x[k] = search.lower[k] if side == "min" else search.upper[k]
     closed = np.array([side is not False for side in bound], dtype=bool)
-    rows = _active_rows(search, best, x[: search.problem.nv], open_)
-    return Uncertainty(search, x, bound, invert(information, closed, rows))
+    rows, acting = _active_rows(search, best, x[: search.problem.nv], open_)
+    optimal = best.solution.status == "converged"
+    return Uncertainty(search, x, bound, invert(information, closed, rows), acting, optimal)
 
 
 def _information(search: Search, best: Attempt) -> Array:
@@ -177,20 +186,27 @@ def _at_bounds(search: Search, best: Attempt, open_: Covariance) -> list[AtBound
     return found
 
 
-def _active_rows(search: Search, best: Attempt, v: Array, open_: Covariance) -> Array:
-    """Gradients (c, N) of the constraints that act."""
+def _active_rows(search: Search, best: Attempt, v: Array, open_: Covariance) -> tuple[Array, tuple[str, ...]]:
+    """Gradients (c, N) of the constraints that act, and those of the inequalities in words."""
     user, nv = search.constraints, search.problem.nv
     if not user.count:
-        return np.zeros((0, len(open_.matrix)))
+        return np.zeros((0, len(open_.matrix))), ()
     value, jacobian = user.evaluate(v)
     variance = np.einsum("ca,ab,cb->c", jacobian, open_.matrix[:nv, :nv], jacobian)
     force = best.solution.lam_g[: user.count] * search.problem.samples
     active = user.lower == user.upper
-    for near, push in ((value - user.lower, -force), (user.upper - value, force)):
-        active |= np.array([_acts(*numbers) for numbers in zip(near, push, variance, strict=True)])
+    words = []
+    for side, limit, near, push in (
+        ("lower", user.lower, value - user.lower, -force),
+        ("upper", user.upper, user.upper - value, force),
+    ):
+        acts = np.array([_acts(*numbers) for numbers in zip(near, push, variance, strict=True)])
+        for k in np.flatnonzero(acts & (user.lower < user.upper)):
+            words.append(f"{user.labels[k]} at its {side} limit {limit[k] * user.scale[k]:.6g}")
+        active |= acts
     rows = np.zeros((int(active.sum()), len(open_.matrix)))
     rows[:, :nv] = jacobian[active]
-    return rows
+    return rows, tuple(words)
 
 
 def _names(search: Search) -> list[str]:

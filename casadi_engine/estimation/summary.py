@@ -31,14 +31,15 @@ def summary(fit: Fit) -> str:
     Values stand with their standard errors in the parameter's unit; fit percentages (2.32) are labelled
     simulation or one-step prediction.
     """
-    for rows in range(ROWS["parameters"], 3, -1):
-        lines = _lines(fit, rows)
-        if len(lines) <= LINES:
-            break
+    for notes in (9, 6, 4, 2):  # parameters give way first, then the notes; the next step stays
+        for rows in range(ROWS["parameters"], 3, -1):
+            lines = _lines(fit, rows, notes)
+            if len(lines) <= LINES:
+                return "\n".join(line.rstrip() for line in lines)
     return "\n".join(line.rstrip() for line in lines[:LINES])
 
 
-def _lines(fit: Fit, rows: int) -> list[str]:
+def _lines(fit: Fit, rows: int, notes: int) -> list[str]:
     return [
         *_header(fit),
         *_fit_rows(fit),
@@ -47,7 +48,7 @@ def _lines(fit: Fit, rows: int) -> list[str]:
         *_correlations(fit),
         *_directions(fit),
         *_optima(fit),
-        *(f"Note: {line}" for message in fit.messages[:2] for line in wrapped(message, "", 90)[:1]),
+        *[line for message in fit.messages[:3] for line in wrapped(f"Note: {message}", "      ")][:notes],
         *wrapped(f"Next: {'; '.join(next_steps(fit)[:2])}", "      "),
     ]
 
