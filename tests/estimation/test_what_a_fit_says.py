@@ -1,0 +1,80 @@
+"""What a fit says of itself: acting constraints, ends that are no optimum, coloured residuals, Ctrl-C."""
+
+import os
+import signal
+import threading
+
+import numpy as np
+import pytest
+
+import casadi_engine as ce
+
+
+def run_up(samples=300, sigma=0.02, colour=0.0, seed=3):
+    t = np.arange(samples) * 0.01
+    noise = np.random.default_rng(seed).standard_normal(samples) * sigma
+    for k in range(1, samples):
+        noise[k] += colour * noise[k - 1]
+    omega = 4 * (1 - np.exp(-t / 0.8)) + noise
+    units = {"T": "N m", "omega": "rad/s"}
+    return ce.Experiment.from_arrays(
+        "run_up", time=t, units=units, hold="zero", T=np.full(samples, 2.0), omega=omega
+    )
+
+
+def said(fit, words):
+    return any(words in message for message in fit.messages)
+
+
+@pytest.fixture
+def model():
+    return ce.one_inertia()
+
+
+def test_a_constraint_that_holds_the_fit_is_named_with_its_limit(model):
+    pars = model.parameters()
+    pars.constrain("J_eng + C_eng", 1.2, 1.5)  # the truth is 0.9
+    fit = ce.estimate(model, run_up(), parameters=pars)
+    assert fit.converged
+    assert fit.values["J_eng"] + fit.values["C_eng"] == pytest.approx(1.2, abs=1e-6)
+    assert said(fit, "held by constraints: J_eng + C_eng at its lower limit 1.2")
+    assert "held by constraints" in str(fit)
+
+
+def test_a_constraint_that_is_met_with_room_is_not_mentioned(model):
+    pars = model.parameters()
+    pars.constrain("J_eng + C_eng", 0.1, 1.5)
+    assert not said(ce.estimate(model, run_up(), parameters=pars), "held by constraints")
+
+
+def test_where_the_search_ran_out_there_are_no_standard_errors(model):
+    pars = model.parameters()
+    pars["J_eng"].set(5.0)
+    fit = ce.estimate(model, run_up(), parameters=pars, max_iterations=1)
+    assert fit.status.startswith("not converged")
+    assert fit.stderr["J_eng"] is None
+    assert fit.estimates["J_eng"].why == "the search did not end at an optimum"
+    assert np.isnan(fit.covariance).all()
+    assert said(fit, "this is not an optimum")
+
+
+def test_a_coloured_residual_is_said_to_make_the_errors_too_small(model):
+    assert said(ce.estimate(model, run_up(colour=0.9)), "the standard errors are too small")
+    assert not said(ce.estimate(model, run_up()), "the standard errors are too small")
+
+
+@pytest.mark.skipif(
+    threading.current_thread() is not threading.main_thread(), reason="signals need the main thread"
+)
+def test_ctrl_c_ends_the_fit_and_is_told(model):
+    """A real signal: nothing is raised inside CasADi, the fit comes back as interrupted, the handler is put back."""
+    before = signal.getsignal(signal.SIGINT)
+
+    def press(iteration, *_):
+        if iteration == 0:  # a second one would raise
+            os.kill(os.getpid(), signal.SIGINT)
+
+    fit = ce.estimate(model, run_up(), progress=press)
+    assert fit.status == "interrupted"
+    assert said(fit, "stopped by the user")
+    assert signal.getsignal(signal.SIGINT) is before
