@@ -88,14 +88,14 @@ def write_answer(
 
     check : the Validation that goes with a Fit
     """
-    from casadi_engine.report import report, to_result, write_result
-
-    document = EMPTY.get(job.options.command, {}) | to_result(answer, **_common(job))
-    if check is not None:
-        # Beside what the contract asks of a fit: the residual tests that were made of it.
-        tested = to_result(check, **_common(job))
-        document["validation"] = {key: tested[key] for key in ("inputs", "records", "passed", "alpha")}
     with uninterrupted():
+        from casadi_engine.report import report, to_result, write_result
+
+        document = EMPTY.get(job.options.command, {}) | to_result(answer, **_common(job))
+        if check is not None:
+            # Beside what the contract asks of a fit: the residual tests that were made of it.
+            tested = to_result(check, **_common(job))
+            document["validation"] = {key: tested[key] for key in ("inputs", "records", "passed", "alpha")}
         make_folder(job.folder)
         for name, experiment in (data_files or {}).items():
             experiment.to_csv(job.folder / name)
