@@ -57,6 +57,10 @@ def _work(job: Job) -> int:
     say(found)
     if check is not None:
         say(f"\n{check}")
+        if not fresh:
+            say(
+                "Tested on the records it was fitted to: that proves little; give fresh ones by --validate FILE"
+            )
     say_where(job)
     if stopped:
         complain("fit", f"interrupted in the residual tests; the fit itself is in {job.folder}")

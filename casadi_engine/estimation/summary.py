@@ -48,9 +48,15 @@ def _lines(fit: Fit, rows: int, notes: int) -> list[str]:
         *_correlations(fit),
         *_directions(fit),
         *_optima(fit),
-        *[line for message in fit.messages[:3] for line in wrapped(f"Note: {message}", "      ")][:notes],
+        *_said(fit)[:notes],
         *wrapped(f"Next: {'; '.join(next_steps(fit)[:2])}", "      "),
     ]
+
+
+def _said(fit: Fit) -> list[str]:
+    """The messages, but for those on directions, which have lines of their own."""
+    rest = [message for message in fit.messages if not message.startswith("the data do not determine")]
+    return [line for message in rest[:3] for line in wrapped(f"Note: {message}", "      ")]
 
 
 # ---- numbers ------------------------------------------------------------------------------------------

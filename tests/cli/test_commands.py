@@ -373,3 +373,12 @@ def test_validation_records_are_looked_at_before_the_work(here, call, monkeypatc
     done = call("fit", "problem.py", "--validate", "no_speed.csv")
     assert done.code == 2
     assert "output channel 'omega' is missing" in done.err
+
+
+def test_a_test_on_the_fitted_records_says_so(here, call):
+    words = "Tested on the records it was fitted to"
+    alone = call("fit", "problem.py", "--data", "run.csv", "--out", "alone")
+    assert alone.code == 0
+    assert words in alone.out
+    fresh = call("fit", "problem.py", "--data", "run.csv", "--validate", "fresh.csv", "--out", "both")
+    assert words not in fresh.out
