@@ -48,6 +48,44 @@ def product(x: Array, y: Array, d: int) -> Array:
     return out
 
 
+def transpose(x: Array) -> Array:
+    """The jet of the transposed matrix."""
+    return x.transpose(0, 2, 1)
+
+
+def orders(x: Array, d: int) -> list[slice]:
+    """The rows of first and of second derivatives that a jet holds, in this order.
+
+    What solves an equation is found order by order: the equation's own jet at an unknown whose derivatives of the
+    present order are still zero is the right-hand side for them.
+    """
+    found = [slice(1, 1 + d)] if len(x) > 1 else []
+    return [*found, slice(1 + d, len(x))] if len(x) > 1 + d else found
+
+
+def inverse(x: Array, d: int) -> Array:
+    """The jet of the inverse of a square matrix."""
+    y = np.zeros_like(x)
+    y[0] = np.linalg.inv(x[0])
+    for part in orders(x, d):
+        y[part] = -y[0] @ product(x, y, d)[part]
+    return y
+
+
+def cholesky(x: Array, d: int) -> Array:
+    """The jet of the lower triangular factor y of x = y y', x symmetric and positive definite."""
+    y = np.zeros_like(x)
+    y[0] = np.linalg.cholesky(x[0])
+    back = np.linalg.inv(y[0])
+    for part in orders(x, d):
+        missing = back @ (x - product(y, transpose(y), d))[part] @ back.T
+        half = np.tril(missing)
+        index = np.arange(x.shape[1])
+        half[:, index, index] /= 2
+        y[part] = y[0] @ half
+    return y
+
+
 def is_constant(x: Array) -> bool:
     """True if all derivatives vanish."""
     return not x[1:].any()
