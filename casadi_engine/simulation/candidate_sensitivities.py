@@ -1,0 +1,354 @@
+"""Sensitivities of effects that are not in the model: dy/dpsi at psi = 0 for many candidate laws in one sweep.
+
+A candidate adds psi g(x, u, t) to the state's derivative and psi m(x, u, t) to the outputs. At psi = 0 its sensitivity
+obeys ds/dt = A(t) s + g(t), y_psi = C(t) s + m(t) along the null trajectory; all candidates are columns of one linear
+equation (see ``variational``), and a parameter of the model or an initial state is a column like any other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import casadi as ca
+import numpy as np
+
+from casadi_engine.model import Model
+from casadi_engine.simulation.intervals import Observation, cut
+from casadi_engine.simulation.jets import Array
+from casadi_engine.simulation.null_path import NullPath, Points
+from casadi_engine.simulation.tape import ArrayFunction
+from casadi_engine.simulation.variational import balance, scan, step_matrices
+
+# Samples worked on at a time: the arrays of a part then stay near the cache.
+_PART = 2048
+# |A| h of one step of the variational equation.
+_STEP = 0.5
+_MOST_SUBSTEPS = 64
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """A term with one amplitude psi that a model may lack, linearised at psi = 0.
+
+    name : what it is called in results
+    ode : (n, 1) SX, d(dx/dt)/dpsi; output : (ny, 1) SX, dy/dpsi beside the states' share; both in the model's
+    (x, u, d, w, t, p) and in ``states``
+    states, rates, start : symbols of the term's own states, their time derivatives at psi = 0 and first values
+    initial : (n,) derivative of the first state, or None for zero
+    """
+
+    name: str
+    ode: ca.SX
+    output: ca.SX
+    states: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
+    rates: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
+    start: tuple[float, ...] = ()
+    initial: Array | None = None
+
+
+def torque_direction(model: Model, port: str, torque: ca.SX, *, name: str) -> Direction:
+    """A torque psi * ``torque`` [N m] in the slot of a port; torque : scalar SX in (x, u, d, t, p).
+
+    Laws that divide by slots' torques (a variable inertia) see it too. Raises ModelError for an unknown port.
+    """
+    slots = [p.name for p in model.ports.with_slot]
+    at = slots.index(model.ports[port].name)
+    unit = ca.SX.zeros(model.w.numel(), 1)
+    unit[at] = torque
+    return slot_direction(model, unit, name=name)
+
+
+def slot_direction(
+    model: Model,
+    slots: ca.SX,
+    *,
+    name: str,
+    drives: ca.SX | None = None,
+    outputs: ca.SX | None = None,
+) -> Direction:
+    """A direction from what is added to slots (nw, 1), drives (m, 1) and outputs (ny, 1) per unit of psi.
+
+    All in (x, u, d, t, p); laws that depend on drives or other slots respond.
+    """
+    if drives is None:
+        drives = ca.SX.zeros(model.d.numel(), 1)
+    total = slots + (ca.jtimes(model.laws, model.d, drives) if model.d.numel() and model.w.numel() else 0)
+    if model.w.numel() and ca.depends_on(model.laws, model.w):
+        inside = ca.jacobian(model.laws, model.w)
+        part = total
+        for _ in range(model.w.numel()):
+            part = ca.mtimes(inside, part)
+            total = total + part
+            if part.is_zero():
+                break
+    ode = ca.SX.zeros(model.x.numel(), 1)
+    if model.w.numel():
+        ode = ode + ca.jtimes(model.ode, model.w, total)
+    out = ca.SX.zeros(len(model.outputs), 1) if outputs is None else outputs
+    if model.d.numel():
+        ode = ode + ca.jtimes(model.ode, model.d, drives)
+        out = out + ca.jtimes(model.output_expressions, model.d, drives)
+    return Direction(name, ode, out)
+
+
+def parameter_direction(model: Model, slope: Array, *, name: str) -> Direction:
+    """The direction of a free parameter: d(model parameters)/d(free one) = ``slope`` : (np,)."""
+    turn = ca.SX(ca.DM(np.asarray(slope, dtype=float)))
+    moved = slot_direction(
+        model,
+        ca.jtimes(model.laws, model.p, turn),
+        name=name,
+        drives=ca.jtimes(model.drive_expressions, model.p, turn),
+        outputs=ca.jtimes(model.output_expressions, model.p, turn),
+    )
+    return replace(moved, ode=moved.ode + ca.jtimes(model.ode, model.p, turn))
+
+
+def initial_direction(model: Model, state: int, size: float, *, name: str) -> Direction:
+    """The direction of an initial state, per ``size`` units of it."""
+    first = np.zeros(model.x.numel())
+    first[state] = size
+    zero = (ca.SX.zeros(model.x.numel(), 1), ca.SX.zeros(len(model.outputs), 1))
+    return Direction(name, *zero, initial=first)
+
+
+class Sweep:
+    """The sensitivities of many directions along one null path, part by part.
+
+    substeps : steps of the variational equation in one sample; None chooses them by the fastest rate of A
+    """
+
+    def __init__(
+        self, path: NullPath, directions: Sequence[Direction], *, substeps: int | None = None
+    ) -> None:
+        self.path, self.directions = path, tuple(directions)
+        model = path.model
+        n, width = path.states, len(self.directions)
+        self.shape = (len(model.outputs), width)
+        self.xi = ca.vertcat(ca.SX(0, 1), *[d.states for d in self.directions])
+        self.constant = model.linear is not None and not model.has_slot_laws
+        slopes = ca.jacobian(model.ode, model.x)
+        if model.w.numel():
+            slopes += ca.mtimes(ca.jacobian(model.ode, model.w), ca.jacobian(model.slot_laws, model.x))
+        jacobian = [slopes, ca.jacobian(model.output_expressions, model.x)]
+        self._jacobian = path.function(jacobian)
+        some = path.at_samples().part(slice(0, None, max(1, path.grid.samples // 64)))
+        a, _ = self._slopes(some)
+        if self.constant:
+            a = a[:1]
+        self.scale = balance(a)
+        size = float(np.abs(a / self.scale[:, None] * self.scale).sum(axis=1).max(initial=0.0))
+        wanted = math.ceil(size * path.grid.step / _STEP)
+        self.substeps = min(max(1, wanted), _MOST_SUBSTEPS) if substeps is None else substeps
+        self._ode = _Columns(path, [d.ode for d in self.directions], self.xi, n)
+        self._out = _Columns(path, [d.output for d in self.directions], self.xi, self.shape[0])
+        self._own = _OwnStates(path, self.directions, self.xi, self.substeps) if self.xi.numel() else None
+
+    def _slopes(self, points: Points) -> tuple[Array, Array]:
+        """A (T, n, n) and C (T, ny, n)."""
+        n, ny = self.path.states, len(self.path.model.outputs)
+        found = self._jacobian(*points.arguments)[0]
+        found = np.broadcast_to(found, (len(found), points.t.shape[1])).T
+        a = found[:, : n * n].reshape(-1, n, n).swapaxes(1, 2)
+        return a, found[:, n * n :].reshape(-1, n, ny).swapaxes(1, 2)
+
+    def _scaled(self, a: Array) -> Array:
+        return np.ascontiguousarray(a / self.scale[:, None] * self.scale)
+
+    def __iter__(self) -> Iterator[tuple[slice, Array]]:
+        """Parts of the grid's samples with dy/dpsi (T, ny, K)."""
+        path, parts = self.path, self.substeps
+        samples = path.grid.samples
+        state = np.zeros((path.states, self.shape[1]))
+        for k, direction in enumerate(self.directions):
+            if direction.initial is not None:
+                state[:, k] = direction.initial / self.scale
+        own = self._own.run() if self._own is not None else None
+        shares = [path.between(k / (2 * parts)) for k in range(2 * parts)]
+        if path.held:
+            ends = [path.between((2 * k + 2) / (2 * parts)) for k in range(parts)]
+        for first in range(0, samples - 1, _PART):
+            here = slice(first, min(first + _PART, samples - 1))
+            count = here.stop - here.start
+            xi = [None] * (2 * parts + 1) if own is None else [o[:, here] for o in own]
+            points = [p.part(here) for p in shares]
+            values = [self._forcing(p, x) for p, x in zip(points, xi, strict=False)]
+            total, push = None, None
+            last = path.at_samples().part(slice(here.start + 1, here.stop + 1))
+            for k in range(parts):
+                if path.held:
+                    end = ends[k].part(here)
+                    a1, g1 = self._matrix(end), self._forcing(end, xi[2 * k + 2])
+                elif k + 1 < parts:
+                    a1, g1 = self._matrix(points[2 * k + 2]), values[2 * k + 2]
+                else:
+                    a1 = self._matrix(last)
+                    g1 = self._forcing(last, xi[2 * parts])
+                a0, am = self._matrix(points[2 * k]), self._matrix(points[2 * k + 1])
+                steps = self._steps(a0, am, a1)
+                own_push = steps.start @ values[2 * k] + steps.middle @ values[2 * k + 1] + steps.end @ g1
+                if total is None or push is None:
+                    total, push = steps.f, own_push
+                else:
+                    push = steps.f @ push + own_push
+                    total = steps.f @ total
+            assert total is not None and push is not None
+            push = np.broadcast_to(push, (count, *push.shape[1:]))
+            states = scan(total, push, state)
+            state = states[-1]
+            stop = here.stop + 1 if here.stop == samples - 1 else here.stop
+            shown = slice(here.start, stop)
+            yield shown, self._outputs(shown, states[: stop - here.start], own)
+
+    def _matrix(self, points: Points) -> Array:
+        """A scaled (T, n, n), or (1, n, n) for a linear model."""
+        if self.constant:
+            if not hasattr(self, "_constant_a"):
+                self._constant_a = self._scaled(self._slopes(points.part(slice(0, 1)))[0])
+            return self._constant_a
+        return self._scaled(self._slopes(points)[0])
+
+    def _steps(self, a0: Array, am: Array, a1: Array):  # type: ignore[no-untyped-def]
+        step = self.path.grid.step / self.substeps
+        if not self.constant:
+            return step_matrices(a0, am, a1, step)
+        if not hasattr(self, "_constant_steps"):
+            self._constant_steps = step_matrices(a0, a0, a0, step)
+        return self._constant_steps
+
+    def _forcing(self, points: Points, xi: Array | None) -> Array:
+        return self._ode.at(points, xi) / self.scale[:, None]
+
+    def _outputs(self, shown: slice, states: Array, own: list[Array] | None) -> Array:
+        points = self.path.at_samples().part(shown)
+        if self.constant:
+            c = self._slopes(points.part(slice(0, 1)))[1]
+        else:
+            c = self._slopes(points)[1]
+        xi = None
+        if own is not None:
+            last = own[-1][:, -1:] if shown.stop == self.path.grid.samples else own[0][:, :0]
+            xi = np.concatenate([own[0][:, shown], last], axis=1)
+        return (c * self.scale) @ states + self._out.at(points, xi)
+
+
+class _Columns:
+    """The structurally non-zero entries of K expression columns (rows, 1), evaluated on points."""
+
+    def __init__(self, path: NullPath, columns: list[ca.SX], xi: ca.SX, rows: int) -> None:
+        matrix = ca.horzcat(ca.SX(rows, 0), *[ca.SX(c) for c in columns])
+        matrix = ca.sparsify(ca.simplify(matrix)) if matrix.nnz() else matrix
+        row, column = matrix.sparsity().get_triplet()
+        self.shape = (rows, len(columns))
+        self._at = np.array(row, dtype=np.intp) * len(columns) + np.array(column, dtype=np.intp)
+        self._function: ArrayFunction | None = None
+        if len(row):
+            self._function = path.function([ca.vertcat(*matrix.nonzeros())], xi)
+
+    def at(self, points: Points, xi: Array | None) -> Array:
+        """(T, rows, K)."""
+        count = points.t.shape[1]
+        out = np.zeros((count, self.shape[0] * self.shape[1]))
+        if self._function is not None:
+            own = np.zeros((0, count)) if xi is None else xi
+            out[:, self._at] = self._function(*points.arguments, own)[0].T
+        return out.reshape(count, *self.shape)
+
+
+class _OwnStates:
+    """The states of the terms themselves, driven by the null path: one Runge-Kutta sweep in CasADi's machine."""
+
+    def __init__(self, path: NullPath, directions: Sequence[Direction], xi: ca.SX, substeps: int) -> None:
+        self.path, self.substeps = path, substeps
+        model = path.model
+        self.start = np.array([v for d in directions for v in d.start], dtype=float)
+        rates = ca.vertcat(*[d.rates for d in directions])
+        drives = model.d if len(path.d) else ca.SX(0, 1)
+        if model.w.numel():
+            rates = ca.substitute(rates, model.w, model.slot_laws)
+        if model.d.numel() and not len(path.d):
+            rates = ca.substitute(rates, model.d, model.drive_expressions)
+        if model.p.numel():
+            rates = ca.substitute(rates, model.p, ca.SX(ca.DM(path.p)))
+        given = ca.vertcat(model.x, model.u, drives, model.t)
+        rate = ca.Function("rate", [xi, given], [rates])
+        q = given.numel()
+        state, around = ca.SX.sym("xi", xi.numel()), ca.SX.sym("around", 3 * q)
+        low, middle, high = around[:q], around[q : 2 * q], around[2 * q :]
+        h = path.grid.step / substeps
+        k1 = rate(state, low)
+        k2 = rate(state + h / 2 * k1, middle)
+        k3 = rate(state + h / 2 * k2, middle)
+        k4 = rate(state + h * k3, high)
+        after = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        # the cubic through both ends gives the middle
+        half = (state + after) / 2 + h / 8 * (k1 - rate(after, high))
+        self._step = ca.Function("own", [state, around], [after, half])
+
+    def run(self) -> list[Array]:
+        """For each half substep of a sample, start to end, the states (ne, N-1)."""
+        path, parts = self.path, self.substeps
+        steps = path.grid.samples - 1
+        stacked = []
+        for k in range(parts):
+            sides = [path.between((2 * k + j) / (2 * parts)) for j in range(3)]
+            stacked.append(np.concatenate([np.concatenate(p.arguments) for p in sides]))
+        given = np.stack(stacked, axis=2).reshape(len(stacked[0]), steps * parts)
+        after, half = self._step.mapaccum(steps * parts)(self.start, given)
+        after = np.asarray(after, dtype=float).reshape(len(self.start), steps, parts)
+        half = np.asarray(half, dtype=float).reshape(len(self.start), steps, parts)
+        before = np.concatenate([self.start[:, None], after[:, :, -1][:, :-1]], axis=1)
+        out = [before]
+        for k in range(parts):
+            out += [half[:, :, k], after[:, :, k]]
+        return out
+
+
+def grid_sensitivities(
+    path: NullPath, directions: Sequence[Direction], *, substeps: int | None = None
+) -> Array:
+    """dy/dpsi of K directions at the grid's samples, (K, ny, N)."""
+    sweep = Sweep(path, directions, substeps=substeps)
+    out = np.empty((path.grid.samples, *sweep.shape))
+    for shown, part in sweep:
+        out[shown] = part
+    return np.ascontiguousarray(out.transpose(2, 1, 0))
+
+
+def at_measurements(path: NullPath, values: Array) -> dict[str, Array]:
+    """(K, ny, N) values at the grid's samples as (K, samples) at the measured times of each output."""
+    grid, outputs = path.grid, tuple(out.name for out in path.model.outputs)
+    measured = {name: grid.measured[name] for name in outputs if name in grid.measured}
+    if all(m.on_grid for m in measured.values()):
+        return {name: values[:, outputs.index(name), m.position.astype(int)] for name, m in measured.items()}
+    plan = cut(grid, None)
+    observation = Observation(grid, plan, outputs)
+    index = np.minimum(plan.samples[:, None] + plan.q * np.arange(plan.b), grid.samples - 1)
+    laid = values[:, :, index].transpose(0, 2, 1, 3)
+    seen = observation.observe(np.ascontiguousarray(laid).reshape(len(values), -1, plan.b, 1))
+    return {name: seen.reshape(len(values), -1)[:, observation.where[name]] for name in measured}
+
+
+def accumulate(
+    path: NullPath,
+    directions: Sequence[Direction],
+    residual: Array,
+    weight: Array,
+    *,
+    substeps: int | None = None,
+) -> tuple[Array, Array]:
+    """JᵀJ (K, K) and Jᵀr (K,) of weighted sensitivities at the grid's samples, without keeping J.
+
+    residual : (ny, N) r; weight : (ny, N), by which both J and r are multiplied, zero where nothing counts
+    """
+    sweep = Sweep(path, directions, substeps=substeps)
+    width = len(sweep.directions)
+    gram, slope = np.zeros((width, width)), np.zeros(width)
+    for shown, part in sweep:
+        share = weight[:, shown].T
+        rows = (part * share[..., None]).reshape(-1, width)
+        gram += rows.T @ rows
+        slope += rows.T @ (residual[:, shown].T * share).ravel()
+    return gram, slope

@@ -1,0 +1,130 @@
+"""The null trajectory: states, channels and their values between samples along one simulated record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+
+from casadi_engine.model import Model
+from casadi_engine.simulation.grid import Drives, Grid
+from casadi_engine.simulation.intervals import cut
+from casadi_engine.simulation.jets import Array
+from casadi_engine.simulation.propagator import make_propagator
+from casadi_engine.simulation.tape import ArrayFunction
+
+
+@dataclass(frozen=True)
+class Points:
+    """Arguments of the model's functions at T points: states x (n, T), channels u (nu, T), drives d (m, T) (none
+    where functions make them of the channels) and time t (1, T) s."""
+
+    x: Array
+    u: Array
+    d: Array
+    t: Array
+
+    def part(self, chosen: slice) -> Points:
+        """A run of the points."""
+        return Points(self.x[:, chosen], self.u[:, chosen], self.d[:, chosen], self.t[:, chosen])
+
+    @property
+    def arguments(self) -> tuple[Array, Array, Array, Array]:
+        """x, u, d, t."""
+        return self.x, self.u, self.d, self.t
+
+
+@dataclass(frozen=True)
+class NullPath:
+    """One record simulated with known parameters and start.
+
+    x : (n, N) states at the grid's samples, in their units; slope : (n, N) their time derivative
+    d : (m, N) drives at the samples and drive_holds (m,) their holds, for a linear model, whose propagator
+    interpolates the drives themselves; (0, N) for any other, which interpolates the channels
+    p : (np,) parameters of the model
+    """
+
+    model: Model
+    grid: Grid
+    x: Array
+    slope: Array
+    d: Array
+    drive_holds: tuple[str, ...]
+    p: Array
+
+    @property
+    def states(self) -> int:
+        """Number of states n."""
+        return len(self.x)
+
+    def at_samples(self) -> Points:
+        """The grid's samples."""
+        return Points(self.x, self.grid.channels, self.d, self.grid.time[None])
+
+    def between(self, share: float) -> Points:
+        """The points at ``share`` (0 to 1) of each of the N - 1 steps: states by the cubic through both ends.
+
+        A channel with the zero-order hold keeps the value of the step's start, also at its end.
+        """
+        h, s = self.grid.step, share
+        x0, x1, d0, d1 = self.x[:, :-1], self.x[:, 1:], self.slope[:, :-1], self.slope[:, 1:]
+        low, rise = (1 + 2 * s) * (1 - s) ** 2, s * s * (3 - 2 * s)
+        x = low * x0 + rise * x1 + h * s * (1 - s) * ((1 - s) * d0 - s * d1)
+        u = _between(self.grid.channels, self.grid.holds, share)
+        return Points(x, u, _between(self.d, self.drive_holds, share), self.grid.time[None, :-1] + s * h)
+
+    @property
+    def held(self) -> bool:
+        """True if a channel jumps at samples, so that a step's end differs from the next one's start."""
+        return any(hold != "first" for hold in self.grid.holds)
+
+    def function(self, expressions: list[ca.SX], *extra: ca.SX) -> ArrayFunction:
+        """An array function of (x, u, d, t, *extra) with the parameters put in, and w where it occurs."""
+        model = self.model
+        drives = model.d if len(self.d) else ca.SX(0, 1)
+        inputs = [model.x, model.u, drives, model.t, *extra]
+        stacked = ca.vertcat(*[ca.vec(ca.densify(e)) for e in expressions])
+        if model.w.numel():
+            stacked = ca.substitute(stacked, model.w, model.slot_laws)
+        if model.d.numel() and not len(self.d):
+            stacked = ca.substitute(stacked, model.d, model.drive_expressions)
+        if model.p.numel():
+            stacked = ca.substitute(stacked, model.p, ca.SX(ca.DM(self.p)))
+        return ArrayFunction(inputs, [ca.cse(stacked)])
+
+
+def null_path(model: Model, grid: Grid, p: Array, start: Array) -> NullPath:
+    """Simulate a record at p : (np,) from the state ``start`` : (n,) at its first sample, by single shooting.
+
+    Raises FloatingPointError where the states are not finite.
+    """
+    p, start = np.asarray(p, dtype=float), np.asarray(start, dtype=float)
+    observed = replace(model, outputs=model.states, output_expressions=model.x)
+    bare = replace(grid, measured={})
+    plan = cut(bare, None)
+    scale = np.array([state.scale for state in model.states])
+    none = ca.SX(0, 1)
+    propagator = make_propagator(observed, bare, plan, none, ca.SX(ca.DM(p)), scale=scale)
+    path = propagator.propagate(np.zeros(0), (start / scale)[None], 0)
+    rows = path.y[0].reshape(len(plan.samples), len(start), plan.b).transpose(1, 2, 0)
+    x = np.ascontiguousarray(rows.reshape(len(start), -1)[:, : grid.samples])
+    if not np.isfinite(x).all():
+        raise FloatingPointError("the model's state is not finite here")
+    return with_slope(model, grid, x, p)
+
+
+def with_slope(model: Model, grid: Grid, x: Array, p: Array) -> NullPath:
+    """The null path of known states x : (n, N)."""
+    drives, holds = np.zeros((0, grid.samples)), ()
+    if model.linear is not None and not model.has_slot_laws and model.d.numel():
+        made = Drives(model, grid, ca.SX(0, 1), ca.SX(ca.DM(p)))
+        drives, holds = made.at(np.zeros(0)).value, made.holds
+    path = NullPath(model, grid, x, x, drives, holds, p)
+    found = path.function([model.ode])(*path.at_samples().arguments)[0]
+    return replace(path, slope=np.broadcast_to(found, x.shape))
+
+
+def _between(values: Array, holds: tuple[str, ...], share: float) -> Array:
+    first = np.array([hold == "first" for hold in holds], dtype=float).reshape(-1, 1)
+    return np.asarray(values[:, :-1] + share * first * (values[:, 1:] - values[:, :-1]))
