@@ -10,6 +10,8 @@ from casadi_engine.model.firing import firing_offsets
 from casadi_engine.model.linear import LinearCore
 from casadi_engine.model.model import Model
 from casadi_engine.model.modes import Modes, matrix_derivatives, natural_frequency_derivatives
+from casadi_engine.model.receptance import Receptance, receptance
+from casadi_engine.model.reduction import Reduction, reduce
 
 __all__ = [
     "Blueprint",
@@ -24,6 +26,8 @@ __all__ = [
     "ParameterDeclaration",
     "Port",
     "Ports",
+    "Receptance",
+    "Reduction",
     "Variable",
     "crankshaft",
     "declare_chain",
@@ -31,6 +35,8 @@ __all__ = [
     "matrix_derivatives",
     "natural_frequency_derivatives",
     "one_inertia",
+    "receptance",
+    "reduce",
     "thesis_ties",
     "two_mass",
     "write_chain",

@@ -52,6 +52,7 @@ class Chain:
 
     `torques[i]` acts on inertia i: of its absolute damper, its couplings and the slots of these ports.
     `rates` are the twists' rates [rad/s]; `angles` the inertias' angles [rad], None where not known.
+    `slots` are those of the inertias' ports, then of the couplings'.
     """
 
     inertias: tuple[Inertia, ...]
@@ -61,6 +62,7 @@ class Chain:
     torques: tuple[Any, ...]
     rates: tuple[Any, ...]
     angles: tuple[Any, ...]
+    slots: tuple[Any, ...]
 
 
 def declare_chain(
@@ -86,18 +88,21 @@ def declare_chain(
         for side, twist in zip(near, twists, strict=True):
             angles.append(angles[side] + twist)
     torques: list[Any] = []
+    slots: list[Any] = []
     for body, speed, turned in zip(inertias, speeds, angles, strict=True):
         signals = {"speed": speed} | ({} if turned is None else {"angle": turned})
         slot = b.port(body.port, "inertia", signals, description=body.description)
+        slots.append(slot)
         torques.append(slot if body.damping is None else -body.damping * speed + slot)
     rates = [speeds[index + 1] - speeds[side] for index, side in enumerate(near)]
     for index, (joint, side) in enumerate(zip(couplings, near, strict=True)):
-        signals = {"twist": twists[index], "twist_rate": rates[index]}
+        signals = {"twist": twists[index], "twist_rate": rates[index], "stiffness": joint.stiffness}
         slot = b.port(joint.port, "coupling", signals, description=joint.description)
+        slots.append(slot)
         torque = joint.stiffness * twists[index] + joint.damping * rates[index] + slot
         torques[side] = torques[side] + torque
         torques[index + 1] = torques[index + 1] - torque
-    return Chain(*map(tuple, (inertias, couplings, speeds, twists, torques, rates, angles)))
+    return Chain(*map(tuple, (inertias, couplings, speeds, twists, torques, rates, angles, slots)))
 
 
 def write_chain(b: Blueprint, chain: Chain, outer: Sequence[Any]) -> None:
