@@ -7,7 +7,7 @@ the solution leads to other optima. The switch is made in one run, when the obje
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.errors import ModelError
+from casadi_engine.estimation.descent import Descender, Descent, gap_of
 from casadi_engine.estimation.interrupts import Interrupts
-from casadi_engine.estimation.shooting import ShootingProblem
+from casadi_engine.estimation.shooting import Point, ShootingProblem
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, float], bool]
@@ -26,6 +27,9 @@ Progress = Callable[[int, float], bool]
 _DAMPING = 0.1
 # Relative change of the objective that counts as settled.
 _SETTLED = 3e-2
+
+# Steps of the first phase before IPOPT starts from the beginning.
+_FIRST = 60
 
 # Options of IPOPT that every fit has.
 _OPTIONS = {
@@ -44,6 +48,14 @@ _OPTIONS = {
     "acceptable_dual_inf_tol": 1.0,
     "bound_relax_factor": 0.0,
     "nlp_scaling_method": "none",
+}
+
+# Options by which IPOPT starts at an optimum found before: it stays there, and finds the multipliers itself.
+_NEAR = {
+    "mu_init": 1e-11,
+    "bound_push": 1e-12,
+    "bound_frac": 1e-12,
+    "bound_mult_init_method": "mu-based",
 }
 
 _WORDS = {
@@ -177,19 +189,27 @@ class Solver:
         self._best: tuple[float, Array] | None = None
         # The solver holds no reference of its own to Python callbacks.
         self._kept = [*_functions(problem), self._watcher()]
-        options: dict[str, Any] = {
-            "grad_f": self._kept[1],
-            "jac_g": self._kept[2],
-            "hess_lag": self._kept[3],
-            "iteration_callback": self._kept[4],
-            "no_nlp_grad": True,
-            "calc_lam_p": False,
-            "print_time": False,
-            "error_on_fail": False,
-            "show_eval_warnings": False,
-            "ipopt": {**_OPTIONS, "max_iter": max_iterations, "tol": tolerance},
-        }
-        self._solver = ca.nlpsol("fit", "ipopt", self._kept[0], options)
+        self._ipopt = {**_OPTIONS, "max_iter": max_iterations, "tol": tolerance}
+        self._most = max_iterations
+        self._made: dict[bool, Any] = {}
+
+    def _solver(self, near: bool) -> Any:
+        """nlpsol for a start anywhere, or for one near the optimum; made when first wanted."""
+        if near not in self._made:
+            options: dict[str, Any] = {
+                "grad_f": self._kept[1],
+                "jac_g": self._kept[2],
+                "hess_lag": self._kept[3],
+                "iteration_callback": self._kept[4],
+                "no_nlp_grad": True,
+                "calc_lam_p": False,
+                "print_time": False,
+                "error_on_fail": False,
+                "show_eval_warnings": False,
+                "ipopt": {**self._ipopt, **(_NEAR if near else {})},
+            }
+            self._made[near] = ca.nlpsol("fit", "ipopt", self._kept[0], options)
+        return self._made[near]
 
     def _watcher(self) -> _Supplied:
         """Called once an iteration: shows progress, keeps the best point, switches the Hessian, stops on Ctrl-C."""
@@ -197,19 +217,23 @@ class Solver:
         inputs = {"x": x, "f": one, "g": g, "lam_x": x, "lam_g": g, "lam_p": none}
 
         def watch(value: Any, cost: Any, constraints: Any, *_: Any) -> Any:
-            found = float(cost)
-            self._history.append(found)
             gap = float(np.abs(np.asarray(constraints)[self.problem.user.count :]).max(initial=0.0))
-            if gap < 1e-3 and (self._best is None or found < self._best[0]):
-                self._best = (found, np.asarray(value, dtype=float).ravel().copy())
+            stop = self._seen(np.asarray(value, dtype=float).ravel(), float(cost), gap)
             if not self.problem.exact and self._settled(gap):
                 self.problem.exact = True
-            stop = self._interrupted = self._interrupted or self._interrupts.stopped
-            if self._progress is not None and self._progress(len(self._history) - 1, found):
-                self._interrupted = stop = True
             return [1.0 if stop else 0.0]
 
         return _Supplied("watch", inputs, {"ret": one}, watch)
+
+    def _seen(self, x: Array, cost: float, gap: float) -> bool:
+        """Note a point of the search and show it; True to stop."""
+        self._history.append(cost)
+        if gap < 1e-3 and (self._best is None or cost < self._best[0]):
+            self._best = (cost, x.copy())
+        stop = self._interrupted = self._interrupted or self._interrupts.stopped
+        if self._progress is not None and self._progress(len(self._history) - 1, cost):
+            self._interrupted = stop = True
+        return stop
 
     def _settled(self, gap: float) -> bool:
         if len(self._history) < 3:
@@ -222,17 +246,48 @@ class Solver:
     def solve(self, start: Array, lower: Array, upper: Array, *, exact: bool = False) -> Solution:
         """Run from ``start`` (size,) within bounds (size,)."""
         problem = self.problem
-        problem.exact, problem.damping = exact, _DAMPING
+        problem.damping = _DAMPING
         self._history, self._best, self._interrupted = [], None, False
+        done = 0
+        if not problem.user.count:
+            first = self._descend(start, lower, upper, exact)
+            done = first.steps
+            if first.stopped or (done >= self._most and not first.settled):
+                words = "interrupted" if first.stopped else "Maximum_Iterations_Exceeded"
+                status = words if first.stopped else f"not converged: {_WORDS[words]}"
+                x = self._best[1] if first.stopped and self._best is not None else first.x
+                return Solution(x, np.zeros(problem.rows), np.zeros(problem.size), status, done, words)
+            if first.settled:
+                last = self._ipopt_from(first.x, lower, upper, near=True)
+                if last.status in ("converged", "interrupted"):
+                    return replace(last, iterations=done + last.iterations)
+            self._history = []
+        problem.exact = exact
+        found = self._ipopt_from(start, lower, upper)
+        return replace(found, iterations=done + found.iterations)
+
+    def _descend(self, start: Array, lower: Array, upper: Array, exact: bool) -> Descent:
+        """The first phase: condensed Newton steps."""
+        problem = self.problem
+
+        def watch(point: Point) -> bool:
+            return self._seen(point.x, point.objective, gap_of(point, problem.user.count))
+
+        return Descender(problem, lower, upper).run(start, watch, min(_FIRST, self._most), exact=exact)
+
+    def _ipopt_from(self, start: Array, lower: Array, upper: Array, *, near: bool = False) -> Solution:
+        """IPOPT from ``start``; ``near`` where the start is an optimum already."""
+        problem = self.problem
         joints = problem.rows - problem.user.count
         low = np.concatenate([problem.user.lower, np.zeros(joints)])
         high = np.concatenate([problem.user.upper, np.zeros(joints)])
-        answer = self._solver(x0=start, lbx=lower, ubx=upper, lbg=low, ubg=high)
+        problem.exact = problem.exact or near
+        answer = self._solver(near)(x0=start, lbx=lower, ubx=upper, lbg=low, ubg=high)
         for function in self._kept:
             if function.failure is not None:
                 failure, function.failure = function.failure, None
                 raise failure
-        stats = self._solver.stats()
+        stats = self._solver(near).stats()
         words = str(stats["return_status"])
         x = np.asarray(answer["x"], dtype=float).ravel()
         if self._interrupted:

@@ -104,6 +104,7 @@ class Search:
         )
         self._initial = [initial_bounds(initial, model, name, names) for name in names]
         self._bounds()
+        self.sigma = np.zeros(0)
         self.levels = NoiseLevels(noise, model, self.records)
         self._weigh(self.levels.first())
         self.solver = Solver(
@@ -127,6 +128,8 @@ class Search:
 
     def _weigh(self, sigma: Array) -> None:
         """Weight all residuals by the levels (ny,)."""
+        if np.array_equal(sigma, self.sigma):  # what was evaluated still holds
+            return
         self.sigma = sigma
         for record in self.records:
             record.set_sigma(sigma)
