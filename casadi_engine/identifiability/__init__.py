@@ -1,0 +1,24 @@
+"""Identifiability: what a model, its experiments and its data can tell about the parameters."""
+
+from casadi_engine.identifiability.choice import Candidate, ExperimentChoice, choose_experiments
+from casadi_engine.identifiability.fisher import Information, SloppyDirection, fisher
+from casadi_engine.identifiability.operating import PlannedExperiment
+from casadi_engine.identifiability.plans import plan
+from casadi_engine.identifiability.profile import Profile, ProfileLine, profile
+from casadi_engine.identifiability.sweep import LossSweep, loss_sweep
+
+__all__ = [
+    "Candidate",
+    "ExperimentChoice",
+    "Information",
+    "LossSweep",
+    "PlannedExperiment",
+    "Profile",
+    "ProfileLine",
+    "SloppyDirection",
+    "choose_experiments",
+    "fisher",
+    "loss_sweep",
+    "plan",
+    "profile",
+]

@@ -1,0 +1,349 @@
+"""profile: the profile likelihood of parameters of a fit, with its intervals."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+from scipy.stats import f as f_distribution
+
+from casadi_engine.errors import CasadiEngineError, EstimationError
+from casadi_engine.estimation.estimate import estimate
+from casadi_engine.estimation.fit import Estimate, Fit
+from casadi_engine.estimation.options import whole
+from casadi_engine.parameters import near_matches
+from casadi_engine.problem.noise import Noise
+
+Array = NDArray[np.float64]
+
+# Steps of the root of the cost's rise, as shares of the threshold's root, and how far a side is followed in them.
+_BEYOND, _MOST_REFITS = 1.5, 40
+# A step never moves the parameter by more than this factor of what the quadratic of the fit foresees.
+_GROWTH = 3.0
+# A refit this much below the fit's cost found a better optimum.
+_BETTER = 1e-3
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An interval by profile likelihood: low, high in the parameter's unit; None on a side that is open.
+
+    low_why, high_why : None, "at its bound", "open: the data set no limit here" or why a refit failed
+    """
+
+    low: float | None
+    high: float | None
+    low_why: str | None = None
+    high_why: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class ProfileLine:
+    """The profile of one parameter.
+
+    values : (P,) rising, in its unit; rise : (P,) of the cost above the fit's, the other parameters refitted
+    others : name -> (P,), the other free parameters along the profile
+    estimate : the fit's. threshold : rise at the ends of the interval
+    """
+
+    name: str
+    unit: str
+    values: Array
+    rise: Array
+    others: Mapping[str, Array]
+    estimate: Estimate
+    interval: Interval
+    threshold: float
+
+    def quadratic(self, values: Array) -> Array | None:
+        """The rise that the fit's standard error foresees at these values, or None without one."""
+        error = self.estimate.stderr
+        return None if not error else ((values - self.estimate.value) / error) ** 2
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """Profile likelihoods of parameters of a fit.
+
+    lines : name -> ProfileLine; level : of the intervals; refits : how many fits it took
+    messages : what the user should know
+    """
+
+    fit: Fit
+    lines: Mapping[str, ProfileLine]
+    level: float
+    refits: int
+    messages: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        from casadi_engine.identifiability.practical_summary import profile_text
+
+        return profile_text(self)
+
+    def __getitem__(self, name: str) -> ProfileLine:
+        if name in self.lines:
+            return self.lines[name]
+        raise EstimationError(
+            "there is no profile of this parameter",
+            seen=repr(name),
+            allowed=", ".join(self.lines),
+            cure="ask for it: ce.profile(fit, name)",
+        )
+
+    @property
+    def intervals(self) -> dict[str, tuple[float | None, float | None]]:
+        """Name -> (low, high)."""
+        return {name: (line.interval.low, line.interval.high) for name, line in self.lines.items()}
+
+
+def profile(
+    fit: Fit,
+    *names: str,
+    points: int = 9,
+    level: float = 0.95,
+    progress: Callable[[str, int], Any] | None = None,
+) -> Profile:
+    """Profile likelihood of free parameters: the cost as each is held at values around the estimate, the rest refitted.
+
+    Each refit starts from the last one, moved along the tangent. A side ends where the cost has risen well beyond
+    the threshold, at a bound, or where it is plain that no limit comes.
+
+    fit : a converged Fit; names : free parameters (default: all)
+    points : values on each side up to the interval's end; level : of the intervals
+    progress : None, or a function of (name, number of refits so far)
+
+    The interval ends where the cost, with the noise level of the fit, has risen by the chi-squared quantile with one
+    degree of freedom; where the noise level was estimated, by the F quantile with the fit's degrees of freedom,
+    which for many samples is the same.
+    Returns a Profile. Raises EstimationError for a fit that did not converge, a robust loss, or an unknown name.
+    Source: Raue et al., Bioinformatics 25, 2009; Bates & Watts, Nonlinear Regression Analysis, 1988.
+
+    >>> import numpy as np, casadi_engine as ce
+    >>> t = np.arange(200) * 0.01
+    >>> noise = 0.02 * np.random.default_rng(1).standard_normal(200)
+    >>> exp = ce.Experiment.from_arrays("run_up", time=t, units={"T": "N m", "omega": "rad/s"}, hold="zero",
+    ...     T=np.full(200, 2.0), omega=4 * (1 - np.exp(-t / 0.8)) + noise)
+    >>> fit = ce.estimate(ce.one_inertia(), exp, noise=ce.Noise(omega=0.02))
+    >>> low, high = profile(fit, "J_eng", points=3).intervals["J_eng"]
+    >>> low < 0.4 < high
+    True
+    """
+    _check(fit, level)
+    points = whole("points", points, 2)
+    known = [name for name in fit.free if name in fit.parameters and fit.parameters[name].vary]
+    for name in names:
+        if name not in known:
+            raise EstimationError(
+                "there is no such free parameter in the fit, or it is tied or varies by experiment",
+                seen=repr(name),
+                allowed=near_matches(name, known) if known else "(none)",
+                cure="name parameters that are free and shared by all records",
+            )
+    estimated = any(found for _, found in fit.noise.values())
+    quantile = f_distribution.ppf(level, 1, fit.dof) if estimated and fit.dof > 0 else chi2.ppf(level, 1)
+    walker = _Walker(fit, float(quantile), points, progress)
+    lines = {name: walker.line(name) for name in dict.fromkeys(names or known)}
+    return Profile(fit, lines, level, walker.refits, tuple(dict.fromkeys(walker.messages)))
+
+
+def _check(fit: Any, level: Any) -> None:
+    if not isinstance(fit, Fit):
+        raise EstimationError(
+            "a profile needs a fit",
+            seen=type(fit).__name__,
+            allowed="a Fit",
+            cure="give what ce.estimate returned",
+        )
+    if not fit.converged or not fit.free:
+        raise EstimationError(
+            "a profile needs a fit that converged, with free parameters",
+            seen=fit.status if fit.free else "no free parameter",
+            allowed="a converged fit",
+            cure="fit again with other start values, more iterations, or more free parameters",
+        )
+    if fit.options.get("loss", "square") != "square":
+        raise EstimationError(
+            "a profile likelihood needs the likelihood of normal noise",
+            seen=f"loss={fit.options['loss']}",
+            allowed='loss="square"',
+            cure='fit again with loss="square", outliers masked',
+        )
+    number = isinstance(level, int | float) and not isinstance(level, bool)
+    if not (number and 0 < level < 1):
+        raise EstimationError(
+            "the level of the intervals is not acceptable",
+            seen=repr(level),
+            allowed="a number between 0 and 1, such as 0.95",
+            cure="leave it out for 0.95",
+        )
+
+
+@dataclass(frozen=True)
+class _Warm:
+    """What ``estimate`` starts from: the values foreseen, with the initial states of the last refit."""
+
+    values: Mapping[str, float]
+    initial: Mapping[str, Any]
+    noise: Mapping[str, tuple[float, bool]]
+    converged: bool = True
+
+
+@dataclass
+class _Point:
+    value: float
+    rise: float
+    fit: Any
+
+
+class _Walker:
+    """Refits along one parameter at a time."""
+
+    def __init__(self, fit: Fit, threshold: float, points: int, progress: Any) -> None:
+        self.fit, self.threshold, self.points, self.progress = fit, threshold, points, progress
+        levels: dict[str, Any] = {name: sigma for name, (sigma, _) in fit.noise.items()}
+        self.noise = Noise(gain=fit.gain, **levels)
+        # The fixed states of the fit stay fixed; its cost counts with the noise levels that it found.
+        self.initial = {
+            record: {state: one.value for state, one in states.items() if one.fixed}
+            for record, states in fit.initial.items()
+        }
+        self.refits = 0
+        self.messages: list[str] = []
+        if fit.gain is not None:
+            self.messages.append("the predictor's gain is held at the fit's, not estimated again")
+        self.base = fit.cost
+
+    def line(self, name: str) -> ProfileLine:
+        own = self.fit.estimates[name]
+        centre = _Point(own.value, 0.0, self.fit)
+        down, low, low_why = self._side(name, centre, -1.0)
+        up, high, high_why = self._side(name, centre, +1.0)
+        course = [*reversed(down), centre, *up]
+        others = {
+            other: np.array([point.fit.values[other] for point in course])
+            for other in self.fit.free
+            if other != name
+        }
+        return ProfileLine(
+            name,
+            own.unit,
+            np.array([point.value for point in course]),
+            np.array([point.rise for point in course]),
+            others,
+            own,
+            Interval(low, high, low_why, high_why),
+            self.threshold,
+        )
+
+    def _side(self, name: str, centre: _Point, sign: float) -> tuple[list[_Point], float | None, str | None]:
+        """Points on one side, the interval's end there, and why there is none."""
+        parameter = self.fit.parameters[name]
+        limit = parameter.min if sign < 0 else parameter.max
+        root = math.sqrt(self.threshold)
+        found: list[_Point] = []
+        step, last = self._first_step(name, centre), centre
+        target = root / self.points
+        for _ in range(_MOST_REFITS):
+            value = last.value + sign * step
+            at_limit = (value - limit) * sign >= 0
+            value = limit if at_limit else value
+            if value == last.value:
+                return found, None, "at its bound"
+            point = self._refit(name, value, last)
+            if isinstance(point, str):
+                return found, _crossing([centre, *found], root), point
+            found.append(point)
+            height = math.sqrt(max(point.rise, 0.0))
+            if height >= root:
+                end = self._refined(name, [centre, *found], root, found)
+                return sorted(found, key=lambda one: sign * one.value), end, None
+            if at_limit:
+                return found, None, "at its bound"
+            gained = height - math.sqrt(max(last.rise, 0.0))
+            step = min(step * _GROWTH, step * target / max(gained, target / _GROWTH))
+            last = point
+        return found, None, "open: the data set no limit here"
+
+    def _first_step(self, name: str, centre: _Point) -> float:
+        error = centre.fit.estimates[name].stderr
+        if error:
+            return float(math.sqrt(self.threshold) / self.points * error)
+        return 0.01 * abs(centre.value) or 0.01
+
+    def _refined(self, name: str, course: list[_Point], root: float, found: list[_Point]) -> float | None:
+        """The interval's end, with one more refit where the last step was so long that interpolation is coarse."""
+        end = _crossing(course, root)
+        before, after = course[-2], course[-1]
+        coarse = math.sqrt(after.rise) - math.sqrt(max(before.rise, 0.0)) > 2 * root / self.points
+        if end is None or not coarse:
+            return end
+        point = self._refit(name, end, before)
+        if isinstance(point, str):
+            return end
+        found.append(point)
+        course = sorted([*course, point], key=lambda one: abs(one.value - course[0].value))
+        return _crossing(course, root)
+
+    def _refit(self, name: str, value: float, last: _Point) -> _Point | str:
+        """The fit with the parameter held at a value, or why there is none."""
+        own, held = self.fit, self.fit.parameters.copy()
+        held.fix(name, value)
+        guess = {key: last.fit.values[key] for key in own.free if key != name}
+        tangent = _tangent(own, name)
+        for key, slope in tangent.items():
+            guess[key] += slope * (value - last.value)
+        self.refits += 1
+        try:
+            fit = estimate(
+                own.model,
+                own.data,
+                parameters=held,
+                noise=self.noise,
+                initial=self.initial,
+                interval=own.options.get("interval", "auto"),
+                ties=own.options.get("ties", "substitute"),
+                method=own.options.get("method", "exact"),
+                warm=_Warm(guess, last.fit.initial, own.noise),
+                progress=False,
+            )
+        except CasadiEngineError as error:
+            return f"the refit failed: {error.problem}"
+        if self.progress is not None:
+            self.progress(name, self.refits)
+        if not fit.converged:
+            return f"the refit did not converge: {fit.status}"
+        rise = fit.cost - self.base
+        if rise < -_BETTER * max(1.0, self.threshold):
+            self.messages.append(
+                f"a refit with {name} = {value:.6g} costs {-rise:.3g} less than the fit: start again there"
+            )
+        return _Point(value, rise, fit)
+
+
+def _tangent(fit: Fit, name: str) -> dict[str, float]:
+    """How the other free parameters move with this one, to first order (d other / d name)."""
+    k = fit.free.index(name)
+    variance = fit.covariance[k, k]
+    if not np.isfinite(variance) or variance <= 0:
+        return {}
+    slopes = fit.covariance[:, k] / variance
+    return {
+        other: float(slope)
+        for other, slope in zip(fit.free, slopes, strict=True)
+        if other != name and np.isfinite(slope)
+    }
+
+
+def _crossing(course: list[_Point], root: float) -> float | None:
+    """Where the root of the rise reaches ``root``, by linear interpolation of the root (a parabola is exact)."""
+    for before, after in itertools.pairwise(course):
+        low, high = math.sqrt(max(before.rise, 0.0)), math.sqrt(max(after.rise, 0.0))
+        if low < root <= high:
+            return before.value + (after.value - before.value) * (root - low) / (high - low)
+    return None
