@@ -45,6 +45,7 @@ class Driven:
     """An inertia that the crankshaft drives through a coupling; the defaults are the thesis's dynamometer.
 
     inertia : J [kg m2]        stiffness : K [N m/rad]        damping : C [N m s/rad], of the coupling
+    absolute_damping : damper to the ground [N m s/rad] of its bearings, C7 for inertia 7; None for none
     behind : number of the inertia it is coupled to (1 is the wheel), which makes a branch; None: the one before
     load : name of a channel of a braking torque on it [N m], or None
     description : one clause for tables
@@ -53,6 +54,7 @@ class Driven:
     inertia: float = 1 / 5.646
     stiffness: float = 1992.0
     damping: float = 2.5
+    absolute_damping: float | None = None
     behind: int | None = None
     load: str | None = None
     description: str = "dynamometer"
@@ -97,45 +99,21 @@ def crankshaft(
     options = CylinderOptions(
         count, firing_order, firing_offsets, geometry, reciprocating_speed, reciprocating_inertia
     )
-    check_option("angle", angle, ("measured", "state"))
-    linear = reciprocating_speed == "measured"
-    if linear and angle == "state":
-        raise ModelError(
-            "the linear form takes the crank angle from its channel",
-            seen='reciprocating_speed="measured", angle="state"',
-            allowed='angle="state" with reciprocating_speed="model"',
-            cure='set reciprocating_speed="model", or angle="measured"',
-        )
-    others = _with_load(_read_driven(driven, count + 2))
+    _check_angle(angle, reciprocating_speed)
+    line = _with_load(_read_driven(driven, count + 2))
     b = Blueprint(name, description=f"crankshaft with {count} cylinder{'s' * (count > 1)}")
-    bodies, joints = _parts(b, count, others)
+    bodies, joints = _parts(b, count, line)
     theta = crank_angle(b) if angle == "measured" else None
     start = b.state("theta_1", unit="rad", description="angle of the wheel") if theta is None else theta
     chain = declare_chain(b, bodies, joints, angle=start)
-    throws = range(1, count + 1)  # the inertias of the cylinders, counted from 0
-    made = declare_cylinders(
-        b,
-        options,
-        theta=theta,
-        speeds=[chain.speeds[i] for i in throws],
-        angles=None if linear else [chain.angles[i] for i in throws],
-    )
-    outer: list[Any] = [0] * len(bodies)
-    for i, drive, slot in zip(throws, made.drives, made.slots, strict=True):
-        outer[i] = drive + slot + made.common / count
-    loaded = [index for index, one in enumerate(others, start=count + 1) if one.load is not None]
-    for index in loaded:
-        outer[index] -= load_drive(b, str(others[index - count - 1].load))
-    if reciprocating_inertia == "variable":
-        _vary_inertias(b, chain, made.inertia_change, outer)
-    write_chain(b, chain, outer)
+    write_chain(b, chain, _outer_torques(b, options, chain, line, theta))
     if theta is None:
         b.ode("theta_1", chain.speeds[0])
-    known = {"omega": (chain.speeds[0], "speed of the wheel")}
-    known["omega_load"] = (
-        chain.speeds[loaded[0]],
-        f"speed of the {others[loaded[0] - count - 1].description}",
-    )
+    loaded = next(k for k, one in enumerate(line) if one.load is not None)
+    known = {
+        "omega": (chain.speeds[0], "speed of the wheel"),
+        "omega_load": (chain.speeds[count + 1 + loaded], f"speed of the {line[loaded].description}"),
+    }
     declare_outputs(b, outputs, known | ({"theta": (start, "angle of the wheel")} if theta is None else {}))
     return b.model()
 
@@ -181,11 +159,36 @@ def thesis_ties(parameters: Parameters) -> Parameters:
         made.fix("C32")
     number = count + 3
     while f"J{number}" in made:
-        links = [f"{letter}{number}{i}" for letter in "KC" for i in range(1, number)]
+        links = [f"{letter}{number}{i}" for letter in "KC" for i in range(1, number)] + [f"C{number}"]
         for each in (f"J{number}", *(link for link in links if link in made)):
             made.fix(each)
         number += 1
     return made
+
+
+def _outer_torques(
+    b: Blueprint, options: CylinderOptions, chain: Chain, line: Sequence[Driven], theta: Any
+) -> list[Any]:
+    """Declare cylinders and loads; for each inertia the torque from outside the chain [N m]."""
+    count = options.cylinders
+    throws = range(1, count + 1)  # the inertias of the cylinders, counted from 0
+    linear = options.reciprocating_speed == "measured"
+    made = declare_cylinders(
+        b,
+        options,
+        theta=theta,
+        speeds=[chain.speeds[i] for i in throws],
+        angles=None if linear else [chain.angles[i] for i in throws],
+    )
+    outer: list[Any] = [0] * len(chain.inertias)
+    for i, drive, slot in zip(throws, made.drives, made.slots, strict=True):
+        outer[i] = drive + slot + made.common / count
+    for index, one in enumerate(line, start=count + 1):
+        if one.load is not None:
+            outer[index] -= load_drive(b, one.load)
+    if options.reciprocating_inertia == "variable":
+        _vary_inertias(b, chain, made.inertia_change, outer)
+    return outer
 
 
 def _tie_equal(parameters: Parameters, name: str, leader: str) -> None:
@@ -196,15 +199,15 @@ def _tie_equal(parameters: Parameters, name: str, leader: str) -> None:
     parameters.tie(name, leader)
 
 
-def _parts(b: Blueprint, count: int, others: Sequence[Driven]) -> tuple[list[Inertia], list[Coupling]]:
+def _parts(b: Blueprint, count: int, line: Sequence[Driven]) -> tuple[list[Inertia], list[Coupling]]:
     """Declare the parameters; the inertias and couplings of a chain, first those of the wheel to the flywheel."""
     flywheel = count + 2
     words = ["damping wheel", *(f"cylinder {k}" for k in range(1, count + 1)), "flywheel"]
-    words += [one.description for one in others[1:]]
-    j_values = [J_WHEEL, *[J_CYLINDER] * count, J_FLYWHEEL, *(one.inertia for one in others[1:])]
-    k_values = [K_WHEEL, *[K_CYLINDER] * (count - 1), K_FLYWHEEL, *(one.stiffness for one in others[1:])]
-    c_values = [C_WHEEL, *[C_COUPLING] * count, *(one.damping for one in others[1:])]
-    behind = [*range(1, flywheel), *(one.behind or flywheel + i for i, one in enumerate(others[1:]))]
+    words += [one.description for one in line[1:]]
+    j_values = [J_WHEEL, *[J_CYLINDER] * count, J_FLYWHEEL, *(one.inertia for one in line[1:])]
+    k_values = [K_WHEEL, *[K_CYLINDER] * (count - 1), K_FLYWHEEL, *(one.stiffness for one in line[1:])]
+    c_values = [C_WHEEL, *[C_COUPLING] * count, *(one.damping for one in line[1:])]
+    behind = [*range(1, flywheel), *(one.behind or flywheel + i for i, one in enumerate(line[1:]))]
     labels = [f"{far}{near}" for far, near in enumerate(behind, start=2)]
     inertias = [
         inertia_parameter(b, f"J{i}", value, f"inertia of the {word}")
@@ -223,6 +226,10 @@ def _parts(b: Blueprint, count: int, others: Sequence[Driven]) -> tuple[list[Ine
     absolute: list[Any] = [None] * len(inertias)
     for i in range(2, count + 2):
         absolute[i - 1] = damper_parameter(b, f"C{i}", C_ABSOLUTE, f"absolute damping of {words[i - 1]}")
+    for i, one in enumerate(line[1:], start=flywheel + 1):
+        if one.absolute_damping is not None:
+            text = f"absolute damping of {one.description}"
+            absolute[i - 1] = damper_parameter(b, f"C{i}", one.absolute_damping, text)
     bodies = [
         Inertia(f"inertia_{i}", f"omega_{i}", inertia, damper, None, f"speed of the {word}")
         for i, (inertia, damper, word) in enumerate(zip(inertias, absolute, words, strict=True), start=1)
@@ -243,6 +250,17 @@ def _vary_inertias(b: Blueprint, chain: Chain, changes: Sequence[Any], outer: li
         inertia = chain.inertias[k].inertia
         outer[k] += vary_inertia(
             b, change=change, inertia=inertia, torque=torque, port=f"variable_inertia_{k}"
+        )
+
+
+def _check_angle(angle: str, reciprocating_speed: str) -> None:
+    check_option("angle", angle, ("measured", "state"))
+    if reciprocating_speed == "measured" and angle == "state":
+        raise ModelError(
+            "the linear form takes the crank angle from its channel",
+            seen='reciprocating_speed="measured", angle="state"',
+            allowed='angle="state" with reciprocating_speed="model"',
+            cure='set reciprocating_speed="model", or angle="measured"',
         )
 
 
