@@ -19,7 +19,7 @@ from casadi_engine.simulation.intervals import Observation, cut
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.null_path import NullPath, Points
 from casadi_engine.simulation.tape import ArrayFunction
-from casadi_engine.simulation.variational import balance, scan, step_matrices
+from casadi_engine.simulation.variational import Steps, balance, scan, step_matrices
 
 # Samples worked on at a time: the arrays of a part then stay near the cache.
 _PART = 2048
@@ -36,6 +36,7 @@ class Direction:
     ode : (n, 1) SX, d(dx/dt)/dpsi; output : (ny, 1) SX, dy/dpsi beside the states' share; both in the model's
     (x, u, d, w, t, p) and in ``states``
     states, rates, start : symbols of the term's own states, their time derivatives at psi = 0 and first values
+    inputs, series : symbols of further known signals and their values (ns, N) at the grid's samples, linear between
     initial : (n,) derivative of the first state, or None for zero
     """
 
@@ -45,6 +46,8 @@ class Direction:
     states: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
     rates: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
     start: tuple[float, ...] = ()
+    inputs: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
+    series: Array | None = None
     initial: Array | None = None
 
 
@@ -127,7 +130,12 @@ class Sweep:
         model = path.model
         n, width = path.states, len(self.directions)
         self.shape = (len(model.outputs), width)
-        self.xi = ca.vertcat(ca.SX(0, 1), *[d.states for d in self.directions])
+        own = ca.vertcat(ca.SX(0, 1), *[d.states for d in self.directions])
+        inputs = ca.vertcat(ca.SX(0, 1), *[d.inputs for d in self.directions])
+        self._series = np.concatenate(
+            [np.zeros((0, path.grid.samples)), *[d.series for d in self.directions if d.series is not None]]
+        )
+        xi = ca.vertcat(own, inputs)
         self.constant = model.linear is not None and not model.has_slot_laws
         slopes = ca.jacobian(model.ode, model.x)
         if model.w.numel():
@@ -142,9 +150,10 @@ class Sweep:
         size = float(np.abs(a / self.scale[:, None] * self.scale).sum(axis=1).max(initial=0.0))
         wanted = math.ceil(size * path.grid.step / _STEP)
         self.substeps = min(max(1, wanted), _MOST_SUBSTEPS) if substeps is None else substeps
-        self._ode = _Columns(path, [d.ode for d in self.directions], self.xi, n)
-        self._out = _Columns(path, [d.output for d in self.directions], self.xi, self.shape[0])
-        self._own = _OwnStates(path, self.directions, self.xi, self.substeps) if self.xi.numel() else None
+        self._ode = _Columns(path, [d.ode for d in self.directions], xi, n)
+        self._out = _Columns(path, [d.output for d in self.directions], xi, self.shape[0])
+        self._own = _OwnStates(path, self.directions, own, self.substeps) if own.numel() else None
+        self._constant: tuple[Array, Steps] | None = None
 
     def _slopes(self, points: Points) -> tuple[Array, Array]:
         """A (T, n, n) and C (T, ny, n)."""
@@ -159,78 +168,63 @@ class Sweep:
 
     def __iter__(self) -> Iterator[tuple[slice, Array]]:
         """Parts of the grid's samples with dy/dpsi (T, ny, K)."""
-        path, parts = self.path, self.substeps
-        samples = path.grid.samples
-        state = np.zeros((path.states, self.shape[1]))
+        samples = self.path.grid.samples
+        state = np.zeros((self.path.states, self.shape[1]))
         for k, direction in enumerate(self.directions):
             if direction.initial is not None:
                 state[:, k] = direction.initial / self.scale
-        own = self._own.run() if self._own is not None else None
-        shares = [path.between(k / (2 * parts)) for k in range(2 * parts)]
-        if path.held:
-            ends = [path.between((2 * k + 2) / (2 * parts)) for k in range(parts)]
+        halves = self._halves()
         for first in range(0, samples - 1, _PART):
             here = slice(first, min(first + _PART, samples - 1))
-            count = here.stop - here.start
-            xi = [None] * (2 * parts + 1) if own is None else [o[:, here] for o in own]
-            points = [p.part(here) for p in shares]
-            values = [self._forcing(p, x) for p, x in zip(points, xi, strict=False)]
-            total, push = None, None
-            last = path.at_samples().part(slice(here.start + 1, here.stop + 1))
-            for k in range(parts):
-                if path.held:
-                    end = ends[k].part(here)
-                    a1, g1 = self._matrix(end), self._forcing(end, xi[2 * k + 2])
-                elif k + 1 < parts:
-                    a1, g1 = self._matrix(points[2 * k + 2]), values[2 * k + 2]
-                else:
-                    a1 = self._matrix(last)
-                    g1 = self._forcing(last, xi[2 * parts])
-                a0, am = self._matrix(points[2 * k]), self._matrix(points[2 * k + 1])
-                steps = self._steps(a0, am, a1)
-                own_push = steps.start @ values[2 * k] + steps.middle @ values[2 * k + 1] + steps.end @ g1
-                if total is None or push is None:
-                    total, push = steps.f, own_push
-                else:
-                    push = steps.f @ push + own_push
-                    total = steps.f @ total
-            assert total is not None and push is not None
-            push = np.broadcast_to(push, (count, *push.shape[1:]))
-            states = scan(total, push, state)
+            f, push = self._advance([(points.part(here), xi[:, here]) for points, xi in halves])
+            states = scan(f, np.broadcast_to(push, (here.stop - first, *push.shape[1:])), state)
             state = states[-1]
-            stop = here.stop + 1 if here.stop == samples - 1 else here.stop
-            shown = slice(here.start, stop)
-            yield shown, self._outputs(shown, states[: stop - here.start], own)
+            shown = slice(first, here.stop + 1 if here.stop == samples - 1 else here.stop)
+            yield shown, self._outputs(shown, states[: shown.stop - first], halves)
+
+    def _halves(self) -> list[tuple[Points, Array]]:
+        """Every half of a substep from a sample to the next, both included: points and further signals, N - 1 each."""
+        count = 2 * self.substeps
+        points = [self.path.between(k / count) for k in range(count + 1)]
+        low, rise = self._series[:, :-1], np.diff(self._series, axis=1)
+        signals = [low + (k / count) * rise for k in range(count + 1)]
+        if self._own is not None:
+            signals = [np.concatenate(pair) for pair in zip(self._own.run(), signals, strict=True)]
+        return list(zip(points, signals, strict=True))
+
+    def _advance(self, halves: list[tuple[Points, Array]]) -> tuple[Array, Array]:
+        """Transition (T, n, n) and push (T, n, K) over the samples of a part."""
+        matrices = [self._matrix(points) for points, _ in halves]
+        forces = [self._ode.at(points, xi) / self.scale[:, None] for points, xi in halves]
+        total, push = None, None
+        for k in range(0, len(halves) - 1, 2):
+            steps = self._steps(matrices[k], matrices[k + 1], matrices[k + 2])
+            own = steps.start @ forces[k] + steps.middle @ forces[k + 1] + steps.end @ forces[k + 2]
+            push = own if push is None else steps.f @ push + own
+            total = steps.f if total is None else steps.f @ total
+        return np.asarray(total), np.asarray(push)
 
     def _matrix(self, points: Points) -> Array:
-        """A scaled (T, n, n), or (1, n, n) for a linear model."""
+        """A of the scaled states (T, n, n), or (1, n, n) for a linear model."""
         if self.constant:
-            if not hasattr(self, "_constant_a"):
-                self._constant_a = self._scaled(self._slopes(points.part(slice(0, 1)))[0])
-            return self._constant_a
-        return self._scaled(self._slopes(points)[0])
+            points = points.part(slice(0, 1))
+        a = self._slopes(points)[0]
+        return np.ascontiguousarray(a / self.scale[:, None] * self.scale)
 
-    def _steps(self, a0: Array, am: Array, a1: Array):  # type: ignore[no-untyped-def]
+    def _steps(self, start: Array, middle: Array, end: Array) -> Steps:
         step = self.path.grid.step / self.substeps
         if not self.constant:
-            return step_matrices(a0, am, a1, step)
-        if not hasattr(self, "_constant_steps"):
-            self._constant_steps = step_matrices(a0, a0, a0, step)
-        return self._constant_steps
+            return step_matrices(start, middle, end, step)
+        if self._constant is None:
+            self._constant = (start, step_matrices(start, start, start, step))
+        return self._constant[1]
 
-    def _forcing(self, points: Points, xi: Array | None) -> Array:
-        return self._ode.at(points, xi) / self.scale[:, None]
-
-    def _outputs(self, shown: slice, states: Array, own: list[Array] | None) -> Array:
+    def _outputs(self, shown: slice, states: Array, halves: list[tuple[Points, Array]]) -> Array:
         points = self.path.at_samples().part(shown)
-        if self.constant:
-            c = self._slopes(points.part(slice(0, 1)))[1]
-        else:
-            c = self._slopes(points)[1]
-        xi = None
-        if own is not None:
-            last = own[-1][:, -1:] if shown.stop == self.path.grid.samples else own[0][:, :0]
-            xi = np.concatenate([own[0][:, shown], last], axis=1)
+        xi = halves[0][1][:, shown]
+        if shown.stop == self.path.grid.samples:
+            xi = np.concatenate([xi, halves[-1][1][:, -1:]], axis=1)
+        c = self._slopes(points.part(slice(0, 1)) if self.constant else points)[1]
         return (c * self.scale) @ states + self._out.at(points, xi)
 
 
@@ -245,15 +239,14 @@ class _Columns:
         self._at = np.array(row, dtype=np.intp) * len(columns) + np.array(column, dtype=np.intp)
         self._function: ArrayFunction | None = None
         if len(row):
-            self._function = path.function([ca.vertcat(*matrix.nonzeros())], xi)
+            self._function = path.function([matrix.nz[:]], xi)
 
-    def at(self, points: Points, xi: Array | None) -> Array:
+    def at(self, points: Points, xi: Array) -> Array:
         """(T, rows, K)."""
         count = points.t.shape[1]
         out = np.zeros((count, self.shape[0] * self.shape[1]))
         if self._function is not None:
-            own = np.zeros((0, count)) if xi is None else xi
-            out[:, self._at] = self._function(*points.arguments, own)[0].T
+            out[:, self._at] = self._function(*points.arguments, xi)[0].T
         return out.reshape(count, *self.shape)
 
 

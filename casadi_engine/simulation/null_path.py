@@ -116,7 +116,8 @@ def null_path(model: Model, grid: Grid, p: Array, start: Array) -> NullPath:
 
 def with_slope(model: Model, grid: Grid, x: Array, p: Array) -> NullPath:
     """The null path of known states x : (n, N)."""
-    drives, holds = np.zeros((0, grid.samples)), ()
+    drives: Array = np.zeros((0, grid.samples))
+    holds: tuple[str, ...] = ()
     if model.linear is not None and not model.has_slot_laws and model.d.numel():
         made = Drives(model, grid, ca.SX(0, 1), ca.SX(ca.DM(p)))
         drives, holds = made.at(np.zeros(0)).value, made.holds

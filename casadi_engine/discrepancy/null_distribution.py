@@ -1,0 +1,179 @@
+"""How large the best score of a whole library is when nothing is missing.
+
+Under the null the scores are z = U'y with y standard normal, U the candidates' unit vectors. Each test is a row: one
+vector, two- or one-sided, or a subspace for a group. All are put on the scale of their own p-value, and the smallest
+p-value of the library is calibrated by draws: P(min p <= p0) = p0 K E[1/N], where one of the K tests is drawn, y is
+drawn given that it is significant at p0, and N counts the tests that then are (Adler, Blanchet & Liu 2012). Its
+relative error does not grow for small p0, and it needs a few thousand draws.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import optimize, stats
+
+from casadi_engine.discrepancy.linear_algebra import Array
+from casadi_engine.discrepancy.score import Scores
+
+_DRAWS = 4000
+_SMALLEST = 1e-300
+# Neighbours on a nuisance grid must correlate by more.
+_NEIGHBOURS = 0.95
+_LIBRARY_SHARE = 0.8
+
+
+@dataclass(frozen=True, eq=False)
+class Test:
+    """One test of the library: a subspace (m, r) of the scores' frame, and a side for r = 1 (0 is two-sided)."""
+
+    name: str
+    frame: Array
+    side: int = 0
+
+    def p_value(self, y: Array) -> Array:
+        """p-values (n,) at y (m, n)."""
+        inner = self.frame.T @ y
+        if self.frame.shape[1] == 1:
+            return np.asarray(
+                stats.norm.sf(self.side * inner[0]) if self.side else 2 * stats.norm.sf(np.abs(inner[0]))
+            )
+        return np.asarray(stats.chi2.sf((inner**2).sum(axis=0), self.frame.shape[1]))
+
+    def limit(self, p: float) -> float:
+        """The value of the statistic (one-sided z, |z| or chi) that has this p-value."""
+        if self.frame.shape[1] == 1:
+            return float(stats.norm.isf(p if self.side else p / 2))
+        return float(np.sqrt(stats.chi2.isf(p, self.frame.shape[1])))
+
+
+def library_tests(scores: Scores, groups: dict[str, Sequence[int]] | None = None) -> list[Test]:
+    """One test for each testable candidate, and one for each group of them."""
+    tests = [
+        Test(candidate.label, scores.directions[:, [k]], candidate.side)
+        for k, candidate in enumerate(scores.candidates)
+        if scores.testable[k]
+    ]
+    for name, members in (groups or {}).items():
+        frame = scores.subspace([k for k in members if scores.testable[k]])
+        if frame.shape[1] > 1:
+            tests.append(Test(name, frame))
+    return tests
+
+
+class NullDistribution:
+    """The smallest p-value of a library under the null.
+
+    tests : the rows; draws, seed : of the Monte Carlo sample, which is the same for every question asked
+    """
+
+    def __init__(self, tests: Sequence[Test], *, draws: int = _DRAWS, seed: int = 0) -> None:
+        self.tests = tuple(tests)
+        self._single = [k for k, t in enumerate(self.tests) if t.frame.shape[1] == 1]
+        self._wide = [k for k, t in enumerate(self.tests) if t.frame.shape[1] > 1]
+        m = self.tests[0].frame.shape[0] if self.tests else 0
+        rng = np.random.default_rng(seed)
+        self._picked = rng.permutation(np.arange(draws) % max(len(self.tests), 1))
+        self._y = rng.standard_normal((m, draws))
+        self._level, self._sign = rng.random(draws), np.where(rng.random(draws) < 0.5, -1.0, 1.0)
+        if self._single:
+            self._vectors = np.concatenate([self.tests[k].frame for k in self._single], axis=1)
+            self._sides = np.array([self.tests[k].side for k in self._single])
+
+    def pooled(self, p: float) -> float:
+        """P(the smallest p-value of the library <= p) when nothing is missing."""
+        if not self.tests or p <= 0:
+            return 0.0
+        if p >= 1:
+            return 1.0
+        inside = self._significant(p, self._given(p))
+        return float(min(1.0, p * len(self.tests) * np.mean(1 / np.maximum(inside, 1))))
+
+    def threshold(self, alpha: float) -> float:
+        """The p-value of a single test below which the library's smallest one falls with probability ``alpha``."""
+        if not self.tests:
+            return alpha
+        low = alpha / len(self.tests)
+        if len(self.tests) == 1 or self.pooled(low) >= alpha:
+            return low
+
+        def excess(log_p: float) -> float:
+            return float(np.log(self.pooled(float(np.exp(log_p)))) - np.log(alpha))
+
+        found = optimize.brentq(excess, np.log(low), np.log(alpha), xtol=1e-4)
+        return float(np.exp(float(np.asarray(found))))
+
+    def critical(self, alpha: float) -> float:
+        """c_alpha: the |z| of a two-sided test at the threshold."""
+        return float(stats.norm.isf(self.threshold(alpha) / 2))
+
+    def _given(self, p: float) -> Array:
+        """The draws (m, n), each given that its picked test is significant at p."""
+        y = self._y.copy()
+        for number, test in enumerate(self.tests):
+            mine = np.flatnonzero(self._picked == number)
+            if not len(mine):
+                continue
+            inner = test.frame.T @ y[:, mine]
+            tail = np.maximum(self._level[mine] * p, _SMALLEST)
+            if test.frame.shape[1] == 1:
+                wanted = (
+                    test.side * stats.norm.isf(tail)
+                    if test.side
+                    else self._sign[mine] * stats.norm.isf(tail / 2)
+                )
+                wanted = wanted[None]
+            else:
+                radius = np.sqrt(stats.chi2.isf(tail, test.frame.shape[1]))
+                wanted = inner / np.linalg.norm(inner, axis=0) * radius
+            y[:, mine] += test.frame @ (wanted - inner)
+        return y
+
+    def _significant(self, p: float, y: Array) -> Array:
+        """(n,) number of tests that are significant at p; a picked one counts whatever its last digit says."""
+        count = np.zeros(y.shape[1])
+        if self._single:
+            z = self._vectors.T @ y
+            two, one = stats.norm.isf(p / 2), stats.norm.isf(p)
+            side = self._sides[:, None]
+            hit = np.where(side == 0, np.abs(z) >= two * (1 - 1e-12), side * z >= one - 1e-12 * abs(one))
+            count += hit.sum(axis=0)
+        for k in self._wide:
+            test = self.tests[k]
+            count += ((test.frame.T @ y) ** 2).sum(axis=0) >= test.limit(p) ** 2 * (1 - 1e-12)
+        return count
+
+
+def split_alpha(alpha: float, *, library: float = _LIBRARY_SHARE) -> tuple[float, float]:
+    """Shares of the false-alarm rate for the library and the whiteness test; independent or not, at most alpha."""
+    return alpha * library, alpha * (1 - library)
+
+
+def refine_grid(
+    points: Sequence[float],
+    columns: Callable[[Sequence[float]], Array],
+    *,
+    neighbours: float = _NEIGHBOURS,
+    most: int = 65,
+) -> list[float]:
+    """Refine a nuisance grid until the directions of neighbours correlate by more than ``neighbours``.
+
+    columns : values -> (m, k) unit vectors of these values in the scores' frame (zero where not testable)
+    most : grid points at which refinement stops
+    """
+    known = {float(v): column for v, column in zip(points, columns(points).T, strict=True)}
+    while len(known) < most:
+        values = sorted(known)
+        new = [
+            (a + b) / 2
+            for a, b in itertools.pairwise(values)
+            if known[a].any() and known[b].any() and abs(float(known[a] @ known[b])) <= neighbours
+        ]
+        new = [v for v in new if v not in known][: most - len(known)]
+        if not new:
+            break
+        known.update(zip(new, columns(new).T, strict=True))
+    return sorted(known)

@@ -1,0 +1,219 @@
+"""The null fit as the score tests see it: residuals, and their slopes in every free parameter and initial state."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.errors import EstimationError
+from casadi_engine.estimation.constraints import ParameterConstraints
+from casadi_engine.estimation.coordinates import Coordinates
+from casadi_engine.estimation.fit import Fit
+from casadi_engine.experiment import Experiment
+from casadi_engine.model import Model
+from casadi_engine.parameters.compiled import ParameterMap, compile
+from casadi_engine.simulation.candidate_sensitivities import (
+    Direction,
+    at_measurements,
+    grid_sensitivities,
+    initial_direction,
+    parameter_direction,
+)
+from casadi_engine.simulation.grid import Grid, lay_grid
+from casadi_engine.simulation.null_path import NullPath, null_path
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+FOUR_STROKE = 4 * np.pi
+# Pieces that stand in for engine cycles where there is no crank angle.
+_PIECES = 10
+# A constraint this close to its limit (in its own units) is taken to hold.
+_AT_LIMIT = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class RecordNull:
+    """One record at the null optimum.
+
+    residual : output -> (N,) measured less simulated, at the samples that count; time : output -> (N,) s
+    index : output -> (N,) their numbers in the channel, of ``length[output]`` samples
+    cycle : output -> (N,) number of the engine cycle, from 0, or of a piece of the record
+    slopes : output -> (N, n_theta + n_start) in the free directions of the parameters, then the free initial states
+    starts : the free initial states, and their scale (n_start,)
+    """
+
+    name: str
+    path: NullPath
+    residual: Mapping[str, Array]
+    time: Mapping[str, Array]
+    index: Mapping[str, Index]
+    length: Mapping[str, int]
+    cycle: Mapping[str, Index]
+    slopes: Mapping[str, Array]
+    starts: tuple[str, ...]
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the measured outputs."""
+        return tuple(self.residual)
+
+    def columns(self, directions: Sequence[Direction]) -> dict[str, Array]:
+        """Sensitivities of directions: output -> (N, K)."""
+        if not directions:
+            return {name: np.zeros((len(e), 0)) for name, e in self.residual.items()}
+        found = at_measurements(self.path, grid_sensitivities(self.path, directions))
+        return {name: found[name].T for name in self.residual}
+
+
+@dataclass(frozen=True, eq=False)
+class NullModel:
+    """The null optimum of all records.
+
+    parameters : names of the free vector z; units; values : (nz,); turn : (nz, n_theta), z moves by turn @ step in the
+    directions that bounds and constraints leave free
+    prior : (r, n_theta + 1) rows [d(prior residual)/d(step), prior residual] of the priors, in standard deviations
+    """
+
+    model: Model
+    parameters: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Array
+    turn: Array
+    prior: Array
+    records: tuple[RecordNull, ...]
+
+    @property
+    def count(self) -> int:
+        """Samples that count, over all records and outputs."""
+        return sum(len(e) for record in self.records for e in record.residual.values())
+
+
+def null_model(fit: Fit) -> NullModel:
+    """The null model of a fit, by single shooting from its initial states.
+
+    Raises EstimationError for a fit with a correction gain, whose residuals are innovations of a predictor.
+    """
+    if fit.gain is not None:
+        raise EstimationError(
+            "the score test needs a simulation, and this fit is a one-step predictor",
+            seen="a fit with a correction gain",
+            allowed="output error: noise without gain",
+            cure="fit again without a gain",
+        )
+    names = tuple(record.name for record in fit.data)
+    starts = {name: dict(fit.initial[name]) for name in names}
+    held = {
+        name: tuple(s for s, e in starts[name].items() if e.fixed or e.at_bound is not False)
+        for name in names
+    }
+    first = {name: np.array([e.value for e in starts[name].values()]) for name in names}
+    at_bound = tuple(name for name in fit.free if fit.estimates[name].at_bound is not False)
+    return null_at(
+        fit.model, fit.data, fit.parameters, fit.z, first, held_starts=held, held_parameters=at_bound
+    )
+
+
+def null_at(
+    model: Model,
+    data: Sequence[Experiment],
+    parameters: object,
+    z: Array,
+    first: Mapping[str, Array],
+    *,
+    held_starts: Mapping[str, tuple[str, ...]] | None = None,
+    held_parameters: Sequence[str] = (),
+) -> NullModel:
+    """The null model at z : (nz,) and first states record -> (n,), parameters and states in their units."""
+    pmap = compile(parameters, model.parameter_names, tuple(r.name for r in data))  # type: ignore[arg-type]
+    z = np.asarray(z, dtype=float)
+    turn = _free_directions(model, pmap, z, held_parameters)
+    prior = _prior_rows(pmap, z, turn)
+    records = []
+    for record in data:
+        p = pmap.unpack(z, record.name)
+        slope = ca.Function("slope", [pmap.z], [ca.densify(ca.jacobian(pmap.physical[record.name], pmap.z))])
+        moved = np.asarray(slope(z), dtype=float).reshape(len(p), len(z)) @ turn
+        held = (held_starts or {}).get(record.name, ())
+        records.append(_record(model, record, p, moved, np.asarray(first[record.name], dtype=float), held))
+    units = tuple(_unit(parameters, name) for name in pmap.free)
+    return NullModel(model, pmap.free, units, z, turn, prior, tuple(records))
+
+
+def _unit(parameters: object, name: str) -> str:
+    return str(parameters[name.partition("@")[0]].unit)  # type: ignore[index]
+
+
+def _free_directions(model: Model, pmap: ParameterMap, z: Array, held: Sequence[str]) -> Array:
+    """(nz, n_theta) steps of z, each about the size of its entry, that keep what bounds and constraints hold."""
+    nz = len(z)
+    scale = np.where(z != 0, np.abs(z), pmap.scale)
+    rows = [np.eye(nz)[[name in held for name in pmap.free]]]
+    coordinates = Coordinates(pmap)
+    constraints = ParameterConstraints(model, pmap, coordinates)
+    if constraints.count:
+        v = coordinates.of(z)
+        value, jacobian = constraints.evaluate(v)
+        acts = np.minimum(np.abs(value - constraints.lower), np.abs(constraints.upper - value)) < _AT_LIMIT
+        acts |= constraints.lower == constraints.upper
+        rows.append(jacobian[acts] / coordinates.slope(v) * scale)
+    held_rows = np.concatenate(rows)
+    if not len(held_rows):
+        return np.diag(scale)
+    _, strength, turn = np.linalg.svd(held_rows, full_matrices=True)
+    rank = int((strength > 1e-9 * strength.max(initial=1.0)).sum())
+    return np.asarray(scale[:, None] * turn[rank:].T)
+
+
+def _prior_rows(pmap: ParameterMap, z: Array, turn: Array) -> Array:
+    residual = ca.vertcat(ca.SX(0, 1), *[(p.mean - p.expression) / p.sigma for p in pmap.priors])
+    if not residual.numel():
+        return np.zeros((0, turn.shape[1] + 1))
+    function = ca.Function("priors", [pmap.z], [residual, ca.densify(ca.jacobian(-residual, pmap.z))])
+    value, slope = (np.asarray(part, dtype=float) for part in function(z))
+    return np.column_stack([slope.reshape(-1, len(z)) @ turn, value.ravel()])
+
+
+def _record(
+    model: Model, record: Experiment, p: Array, moved: Array, first: Array, held: tuple[str, ...]
+) -> RecordNull:
+    measured = tuple(out.name for out in model.outputs if out.name in record)
+    grid = lay_grid(model, record, outputs=measured)
+    path = null_path(model, grid, p, first)
+    out = path.function([model.output_expressions])(*path.at_samples().arguments)[0]
+    simulated = at_measurements(path, np.broadcast_to(out, (len(model.outputs), grid.samples))[None])
+    starts = [k for k, state in enumerate(model.states) if state.name not in held]
+    directions = [parameter_direction(model, column, name=f"theta_{k}") for k, column in enumerate(moved.T)]
+    directions += [
+        initial_direction(model, k, model.states[k].scale, name=model.states[k].name) for k in starts
+    ]
+    residual = {name: grid.measured[name].values - simulated[name][0] for name in simulated}
+    base = RecordNull(
+        name=record.name,
+        path=path,
+        residual=residual,
+        time={name: grid.measured[name].time for name in residual},
+        index={name: grid.measured[name].index for name in residual},
+        length={name: len(record[name].time) for name in residual},
+        cycle={name: cycle_numbers(model, grid, grid.measured[name].time) for name in residual},
+        slopes={},
+        starts=tuple(model.states[k].name for k in starts),
+    )
+    slopes = base.columns(directions)
+    return RecordNull(**{**vars(base), "slopes": slopes})
+
+
+def cycle_numbers(model: Model, grid: Grid, time: Array) -> Index:
+    """(N,) number from 0 of the engine cycle at the times [s]: by the channel theta, else ten equal pieces."""
+    names = [v.name for v in model.inputs]
+    if "theta" in names:
+        theta = np.interp(time, grid.time, grid.channels[names.index("theta")])
+        number = np.floor(theta / FOUR_STROKE).astype(int)
+        return np.asarray(number - number.min(), dtype=np.intp)
+    span = grid.step * (grid.samples - 1)
+    number = np.floor((time - grid.start) / span * _PIECES).astype(int)
+    return np.asarray(np.clip(number, 0, _PIECES - 1), dtype=np.intp)
