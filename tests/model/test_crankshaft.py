@@ -236,7 +236,14 @@ def record(times, channels):
     return ce.Experiment.from_arrays("made", time=times, units=units, **channels)
 
 
-UNEVEN = {3: (0.0, 4.0, 8.9), 6: (0.0, 2.2, 4.0, 6.5, 8.4, 10.9)}
+UNEVEN = {
+    1: (0.0,),
+    2: (0.0, 5.5),
+    3: (0.0, 4.0, 8.9),
+    6: (0.0, 2.2, 4.0, 6.5, 8.4, 10.9),
+    8: (0.0, 1.5, 3.2, 4.6, 6.4, 7.7, 9.5, 11.1),
+    12: tuple(np.arange(12) * 4 * PI / 12 + 0.1 * np.sin(np.arange(12))),
+}
 TIMES = np.arange(1001) * 3e-5
 
 
@@ -244,8 +251,11 @@ def line(count):
     return [(i, i + 1) for i in range(1, count + 3)]
 
 
-@pytest.mark.parametrize("count", [3, 6])
-@pytest.mark.parametrize("form", ["linear", "measured", "state"])
+@pytest.mark.parametrize(
+    ("count", "form"),
+    [(count, form) for count in (3, 6) for form in ("linear", "measured", "state")]
+    + [(1, "measured"), (2, "state"), (8, "linear"), (12, "measured")],
+)
 def test_uneven_firing_is_the_independent_simulation(count, form):
     values = shaft(count, line(count))
     seen = "wheel" if form == "linear" else "own"
@@ -258,6 +268,38 @@ def test_uneven_firing_is_the_independent_simulation(count, form):
     run = ce.simulate(model, record(TIMES, channels), parameters=values, initial=initial)
     assert np.ptp(channels["omega"]) > 3
     np.testing.assert_allclose(run["omega"].values, channels["omega"], atol=5e-4)
+
+
+@pytest.mark.parametrize("count", [1, 2, 8, 12])
+@pytest.mark.parametrize("form", ["linear", "measured", "state"])
+def test_power_is_in_balance(count, form):
+    """d/dt (½ Σ J ω² + ½ Σ K twist²) = power of gas and reciprocating forces and load, less what dampers take."""
+    values, random = shaft(count, line(count)), np.random.default_rng(count)
+    kind = {"reciprocating_speed": "measured"} if form == "linear" else {"angle": form}
+    model = ce.crankshaft(cylinders=count, firing_offsets=UNEVEN[count], **kind)
+    size = count + 3
+    theta, speed = 1.3 + 0.02 * random.normal(size=size), 130 + random.normal(size=size)
+    pressures, load, omega = random.uniform(1e5, 3e6, count), 40.0, 128.0
+    twists = np.diff(theta)
+    x = [speed[0], *(v for pair in zip(speed[1:], twists, strict=True) for v in pair)]
+    channels = {"theta": theta[0], "omega": omega, "T_load": load} | {
+        f"p{k + 1}": p for k, p in enumerate(pressures)
+    }
+    u = [channels[variable.name] for variable in model.inputs]
+    f = ca.Function("f", [model.x, model.u, model.p], [model.closed_ode])
+    rate = f(([theta[0]] if form == "state" else []) + x, u, model.parameter_vector(values)).full().ravel()
+    rate = rate[1:] if form == "state" else rate
+    inertia = np.array([values[f"J{i}"] for i in range(1, size + 1)])
+    stiff, damp = (np.array([values[f"{c}{i + 1}{i}"] for i in range(1, size)]) for c in "KC")
+    stored = (inertia * speed) @ rate[[0, *range(1, 2 * size - 1, 2)]] + (stiff * twists) @ rate[2::2]
+    seen, own = (
+        (theta[[0] * count], omega) if form == "linear" else (theta[1 : count + 1], speed[1 : count + 1])
+    )
+    first, second = slope(seen - np.array(UNEVEN[count]))
+    torque = (pressures - P_CRANK) * A_P * first - M_EQ * first * second * own**2
+    ground = np.array([values[f"C{i}"] for i in range(2, count + 2)])
+    lost = damp @ np.diff(speed) ** 2 + ground @ speed[1 : count + 1] ** 2
+    assert stored == pytest.approx(torque @ speed[1 : count + 1] - load * speed[-1] - lost, rel=1e-9)
 
 
 def test_the_forms_differ_by_more_than_the_tolerance():
@@ -361,7 +403,23 @@ def test_the_state_form_has_one_more_state_and_no_angle_channel():
     assert [(d.name, d.unit) for d in model.drives][:2] == [("F_1", "N"), ("F_2", "N")]
     assert [(o.name, o.unit) for o in model.outputs] == [("omega", "rad/s"), ("theta", "rad")]
     modes = model.modes()
-    np.testing.assert_allclose(modes.frequencies_hz[np.array(modes.numbers) > 0], FREQUENCIES, rtol=1e-3)
+    of = np.array(modes.numbers) > 0
+    np.testing.assert_allclose(modes.frequencies_hz[of], FREQUENCIES, rtol=1e-3)
+    # the angle deforms nothing: shapes are those of the table, the angle's mode is none of them
+    assert "theta_1" not in np.array(modes.states)[modes.displacements]
+    np.testing.assert_allclose(modes.deformations[:, of].T, TABLE[:, 1:], atol=1e-3)
+    assert modes.frequencies_hz[0] == 0.0
+
+
+def test_driven_inertias_may_have_bearings():
+    model = ce.crankshaft(driven=(Driven(absolute_damping=0.3), {"inertia": 0.01}))
+    assert model.parameters()["C7"].value == 0.3
+    assert "C8" not in model.parameter_names
+    a = ca.Function("a", [model.p], [model.linear.A])(model.parameter_vector()).full()
+    assert a[11, 11] == pytest.approx(-(2.5 + 2.5 + 0.3) * 5.646)
+    tied = thesis_ties(model.parameters())
+    assert not tied["C7"].vary
+    assert tied.as_dict()["C_eng"] == pytest.approx(0.1541)
 
 
 # ---- ties
