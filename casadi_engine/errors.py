@@ -66,6 +66,10 @@ class ModelError(CasadiEngineError):
     """A model definition is inconsistent, or asked for something that it does not have."""
 
 
+class EffectError(ModelError):
+    """An effect breaks the protocol, or does not fit the port or the model that it was given."""
+
+
 class SimulationError(CasadiEngineError):
     """A simulation could not be carried out."""
 

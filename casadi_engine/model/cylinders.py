@@ -11,6 +11,7 @@ import casadi as ca
 
 from casadi_engine.errors import ModelError
 from casadi_engine.model.blueprint import Blueprint
+from casadi_engine.model.combustion import Motored, combustion_torque
 from casadi_engine.model.crank_slider import (
     Geometry,
     indicated_torque,
@@ -139,51 +140,86 @@ def declare_cylinders(
         speeds = [omega] * options.cylinders
     geometry = declare_geometry(b, Geometry.read(options.geometry))
     turned = [theta] * options.cylinders if angles is None else list(angles)
-    drives, slots, gas_torques, changes = [], [], [], []
+    drives, slots, gas_torques, burned, changes = [], [], [], [], []
     for k, pressure, offset, speed, crank in zip(numbers, pressures, offsets, speeds, turned, strict=True):
         angle = crank - offset
-        gas, mass, factor, slope, change = _one_cylinder()(angle, pressure, speed, *vars(geometry).values())
-        known = None if theta is None else theta - offset
-        signals = {
-            "angle": angle,
-            "speed": speed,
-            "pressure": pressure,
-            "gas_torque": gas,
-            "torque_factor": factor,
-            "torque_factor_slope": slope,
-        }
-        slot = b.port(f"cylinder_{k}", "cylinder", signals, description=f"cylinder {k}")
+        made = _one_cylinder()(angle, pressure, speed, *vars(geometry).values())
+        one = _Cylinder(k, pressure, speed, geometry, *made)
+        slots.append(one.declare_port(b, angle, offset))
         if options.reciprocating_speed == "measured":
-            drives.append(_torque_drive(b, k, gas + mass, "total"))
-        elif known is None:
-            force = b.drive(
-                f"F_{k}",
-                (pressure - geometry.p_crank) * geometry.A_p,
-                unit="N",
-                scale=FORCE_SCALE,
-                description=f"gas force on piston {k}",
-            )
-            b.law(f"cylinder_{k}", force * geometry.r * factor + mass)
-            drives.append(ca.SX(0))
-        elif angles is None:
-            drives.append(_torque_drive(b, k, gas, "indicated"))
-            b.law(f"cylinder_{k}", mass)
+            drives.append(one.total_drive(b))
+        elif theta is None:
+            drives.append(one.force_drive(b))
         else:
-            at_theta = _one_cylinder()(known, pressure, speed, *vars(geometry).values())[0]
-            drives.append(_torque_drive(b, k, at_theta, "indicated"))
-            b.law(f"cylinder_{k}", gas - at_theta + mass)
-        slots.append(slot)
-        gas_torques.append(gas)
-        changes.append(change)
+            drives.append(one.indicated_drive(b, None if angles is None else theta - offset))
+        gas_torques.append(one.gas)
+        burned.append(one.combustion_torque(angle))
+        changes.append(one.change)
     signals = {"angle": turned[0], "speed": speeds[0], "gas_torque": sum(gas_torques)}
+    signals["combustion_torque"] = sum(burned)
     common = b.port("cylinders", "cylinder", signals, description="all cylinders together")
     return Cylinders(tuple(drives), tuple(slots), common, tuple(changes))
 
 
-def _torque_drive(b: Blueprint, number: int, torque: Any, word: str) -> Any:
-    return b.drive(
-        f"T_{number}", torque, scale=TORQUE_SCALE, description=f"{word} torque of cylinder {number}"
-    )
+@dataclass(frozen=True, eq=False)
+class _Cylinder:
+    """One cylinder: its number, pressure [Pa], speed [rad/s], geometry, and what `_one_cylinder` gives."""
+
+    number: int
+    pressure: Any
+    speed: Any
+    geometry: Geometry
+    gas: Any
+    mass: Any
+    factor: Any
+    slope: Any
+    change: Any
+
+    def declare_port(self, b: Blueprint, angle: Any, offset: float) -> Any:
+        """Declare the port at the angle from combustion TDC `angle` [rad], which is at `offset` [rad]."""
+        signals = {
+            "angle": angle,
+            "speed": self.speed,
+            "pressure": self.pressure,
+            "gas_torque": self.gas,
+            "combustion_torque": self.combustion_torque(angle),
+            "torque_factor": self.factor,
+            "torque_factor_slope": self.slope,
+            "lever": self.geometry.A_p * self.geometry.r * self.factor,
+            "rod_ratio": self.geometry.ratio,
+            "firing_offset": offset,
+        }
+        return b.port(f"cylinder_{self.number}", "cylinder", signals, description=f"cylinder {self.number}")
+
+    def combustion_torque(self, angle: Any) -> Any:
+        """What combustion adds to the torque [N m], against the usual motored cylinder."""
+        lever = self.geometry.A_p * self.geometry.r * self.factor
+        return combustion_torque(angle, self.pressure, lever, self.geometry.ratio, Motored())
+
+    def total_drive(self, b: Blueprint) -> Any:
+        """The linear form: all of the torque is made of channels."""
+        return self._torque_drive(b, self.gas + self.mass, "total")
+
+    def indicated_drive(self, b: Blueprint, known: Any) -> Any:
+        """The drive at the channel's angle `known`, None if that is the cylinder's; the rest is a law."""
+        if known is None:
+            b.law(f"cylinder_{self.number}", self.mass)
+            return self._torque_drive(b, self.gas, "indicated")
+        there = _one_cylinder()(known, self.pressure, self.speed, *vars(self.geometry).values())[0]
+        b.law(f"cylinder_{self.number}", self.gas - there + self.mass)
+        return self._torque_drive(b, there, "indicated")
+
+    def force_drive(self, b: Blueprint) -> Any:
+        """The drive if no channel holds the angle: the gas force; the law makes a torque of it, 0 is left."""
+        k, at = self.number, self.geometry
+        value = (self.pressure - at.p_crank) * at.A_p
+        force = b.drive(f"F_{k}", value, unit="N", scale=FORCE_SCALE, description=f"gas force on piston {k}")
+        b.law(f"cylinder_{k}", force * at.r * self.factor + self.mass)
+        return ca.SX(0)
+
+    def _torque_drive(self, b: Blueprint, torque: Any, word: str) -> Any:
+        words = f"{word} torque of cylinder {self.number}"
+        return b.drive(f"T_{self.number}", torque, scale=TORQUE_SCALE, description=words)
 
 
 @cache

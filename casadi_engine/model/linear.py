@@ -13,10 +13,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class LinearCore:
-    """Matrices of ẋ = A x + B d + G w + e, y = C x + D d + c as SX functions of the parameters p alone.
+    """Matrices of ẋ = A x + B d + G w + e, y = C x + D d + H w + c as SX functions of the parameters p alone.
 
     A : (n, n)    B : (n, m) drives d    G : (n, nw) slot torques w    e : (n, 1)
-    C : (ny, n)   D : (ny, m)            c : (ny, 1)
+    C : (ny, n)   D : (ny, m)            H : (ny, nw), zero but for delayed sensors            c : (ny, 1)
     Drives that enter alike have equal columns; merging them is the simulator's business.
     """
 
@@ -27,6 +27,7 @@ class LinearCore:
     C: Any
     D: Any
     c: Any
+    H: Any
 
     @property
     def matrices(self) -> tuple[Any, ...]:
@@ -37,7 +38,7 @@ class LinearCore:
 def linear_core(model: Model) -> LinearCore | None:
     """Extract the linear core, or return None if the model is general.
 
-    A model has one if its ode is affine in (x, d, w) jointly and its outputs in (x, d), with coefficients
+    A model has one if its ode and its outputs are affine in (x, d, w) jointly, with coefficients
     that depend on parameters alone (no channel, no time).
     """
     core, outer = ca.vertcat(model.x, model.d, model.w), ca.vertcat(model.u, model.t)
@@ -54,4 +55,5 @@ def linear_core(model: Model) -> LinearCore | None:
         C=ca.jacobian(model.output_expressions, model.x),
         D=ca.jacobian(model.output_expressions, model.d),
         c=c,
+        H=ca.jacobian(model.output_expressions, model.w),
     )

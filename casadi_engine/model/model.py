@@ -12,7 +12,9 @@ import numpy as np
 
 from casadi_engine.errors import ModelError
 from casadi_engine.model import sheets
+from casadi_engine.model.attach import attach
 from casadi_engine.model.declarations import ParameterDeclaration, Ports, Variable
+from casadi_engine.model.effect import Attachment
 from casadi_engine.model.linear import LinearCore, linear_core
 from casadi_engine.model.modes import Modes, displacement_states, modes_of
 from casadi_engine.parameters import Parameters, near_matches
@@ -29,7 +31,8 @@ class Model:
     Expressions:
     ode : (n, 1) in (x, d, w, t, p)             drive_expressions : (m, 1) in (u, t, p)
     laws : (nw, 1) in (x, w, u, d, t, p); `slot_laws` is the same with w eliminated, zero where no law acts
-    output_expressions : (ny, 1) in (x, d, p)
+    output_expressions : (ny, 1) in (x, d, p); with effects at sensors also in (w, u, t)
+    effects : the effects that were added by `with_effect`
     """
 
     name: str
@@ -50,6 +53,7 @@ class Model:
     drive_expressions: Any
     laws: Any
     output_expressions: Any
+    effects: tuple[Attachment, ...] = ()
 
     # ---- names and parameters
 
@@ -123,10 +127,31 @@ class Model:
 
     @cached_property
     def closed_outputs(self) -> Any:
-        """(ny, 1) SX g(x, u, t, p): the outputs with the drives put in."""
-        if not self.d.numel():
-            return self.output_expressions
-        return ca.substitute(self.output_expressions, self.d, self.drive_expressions)
+        """(ny, 1) SX g(x, u, t, p): the outputs with laws and drives put in."""
+        outputs = self.output_expressions
+        if self.w.numel() and ca.depends_on(outputs, self.w):
+            outputs = ca.substitute(outputs, self.w, self.slot_laws)
+        return ca.substitute(outputs, self.d, self.drive_expressions) if self.d.numel() else outputs
+
+    # ---- effects
+
+    def with_effect(
+        self, effect: Any, *, at: Any, values: Mapping[str, float] | None = None, sharp: bool = False
+    ) -> Model:
+        """Return a new model with a physical effect at a port; the same equations where its amplitude is 0.
+
+        effect : follows the protocol of `Effect`        at : name of a port, or the port
+        values : start values of its parameters in their units; the amplitude is 0 if not given
+        sharp : True takes the law as it is, for simulation; False rounds its switches and kinks, for fits
+        The new parameters are called ``port.effect.parameter``; ``parameters.extended(new_model)`` adds them to
+        a set, free. EffectError for a port that does not exist or fit, and for an effect that is there already.
+
+        >>> from casadi_engine import effects, two_mass
+        >>> model = two_mass(reciprocating_speed="measured").with_effect(effects.CubicStiffness(), at="coupling")
+        >>> print(model.equations().splitlines()[7])
+        w_coupling = coupling.cubic_stiffness.stiffness*twist**3
+        """
+        return attach(self, effect, at=at, values=values, sharp=sharp)
 
     # ---- modes
 

@@ -42,7 +42,7 @@ def equation_pairs(model: Model, style: Style) -> tuple[list[tuple[str, str]], l
         right.append(without_idle(laws[row]))
     for row, output in enumerate(model.outputs):
         left.append(style.symbol(output.name))
-        right.append(model.output_expressions[row])
+        right.append(without_idle(model.output_expressions[row]))
     written = write_expressions(right, style=style, named=_known_parts(model))
     return list(zip(left, written.texts, strict=True)), list(written.shared)
 

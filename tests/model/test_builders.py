@@ -260,7 +260,7 @@ def test_ports_of_two_mass():
     assert kinds["sensor_omega"] == "sensor"
     assert kinds["parameter_K_el"] == "parameter"
     assert set(model.ports["engine"].signals) == {"speed", "angle"}
-    assert set(model.ports["coupling"].signals) == {"twist", "twist_rate"}
+    assert set(model.ports["coupling"].signals) == {"twist", "twist_rate", "stiffness"}
     assert {"angle", "speed", "pressure", "gas_torque"} <= set(model.ports["cylinder_2"].signals)
     assert set(model.ports["sensor_omega"].signals) == {"value", "rate"}
     assert model.ports["input_p1"].slot is None

@@ -1,0 +1,41 @@
+"""Physical effects that a model may lack: the protocol for your own, and the library."""
+
+from casadi_engine.effects.candidate import Candidate, candidate, candidates
+from casadi_engine.effects.combustion import CylinderImbalance, Misfire
+from casadi_engine.effects.friction import CoulombFriction, QuadraticDrag, StribeckFriction, ViscousFriction
+from casadi_engine.effects.library import library
+from casadi_engine.effects.sensor import SensorDelay, SensorOffset
+from casadi_engine.effects.stiffness import Backlash, CubicStiffness
+from casadi_engine.effects.torque import ConstantTorque, LoadStep
+from casadi_engine.model.combustion import Motored, fit_motored
+from casadi_engine.model.effect import Amplitude, Effect, Grid, Law
+from casadi_engine.model.effect_math import Sharp, Smooth
+from casadi_engine.model.term import ports_for
+
+__all__ = [
+    "Amplitude",
+    "Backlash",
+    "Candidate",
+    "ConstantTorque",
+    "CoulombFriction",
+    "CubicStiffness",
+    "CylinderImbalance",
+    "Effect",
+    "Grid",
+    "Law",
+    "LoadStep",
+    "Misfire",
+    "Motored",
+    "QuadraticDrag",
+    "SensorDelay",
+    "SensorOffset",
+    "Sharp",
+    "Smooth",
+    "StribeckFriction",
+    "ViscousFriction",
+    "candidate",
+    "candidates",
+    "fit_motored",
+    "library",
+    "ports_for",
+]

@@ -1,0 +1,259 @@
+"""Candidates: what an effect that a model lacks would do to its torques, drives and outputs, per unit of amplitude.
+
+Along the null trajectory the sensitivity s = ∂x/∂ψ of a candidate obeys ṡ = f_x s + g, and ∂y/∂ψ = h_x s + m,
+with g = `Candidate.ode` and m = `Candidate.output`: one linear sweep scores any number of candidates.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casadi_engine.effects.combustion import CYCLE
+from casadi_engine.errors import EffectError
+from casadi_engine.experiment import Experiment
+from casadi_engine.model import Model
+from casadi_engine.model.effect import Amplitude, Effect, check_effect
+from casadi_engine.model.port_view import PortView
+from casadi_engine.model.term import OwnState, Term, ports_for, read_term, takes_torque
+from casadi_engine.parameters import Parameters
+
+# A combustion counts as a cycle of the record if at least this much of it is inside [rad].
+_INSIDE = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """An effect at a port of a model that does not have it, at amplitude 0.
+
+    effect, at : the effect and the name of its port        model : the model without it
+    values : nuisance values        size : None for the slope at amplitude 0; else the amplitude whose secant it is
+    slots : (nw, 1) ∂(torque in the slots)/∂ψ        drives : (m, 1) ∂(drives)/∂ψ
+    outputs : (ny, 1) ∂(outputs)/∂ψ beside the states' share
+    all SX in the model's (x, u, d, t, p); at an input these are the responses of laws, drives and outputs
+    states : of the effect's own, at amplitude 0
+    """
+
+    model: Model
+    effect: Any
+    at: str
+    values: Mapping[str, float]
+    size: float | None
+    slots: Any
+    drives: Any
+    outputs: Any
+    states: tuple[OwnState, ...] = ()
+    beyond: Any = field(default=None, repr=False)
+
+    @property
+    def key(self) -> str:
+        """``port.effect``, the same for all values and sizes."""
+        return f"{self.at}.{self.effect.name}"
+
+    @property
+    def label(self) -> str:
+        """``port.effect`` with values and size."""
+        shown = [f"{name}={value:.6g}" for name, value in self.values.items()]
+        shown += [] if self.size is None else [f"{self.amplitude.name}={self.size:.6g}"]
+        return f"{self.key}({', '.join(shown)})" if shown else self.key
+
+    @property
+    def amplitude(self) -> Amplitude:
+        """The effect's amplitude: unit, bounds, whether it is one-sided."""
+        made: Amplitude = self.effect.amplitude
+        return made
+
+    @cached_property
+    def closed(self) -> tuple[Any, Any]:
+        """∂ẋ/∂ψ (n, 1) and ∂y/∂ψ (ny, 1) at fixed states, SX in (x, u, t, p) and the own states' symbols."""
+        model, small = self.model, ca.SX.sym("psi")
+        beyond = ca.SX.zeros(model.x.numel(), 1) if self.beyond is None else self.beyond
+        moved = replace(
+            model,
+            p=ca.vertcat(model.p, small),
+            ode=model.ode + small * beyond,
+            laws=model.laws + small * self.slots,
+            drive_expressions=model.drive_expressions + small * self.drives,
+            output_expressions=model.output_expressions + small * self.outputs,
+        )
+        both = ca.vertcat(moved.closed_ode, moved.closed_outputs)
+        slope = ca.substitute(ca.jacobian(both, small), small, 0)
+        count = model.x.numel()
+        return ca.densify(slope[:count]), ca.densify(slope[count:])
+
+    @property
+    def ode(self) -> Any:
+        """g (n, 1) SX in (x, u, t, p): forcing of the sensitivity equation."""
+        return self.closed[0]
+
+    @property
+    def output(self) -> Any:
+        """m (ny, 1) SX in (x, u, t, p): direct share of the output's sensitivity."""
+        return self.closed[1]
+
+    @cached_property
+    def function(self) -> Any:
+        """CasADi function (x, u, d, t, p) -> (slots, drives, outputs), for effects without states."""
+        m = self.model
+        symbols, names = [m.x, m.u, m.d, m.t, m.p], ["x", "u", "d", "t", "p"]
+        results = [ca.densify(part) for part in (self.slots, self.drives, self.outputs)]
+        return ca.Function("candidate", symbols, results, names, ["slots", "drives", "outputs"])
+
+    def extended(self, *, psi: float = 0.0, sharp: bool = False) -> Model:
+        """The model with the effect, its parameters starting at `psi` and this candidate's values."""
+        start = dict(self.values) | {self.amplitude.name: psi}
+        return self.model.with_effect(self.effect, at=self.at, values=start, sharp=sharp)
+
+
+def candidate(
+    model: Model,
+    effect: Effect,
+    at: Any,
+    values: Mapping[str, float] | None = None,
+    *,
+    size: float | None = None,
+    sharp: bool = False,
+) -> Candidate:
+    """Return what an effect at a port would do to a model, per unit of amplitude.
+
+    values : nuisance values; those left out are in the middle of their grid
+    size : None for the slope at amplitude 0, which is one-sided where the amplitude is; or an amplitude whose
+        secant is taken, for laws that bend (the play of a coupling)
+    sharp : the law without rounding. Then only effects that are linear in the amplitude have a slope at 0; a
+        sharp dead zone at half-width 0 counts as the sign of its argument, the limit from above
+    EffectError as `Model.with_effect`; ModelError for an unknown port.
+    """
+    given = dict(values or {})
+    given.pop(effect.amplitude.name, None)
+    term = read_term(model, effect, at, values=given, sharp=sharp)
+    numbers = {
+        name: declared.value for name, declared in zip(_names(effect)[1:], term.declarations[1:], strict=True)
+    }
+    value = _per_amplitude(term, size)
+    if numbers:
+        value = ca.substitute(value, ca.vertcat(*term.symbols[1:]), ca.SX(ca.DM(list(numbers.values()))))
+    states = _own_states(term, list(numbers.values()))
+    every = {name: term.constants.get(name, numbers.get(name, math.nan)) for name in effect.nuisance}
+    slots, drives, outputs, beyond = _responses(model, term, value)
+    return Candidate(model, effect, term.port.name, every, size, slots, drives, outputs, states, beyond)
+
+
+def candidates(
+    model: Model,
+    effects: Iterable[Effect],
+    record: Experiment,
+    *,
+    parameters: Parameters | Mapping[str, float] | None = None,
+    sharp: bool = False,
+) -> tuple[Candidate, ...]:
+    """Return all candidates of effects at all ports of a model, over the grids of their nuisance parameters.
+
+    record : gives time grids their span, cycle grids their cycles, and cylinders their motored trace
+    parameters : as in `Model.parameter_vector`, for constants that hang on them
+    Effects that the model has already at a port are left out there.
+    """
+    vector = model.parameter_vector(parameters)
+    numbers = dict(zip(model.parameter_names, (float(value) for value in vector), strict=True))
+    there = {(one.at, one.effect.name) for one in model.effects}
+    found: list[Candidate] = []
+    for effect in effects:
+        check_effect(effect)
+        for port in ports_for(model, effect):
+            if (port.name, effect.name) in there:
+                continue
+            view = PortView(model, port)
+            own = effect.fitted(view, record, numbers)
+            for values in own.choices(view, grid_values(own, view, record, numbers)):
+                for size in (None, *own.sizes(view, numbers)):
+                    found.append(candidate(model, own, port, values, size=size, sharp=sharp))
+    return tuple(found)
+
+
+def grid_values(
+    effect: Effect, view: PortView, record: Experiment, numbers: Mapping[str, float]
+) -> dict[str, tuple[float, ...]]:
+    """The values of every nuisance grid of an effect at a port, for a record."""
+    found = {}
+    for name, grid in effect.nuisance.items():
+        magnitude = 1.0 if grid.of is None else view.typical(grid.of)
+        cycles = cycles_of(view, record, numbers) if grid.over == "cycle" else (1,)
+        found[name] = grid.values(magnitude=magnitude, time=record.span, cycles=cycles)
+    return found
+
+
+def cycles_of(view: PortView, record: Experiment, numbers: Mapping[str, float]) -> tuple[int, ...]:
+    """The cycles of a cylinder whose combustion lies in a record, counted from theta = 0 of cylinder 1."""
+    if "theta" not in record:
+        raise EffectError(
+            "the engine cycles of a record cannot be counted",
+            seen=f"{record.place} without theta",
+            allowed="a record with the channel theta [rad]",
+            cure="leave effects with cycles out, or record the crank angle",
+        )
+    offset = view.number("firing_offset", numbers) if view.has("firing_offset") else 0.0
+    theta = record["theta"].values
+    first = math.ceil((float(theta[0]) - offset) / CYCLE - 1e-9)
+    last = math.floor((float(theta[-1]) - _INSIDE - offset) / CYCLE)
+    return tuple(number + 1 for number in range(first, last + 1))
+
+
+def _names(effect: Effect) -> list[str]:
+    return [effect.amplitude.name, *(name for name, grid in effect.nuisance.items() if not grid.whole)]
+
+
+def _per_amplitude(term: Term, size: float | None) -> Any:
+    """The slope of the law at amplitude 0, or its secant to `size`."""
+    psi, value = term.amplitude, term.value
+    if size is not None:
+        if not np.isfinite(size) or size == 0:
+            raise EffectError(
+                "the amplitude of a secant is not acceptable",
+                seen=repr(size),
+                allowed="a finite number other than 0",
+                cure="leave `size` out for the slope at 0",
+            )
+        return ca.substitute(value, psi, size) / size
+    if not term.sharp or ca.is_linear(value, psi):
+        return ca.substitute(ca.jacobian(value, psi), psi, 0)
+    # A sharp law that bends in its amplitude: the limit from above, by a secant that is exact for the piecewise
+    # linear laws there are. 1e-9 of the unit amplitude is far below any state that counts.
+    least = 1e-9 * (1 if term.effect.amplitude.one_sided >= 0 else -1)
+    return ca.substitute(value, psi, least) / least
+
+
+def _own_states(term: Term, numbers: list[float]) -> tuple[OwnState, ...]:
+    """The own states with their rates at amplitude 0."""
+    known = ca.vertcat(*term.symbols)
+    point = ca.SX(ca.DM([0.0, *numbers]))
+    return tuple(replace(state, rate=ca.substitute(state.rate, known, point)) for state in term.states)
+
+
+def _responses(model: Model, term: Term, value: Any) -> tuple[Any, Any, Any, Any]:
+    """Slots, drives, outputs per unit of amplitude, and the ode's own share (of a parameter), or None."""
+    slots = ca.SX.zeros(model.w.numel(), 1)
+    drives = ca.SX.zeros(model.d.numel(), 1)
+    outputs = ca.SX.zeros(len(model.outputs), 1)
+    port = term.port
+    if takes_torque(port):
+        slots[[made.name for made in model.ports.with_slot].index(port.name)] = value
+        return slots, drives, outputs, None
+    if port.kind == "sensor":
+        sensors = [made.name for made in model.ports if made.kind == "sensor"]
+        outputs[sensors.index(port.name)] = value
+        return slots, drives, outputs, None
+    name = port.name.partition("_")[2]
+    if port.kind == "input":
+        symbol = model.u[[variable.name for variable in model.inputs].index(name)]
+    else:
+        symbol = model.p[model.parameter_names.index(name)]
+    moved = [model.laws, model.drive_expressions, model.output_expressions, model.ode]
+    slots, drives, outputs, beyond = (
+        ca.densify(ca.jacobian(part, symbol)) * value if part.numel() else part for part in moved
+    )
+    return slots, drives, outputs, beyond

@@ -1,0 +1,104 @@
+"""Friction: torques against a motion that grow with speed or follow its sign."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from casadi_engine.model.effect import Amplitude, Effect, Grid
+
+# Share of the typical speed over which a sign is rounded: half a rad/s for a shaft of 100 rad/s, and 0.02 rad/s
+# for the twist rate of a coupling, whose typical magnitude is that of the two speeds.
+SPEED_WIDTH = 5e-3
+RATE_WIDTH = 1.4e-4
+
+
+def motion(port: Any) -> tuple[str, int]:
+    """The signal that friction at a port opposes, and the sign of a torque that opposes it.
+
+    At a coupling a positive torque pulls the first side on and the second back: it opposes a positive rate.
+    """
+    return ("twist_rate", 1) if port.kind == "coupling" else ("speed", -1)
+
+
+def rounding(port: Any, width: float | None) -> float:
+    """The width over which a sign of the motion is rounded, in the motion's unit."""
+    signal, _ = motion(port)
+    share = RATE_WIDTH if signal == "twist_rate" else SPEED_WIDTH
+    return float(f"{share * port.typical(signal):.2g}") if width is None else width
+
+
+@dataclass(frozen=True)
+class CoulombFriction(Effect):
+    """Dry friction: a constant torque against the motion, −T sign(ω).
+
+    width : the sign is rounded over it in fits, in the motion's unit; None takes a small share of its magnitude
+    """
+
+    width: float | None = None
+
+    name = "coulomb_friction"
+    attaches = ("inertia", "coupling")
+    kin = ("stribeck_friction", "constant_torque", "viscous_friction")
+    sentence = "dry friction at {port}"
+    amplitude = Amplitude("torque", unit="N m", min=0)
+
+    def law(self, port: Any, p: Any, math: Any) -> Any:
+        """∓T sign(ω)."""
+        signal, side = motion(port)
+        return side * p.torque * math.sign(getattr(port, signal), width=rounding(port, self.width))
+
+
+@dataclass(frozen=True)
+class ViscousFriction(Effect):
+    """Viscous friction: a torque against the motion that grows with it, −c ω."""
+
+    name = "viscous_friction"
+    attaches = ("inertia", "coupling")
+    kin = ("quadratic_drag", "coulomb_friction")
+    sentence = "viscous friction at {port}"
+    amplitude = Amplitude("coefficient", unit="N m s/rad", min=0)
+
+    def law(self, port: Any, p: Any, math: Any) -> Any:
+        """∓c ω."""
+        del math
+        signal, side = motion(port)
+        return side * p.coefficient * getattr(port, signal)
+
+
+@dataclass(frozen=True)
+class QuadraticDrag(Effect):
+    """Drag of a fan, of air or of oil: a torque against the motion that grows with its square, −c ω |ω|."""
+
+    width: float | None = None
+
+    name = "quadratic_drag"
+    attaches = ("inertia",)
+    kin = ("viscous_friction", "coulomb_friction")
+    sentence = "drag at {port} that grows with the square of speed"
+    amplitude = Amplitude("coefficient", unit="N m s2/rad2", min=0)
+
+    def law(self, port: Any, p: Any, math: Any) -> Any:
+        """−c ω |ω|."""
+        return -p.coefficient * port.speed * math.abs(port.speed, width=rounding(port, self.width))
+
+
+@dataclass(frozen=True)
+class StribeckFriction(Effect):
+    """The part of dry friction that fades with speed, −T exp(−(ω/ω_s)²) sign(ω) (Armstrong-Hélouvry 1994)."""
+
+    width: float | None = None
+
+    name = "stribeck_friction"
+    attaches = ("inertia",)
+    kin = ("coulomb_friction", "constant_torque", "viscous_friction")
+    sentence = "friction at {port} that fades with speed"
+    amplitude = Amplitude("torque", unit="N m", min=0)
+    nuisance = {  # noqa: RUF012 (read only)
+        "fading": Grid(0.25, 2.5, steps=8, log=True, of="speed", unit="rad/s", description="fading speed")
+    }
+
+    def law(self, port: Any, p: Any, math: Any) -> Any:
+        """−T exp(−(ω/ω_s)²) sign(ω)."""
+        sign = math.sign(port.speed, width=rounding(port, self.width))
+        return -p.torque * math.exp(-((port.speed / p.fading) ** 2)) * sign

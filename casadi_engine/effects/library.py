@@ -1,0 +1,48 @@
+"""The effects that come with the package."""
+
+from __future__ import annotations
+
+from casadi_engine.effects.combustion import CylinderImbalance, Misfire
+from casadi_engine.effects.friction import CoulombFriction, QuadraticDrag, StribeckFriction, ViscousFriction
+from casadi_engine.effects.sensor import SensorDelay, SensorOffset
+from casadi_engine.effects.stiffness import Backlash, CubicStiffness
+from casadi_engine.effects.torque import ConstantTorque, LoadStep
+from casadi_engine.errors import EffectError
+from casadi_engine.model.effect import Effect
+from casadi_engine.parameters import near_matches
+
+
+def library(*names: str) -> tuple[Effect, ...]:
+    """Return the effects of the library, or those called `names`; EffectError for a name that it lacks.
+
+    >>> [effect.name for effect in library()][:3]
+    ['coulomb_friction', 'viscous_friction', 'quadratic_drag']
+    >>> library("backlash")[0].attaches
+    ('coupling',)
+    """
+    everything: tuple[Effect, ...] = (
+        CoulombFriction(),
+        ViscousFriction(),
+        QuadraticDrag(),
+        StribeckFriction(),
+        ConstantTorque(),
+        CubicStiffness(),
+        Backlash(),
+        Misfire(),
+        CylinderImbalance(),
+        LoadStep(),
+        SensorOffset(),
+        SensorDelay(),
+    )
+    if not names:
+        return everything
+    known = {effect.name: effect for effect in everything}
+    for name in names:
+        if name not in known:
+            raise EffectError(
+                "the library has no such effect",
+                seen=repr(name),
+                allowed=near_matches(name, known),
+                cure="choose one, or write your own by deriving from ce.Effect",
+            )
+    return tuple(known[name] for name in names)

@@ -1,0 +1,145 @@
+"""Put an effect into a model: a new model whose equations hold the term, and the old one at amplitude 0.
+
+A torque goes where it costs the simulation least. One that is affine in the states, with coefficients of
+parameters alone, goes into the ode; one made of channels and time alone becomes a drive; any other is a law of
+the port's slot. So the model keeps its linear core, and a linear model stays one where it can.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+
+from casadi_engine.model.declarations import Port, Ports, Variable
+from casadi_engine.model.effect import Attachment
+from casadi_engine.model.term import Term, read_term, takes_torque
+
+if TYPE_CHECKING:
+    from casadi_engine.model.model import Model
+
+
+def attach(
+    model: Model, effect: Any, *, at: Any, values: Mapping[str, float] | None = None, sharp: bool = False
+) -> Model:
+    """Return `model` with an effect at the port `at`; see `Model.with_effect`."""
+    term = read_term(model, effect, at, values=values, sharp=sharp)
+    made = Attachment(effect, term.port.name, sharp, dict(term.constants))
+    words = f"{effect.name} at {term.port.name}"
+    wider = replace(
+        model,
+        description=f"{model.description}; with {words}" if model.description else f"with {words}",
+        declarations=(*model.declarations, *term.declarations),
+        p=ca.vertcat(model.p, *term.symbols),
+        effects=(*model.effects, made),
+    )
+    wider = _with_states(wider, term)
+    if takes_torque(term.port):
+        wider = _with_torque(wider, term)
+    elif term.port.kind == "sensor":
+        wider = _with_output(wider, term)
+    else:
+        wider = _with_shift(wider, term)
+    return _with_rates(wider)
+
+
+def _with_states(model: Model, term: Term) -> Model:
+    """Append the effect's own states; a rate that is not affine goes through a slot, to keep the linear core."""
+    for state in term.states:
+        model = replace(
+            model,
+            states=(*model.states, Variable(state.name, description=f"state of {term.effect.name}")),
+            x=ca.vertcat(model.x, state.symbol),
+        )
+    for state in term.states:
+        if _is_affine(model, state.rate):
+            model = replace(model, ode=ca.vertcat(model.ode, state.rate))
+            continue
+        slot = ca.SX.sym(f"w_{state.name}")
+        port = Port(state.name, "internal", f"rate of {state.name}", {}, slot)
+        model = replace(
+            model,
+            ode=ca.vertcat(model.ode, slot),
+            w=ca.vertcat(model.w, slot),
+            laws=ca.vertcat(model.laws, state.rate),
+            ports=Ports((*model.ports, port)),
+        )
+    return model
+
+
+def _with_torque(model: Model, term: Term) -> Model:
+    slots = [port.name for port in model.ports.with_slot]
+    row, slot = slots.index(term.port.name), model.ports[term.port.name].slot
+    if _is_affine(model, term.value):
+        return _replaced(model, slot, slot + term.value)
+    inside = ca.vertcat(model.x, model.d, model.w)
+    if not ca.depends_on(term.value, inside):
+        name = f"T_{term.port.name}_{term.effect.name}"
+        drive = ca.SX.sym(name)
+        words = f"{term.effect.name} at {term.port.name}"
+        made = _replaced(model, slot, slot + drive)
+        return replace(
+            made,
+            drives=(*made.drives, Variable(name, "N m", words)),
+            d=ca.vertcat(made.d, drive),
+            drive_expressions=ca.vertcat(made.drive_expressions, term.value),
+        )
+    laws = ca.SX(model.laws)
+    laws[row] = laws[row] + term.value
+    return replace(model, laws=laws)
+
+
+def _is_affine(model: Model, value: Any) -> bool:
+    """True if `value` is affine in states, drives and slots, with coefficients of parameters alone."""
+    outer = ca.vertcat(model.u, model.t)
+    return bool(ca.is_linear(value, ca.vertcat(model.x, model.d, model.w))) and not ca.depends_on(
+        value, outer
+    )
+
+
+def _with_output(model: Model, term: Term) -> Model:
+    sensors = [port for port in model.ports if port.kind == "sensor"]
+    row = [port.name for port in sensors].index(term.port.name)
+    outputs = ca.SX(model.output_expressions)
+    outputs[row] = outputs[row] + term.value
+    return replace(model, output_expressions=outputs)
+
+
+def _with_shift(model: Model, term: Term) -> Model:
+    """A changed channel or parameter: the symbol is replaced wherever it stands."""
+    name = term.port.name.partition("_")[2]
+    if term.port.kind == "input":
+        symbol = model.u[[variable.name for variable in model.inputs].index(name)]
+    else:
+        symbol = model.p[model.parameter_names.index(name)]
+    return _replaced(model, symbol, symbol + term.value)
+
+
+def _replaced(model: Model, symbol: Any, expression: Any) -> Model:
+    """Put `expression` in for `symbol` in all equations and signals."""
+    columns = [model.ode, model.laws, model.drive_expressions, model.output_expressions]
+    ode, laws, drives, outputs = (
+        ca.substitute(column, symbol, expression) if column.numel() else column for column in columns
+    )
+    signals = ca.vertcat(*(value for port in model.ports for value in port.signals.values()))
+    moved = iter(ca.vertsplit(ca.substitute(signals, symbol, expression)))
+    ports = Ports(replace(port, signals={key: next(moved) for key in port.signals}) for port in model.ports)
+    return replace(
+        model, ode=ode, laws=laws, drive_expressions=drives, output_expressions=outputs, ports=ports
+    )
+
+
+def _with_rates(model: Model) -> Model:
+    """Bring the signals of the sensors up to date with the equations."""
+    rates = ca.jtimes(model.output_expressions, model.x, model.ode)
+    fresh, row = [], 0
+    for port in model.ports:
+        if port.kind == "sensor":
+            signals = {"value": model.output_expressions[row], "rate": rates[row]}
+            fresh.append(replace(port, signals=signals))
+            row += 1
+        else:
+            fresh.append(port)
+    return replace(model, ports=Ports(fresh))

@@ -1,0 +1,311 @@
+"""The term of an effect at a port of a model: its law read with symbols, and checked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from numbers import Real
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+import numpy as np
+
+from casadi_engine.errors import EffectError
+from casadi_engine.model.declarations import PORT_KINDS, ParameterDeclaration, Port
+from casadi_engine.model.effect import Grid, Law, check_effect
+from casadi_engine.model.effect_math import Sharp, Smooth
+from casadi_engine.model.port_view import PortView, Values
+from casadi_engine.parameters import near_matches
+
+if TYPE_CHECKING:
+    from casadi_engine.model.model import Model
+
+# An effect is absent at amplitude 0 if its law is below this share of itself at amplitude 1.
+_ABSENT = 1e-9
+
+# What the law may depend on, by the kind of port: attributes of the model.
+_MAY_USE: Mapping[str, tuple[str, ...]] = {
+    "inertia": ("x", "u", "d", "t", "p"),
+    "coupling": ("x", "u", "d", "t", "p"),
+    "cylinder": ("x", "u", "d", "t", "p"),
+    "input": ("u", "t", "p"),
+    "sensor": ("x", "u", "d", "w", "t", "p"),
+    "parameter": ("t", "p"),
+}
+_WORDS = {
+    "x": "states",
+    "u": "channels",
+    "d": "drives",
+    "w": "slots",
+    "t": "time",
+    "p": "parameters",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class OwnState:
+    """A state of an effect's own: its symbol, start value and rate."""
+
+    name: str
+    symbol: Any
+    start: float
+    rate: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """What an effect adds at a port.
+
+    value : SX scalar in the model's symbols, the parameters' and the own states'
+    declarations, symbols : of the effect's parameters, the amplitude first        constants : whole numbers
+    """
+
+    effect: Any
+    port: Port
+    value: Any
+    states: tuple[OwnState, ...]
+    declarations: tuple[ParameterDeclaration, ...]
+    symbols: tuple[Any, ...]
+    constants: Mapping[str, float]
+    sharp: bool
+
+    @property
+    def amplitude(self) -> Any:
+        """SX symbol of the amplitude."""
+        return self.symbols[0]
+
+
+def ports_for(model: Model, effect: Any) -> tuple[Port, ...]:
+    """The ports of a model that an effect can attach to, in model order."""
+    return tuple(port for port in model.ports if _fits(port, effect))
+
+
+def find_port(model: Model, effect: Any, at: Any) -> Port:
+    """The port `at`; EffectError that lists the right ports if it does not exist or does not fit."""
+    name = at.name if isinstance(at, Port) else at
+    right = [port.name for port in ports_for(model, effect)]
+    if name not in model.ports.names:
+        raise EffectError(
+            f"{effect.name} is to act at a port that the model {model.name} does not have",
+            seen=repr(name),
+            allowed=near_matches(name, right),
+            cure="print(model.ports) lists all ports",
+        )
+    port = model.ports[name]
+    if not _fits(port, effect):
+        lacking = [signal for signal in getattr(effect, "needs", ()) if signal not in port.signals]
+        why = f", which has no {', '.join(lacking)}" if port.kind in effect.attaches else ""
+        raise EffectError(
+            f"{effect.name} cannot act at the port {port.name}{why}",
+            seen=f"a port of the kind {port.kind}",
+            allowed=near_matches(name, right),
+            cure=f"choose one of these ports ({', '.join(effect.attaches)})",
+        )
+    return port
+
+
+def read_term(
+    model: Model,
+    effect: Any,
+    at: Any,
+    *,
+    values: Mapping[str, float] | None = None,
+    sharp: bool = False,
+) -> Term:
+    """Read an effect's law at a port with fresh symbols for its parameters.
+
+    values : start values of parameters; those that are whole numbers must be given
+    sharp : the law without rounding
+    EffectError for an effect, port, value or law that does not fit.
+    """
+    check_effect(effect)
+    port = find_port(model, effect, at)
+    if any(one.at == port.name and one.effect.name == effect.name for one in model.effects):
+        raise EffectError(
+            f"the model {model.name} has {effect.name} at {port.name} already",
+            seen=f"{effect.name} twice at {port.name}",
+            allowed="an effect once at each port",
+            cure="leave it out, or attach it at another port",
+        )
+    view = PortView(model, port)
+    given = _checked_values(effect, values or {})
+    declarations = _declarations(effect, view, given, _unit(model, port))
+    symbols = tuple(ca.SX.sym(declared.name) for declared in declarations)
+    known = dict(zip(_estimated(effect), symbols, strict=True))
+    constants = {name: given[name] for name, grid in effect.nuisance.items() if grid.whole}
+    law = effect.law(view, Values(effect.name, known | constants), Sharp if sharp else Smooth)
+    value, states = _read_law(effect, port, view, law)
+    term = Term(effect, port, value, states, declarations, symbols, constants, sharp)
+    _check_symbols(model, term)
+    _check_null(term)
+    return term
+
+
+def _fits(port: Port, effect: Any) -> bool:
+    return port.kind in effect.attaches and all(
+        signal in port.signals for signal in getattr(effect, "needs", ())
+    )
+
+
+def _estimated(effect: Any) -> list[str]:
+    """The amplitude and the nuisance parameters that are not whole numbers."""
+    return [effect.amplitude.name, *(name for name, grid in effect.nuisance.items() if not grid.whole)]
+
+
+def _checked_values(effect: Any, values: Mapping[str, float]) -> dict[str, float]:
+    names = [effect.amplitude.name, *effect.nuisance]
+    for name, value in values.items():
+        if name not in names:
+            raise EffectError(
+                f"the effect {effect.name} has no such parameter",
+                seen=repr(name),
+                allowed=near_matches(name, names),
+                cure="leave it out",
+            )
+        if not isinstance(value, Real) or isinstance(value, bool) or not math.isfinite(value):
+            raise EffectError(
+                f"the value of {name} of the effect {effect.name} is not acceptable",
+                seen=repr(value),
+                allowed="a finite number in the parameter's unit",
+                cure="give one number",
+            )
+    for name, grid in effect.nuisance.items():
+        if grid.whole and (name not in values or values[name] != int(values[name])):
+            raise EffectError(
+                f"{effect.name} needs a whole number for {name}",
+                seen=f"{name} = {values[name]!r}" if name in values else f"no {name}",
+                allowed="a whole number",
+                cure=f'give values={{"{name}": 1}}, for instance',
+            )
+    return {name: float(value) for name, value in values.items()}
+
+
+def _declarations(
+    effect: Any, view: PortView, values: Mapping[str, float], unit: str
+) -> tuple[ParameterDeclaration, ...]:
+    key, amplitude = f"{view.name}.{effect.name}", effect.amplitude
+    made = [
+        ParameterDeclaration(
+            f"{key}.{amplitude.name}",
+            values.get(amplitude.name, 0.0),
+            unit if amplitude.unit is None else amplitude.unit,
+            amplitude.min,
+            amplitude.max,
+            True,
+            amplitude.description or effect.describe(view.name),
+        )
+    ]
+    for name, grid in effect.nuisance.items():
+        if not grid.whole:
+            low, high, middle = _range(grid, view)
+            words = grid.description or f"{name} of {effect.name}"
+            value = values.get(name, middle)
+            made.append(
+                ParameterDeclaration(
+                    f"{key}.{name}", value, grid.unit, min(low, value), max(high, value), True, words
+                )
+            )
+    return tuple(made)
+
+
+def _unit(model: Model, port: Port) -> str:
+    """The unit of what an effect adds at a port."""
+    name = port.name.partition("_")[2]
+    groups: dict[str, Iterable[Any]] = {
+        "input": model.inputs,
+        "sensor": model.outputs,
+        "parameter": model.declarations,
+    }
+    found = [item.unit for item in groups.get(port.kind, ()) if item.name == name]
+    return found[0] if found else "N m"
+
+
+def _range(grid: Grid, view: PortView) -> tuple[float, float, float]:
+    """Bounds and start value; a time grid has no bounds before the record is known."""
+    magnitude = 1.0 if grid.of is None else view.typical(grid.of)
+    if grid.over == "time":
+        return -math.inf, math.inf, 0.5 * sum(grid.ends())
+    low, high = grid.ends(magnitude=magnitude)
+    found = grid.values(magnitude=magnitude)
+    return low, high, found[len(found) // 2]
+
+
+def _read_law(effect: Any, port: Port, view: PortView, law: Any) -> tuple[Any, tuple[OwnState, ...]]:
+    given = law if isinstance(law, Law) else Law(law)
+    if set(given.states) != set(view.states):
+        raise EffectError(
+            f"the states of the law of {effect.name} do not fit those that it uses",
+            seen=f"used: {', '.join(view.states) or 'none'}; given: {', '.join(given.states) or 'none'}",
+            allowed="the same names",
+            cure="return Law(value, states={name: (start, rate)}) for every port.state(name)",
+        )
+    states = []
+    for name, (start, rate) in given.states.items():
+        states.append(
+            OwnState(
+                f"{port.name}_{effect.name}_{name}",
+                view.states[name],
+                float(start),
+                _scalar(f"the rate of {name} of {effect.name}", rate),
+            )
+        )
+    return _scalar(f"the law of {effect.name} at {port.name}", given.value), tuple(states)
+
+
+def _scalar(what: str, value: Any) -> Any:
+    if isinstance(value, Real) and not isinstance(value, bool):
+        value = ca.SX(float(value))
+    if not isinstance(value, ca.SX) or value.numel() != 1:
+        raise EffectError(
+            f"{what} is not a scalar expression",
+            seen=f"{type(value).__name__} {getattr(value, 'shape', '')}".strip(),
+            allowed="a scalar expression of the port's signals and the parameters",
+            cure="return one torque, or one change of the port's value",
+        )
+    return ca.densify(value)
+
+
+def _check_symbols(model: Model, term: Term) -> None:
+    own = [*term.symbols, *(state.symbol for state in term.states)]
+    allowed = _MAY_USE[term.port.kind]
+    columns = {letter: getattr(model, letter) for letter in _WORDS}
+    owner = {s.element_hash(): letter for letter, column in columns.items() for s in _symbols(column)}
+    fine = {s.element_hash() for s in own}
+    for symbol in ca.symvar(ca.vertcat(term.value, *(state.rate for state in term.states))):
+        key = symbol.element_hash()
+        if key in fine or owner.get(key) in allowed:
+            continue
+        where = f"one of the {_WORDS[owner[key]]}" if key in owner else "not of this model"
+        raise EffectError(
+            f"the law of {term.effect.name} at {term.port.name} uses a symbol that it may not use",
+            seen=f"{symbol.name()} ({where})",
+            allowed=", ".join(_WORDS[letter] for letter in allowed),
+            cure="write the law with the port's signals, p and math",
+        )
+
+
+def _check_null(term: Term) -> None:
+    """The law must vanish at amplitude 0: tried at a few points."""
+    symbols = ca.symvar(ca.vertcat(term.value, term.amplitude))
+    others = [s for s in symbols if s.element_hash() != term.amplitude.element_hash()]
+    function = ca.Function("law", [term.amplitude, ca.vertcat(*others)], [term.value])
+    points = np.random.default_rng(0).uniform(0.1, 2.0, (len(others), 5))
+    there = np.abs(np.array(function(1.0, points)))
+    left = np.abs(np.array(function(0.0, points)))
+    if np.nanmax(left, initial=0.0) > _ABSENT * max(1.0, float(np.nanmax(there, initial=0.0))):
+        raise EffectError(
+            f"the law of {term.effect.name} does not vanish at amplitude 0",
+            seen=f"{float(np.nanmax(left)):.6g} at {term.effect.amplitude.name} = 0",
+            allowed="0 for every state and channel",
+            cure="write the law so that the amplitude switches it on",
+        )
+
+
+def _symbols(column: Any) -> Iterable[Any]:
+    return ca.symvar(column) if column.numel() else ()
+
+
+def takes_torque(port: Port) -> bool:
+    """True if effects add a torque there."""
+    return PORT_KINDS[port.kind]
