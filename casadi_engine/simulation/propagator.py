@@ -1,8 +1,8 @@
-"""The right propagator for a model: exact blocks for a linear one, a Runge-Kutta map for any other."""
+"""The right propagator for a model: exact blocks, an exponential integrator, or Runge-Kutta steps."""
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, Self
 
 import casadi as ca
 import numpy as np
@@ -11,11 +11,28 @@ from numpy.typing import NDArray
 from casadi_engine.errors import SimulationError
 from casadi_engine.model import Model
 from casadi_engine.simulation.discretisation import Method
+from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
 from casadi_engine.simulation.general import GeneralPropagator
 from casadi_engine.simulation.grid import Grid
 from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.linear import LinearPropagator
+from casadi_engine.simulation.split import split
+
+
+class _CorePropagator(LinearPropagator):
+    """The linear propagator of a model whose simple laws joined its drives: those are its own business."""
+
+    _shown: int | None = None
+
+    def showing(self, drives: int) -> Self:
+        """Show that many drives, the model's own."""
+        self._shown = drives
+        return self
+
+    def drives_at(self, z: Array) -> Array:
+        """(m, N) drives of the model on the grid."""
+        return super().drives_at(z)[: self._shown]
 
 
 class Trajectory(Protocol):
@@ -42,8 +59,11 @@ def make_propagator(
     scale: Array,
     method: Method = "exact",
     gain: Array | None = None,
-) -> LinearPropagator | GeneralPropagator:
+) -> LinearPropagator | ExponentialPropagator | GeneralPropagator:
     """Propagator of a model over one record.
+
+    A linear core alone is propagated exactly; a core with nonlinear laws by the exponential integrator; equations
+    that have no useful core by Runge-Kutta steps.
 
     method : "exact", or "euler" for a linear model; gain : (n, ny) correction gain per scaled state, or None
     Raises SimulationError where a method or a gain does not go with the model or with the record.
@@ -55,11 +75,13 @@ def make_propagator(
             allowed='"exact" or "euler"',
             cure='leave it out for "exact"',
         )
-    if model.linear is not None and not model.has_slot_laws:
-        feedback = None if gain is None else _feedback(model, grid, gain, scale)
-        return LinearPropagator(
-            model, grid, intervals, z, physical, scale=scale, method=method, gain=gain, feedback=feedback
-        )
+    parts = split(model) if model.has_slot_laws or model.linear is None else None
+    inner = parts.model if parts is not None else model
+    if inner.linear is not None and not inner.has_slot_laws:
+        feedback = None if gain is None else _feedback(inner, grid, gain, scale)
+        return _CorePropagator(
+            inner, grid, intervals, z, physical, scale=scale, method=method, gain=gain, feedback=feedback
+        ).showing(len(model.drives))
     if method != "exact" or gain is not None:
         raise SimulationError(
             "this model has nonlinear terms, and the option is for linear models",
@@ -67,6 +89,8 @@ def make_propagator(
             allowed='method="exact" without a gain',
             cure="take the linear form of the model, or leave the option out",
         )
+    if parts is not None:
+        return ExponentialPropagator(model, parts, grid, intervals, z, physical, scale=scale)
     return GeneralPropagator(model, grid, intervals, z, physical, scale=scale)
 
 

@@ -80,15 +80,22 @@ class ArrayFunction:
         self._function = ca.Function("columns", list(inputs), dense)
         self._rows = [int(out.numel()) for out in dense]
         f = self._function
-        self._code = [
+        code = [
             (f.instruction_id(k), f.instruction_input(k), f.instruction_output(k))
             for k in range(f.n_instructions())
         ]
-        self._constants = [
-            f.instruction_constant(k) if op == ca.OP_CONST else 0.0 for k, (op, _, _) in enumerate(self._code)
-        ]
         known = {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, *_UNARY, *_BINARY}
-        self._replay = all(op in known for op, _, _ in self._code)
+        self._replay = all(op in known for op, _, _ in code)
+        self._steps = [
+            (
+                _UNARY.get(op) or _BINARY.get(op),
+                f.instruction_constant(k) if op == ca.OP_CONST else 0.0,
+                op,
+                source,
+                target,
+            )
+            for k, (op, source, target) in enumerate(code)
+        ]
 
     def __call__(self, *arguments: Array) -> list[Array]:
         """Outputs (numel, N) at the arguments (rows, N) or (rows,)."""
@@ -106,18 +113,26 @@ class ArrayFunction:
             return [
                 np.asarray(p, dtype=float).reshape(r, count) for p, r in zip(parts, self._rows, strict=True)
             ]
+        with np.errstate(all="ignore"):  # the caller looks for what is not finite
+            return self._run(arguments, count)
+
+    def narrow(self, *arguments: Array) -> list[Array]:
+        """The same for few columns in an inner loop; the first argument holds them all (rows, N).
+
+        Nothing is split, and warnings of what is not finite are the caller's to silence.
+        """
+        return self._run(arguments, arguments[0].shape[1]) if self._replay else self(*arguments)
+
+    def _run(self, arguments: Sequence[Array], count: int) -> list[Array]:
         work: list[Any] = [0.0] * self._function.sz_w()
         outputs = [np.zeros((rows, count)) for rows in self._rows]
-        with np.errstate(all="ignore"):  # the caller looks for what is not finite
-            for (op, source, target), constant in zip(self._code, self._constants, strict=True):
-                if op == ca.OP_CONST:
-                    work[target[0]] = constant
-                elif op == ca.OP_INPUT:
-                    work[target[0]] = arguments[source[0]][source[1]]
-                elif op == ca.OP_OUTPUT:
-                    outputs[target[0]][target[1]] = work[source[0]]
-                elif op in _UNARY:
-                    work[target[0]] = _UNARY[op](work[source[0]])
-                else:
-                    work[target[0]] = _BINARY[op](work[source[0]], work[source[1]])
+        for function, constant, op, source, target in self._steps:
+            if function is not None:
+                work[target[0]] = function(*[work[i] for i in source])
+            elif op == ca.OP_INPUT:
+                work[target[0]] = arguments[source[0]][source[1]]
+            elif op == ca.OP_OUTPUT:
+                outputs[target[0]][target[1]] = work[source[0]]
+            else:
+                work[target[0]] = constant
         return outputs

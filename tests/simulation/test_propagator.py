@@ -9,6 +9,7 @@ import pytest
 from casadi_engine.errors import SimulationError
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.model import Blueprint, one_inertia
+from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
 from casadi_engine.simulation.general import GeneralPropagator
 from casadi_engine.simulation.grid import lay_grid
 from casadi_engine.simulation.intervals import cut
@@ -68,17 +69,27 @@ def test_a_linear_model_is_propagated_exactly_and_any_other_by_steps(made):
     assert isinstance(made_for, GeneralPropagator)
 
 
-def test_a_law_in_a_slot_makes_a_model_general(made):
+@pytest.mark.parametrize(
+    ("law", "kind"),
+    [
+        (lambda q, t: -(q**3), ExponentialPropagator),
+        (lambda q, t: -2 * q + ca.sin(t), LinearPropagator),
+        (lambda q, t: ca.sin(t), LinearPropagator),
+        (lambda q, t: ca.sin(t) * q, ExponentialPropagator),
+    ],
+)
+def test_a_law_of_the_states_takes_the_exponential_integrator_and_others_join_the_core(made, law, kind):
     b = Blueprint("sprung")
     q = b.state("q")
     slot = b.port("spring", "coupling", {"stretch": q})
-    b.law("spring", -(q**3))
+    b.law("spring", law(q, b.time))
     b.ode("q", slot - q)
     b.output("y", q)
     model = b.model()
     grid = made.grid(np.zeros((0, 5)), samples=5)
     found = make_propagator(model, grid, cut(grid, None), ca.SX(0, 1), ca.SX(0, 1), scale=np.ones(1))
-    assert isinstance(found, GeneralPropagator)
+    assert isinstance(found, kind)
+    assert found.drives_at(NONE).shape == (0, 5)
 
 
 def test_an_unknown_method_is_an_error(made):

@@ -1,0 +1,118 @@
+"""A model split for the exponential integrator: a linear core, and the laws that no linear core can hold.
+
+Laws that are affine in the states with constant factors (a viscous damper, an absorber) join the core, and laws that
+hang on channels and time alone (a misfire, a torque ripple) become drives: what is left of many effects is a linear
+model. The other way round, an equation that is not affine (an effect's own state with a nonlinear rate) keeps its
+linear part in the core and gives the rest to a slot of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+
+from casadi_engine.model import Model
+from casadi_engine.model.declarations import Variable
+from casadi_engine.model.linear import LinearCore
+
+# Own slots for more than this share of the equations: then there is no linear core worth the name.
+_MOST_OWN = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """model : with affine and known laws moved into its ode and drives, slots only where a law is left;
+    laws : (nw, 1) SX in (x, u, t, p) of the slots left, all of them dependent on the states."""
+
+    model: Model
+    core: LinearCore
+    laws: ca.SX
+
+
+def split(model: Model) -> Split | None:
+    """The split of a model, or None for a model without a useful linear core."""
+    if model.linear is None:
+        own = _own_slots(model)
+        if own is None:
+            return None
+        model = own
+    model = _without_simple_laws(model)
+    core = model.linear
+    # An output that shows a law's torque at once (a delayed sensor) is left to the general integrator.
+    if core is None or not core.H.is_zero():
+        return None
+    return Split(model, core, _closed(model, model.slot_laws))
+
+
+def _closed(model: Model, laws: ca.SX) -> ca.SX:
+    """Laws with the drives put in: in (x, u, t, p)."""
+    return ca.substitute(laws, model.d, model.drive_expressions) if model.d.numel() else laws
+
+
+def _own_slots(model: Model) -> Model | None:
+    """The model with a slot of its own for every equation that is not affine."""
+    core, outer = ca.vertcat(model.x, model.d, model.w), ca.vertcat(model.u, model.t)
+
+    def affine(row: ca.SX) -> bool:
+        return bool(ca.is_linear(row, core)) and not (outer.numel() and ca.depends_on(row, outer))
+
+    n = int(model.x.numel())
+    bent = [row for row in range(n) if not affine(model.ode[row])]
+    if not affine(model.output_expressions) or len(bent) >= _MOST_OWN * n:
+        return None
+    closed = model.closed_ode
+    slots = ca.vertcat(*[ca.SX.sym(f"w_{model.states[row].name}") for row in bent])
+    ode, laws = ca.SX(model.ode), []
+    zero = [ca.SX.zeros(s.numel(), 1) for s in (model.x, model.d, model.w, model.t)]
+    symbols = [model.x, model.d, model.w, model.t]
+    for k, row in enumerate(bent):
+        slope = ca.substitute([ca.jacobian(model.ode[row], model.x)], symbols, zero)[0]
+        held = slope @ model.x if _finite(model, slope) else ca.SX(0)
+        ode[row] = held + slots[k]
+        laws.append(closed[row] - held)
+    return replace(model, ode=ode, w=ca.vertcat(model.w, slots), laws=ca.vertcat(model.slot_laws, *laws))
+
+
+def _finite(model: Model, row: ca.SX) -> bool:
+    """True if the linear part of an equation is a number at the parameters' defaults; a square root's is not."""
+    at = ca.Function("at", [model.p], [ca.densify(row)])(model.parameter_vector())
+    return bool(np.isfinite(np.array(at)).all())
+
+
+def _without_simple_laws(model: Model) -> Model:
+    """Affine laws put into the ode, known ones made drives; the slots that are left hold the other laws."""
+    laws = model.slot_laws
+    count = int(model.w.numel())
+    outside = ca.vertcat(model.x, model.u, model.d, model.t)
+    known = ca.vertcat(model.u, model.d, model.t)
+    put, kept, drives = ca.SX(model.w), [], []
+    for row in range(count):
+        law = laws[row]
+        if law.is_zero():
+            put[row] = 0
+            continue
+        slope = ca.jacobian(law, model.x)
+        if ca.depends_on(slope, outside):
+            kept.append(row)
+            continue
+        rest = ca.substitute(law, model.x, ca.SX.zeros(model.x.numel(), 1))
+        if known.numel() and ca.depends_on(rest, known):
+            drive = ca.SX.sym(f"known_{row}")
+            drives.append((drive, _closed(model, rest)))
+            rest = drive
+        put[row] = slope @ model.x + rest
+    if not count:
+        return model
+    left = ca.vertcat(*[model.w[row] for row in kept]) if kept else ca.SX(0, 1)
+    return replace(
+        model,
+        ode=ca.substitute(model.ode, model.w, ca.densify(put)),
+        output_expressions=ca.substitute(model.output_expressions, model.w, ca.densify(put)),
+        w=left,
+        laws=ca.vertcat(*[laws[row] for row in kept]) if kept else ca.SX(0, 1),
+        d=ca.vertcat(model.d, *[drive for drive, _ in drives]),
+        drives=(*model.drives, *(Variable(drive.name(), "N m") for drive, _ in drives)),
+        drive_expressions=ca.vertcat(model.drive_expressions, *[value for _, value in drives]),
+    )
