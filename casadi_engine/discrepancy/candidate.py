@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 from casadi_engine.simulation.candidate_sensitivities import Direction
 
@@ -15,29 +15,37 @@ Side = Literal[-1, 0, 1]
 class Candidate:
     """What is tested: the amplitude psi of ``direction``, zero in the null model.
 
-    effect, port : names; nuisance : name -> value at which the effect was linearised
+    effect, port : names; direction : the linearised term, or record -> term where constants are read off records;
+    in a record that is not among them the candidate does not act
+    nuisance : name -> value at which the effect was linearised
     side : 1 if psi >= 0, -1 if psi <= 0, 0 if both signs make sense
     group : candidates of one group are tested together too (all cylinders of an engine, say)
-    record : the one record in which it can act, or None for all
+    size : None for the slope at psi = 0, or the psi whose secant the direction is
+    source : what it was made of, for those who add the effect to the model
     """
 
     effect: str
     port: str
-    direction: Direction
+    direction: Direction | Mapping[str, Direction]
     nuisance: Mapping[str, float] = field(default_factory=dict)
     side: Side = 0
     unit: str = "1"
     group: str | None = None
-    record: str | None = None
+    size: float | None = None
+    source: Any = None
 
     @property
     def key(self) -> tuple[str, str]:
         """Effect and port: the name under which all points of the nuisance grid are known."""
         return self.effect, self.port
 
+    def at(self, record: str) -> Direction | None:
+        """The direction in a record, or None if the candidate does not act there."""
+        return self.direction if isinstance(self.direction, Direction) else self.direction.get(record)
+
     @property
     def label(self) -> str:
         """``effect at port (nuisance)``."""
-        inside = ", ".join(f"{name} {value:.4g}" for name, value in self.nuisance.items())
-        where = f" in {self.record}" if self.record is not None else ""
-        return f"{self.effect} at {self.port}" + (f" ({inside})" if inside else "") + where
+        inside = [f"{name} {value:.4g}" for name, value in self.nuisance.items()]
+        inside += [] if self.size is None else [f"size {self.size:.4g}"]
+        return f"{self.effect} at {self.port}" + (f" ({', '.join(inside)})" if inside else "")

@@ -144,16 +144,15 @@ def compress(
 
 
 def candidate_columns(record: RecordNull, candidates: Sequence[Candidate]) -> dict[str, Array]:
-    """Sensitivities of the candidates in one record: output -> (N, k), zero for those of another record."""
-    own = [c for c in candidates if c.record in (None, record.name)]
-    found = record.columns([c.direction for c in own])
+    """Sensitivities of the candidates in one record: output -> (N, k), zero for those that do not act there."""
+    own = [(k, direction) for k, c in enumerate(candidates) if (direction := c.at(record.name)) is not None]
+    found = record.columns([direction for _, direction in own])
     if len(own) == len(candidates):
         return found
-    at = [k for k, c in enumerate(candidates) if c.record in (None, record.name)]
     out = {}
     for name, values in found.items():
         out[name] = np.zeros((len(values), len(candidates)))
-        out[name][:, at] = values
+        out[name][:, [k for k, _ in own]] = values
     return out
 
 

@@ -47,7 +47,7 @@ class Test:
         """The value of the statistic (one-sided z, |z| or chi) that has this p-value."""
         if self.frame.shape[1] == 1:
             return float(stats.norm.isf(p if self.side else p / 2))
-        return float(np.sqrt(stats.chi2.isf(p, self.frame.shape[1])))
+        return float(np.sqrt(np.asarray(stats.chi2.isf(p, self.frame.shape[1]))))
 
 
 def library_tests(scores: Scores, groups: dict[str, Sequence[int]] | None = None) -> list[Test]:
@@ -82,6 +82,8 @@ class NullDistribution:
         if self._single:
             self._vectors = np.concatenate([self.tests[k].frame for k in self._single], axis=1)
             self._sides = np.array([self.tests[k].side for k in self._single])
+            self._column = np.full(len(self.tests), -1)
+            self._column[self._single] = np.arange(len(self._single))
 
     def pooled(self, p: float) -> float:
         """P(the smallest p-value of the library <= p) when nothing is missing."""
@@ -113,23 +115,20 @@ class NullDistribution:
     def _given(self, p: float) -> Array:
         """The draws (m, n), each given that its picked test is significant at p."""
         y = self._y.copy()
-        for number, test in enumerate(self.tests):
+        tail = np.maximum(self._level * p, _SMALLEST)
+        if self._single:
+            column = self._column[self._picked]
+            mine = np.flatnonzero(column >= 0)
+            vectors, side = self._vectors[:, column[mine]], self._sides[column[mine]]
+            one, two = stats.norm.isf(tail[mine]), stats.norm.isf(tail[mine] / 2)
+            wanted = np.where(side == 0, self._sign[mine] * two, side * one)
+            y[:, mine] += vectors * (wanted - (vectors * y[:, mine]).sum(axis=0))
+        for number in self._wide:
             mine = np.flatnonzero(self._picked == number)
-            if not len(mine):
-                continue
-            inner = test.frame.T @ y[:, mine]
-            tail = np.maximum(self._level[mine] * p, _SMALLEST)
-            if test.frame.shape[1] == 1:
-                wanted = (
-                    test.side * stats.norm.isf(tail)
-                    if test.side
-                    else self._sign[mine] * stats.norm.isf(tail / 2)
-                )
-                wanted = wanted[None]
-            else:
-                radius = np.sqrt(stats.chi2.isf(tail, test.frame.shape[1]))
-                wanted = inner / np.linalg.norm(inner, axis=0) * radius
-            y[:, mine] += test.frame @ (wanted - inner)
+            frame = self.tests[number].frame
+            inner = frame.T @ y[:, mine]
+            radius = np.sqrt(stats.chi2.isf(tail[mine], frame.shape[1]))
+            y[:, mine] += frame @ (inner / np.linalg.norm(inner, axis=0) * radius - inner)
         return y
 
     def _significant(self, p: float, y: Array) -> Array:

@@ -1,0 +1,89 @@
+"""The effects of a library at all ports of a model as candidates of the score test."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+
+from casadi_engine.discrepancy.candidate import Candidate
+from casadi_engine.discrepancy.null_model import NullModel
+from casadi_engine.effects import Effect, candidates
+from casadi_engine.experiment import Experiment
+from casadi_engine.model import Model
+from casadi_engine.simulation.candidate_sensitivities import Direction, slot_direction
+
+
+def library_candidates(
+    null: NullModel, data: Sequence[Experiment], effects: Sequence[Effect]
+) -> list[Candidate]:
+    """Every effect at every port that it can attach to, over its grids, linearised at the null parameters.
+
+    An effect that sits at a time or in cycles is a candidate of one record each; any other acts in all records alike,
+    with the constants that each record gives. Effects at several cylinders form a group.
+    Raises EffectError for an effect that does not follow the protocol.
+    """
+    found: dict[tuple[Any, ...], Candidate] = {}
+    for record, experiment in zip(null.records, data, strict=True):
+        numbers = dict(zip(null.model.parameter_names, record.path.p.tolist(), strict=True))
+        for number, made in enumerate(candidates(null.model, effects, experiment, parameters=numbers)):
+            placed = any(grid.over in ("time", "cycle") for grid in made.effect.nuisance.values())
+            several = len(null.records) > 1
+            key = (record.name if placed and several else "", number if placed else made.label)
+            own = direction_of(made)
+            if key in found:
+                one = found[key]
+                assert isinstance(one.direction, dict)
+                one.direction[record.name] = own
+                continue
+            port = null.model.ports[made.at]
+            found[key] = Candidate(
+                effect=made.effect.name,
+                port=made.at,
+                direction={record.name: own},
+                nuisance=dict(made.values),
+                side=made.amplitude.one_sided,  # type: ignore[arg-type]
+                unit=_unit(null.model, made),
+                group=_group(made, port.kind, port.name),
+                size=made.size,
+                source=made,
+            )
+    return list(found.values())
+
+
+def direction_of(made: Any) -> Direction:
+    """The direction of one candidate of an effect library."""
+    found = slot_direction(made.model, made.slots, name=made.label, drives=made.drives, outputs=made.outputs)
+    if made.beyond is not None:
+        found = replace(found, ode=found.ode + made.beyond)
+    if not made.states:
+        return found
+    return replace(
+        found,
+        states=ca.vertcat(*[state.symbol for state in made.states]),
+        rates=ca.vertcat(*[state.rate for state in made.states]),
+        start=tuple(float(state.start) for state in made.states),
+    )
+
+
+def _group(made: Any, kind: str, port: str) -> str | None:
+    """Effects at single cylinders are tested together too, per choice of their nuisance values."""
+    if kind != "cylinder" or port == "cylinders":
+        return None
+    values = ", ".join(f"{name} {value:.4g}" for name, value in made.values.items())
+    return f"{made.effect.name} at all cylinders" + (f" ({values})" if values else "")
+
+
+def _unit(model: Model, made: Any) -> str:
+    """The unit of the amplitude; of the port's value where the effect leaves it open."""
+    unit = made.amplitude.unit
+    if unit is not None:
+        return str(unit)
+    name = made.at.partition("_")[2]
+    for variables in (model.outputs, model.inputs, model.declarations):
+        for variable in variables:
+            if variable.name == name:
+                return str(variable.unit)
+    return "N m"
