@@ -28,8 +28,10 @@ Array = NDArray[np.float64]
 _CYCLE = 4 * math.pi
 # A start is found when the next step is this small, in scaled states; a linear model takes one step.
 _SETTLED, _STEPS = 1e-9, 30
-# Weight of the crank speed, which the record tells, against the defect of a motion that should repeat.
-_SPEED = 100.0
+# Over this last share of a cycle the inputs are led back to those at its start.
+_SEAM = 0.25
+# A mode of the start is moved where that explains this many standard errors.
+_DEMANDED = 3.0
 # Singular values of the sensitivities to the start below this share tell nothing of it.
 _BLIND = 1e-11
 
@@ -172,6 +174,7 @@ class OperatingRecord:
         self._propagator = make_propagator(model, self.grid, self._intervals, v, physical, scale=self.scale)
         self._linear = model.linear is not None and not model.has_slot_laws
         self._weights = np.array([1 / out.scale for out in model.outputs])
+        self._rate_function: ca.Function | None = None
         self._last: Array | None = None  # the start that was found before, from which the next one is not far
 
     @property
@@ -184,13 +187,15 @@ class OperatingRecord:
         """Length of the record [s]."""
         return self.grid.step * (self.grid.samples - 1)
 
-    def at(self, v: Array) -> Sensitivity:
+    def at(self, v: Array, *, closest: bool = False) -> Sensitivity:
         """Outputs and sensitivities at the coordinates v : (nv,), from the start that was given or worked out.
 
+        closest : True for the start that explains the measured samples best. Its noise would excite fast modes, and
+            sensitivities taken there promise too much; the usual start leaves the settled motion only where the
+            samples demand it
         Raises SimulationError if the simulation is not finite.
         """
-        start = self._start(v)
-        return self._evaluate(v, start)
+        return self._evaluate(v, self._start(v, closest=closest))
 
     def _evaluate(self, v: Array, start: Array) -> Sensitivity:
         try:
@@ -226,7 +231,7 @@ class OperatingRecord:
 
     # ---- the start
 
-    def _start(self, v: Array) -> Array:
+    def _start(self, v: Array, *, closest: bool) -> Array:
         """(n,) scaled initial state."""
         names = [state.name for state in self.model.states]
         for name in self.plan.start:
@@ -243,20 +248,22 @@ class OperatingRecord:
             return given
         if not self.measured_there:
             return np.where(free, self._settled(v), given)
-        if self._last is None:  # of a linear model any start leads to the best one
-            self._last = np.zeros(len(given)) if self._linear else self._settled(v)
-        self._last = self._fitted(v, np.where(free, self._last, given), free)
-        return self._last
+        if self._last is None:
+            self._last = self._settled(v)
+        found = self._fitted(v, np.where(free, self._last, given), free, closest=closest)
+        if closest:  # where the next point's start will be near
+            self._last = found
+        return found
 
-    def _fitted(self, v: Array, start: Array, free: NDArray[np.bool_]) -> Array:
-        """The start that explains the measured samples best."""
+    def _fitted(self, v: Array, start: Array, free: NDArray[np.bool_], *, closest: bool) -> Array:
+        """The start that explains the measured samples best, or the given one moved only as far as they demand."""
+        modes = None if closest else _slow_first(self._rates(start, v)[1][np.ix_(free, free)])
         for _ in range(_STEPS):
             here = self._evaluate(v, start)
             real = here.was_measured
             weight = self._weights[here.column[real]]
-            step = _least_squares(
-                here.in_start[real][:, free] * weight[:, None], here.residual[real] * weight
-            )
+            slope, rest = here.in_start[real][:, free] * weight[:, None], here.residual[real] * weight
+            step = _least_squares(slope, rest) if modes is None else _demanded(slope, rest, modes)
             start = start.copy()
             start[free] -= step
             if self._linear or np.abs(step).max() < _SETTLED * max(1.0, float(np.abs(start).max())):
@@ -264,45 +271,63 @@ class OperatingRecord:
         return start
 
     def _settled(self, v: Array) -> Array:
-        """The start of a motion that repeats in the first engine cycle; without one, of the first inputs' rest."""
+        """The start of a motion that repeats in the first engine cycle but for an even change of all speeds.
+
+        Without a crank angle it is the equilibrium under the first inputs.
+        """
         length = self._cycle_length()
         if length is None:
             return self._equilibrium(v)
         intervals = Intervals(1, length, 1, np.zeros(1, np.intp))
-        grid = replace(
-            self.grid, samples=length + 1, channels=self.grid.channels[:, : length + 1], measured={}
-        )
+        grid = replace(self.grid, samples=length + 1, channels=self._closed_cycle(length), measured={})
         constants = np.asarray(ca.Function("p", [self.v], [self.physical])(v)).reshape(-1)
         cycle = make_propagator(
             self.model, grid, intervals, ca.SX(0, 1), ca.SX(ca.DM(constants)), scale=self.scale
         )
-        speed, row = self._crank_speed(length)
-        start = self._equilibrium(v)
+        n, (speed, row) = len(self.scale), self._crank_speed(length)
+        turning = np.array([state.unit == "rad/s" for state in self.model.states]) / self.scale
+        start, drift = self._equilibrium(v), 0.0
         for _ in range(_STEPS):
             path = cycle.propagate(np.zeros(0), start[None], 1)
-            end_s = np.asarray(path.end_s)[0]
-            defect, slope = path.end[:, 0] - start, end_s - np.eye(len(start))
-            if row is not None:
+            slope = np.asarray(path.end_s)[0] - np.eye(n)
+            defect = path.end[:, 0] - start
+            if row is not None:  # the record tells the mean speed, and the torques need not balance there
                 y = path.y[0].reshape(len(self.names), -1)[row]
                 ys = np.asarray(path.ys).reshape(len(self.names), length, -1)[row]
-                defect = np.append(defect, _SPEED * (y.mean() - speed) / self.model.outputs[row].scale)
-                slope = np.vstack([slope, _SPEED * ys.mean(axis=0) / self.model.outputs[row].scale])
+                defect = np.append(defect - drift * turning, y.mean() - speed)
+                slope = np.block([[slope, -turning[:, None]], [ys.mean(axis=0)[None], np.zeros((1, 1))]])
             step = _least_squares(slope, defect)
-            start = start - step
-            if np.abs(step).max() < _SETTLED * max(1.0, float(np.abs(start).max())):
+            start = start - step[:n]
+            drift -= float(step[n]) if row is not None else 0.0
+            if np.abs(step[:n]).max() < _SETTLED * max(1.0, float(np.abs(start).max())):
                 break
         if not np.isfinite(start).all():
             raise self._not_finite()
         return start
 
+    def _closed_cycle(self, length: int) -> Array:
+        """(nu, length+1) the first cycle's inputs, led back evenly to where they began.
+
+        Cycles differ, and a jump would ring in the fast modes.
+        """
+        channels: Array = self.grid.channels[:, : length + 1].copy()
+        gap = channels[:, 0] - channels[:, length]
+        gap[[variable.name for variable in self.model.inputs].index("theta")] += _CYCLE
+        share = np.clip((np.arange(length + 1) / length - 1) / _SEAM + 1, 0.0, 1.0)
+        channels += gap[:, None] * share**2 * (3 - 2 * share)
+        return channels
+
     def _cycle_length(self) -> int | None:
-        """Grid steps of the first engine cycle, or None."""
+        """Grid steps of the first engine cycle, to the nearest, or None."""
         names = [variable.name for variable in self.model.inputs]
         if "theta" not in names:
             return None
         theta = self.grid.channels[names.index("theta")]
         passed = np.flatnonzero(theta >= theta[0] + _CYCLE)
-        return int(passed[0]) if len(passed) and passed[0] < len(theta) - 1 else None
+        if not len(passed) or passed[0] >= len(theta) - 1:
+            return None
+        k = int(passed[0])
+        return k if theta[k] + theta[k - 1] < 2 * (theta[0] + _CYCLE) else k - 1
 
     def _crank_speed(self, length: int) -> tuple[float, int | None]:
         """Mean rate of the crank angle over the first cycle [rad/s], and the output that shows it."""
@@ -313,22 +338,28 @@ class OperatingRecord:
 
     def _equilibrium(self, v: Array) -> Array:
         """The scaled state that stays with the first inputs held; the least one where several do."""
-        model = self.model
-        x, s = ca.SX.sym("x", len(self.scale)), ca.DM(self.scale)
-        held = [x * s, self.grid.channels[:, 0], self.grid.start, self.physical]
-        rates: Any = ca.Function("ode", [model.x, model.u, model.t, model.p], [model.closed_ode])(*held)
-        ode = rates / s
-        function = ca.Function("rest", [x, self.v], [ode, ca.densify(ca.jacobian(ode, x))])
         state = np.zeros(len(self.scale))
         for _ in range(_STEPS):
-            rate, slope = (np.asarray(part, dtype=float) for part in function(state, v))
+            rate, slope = self._rates(state, v)
             if not (np.isfinite(rate).all() and np.isfinite(slope).all()):
                 return np.zeros(len(self.scale))
-            step = _least_squares(slope.reshape(len(state), -1), rate.reshape(-1))
+            step = _least_squares(slope, rate)
             state = state - step
             if np.abs(step).max() < _SETTLED * max(1.0, float(np.abs(state).max())):
                 break
         return state
+
+    def _rates(self, state: Array, v: Array) -> tuple[Array, Array]:
+        """Rates (n,) of the scaled states at the first inputs, and their Jacobian (n, n)."""
+        if self._rate_function is None:
+            model = self.model
+            x, s = ca.SX.sym("x", len(self.scale)), ca.DM(self.scale)
+            ode = ca.Function("ode", [model.x, model.u, model.t, model.p], [model.closed_ode])
+            rates: Any = ode(x * s, self.grid.channels[:, 0], self.grid.start, self.physical)
+            parts = [rates / s, ca.densify(ca.jacobian(rates / s, x))]
+            self._rate_function = ca.Function("rates", [x, self.v], parts)
+        rate, slope = (np.asarray(part, dtype=float) for part in self._rate_function(state, v))
+        return rate.reshape(-1), slope.reshape(len(state), -1)
 
 
 def _least_squares(slope: Array, rest: Array) -> Array:
@@ -342,6 +373,36 @@ def _least_squares(slope: Array, rest: Array) -> Array:
 def _was_measured(plan: PlannedExperiment, name: str) -> bool:
     """True if the experiment holds samples of an output; a derived channel is a plan or a simulation."""
     return name in plan.experiment and plan.experiment[name].origin != "derived"
+
+
+def _slow_first(slope: Array) -> list[Array]:
+    """Modes of a system matrix (n, n), each a basis (n, 1 or 2), by rising magnitude of the eigenvalue."""
+    values, vectors = np.linalg.eig(slope)
+    found = []
+    for k in np.argsort(np.abs(values), kind="stable"):
+        if values[k].imag > 0:
+            found.append(np.stack([vectors[:, k].real, vectors[:, k].imag], axis=1))
+        elif values[k].imag == 0:
+            found.append(vectors[:, [k]].real)
+    return found
+
+
+def _demanded(slope: Array, rest: Array, modes: list[Array]) -> Array:
+    """As ``_least_squares``, with the modes alone that explain more than noise would, tried from the slowest on.
+
+    A start moved by noise rings in modes that the samples hardly show.
+    """
+    best = rest - slope @ _least_squares(slope, rest)
+    noise = float(best @ best) / max(len(rest) - slope.shape[1], 1)
+    chosen: Array = np.zeros((slope.shape[1], 0))
+    step, left = np.zeros(slope.shape[1]), float(rest @ rest)
+    for mode in modes:
+        basis = np.concatenate([chosen, mode], axis=1)
+        found = basis @ _least_squares(slope @ basis, rest)
+        after = float(np.sum((rest - slope @ found) ** 2))
+        if left - after > _DEMANDED**2 * mode.shape[1] * noise:
+            chosen, step, left = basis, found, after
+    return step
 
 
 def _outputs_of(model: Model, plan: PlannedExperiment) -> tuple[str, ...]:

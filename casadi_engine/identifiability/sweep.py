@@ -147,7 +147,7 @@ class _Line:
         try:
             for record in self.records:
                 with np.errstate(all="ignore"):
-                    total += float(np.sum(record.at(v).residual ** 2))
+                    total += float(np.sum(record.at(v, closest=True).residual ** 2))
         except (SimulationError, FloatingPointError, np.linalg.LinAlgError):
             return float("nan")
         return 0.5 * total / self.samples

@@ -204,7 +204,9 @@ def noisy_fit():
 
 def test_expected_errors_are_those_of_a_fit_with_ties_priors_and_equalities(noisy_fit):
     assert noisy_fit.converged
-    info = fisher(noisy_fit.model, noisy_fit.data, parameters=noisy_fit.parameters, noise=ce.Noise(omega=0.1))
+    start = {name: one.value for name, one in noisy_fit.initial["plan"].items()}
+    there = PlannedExperiment(noisy_fit.data[0], start=start)
+    info = fisher(noisy_fit.model, there, parameters=noisy_fit.parameters, noise=ce.Noise(omega=0.1))
     for name in ("J_eng", "J_load", "K_el", "C_el", "C_eng"):
         assert info.errors[name].stderr == pytest.approx(noisy_fit.stderr[name], rel=1e-5), name
     assert info.of("J_load").stderr == pytest.approx(info.errors["J_load"].stderr, rel=1e-9)
