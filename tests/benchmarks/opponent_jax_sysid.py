@@ -107,7 +107,7 @@ def fit(case: Case, start: Array, mark: Callable[[], None]) -> dict[str, Any]:
     model.optimization(
         adam_epochs=0,
         lbfgs_epochs=MOST_EVALUATIONS,
-        lbfgs_tol=1e-12,
+        lbfgs_tol=1e-16,
         memory=50,
         iprint=-1,
         params_min=[low],

@@ -3,7 +3,7 @@
     python tests/benchmarks/run.py [NAME ...] [--quick] [--peers PYTHON] [--solvers NAME ...]
 
 NAME: A, B, B6, B21 (the problems), precision, scaling, or tables (write RESULTS.md from what was measured); none: all.
---quick takes two starts and a tenth of the time limit, prints its tables and writes nothing. See README.md.
+--quick takes two starts and a quarter of the time limit, prints its tables and writes nothing. See README.md.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import argparse
 import datetime
 import json
 import os
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -20,6 +19,8 @@ from typing import Any
 
 import tables
 from solvers import SOLVERS, Solver
+from tables import total
+from worker import OUT_OF_TIME
 
 HERE = Path(__file__).resolve().parent
 PROBLEMS = {"A": 20, "B": 20, "B6": 20, "B21": 10}  # name -> starts
@@ -50,13 +51,13 @@ def launch(python: str, arguments: list[str]) -> tuple[list[dict[str, Any]], str
     )
     rows = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
     last = (done.stderr.strip().splitlines() or [""])[-1]
-    if done.returncode == -signal.SIGXCPU:
+    if done.returncode == OUT_OF_TIME:
         return rows, "stopped at the time limit"
     return rows, f"ended with {done.returncode}: {last}" if done.returncode else ""
 
 
 def measure(name: str, case: str, starts: list[int], python: str, limit: float, warm: bool) -> list[Any]:
-    """Rows of one solver on one problem; slow solvers get a process for every start and stop after two failures."""
+    """Rows of one solver on one problem; slow solvers get a process a start, and end with one that runs out of time."""
     options = ["--limit", str(limit), *(["--warm"] if warm else [])]
     if SOLVERS[name].starts >= 20:
         rows, trouble = launch(python, ["worker.py", name, case, *map(str, starts), *options])
@@ -66,14 +67,14 @@ def measure(name: str, case: str, starts: list[int], python: str, limit: float, 
     for number in starts:
         found, trouble = launch(python, ["worker.py", name, case, str(number), *options])
         rows += found or [{"start": number, "words": trouble}]
-        if len(rows) > 1 and not any("chi2" in row for row in rows):
+        if total(rows[-1]) > 0.9 * limit or "chi2" not in rows[-1]:  # the next would be no faster
             break
     return rows
 
 
 def problem(case: str, names: list[str], options: argparse.Namespace, store: dict[str, Any]) -> None:
     """One problem with every solver that takes part in it."""
-    limit = LIMIT / 10 if options.quick else LIMIT
+    limit = LIMIT / 4 if options.quick else LIMIT
     for name in names:
         solver = SOLVERS[name]
         python = interpreter(solver, options)
@@ -81,12 +82,15 @@ def problem(case: str, names: list[str], options: argparse.Namespace, store: dic
             continue
         count = min(PROBLEMS[case], solver.starts, 2 if options.quick else 20)
         rows = measure(name, case, list(range(count)), python, limit, warm=solver.starts >= 20)
+        store = store if options.quick else tables.read_store()  # another run may have written meanwhile
         store["problems"].setdefault(case, {})[name] = {
             "rows": rows,
             "limit": limit,
             "date": str(datetime.date.today()),
             "versions": versions(solver, python),
         }
+        if not options.quick:
+            tables.write_store(store)
         print(f"{case} {name}: {tables.one_line(case, rows, store)}", flush=True)
 
 
@@ -95,7 +99,7 @@ def scaling(options: argparse.Namespace, store: dict[str, Any]) -> None:
     points = [*SCALING_CYLINDERS, *SCALING_SAMPLES[1:]]
     if options.quick:
         points = [(1, 14_400), (4, 14_400), (4, 43_200)]
-    for name in SCALING_SOLVERS:
+    for name in [name for name in SCALING_SOLVERS if name in options.solvers]:
         found = []
         for cylinders, samples in points:
             # the small points are warmed up, for what a first call costs would bend the curve
@@ -106,15 +110,21 @@ def scaling(options: argparse.Namespace, store: dict[str, Any]) -> None:
             rows, trouble = launch(sys.executable, arguments)
             found.append({"cylinders": cylinders, "samples": samples, "rows": rows, "words": trouble})
             print(f"scaling {name} {case}: {tables.point_line(rows)} {trouble}", flush=True)
+        store = store if options.quick else tables.read_store()
         store["scaling"][name] = {"points": found, "date": str(datetime.date.today())}
+        if not options.quick:
+            tables.write_store(store)
 
 
 def precision(options: argparse.Namespace, store: dict[str, Any]) -> None:
     """Errors of B6 over noise seeds against the Cramér-Rao bound."""
-    for name in ("ours", "scipy"):
+    for name in [name for name in ("ours", "scipy") if name in options.solvers]:
         rows, trouble = launch(sys.executable, ["precision.py", name, "2" if options.quick else "20"])
+        store = store if options.quick else tables.read_store()
         if rows:
             store["precision"][name] = rows[0] | {"date": str(datetime.date.today())}
+        if not options.quick:
+            tables.write_store(store)
         print(f"precision {name}: {tables.precision_line(rows[0]) if rows else trouble}", flush=True)
 
 
@@ -148,7 +158,7 @@ def main() -> int:
     if unknown:
         parser.error(f"unknown: {', '.join(unknown)}")
     names = options.names or [*PROBLEMS, *STUDIES, "tables"]
-    store = tables.read_store()
+    store = {"problems": {}, "scaling": {}, "precision": {}} if options.quick else tables.read_store()
     for name in names:
         if name in PROBLEMS:
             problem(name, options.solvers, options, store)
@@ -156,12 +166,10 @@ def main() -> int:
             scaling(options, store)
         elif name == "precision":
             precision(options, store)
-        if not options.quick:
-            tables.write_store(store)
     if options.quick:
         print(tables.generated(store))
     else:
-        tables.write_results(store)
+        tables.write_results(tables.read_store())
     return 0
 
 

@@ -46,12 +46,12 @@ SOLVERS = {
         "lmfit on the frequency-domain residual", "opponent_lmfit", peers=True, packages=("lmfit", "scipy")
     ),
     "jax-sysid": Solver(
-        "jax-sysid, L-BFGS-B", "opponent_jax_sysid", peers=True, starts=3, packages=("jax-sysid", "jax")
+        "jax-sysid, L-BFGS-B", "opponent_jax_sysid", peers=True, starts=2, packages=("jax-sysid", "jax")
     ),
     "casadi": Solver(
-        "CasADi multiple shooting, Gauss-Newton", "opponent_casadi", starts=3, packages=("casadi",)
+        "CasADi multiple shooting, Gauss-Newton", "opponent_casadi", starts=2, packages=("casadi",)
     ),
     "casadi-exact": Solver(
-        "CasADi multiple shooting, exact Hessian", "opponent_casadi", "exact", starts=3, packages=("casadi",)
+        "CasADi multiple shooting, exact Hessian", "opponent_casadi", "exact", starts=2, packages=("casadi",)
     ),
 }

@@ -67,6 +67,10 @@ def cells(case: str, one: dict[str, Any], store: dict[str, Any]) -> list[str]:
     timed = [row for row in rows if "solve" in row and "chi2" in row]
     finite = [row["chi2"] for row in rows if "chi2" in row]
     words = f"{len(good)}/{len(rows)}"
+    if any(
+        "NonIpopt" in row.get("words", "") or total(row) > 0.99 * one.get("limit", np.inf) for row in rows
+    ):
+        words += ", out of time"
     if not timed:
         reason = rows[-1].get("words", "") if rows else "did not run"
         return [words, f"not converged ({reason})", "", "", "", "", ""]
