@@ -92,7 +92,8 @@ class NullDistribution:
         if p >= 1:
             return 1.0
         inside = self._significant(p, self._given(p))
-        return float(min(1.0, p * len(self.tests) * np.mean(1 / np.maximum(inside, 1))))
+        share = float((1 / np.maximum(inside, 1)).mean())
+        return min(1.0, p * len(self.tests) * share)
 
     def threshold(self, alpha: float) -> float:
         """The p-value of a single test below which the library's smallest one falls with probability ``alpha``."""

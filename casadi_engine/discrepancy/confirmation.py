@@ -1,0 +1,104 @@
+"""Confirmation on data not used: the gain of the repaired model, cycle by cycle, and the gap before and after."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.discrepancy.linear_algebra import Array
+
+_WANTED = 2.0
+_FEWEST = 3
+
+
+@dataclass(frozen=True)
+class PairedGain:
+    """Drop of chi-squared per cycle of fresh data: mean, its standard error, number of cycles.
+
+    confirmed : mean/se > 2; None where there are too few cycles to tell, and ``why`` says so
+    """
+
+    mean: float | None
+    se: float | None
+    cycles: int
+    confirmed: bool | None
+    why: str | None = None
+
+
+@dataclass(frozen=True)
+class Gap:
+    """How far simulation and data are apart: chi-squared per sample, RMSE [output unit] and fit % (2.32) by output."""
+
+    chi2_per_sample: float
+    rmse: Mapping[str, float]
+    fit_percent: Mapping[str, float]
+    samples: int
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Residuals of one output of one record: record, output, e (N,), measured (N,), cycle (N,) and its noise sigma."""
+
+    record: str
+    output: str
+    e: Array
+    measured: Array
+    cycle: NDArray[np.intp]
+    sigma: float
+
+
+def paired_gain(before: Sequence[Residuals], after: Sequence[Residuals]) -> PairedGain:
+    """The gain per cycle; the same records, outputs and samples before and after."""
+    gains: dict[tuple[str, int], float] = {}
+    for old, new in zip(before, after, strict=True):
+        drop = (old.e**2 - new.e**2) / old.sigma**2
+        for number in np.unique(old.cycle):
+            key = (old.record, int(number))
+            gains[key] = gains.get(key, 0.0) + float(drop[old.cycle == number].sum())
+    values = np.array(list(gains.values()))
+    if len(values) < _FEWEST:
+        mean = float(values.mean()) if len(values) else None
+        why = f"{len(values)} cycles of fresh data: at least {_FEWEST} are needed to tell a gain from chance"
+        return PairedGain(mean, None, len(values), None, why)
+    mean, se = float(values.mean()), float(values.std(ddof=1) / math.sqrt(len(values)))
+    return PairedGain(mean, se, len(values), mean > _WANTED * se and mean > 0)
+
+
+def gap(residuals: Sequence[Residuals]) -> Gap:
+    """The gap of a set of residuals."""
+    chi2 = sum(float(r.e @ r.e) / r.sigma**2 for r in residuals)
+    count = sum(len(r.e) for r in residuals)
+    rmse, percent = {}, {}
+    for output in dict.fromkeys(r.output for r in residuals):
+        own = [r for r in residuals if r.output == output]
+        e = np.concatenate([r.e for r in own])
+        spread = np.concatenate([r.measured - r.measured.mean() for r in own])
+        rmse[output] = math.sqrt(float(e @ e) / len(e))
+        size = float(np.linalg.norm(spread))
+        percent[output] = 100 * (1 - float(np.linalg.norm(e)) / size) if size > 0 else -math.inf
+    return Gap(chi2 / max(count, 1), rmse, percent, count)
+
+
+def share_explained(before: Gap, after: Gap, *, floor: float = 1.0) -> float:
+    """The share of the gap above the noise that the repair closed; floor : chi-squared per sample of pure noise."""
+    excess = before.chi2_per_sample - floor
+    if excess <= 0:
+        return 0.0
+    return float(np.clip((before.chi2_per_sample - after.chi2_per_sample) / excess, -1.0, 1.0))
+
+
+def hold_out(cycles: Sequence[int], *, share: float = 0.3) -> tuple[list[int], list[int]]:
+    """Cycles to estimate from, and the last ``share`` of them, at least one of each, to confirm on.
+
+    The held-out cycles are the last ones in one piece: neighbours of a cycle share its initial state. A single cycle is
+    not split.
+    """
+    ordered = sorted(set(cycles))
+    if len(ordered) < 2:
+        return ordered, []
+    kept = min(max(1, round(len(ordered) * (1 - share))), len(ordered) - 1)
+    return ordered[:kept], ordered[kept:]
