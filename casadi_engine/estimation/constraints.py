@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import casadi as ca
 import numpy as np
@@ -26,21 +27,42 @@ class Frequency:
     matrices: Callable[[Array], tuple[Array, Array, Array]]
 
 
+class Supplied(Protocol):
+    """A constraint min <= g(v) <= max that brings its own derivatives."""
+
+    label: str
+    min: float
+    max: float
+
+    def evaluate(self, v: Array) -> tuple[float, Array]:
+        """Value and gradient (nv,)."""
+        ...
+
+    def hessian(self, v: Array) -> Array:
+        """(nv, nv)."""
+        ...
+
+
 class ParameterConstraints:
     """All constraints g(v) of a fit: lower <= g <= upper, each divided by its magnitude at the start.
 
+    supplied : constraints beside those of the parameter set
     labels : (nc,) names for messages; values, jacobian (nc, nv), and the Hessian of lam @ g.
     """
 
-    def __init__(self, model: Model, pmap: ParameterMap, coordinates: Coordinates) -> None:
+    def __init__(
+        self, model: Model, pmap: ParameterMap, coordinates: Coordinates, supplied: Sequence[Supplied] = ()
+    ) -> None:
         v = coordinates.symbol
-        compiled = pmap.constraints
+        compiled, self._supplied = pmap.constraints, tuple(supplied)
         self.v = v
         self._expression = ca.vertcat(ca.SX(0, 1), *[coordinates.substitute(c.expression) for c in compiled])
         self._frequencies = _frequencies(model, pmap, coordinates)
         bounds = [(c.min, c.max) for c in compiled]
         bounds += [(f.min, f.max) for f in pmap.frequency_constraints for _ in _records(pmap)]
+        bounds += [(own.min, own.max) for own in self._supplied]
         self.labels = [c.label for c in compiled] + [f.label for f in self._frequencies]
+        self.labels += [own.label for own in self._supplied]
         self.count = len(self.labels)
         jacobian = ca.jacobian(self._expression, v)
         self._first = ca.Function("constraints", [v], [self._expression, ca.densify(jacobian)])
@@ -66,6 +88,10 @@ class ParameterConstraints:
             found, slope, _ = natural_frequency_derivatives(*frequency.matrices(v), frequency.mode)
             rows.append(np.array([found]))
             slopes.append(np.asarray(slope)[None])
+        for own in self._supplied:
+            found, slope = own.evaluate(v)
+            rows.append(np.array([found]))
+            slopes.append(slope[None])
         return np.concatenate(rows) / self.scale, np.concatenate(slopes) / self.scale[:, None]
 
     def hessian(self, v: Array, lam: Array) -> Array:
@@ -76,6 +102,9 @@ class ParameterConstraints:
         for k, frequency in enumerate(self._frequencies):
             second = natural_frequency_derivatives(*frequency.matrices(v), frequency.mode)[2]
             total = total + weight[plain + k] * np.asarray(second)
+        for own, factor in zip(reversed(self._supplied), reversed(weight), strict=False):
+            if factor:
+                total = total + factor * own.hessian(v)
         return total
 
     def violated(self, v: Array, tolerance: float = 1e-6) -> list[str]:

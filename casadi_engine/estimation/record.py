@@ -13,10 +13,11 @@ from casadi_engine.estimation.loss import Loss
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.simulation.discretisation import Method
+from casadi_engine.simulation.gain import GainPlan
 from casadi_engine.simulation.grid import Grid, lay_grid
 from casadi_engine.simulation.intervals import Intervals, Observation, cut
 from casadi_engine.simulation.linear import LinearPropagator
-from casadi_engine.simulation.propagator import after_missing, make_propagator
+from casadi_engine.simulation.propagator import after_missing, make_propagator, starts_afresh
 
 Array = NDArray[np.float64]
 
@@ -58,7 +59,7 @@ class RecordTerm:
         physical: ca.SX,
         *,
         length: int | None,
-        gain: Array | None,
+        gain: Array | GainPlan | None,
         method: Method,
         grid: Grid | None = None,
     ) -> None:
@@ -69,14 +70,18 @@ class RecordTerm:
         self.plan: Intervals = cut(self.grid, length)
         self.observation = Observation(self.grid, self.plan, self.outputs)
         self.scale = np.array([state.scale for state in model.states])
-        depends = ca.which_depends(physical, v, 1, False) if v.numel() and physical.numel() else []
+        plan = gain if isinstance(gain, GainPlan) else None
+        needed = physical if plan is None else ca.vertcat(physical, plan.expression)
+        depends = ca.which_depends(needed, v, 1, False) if v.numel() and needed.numel() else []
         self.active = np.flatnonzero(depends) if len(depends) else np.zeros(0, np.intp)
         local = ca.vertcat(*[v[int(i)] for i in self.active]) if len(self.active) else ca.SX(0, 1)
         self.propagator = make_propagator(
-            model, self.grid, self.plan, local, physical, scale=self.scale, method=method, gain=gain
-        )
+            model, self.grid, self.plan, local, physical, scale=self.scale, method=method,
+            gain=gain.build(gain.expression, local) if isinstance(gain, GainPlan) else gain,
+            used=None if plan is None else plan.used,
+        )  # fmt: skip
         self.n = len(self.scale)
-        if gain is not None:
+        if isinstance(gain, np.ndarray) and starts_afresh(model, gain, self.scale):
             self.observation.leave_out(after_missing(self.grid))
         self.weight = self.observation.valid.astype(float)
         self._common: float | None = None  # the weight, where all samples count and count alike

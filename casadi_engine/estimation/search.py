@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.constraints import ParameterConstraints, Priors
 from casadi_engine.estimation.coordinates import Coordinates
+from casadi_engine.estimation.innovations import SizedPriors, StableLoop
 from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.ipopt import Solution, Solver
 from casadi_engine.estimation.levels import NoiseLevels, check_noise
 from casadi_engine.estimation.loss import Loss
 from casadi_engine.estimation.options import initial_bounds, interval_length
+from casadi_engine.estimation.predictor import Predictor
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.shooting import ShootingProblem
 from casadi_engine.estimation.starts import chained_nodes, nodes_from_measurement
@@ -74,34 +76,51 @@ class Search:
         self.model, self.data, self.noise, self.loss = model, data, noise, loss
         self.warm, self._progress = _checked_warm(warm), progress
         names = tuple(record.name for record in data)
-        self.pmap = compile(parameters, model.parameter_names, names, ties=ties)  # type: ignore[arg-type]
+        grids = {record.name: lay_grid(model, record) for record in data}
+        self.predictor = Predictor(noise, model, list(grids.values()), parameters)
+        wanted = (*model.parameter_names, *self.predictor.names)
+        whole = compile(parameters, wanted, names, ties=ties)  # type: ignore[arg-type]
+        self.pmap, tails = self.predictor.split(whole)
         self.parameters = parameters
         nv = len(self.pmap.free)
         self.coordinates = Coordinates(self.pmap)
-        scale = np.array([state.scale for state in model.states])
-        gain = None if noise.gain is None else noise.gain / scale[:, None]
         self.records: list[RecordTerm] = []
         made: dict[int, Any] = {}
+        level: Array | None = None
         for record in data:
-            physical = self.pmap.physical[record.name]
+            physical, tail = self.pmap.physical[record.name], tails[record.name]
             local = made.setdefault(id(physical), self.coordinates.substitute(physical))
-            grid = lay_grid(model, record)
+            own = self.coordinates.substitute(tail)
+            if self.predictor.kind == "process" and level is None:
+                start = self.coordinates.of(self.pmap.start)
+                level = self.predictor.reference(
+                    own, local, self.coordinates.symbol, start, grids[record.name]
+                )
             self.records.append(
                 RecordTerm(
                     model,
                     record,
                     self.coordinates.symbol,
                     local,
-                    length=interval_length(interval, grid),
-                    gain=gain,
+                    length=interval_length(interval, grids[record.name]),
+                    gain=self.predictor.plan(own, local, level),
                     method=method,
-                    grid=grid,
+                    grid=grids[record.name],
                 )
             )
-        self.constraints = ParameterConstraints(model, self.pmap, self.coordinates)
-        self.problem = ShootingProblem(
-            self.records, self.constraints, Priors(self.pmap, self.coordinates), loss, nv
-        )
+        priors: Any = Priors(self.pmap, self.coordinates)
+        if level is not None:
+            if loss.robust:
+                raise EstimationError(
+                    "a robust loss does not go with noise covariances: outliers would pass for process noise",
+                    seen="process= and a robust loss",
+                    allowed='loss="square" with process=',
+                    cure='take Noise(omega="innovations"), whose gain is free, or mask the outliers',
+                )
+            priors = SizedPriors(priors, self.records, level)
+            noise = Noise(**dict(zip(self.predictor.outputs, level.tolist(), strict=True)))
+        self.constraints = ParameterConstraints(model, self.pmap, self.coordinates, self._stable())
+        self.problem = ShootingProblem(self.records, self.constraints, priors, loss, nv)
         self._initial = [initial_bounds(initial, model, name, names) for name in names]
         self._bounds()
         self.sigma = np.zeros(0)
@@ -114,6 +133,14 @@ class Search:
             progress=self._report,
             interrupts=interrupts,
         )
+
+    def _stable(self) -> list[StableLoop]:
+        """For an estimated gain, that every record's predictor forgets; once for records that share it."""
+        if self.predictor.kind != "innovations":
+            return []
+        own = {tuple(r.active.tolist()): r for r in reversed(self.records)}
+        size, every = len(self.pmap.free), self.predictor._every
+        return [StableLoop(record, every, size, alone=len(own) == 1) for record in own.values()]
 
     # ---- bounds, noise
 

@@ -1,9 +1,10 @@
-"""Noise: what is known of the measurement noise of each output, and the gain of the predictor."""
+"""Noise: what is known of the measurement noise of each output, of process noise, and of the predictor's gain."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -15,48 +16,113 @@ Level = float | Literal["estimate"]
 
 
 class Noise:
-    """Standard deviation of the white measurement noise of each output, known or estimated.
+    """Noise of the measurement and of the process: known, or estimated.
 
-    levels : output=sigma in the output's unit, or output="estimate"; outputs that are not named are estimated
-    gain : None for output error (the model is simulated); or the (n, ny) correction gain L of a one-step
-        predictor, x+ = x + L (y - y_hat) before each step, dimensioned as state per output. L = 1 for one
-        measured state makes the innovations form (2.10) with the gain A_D: the predictor starts each step
-        from the measurement.
+    levels : for each output its standard deviation, in its unit, or one of two words; outputs that are not named are
+        "estimate"
+        "estimate" : the standard deviation is found from the residual
+        "innovations" : there is process noise of unknown kind; the predictor (2.10) corrects its state by this output,
+        with a gain that is estimated with the physical parameters and keeps the predictor stable, and the standard
+        deviation found is that of the innovations
+    process : white noise that drives the states, from which the gain follows by the Riccati equation (2.11, 2.12):
+        state -> standard deviation that it adds to the state in one second [state's unit/sqrt(s)], or "estimate";
+        "estimate" alone frees it for every state that a drive acts on. States that are not named have none. The levels
+        are then those of the measurement alone. A drive's name stands for noise on that drive [drive's unit sqrt(s)].
+    gain : the (n, ny) correction gain L of a one-step predictor if it is known, x+ = x + L (y - y_hat) before each
+        step, dimensioned as state per output; K = A_D L in (2.10). L = 1 for one measured state makes the predictor
+        start each step from the measurement.
 
-    Raises EstimationError for a level that is not a positive number or "estimate", and for a gain that is not
-    a matrix of finite numbers.
+    Without "innovations", ``process`` and ``gain`` the model is simulated: output error. Where an output is missing its
+    correction is skipped.
+
+    Raises EstimationError for a level that is none of these, for a gain that is not a matrix of finite numbers, and
+    where the gain is asked for in two ways.
 
     >>> Noise(omega=0.1).level("omega")
     0.1
+    >>> Noise(omega=0.1, process={"omega_eng": "estimate"})
+    Noise(omega=0.1, process={'omega_eng': 'estimate'})
     """
 
-    def __init__(self, *, gain: ArrayLike | None = None, **levels: Any) -> None:
+    def __init__(
+        self,
+        *,
+        gain: ArrayLike | None = None,
+        process: Mapping[str, Level] | Literal["estimate"] | None = None,
+        **levels: Any,
+    ) -> None:
         for output, level in levels.items():
-            number = isinstance(level, (int, float)) and not isinstance(level, bool)
-            if level != "estimate" and not (number and math.isfinite(level) and level > 0):
+            if level not in ("estimate", "innovations") and not _positive(level):
                 raise EstimationError(
                     f"the noise level of {output} is not acceptable",
                     seen=level,
-                    allowed='a standard deviation > 0 in the unit of the output, or "estimate"',
+                    allowed='a standard deviation > 0 in the unit of the output, or "estimate", or "innovations"',
                     cure=f'write Noise({output}="estimate") if it is not known',
                 )
-        self._levels: Mapping[str, Level] = dict(levels)
+        self._levels: Mapping[str, Level] = {
+            name: "estimate" if level == "innovations" else level for name, level in levels.items()
+        }
+        self.innovations: tuple[str, ...] = tuple(k for k, level in levels.items() if level == "innovations")
+        self.process: Mapping[str, Level] | Literal["estimate"] | None = _process(process)
         self.gain: NDArray[np.float64] | None = None if gain is None else _matrix(gain)
+        ways = {
+            "gain": self.gain is not None,
+            "process": self.process is not None,
+            '"innovations"': bool(self.innovations),
+        }
+        if sum(ways.values()) > 1:
+            raise EstimationError(
+                "the gain of the predictor is asked for in more ways than one",
+                seen=" and ".join(name for name, given in ways.items() if given),
+                allowed='one of gain=, process= and output="innovations"',
+                cure='give process= where the noise is known, "innovations" where it is not',
+            )
 
     @property
     def outputs(self) -> tuple[str, ...]:
         """Names of the outputs that a level was given for."""
         return tuple(self._levels)
 
+    @property
+    def predicts(self) -> bool:
+        """True if residuals are those of a one-step predictor; False for output error."""
+        return self.gain is not None or self.process is not None or bool(self.innovations)
+
     def level(self, output: str) -> Level:
         """Sigma of the output, or "estimate"."""
         return self._levels.get(output, "estimate")
 
     def __repr__(self) -> str:
-        words = [f"{name}={level!r}" for name, level in self._levels.items()]
+        own = dict.fromkeys(self.innovations, "innovations")
+        words = [f"{name}={own.get(name, level)!r}" for name, level in self._levels.items()]
+        if self.process is not None:
+            given = self.process if isinstance(self.process, str) else dict(self.process)
+            words.append(f"process={given!r}")
         if self.gain is not None:
             words.append(f"gain={self.gain.tolist()}")
         return f"Noise({', '.join(words)})"
+
+
+def _positive(level: Any) -> bool:
+    number = isinstance(level, (int, float)) and not isinstance(level, bool)
+    return number and math.isfinite(level) and level > 0
+
+
+def _process(process: Any) -> Mapping[str, Level] | Literal["estimate"] | None:
+    """The process noise, checked and read only."""
+    if process is None:
+        return None
+    if process == "estimate":
+        return "estimate"
+    named = isinstance(process, Mapping) and len(process) > 0
+    if named and all(level == "estimate" or _positive(level) for level in process.values()):
+        return MappingProxyType(dict(process))
+    raise EstimationError(
+        "the process noise is not acceptable",
+        seen=repr(process),
+        allowed='state -> a standard deviation > 0 per square root of a second, or "estimate"; or "estimate" alone',
+        cure='write Noise(omega=0.1, process={"omega_eng": "estimate"}), or leave it out for output error',
+    )
 
 
 def _matrix(gain: ArrayLike) -> NDArray[np.float64]:

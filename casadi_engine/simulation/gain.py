@@ -5,6 +5,7 @@ x+ = x + L (y - y_hat) before each step, so that the innovations form (2.10) has
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -134,28 +135,48 @@ class RiccatiGain:
     def log_determinant(
         self, z: Array, core: DiscreteCore, discrete: Discretisation, seen: Seen
     ) -> tuple[Array, Array]:
-        """Jet (k,) of log det of the covariance of one sample's innovations, and the information (nz, nz) on z that
-        lies in their size: tr(S^-1 dS S^-1 dS) / 2."""
+        """Jet (k,) of log det S, S the covariance of one sample's innovations; and the part (nz, nz) of the information
+        on z in their size that the whitened innovations do not show by their slopes.
+
+        The information is tr(S^-1 dS S^-1 dS) / 2; the squared slopes of the whitened innovations hold all of it but
+        for a quarter of the squares on the diagonal of B dS B', B the whitener.
+        """
         found, d = self.stationary(z, core, discrete), discrete.parameters
         some = np.flatnonzero(seen)
         s = found.innovation[:, some[:, None], some]
-        back = np.linalg.inv(s[0])
+        back = np.linalg.inv(np.linalg.cholesky(s[0]))
+        relative = back @ s @ back.T
         value = np.zeros(len(s))
         value[0] = np.linalg.slogdet(s[0])[1]
-        relative = back @ s
         value[1:] = np.trace(relative[1:], axis1=1, axis2=2)
         first = relative[1 : 1 + d]
-        both = np.einsum("iab,jba->ij", first, first)
         if len(s) > 1 + d:
-            value[1 + d :] -= both[jets.pairs(d)]
-        return value, both / 2
+            value[1 + d :] -= np.einsum("iab,jba->ij", first, first)[jets.pairs(d)]
+        diagonal = np.einsum("iaa->ia", first)
+        return value, diagonal @ diagonal.T / 4
 
 
-def corrected(discrete: Discretisation, correction: Correction) -> Discretisation:
+@dataclass(frozen=True)
+class GainPlan:
+    """A gain that hangs on the estimated vector, before it is known which entries a record needs.
+
+    expression : (k, 1) SX of the whole vector, what the gain is made of; build : from it and the record's own entries
+    z to the Gain; used : (ny,) outputs that correct the state
+    """
+
+    expression: ca.SX
+    build: Callable[[ca.SX, ca.SX], Gain]
+    used: Seen
+
+
+def corrected(discrete: Discretisation, correction: Correction | Array) -> Discretisation:
     """The one-step predictor as a model of its own: x+ = x + L (y - y_hat) before each step.
 
     The measured outputs (ny,) join the drives. With a whitener W the outputs are y + W (y_hat - y).
+    correction : or L alone, (n, ny) in scaled states per output
     """
+    if isinstance(correction, np.ndarray):
+        correction = Correction(jets.constant(correction, discrete.parameters, discrete.order))
     d, nz, lift = discrete, discrete.parameters, correction.lift
     push = jets.product(d.f, lift, nz)
     f = d.f - jets.product(push, d.c, nz)

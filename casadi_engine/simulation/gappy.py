@@ -76,7 +76,7 @@ class GappyPredictor:
         method: Method = "exact",
     ) -> None:
         self.intervals, self.nz = intervals, int(z.numel())
-        self._drives, self._gain = Drives(model, grid, z, physical), gain
+        self._drives, self.gain = Drives(model, grid, z, physical), gain
         self.core = DiscreteCore(
             model, z, physical, step=grid.step, hold=self._drives.holds, scale=scale, method=method
         )
@@ -128,7 +128,7 @@ class GappyPredictor:
     def _parts(self, z: Array, order: int) -> list[Discretisation]:
         """The predictor's matrices for each pattern."""
         discrete = self.core.at(z, order)
-        return [corrected(discrete, self._gain.at(z, self.core, discrete, seen)) for seen in self.patterns]
+        return [corrected(discrete, self.gain.at(z, self.core, discrete, seen)) for seen in self.patterns]
 
     # ---- forward
 

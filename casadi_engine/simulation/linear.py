@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from casadi_engine.model import Model
 from casadi_engine.simulation import jets
 from casadi_engine.simulation.blocks import Blocks, block_matrices
-from casadi_engine.simulation.discretisation import DiscreteCore, Discretisation, Method
+from casadi_engine.simulation.discretisation import DiscreteCore, Method
+from casadi_engine.simulation.gain import Gain, corrected
 from casadi_engine.simulation.grid import Drives, DriveSamples, Grid
 from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.jets import Array
@@ -56,8 +56,8 @@ class LinearTrajectory:
 class LinearPropagator:
     """The linear core of a model over one record.
 
-    z : (nz,) SX local estimated vector; physical : (np,) SX of it; gain : (n, ny) correction gain in scaled states or
-    None; feedback : (ny, N) measured outputs for the correction
+    z : (nz,) SX local estimated vector; physical : (np,) SX of it; gain : of a one-step predictor, or None;
+    feedback : (ny, N) measured outputs for its correction
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class LinearPropagator:
         *,
         scale: Array,
         method: Method = "exact",
-        gain: Array | None = None,
+        gain: Gain | None = None,
         feedback: Array | None = None,
     ) -> None:
         self.intervals, self.nz = intervals, int(z.numel())
@@ -80,7 +80,8 @@ class LinearPropagator:
         )
         self.n, self.ny = self.core.states, self.core.outputs
         self._samples = grid.samples
-        self._gain, self._feedback = gain, feedback
+        self.gain = gain
+        self._feedback = feedback
         self._width = self.core.drives + (0 if feedback is None else len(feedback))
         self._block_drives: tuple[DriveSamples, Array, Array, Array] | None = None
 
@@ -131,8 +132,9 @@ class LinearPropagator:
 
     def _blocks(self, z: Array, order: int) -> Blocks:
         discrete = self.core.at(z, order)
-        if self._gain is not None:
-            discrete = corrected(discrete, self._gain)
+        if self.gain is not None:
+            seen = (True,) * self.ny
+            discrete = corrected(discrete, self.gain.at(z, self.core, discrete, seen))
         return block_matrices(discrete, self.intervals.q, self.intervals.samples)
 
     # A trial point of the search may be far off: what overflows is found by its result.
@@ -225,19 +227,3 @@ class LinearPropagator:
         flat = np.ascontiguousarray(pulled.transpose(0, 3, 2, 1)).reshape(nz * plan.m, -1)
         hzs = (flat @ path.phi[:-1].reshape(-1, n)).reshape(nz, plan.m, n).transpose(0, 2, 1)
         return hzz, hzs, np.zeros((plan.m, n, n))
-
-
-def corrected(discrete: Discretisation, gain: NDArray[np.float64]) -> Discretisation:
-    """The one-step predictor: x+ = x + L (y - y_hat) before each step; the measured y joins the drives.
-
-    gain : (n, ny), in scaled states per output.
-    """
-    d, nz = discrete, discrete.parameters
-    lift = jets.constant(gain, nz, d.order)
-    push = jets.product(d.f, lift, nz)
-    f = d.f - jets.product(push, d.c, nz)
-    g0 = np.concatenate([d.g0 - jets.product(push, d.d, nz), push], axis=2)
-    pad = np.zeros((len(f), f.shape[1], gain.shape[1]))
-    g1 = np.concatenate([d.g1, pad], axis=2)
-    out = np.concatenate([d.d, np.zeros((len(f), d.c.shape[1], gain.shape[1]))], axis=2)
-    return Discretisation(f, g0, g1, d.c, out, nz, d.order, np.zeros((0, 0)))

@@ -12,6 +12,8 @@ from casadi_engine.errors import SimulationError
 from casadi_engine.model import Model
 from casadi_engine.simulation.discretisation import Method
 from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
+from casadi_engine.simulation.gain import Gain, Seen, StatedGain
+from casadi_engine.simulation.gappy import GappyPredictor
 from casadi_engine.simulation.general import GeneralPropagator
 from casadi_engine.simulation.grid import Grid
 from casadi_engine.simulation.intervals import Intervals
@@ -58,14 +60,16 @@ def make_propagator(
     *,
     scale: Array,
     method: Method = "exact",
-    gain: Array | None = None,
-) -> LinearPropagator | ExponentialPropagator | GeneralPropagator:
+    gain: Array | Gain | None = None,
+    used: Seen | None = None,
+) -> LinearPropagator | GappyPredictor | ExponentialPropagator | GeneralPropagator:
     """Propagator of a model over one record.
 
     A linear core alone is propagated exactly; a core with nonlinear laws by the exponential integrator; equations
     that have no useful core by Runge-Kutta steps.
 
-    method : "exact", or "euler" for a linear model; gain : (n, ny) correction gain per scaled state, or None
+    method : "exact", or "euler" for a linear model; gain : (n, ny) correction gain per scaled state, a Gain that hangs
+    on z, or None; used : the outputs that correct the state, None for all
     Raises SimulationError where a method or a gain does not go with the model or with the record.
     """
     if method not in ("exact", "euler"):
@@ -78,10 +82,22 @@ def make_propagator(
     parts = split(model) if model.has_slot_laws or model.linear is None else None
     inner = parts.model if parts is not None else model
     if inner.linear is not None and not inner.has_slot_laws:
-        feedback = None if gain is None else _feedback(inner, grid, gain, scale)
-        return _CorePropagator(
-            inner, grid, intervals, z, physical, scale=scale, method=method, gain=gain, feedback=feedback
-        ).showing(len(model.drives))
+        if gain is None:
+            return LinearPropagator(model, grid, intervals, z, physical, scale=scale, method=method)
+        feedback, seen = _feedback(model, grid, used)
+        if isinstance(gain, np.ndarray):
+            if starts_afresh(model, gain, scale):
+                _check_pairs(grid)
+                seen = np.ones_like(seen)
+            gain = StatedGain(ca.SX(ca.DM(gain * scale[:, None])), z, scale)
+        if seen.all():
+            return LinearPropagator(
+                model, grid, intervals, z, physical, scale=scale, method=method, gain=gain, feedback=feedback
+            )
+        return GappyPredictor(
+            model, grid, intervals, z, physical, scale=scale, method=method, gain=gain, feedback=feedback,
+            seen=seen,
+        )  # fmt: skip
     if method != "exact" or gain is not None:
         raise SimulationError(
             "this model has nonlinear terms, and the option is for linear models",
@@ -108,15 +124,18 @@ def after_missing(grid: Grid) -> NDArray[np.bool_]:
     return np.concatenate([[False], ~there[:-1]])
 
 
-def _feedback(model: Model, grid: Grid, gain: Array, scale: Array) -> Array:
-    """(ny, N) measured outputs on the grid, for the correction of the one-step predictor.
+def _feedback(model: Model, grid: Grid, used: Seen | None) -> tuple[Array, NDArray[np.bool_]]:
+    """(ny, N) measured outputs on the grid, interpolated where there is none, and where there is one.
 
-    Where a sample is missing it is interpolated; the sample after it must not count then (``after_missing``).
-    That is enough for a gain with L C = I alone: any other carries the interpolated value on.
+    An output that corrects nothing counts as there.
     """
-    rows = []
-    for output in model.outputs:
+    rows, seen = [], []
+    for k, output in enumerate(model.outputs):
         measured = grid.measured.get(output.name)
+        if used is not None and not used[k]:
+            rows.append(np.zeros(grid.samples))
+            seen.append(np.ones(grid.samples, dtype=bool))
+            continue
         if measured is None or not measured.on_grid:
             raise SimulationError(
                 "a predictor needs every output on the inputs' time grid",
@@ -124,38 +143,36 @@ def _feedback(model: Model, grid: Grid, gain: Array, scale: Array) -> Array:
                 allowed="outputs that were sampled together with the inputs",
                 cure="resample the inputs to the output's times, or take output error (no gain)",
             )
+        there = np.zeros(grid.samples, dtype=bool)
+        there[measured.position.astype(int)] = True
         rows.append(np.interp(np.arange(grid.samples), measured.position, measured.values))
-    _check_gaps(model, grid, gain, scale)
-    return np.array(rows)
+        seen.append(there)
+    return np.array(rows), np.array(seen)
 
 
-def _check_gaps(model: Model, grid: Grid, gain: Array, scale: Array) -> None:
+def _check_pairs(grid: Grid) -> None:
+    """Refuse a record in which no sample follows another, for a predictor that starts afresh at each."""
     lost = {name: grid.samples - len(m.values) for name, m in grid.measured.items()}
-    if not any(lost.values()):
-        return
-    seen = ", ".join(
-        f"{count} of {grid.samples} samples of {name} missing" for name, count in lost.items() if count
-    )
-    if not _starts_afresh(model, gain, scale):
-        raise SimulationError(
-            "a predictor with this gain needs outputs without missing samples",
-            seen=seen,
-            allowed="no gaps, or a gain with L C = I that starts each step from the measured state",
-            cure="cut the record at the gaps by between, or take output error (no gain)",
-        )
     after = after_missing(grid)
     after[0] = True
     if all(after[m.position.astype(int)].all() for m in grid.measured.values()):
         raise SimulationError(
             "there are no two neighbouring samples to predict one from the other",
-            seen=seen,
+            seen=", ".join(
+                f"{count} of {grid.samples} samples of {name} missing"
+                for name, count in lost.items()
+                if count
+            ),
             allowed="outputs at the rate of the inputs",
             cure="resample the inputs to the output's times, or take output error (no gain)",
         )
 
 
-def _starts_afresh(model: Model, gain: Array, scale: Array) -> bool:
-    """True if L C = I whatever the parameters: the corrected state is the measured one, without memory."""
+def starts_afresh(model: Model, gain: Array, scale: Array) -> bool:
+    """True if L C = I whatever the parameters: the corrected state is the measured one, without memory.
+
+    A sample after a missing one then has no prediction and must not count (``after_missing``).
+    """
     core = model.linear
     if core is None or ca.depends_on(core.C, model.p):
         return False

@@ -43,3 +43,52 @@ def test_gains_that_are_none(gain):
     with pytest.raises(EstimationError, match="the gain of the predictor is not acceptable") as caught:
         Noise(gain=gain)
     assert "states by outputs" in str(caught.value)
+
+
+def test_innovations_of_some_outputs():
+    noise = Noise(omega="innovations", omega_load=0.2)
+    assert noise.innovations == ("omega",)
+    assert [noise.level(name) for name in noise.outputs] == ["estimate", 0.2]
+    assert repr(noise) == "Noise(omega='innovations', omega_load=0.2)"
+
+
+def test_only_what_predicts_does():
+    predicting = (Noise(omega="innovations"), Noise(process="estimate"), Noise(gain=1.0))
+    assert [noise.predicts for noise in (*predicting, Noise(omega=0.1), Noise())] == [True] * 3 + [False] * 2
+
+
+def test_process_noise_is_a_copy_that_cannot_change():
+    given = {"omega_eng": 0.05, "omega_load": "estimate"}
+    noise = Noise(omega=0.1, process=given)
+    given["omega_eng"] = 9.0
+    assert dict(noise.process) == {"omega_eng": 0.05, "omega_load": "estimate"}
+    with pytest.raises(TypeError):
+        noise.process["omega_eng"] = 1.0
+    assert repr(noise) == "Noise(omega=0.1, process={'omega_eng': 0.05, 'omega_load': 'estimate'})"
+    assert repr(Noise(process="estimate")) == "Noise(process='estimate')"
+
+
+@pytest.mark.parametrize(
+    "process", [{}, {"x": 0.0}, {"x": -1.0}, {"x": math.nan}, {"x": "known"}, 0.1, "all", True]
+)
+def test_process_noise_that_is_none(process):
+    with pytest.raises(EstimationError, match="the process noise is not acceptable") as caught:
+        Noise(process=process)
+    text = str(caught.value)
+    assert 'state -> a standard deviation > 0 per square root of a second, or "estimate"' in text
+    assert 'Noise(omega=0.1, process={"omega_eng": "estimate"})' in text
+
+
+@pytest.mark.parametrize(
+    ("given", "seen"),
+    [
+        ({"gain": 1.0, "process": "estimate"}, "gain and process"),
+        ({"omega": "innovations", "process": {"x": 1.0}}, 'process and "innovations"'),
+        ({"omega": "innovations", "gain": 1.0}, 'gain and "innovations"'),
+    ],
+)
+def test_a_gain_that_is_asked_for_twice(given, seen):
+    with pytest.raises(EstimationError, match="in more ways than one") as caught:
+        Noise(**given)
+    assert f"seen: {seen}; " in str(caught.value)
+    assert 'one of gain=, process= and output="innovations"' in str(caught.value)

@@ -68,7 +68,7 @@ def by_hand(found, grid, feedback, seen, z, nodes):
             at = min(i * plan.length + k, grid.samples - 1)
             later = min(at + 1, grid.samples - 1)
             there = seen[:, at] & (i * plan.length + k < grid.samples)
-            correction = found._gain.at(z, core, d, tuple(bool(part) for part in there))
+            correction = found.gain.at(z, core, d, tuple(bool(part) for part in there))
             error = np.where(there, feedback[:, at] - d.c[0] @ x - d.d[0] @ v[:, at], 0.0)
             y[i, k] = d.c[0] @ x + d.d[0] @ v[:, at]
             if correction.whitener is not None:

@@ -10,6 +10,7 @@ from casadi_engine.errors import SimulationError
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.model import Blueprint, one_inertia
 from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
+from casadi_engine.simulation.gappy import GappyPredictor
 from casadi_engine.simulation.general import GeneralPropagator
 from casadi_engine.simulation.grid import lay_grid
 from casadi_engine.simulation.intervals import cut
@@ -211,21 +212,28 @@ def test_samples_after_a_missing_one_do_not_count(made):
     assert plain.count == 47
 
 
-def test_a_gain_with_memory_needs_every_sample(made):
-    with pytest.raises(SimulationError) as info:
-        propagator(made, shaft(outputs=("w",)), [[1.0], [0.0]], gone=(4, 5))
-    assert str(info.value) == (
-        "a predictor with this gain needs outputs without missing samples; seen: 2 of 30 samples "
-        "of w missing; allowed: no gaps, or a gain with L C = I that starts each step from the measured "
-        "state; do: cut the record at the gaps by between, or take output error (no gain)"
-    )
+@pytest.mark.parametrize("length", [7, None])
+def test_a_gain_with_memory_skips_its_correction_where_a_sample_is_missing(made, length):
+    gone, model, gain = (4, 5, 20), shaft(outputs=("w",)), np.array([[0.4], [-0.05]])
+    found, grid = propagator(made, model, gain, gone=gone, length=length)
+    plan, scale = found.intervals, made.scale(model)
+    nodes = np.random.default_rng(1).normal(size=(plan.m, 2))
+    y = made.by_interval(plan, 1, found.propagate(NONE, nodes, 0).y)[..., 0, 0]
+    measured = dict(zip(grid.measured["w"].position.astype(int), grid.measured["w"].values, strict=True))
+    assert sorted(set(range(grid.samples)) - set(measured)) == list(gone)
+    for i in range(plan.m):
+        x = nodes[i] * scale
+        for k in range(i * plan.length, min((i + 1) * plan.length, grid.samples - 1)):
+            assert y[i, k - i * plan.length] == pytest.approx(x[0], rel=1e-11, abs=1e-11)
+            error = measured[k] - x[0] if k in measured else 0.0
+            x = one_step(made, model, grid, x + gain[:, 0] * error, k)
 
 
 def test_a_gain_for_outputs_that_hang_on_parameters_has_a_memory(made):
-    with pytest.raises(
-        SimulationError, match="a predictor with this gain needs outputs without missing samples"
-    ):
-        propagator(made, shaft(output_gain=True), np.eye(2), gone=(4,))
+    found, _ = propagator(made, shaft(output_gain=True), np.eye(2), gone=(4,))
+    assert isinstance(found, GappyPredictor)
+    found, _ = propagator(made, shaft(), np.eye(2), gone=(4,))
+    assert isinstance(found, LinearPropagator)
 
 
 def test_outputs_without_neighbours_cannot_be_predicted(made):
