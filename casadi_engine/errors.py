@@ -86,6 +86,10 @@ class NotIdentifiableError(EstimationError):
     """The data leave directions of the free parameters undetermined."""
 
 
+class IdentifiabilityError(CasadiEngineError):
+    """A question about identifiability names something unknown, or the exact test cannot answer it."""
+
+
 class NotConvergedError(EstimationError):
     """The solver stopped without an answer."""
 

@@ -5,11 +5,13 @@ from casadi_engine.identifiability.fisher import Information, SloppyDirection, f
 from casadi_engine.identifiability.operating import PlannedExperiment
 from casadi_engine.identifiability.plans import plan
 from casadi_engine.identifiability.profile import Profile, ProfileLine, profile
+from casadi_engine.identifiability.structural import Identifiability, identifiability
 from casadi_engine.identifiability.sweep import LossSweep, loss_sweep
 
 __all__ = [
     "Candidate",
     "ExperimentChoice",
+    "Identifiability",
     "Information",
     "LossSweep",
     "PlannedExperiment",
@@ -18,6 +20,7 @@ __all__ = [
     "SloppyDirection",
     "choose_experiments",
     "fisher",
+    "identifiability",
     "loss_sweep",
     "plan",
     "profile",
