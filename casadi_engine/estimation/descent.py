@@ -2,8 +2,9 @@
 
 Where parameters are subject to bounds alone, a step of the problem with hundreds of nodes is one in the parameters
 and initial states (see ``condensing``), solved densely. The matrix is Gauss-Newton's with a share of its diagonal
-added (Levenberg 1944), then, once the objective has settled, the exact Hessian of the Lagrangian. IPOPT starts from
-the point found, judges it, and does what is left; where this phase gets stuck it starts from the beginning.
+added (Levenberg 1944); once the objective has settled it is the exact Hessian of the Lagrangian, which may be
+indefinite where the data say little, within a trust region (Moré & Sorensen 1983). IPOPT starts from the point
+found, judges it, and does what is left; where this phase gets stuck it starts from the beginning.
 """
 
 from __future__ import annotations
@@ -13,10 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 
 from casadi_engine.errors import ModelError
 from casadi_engine.estimation.condensing import Condensed, condense, joint_multipliers
+from casadi_engine.estimation.reduced import Reduced, trust_step
 from casadi_engine.estimation.shooting import Point, ShootingProblem
 
 Array = NDArray[np.float64]
@@ -27,8 +28,10 @@ _SETTLED, _LONG = 3e-2, 25
 _FALL, _ROUNDING, _CLOSED = 1e-9, 1e-13, 1e-9
 # Longest step of a scaled parameter or of a logarithm: beyond it the linearised problem says nothing.
 _LONGEST = 1.0
-# Halvings of a step that raises both the objective and the gaps.
-_HALVINGS = 5
+# Halvings of a Gauss-Newton step that raises both the objective and the gaps; rejections of an exact one.
+_HALVINGS, _REJECTIONS = 5, 12
+# First radius of the trust region, in the same units; least share of the foretold fall that a step must bring.
+_RADIUS, _SHARE = 0.5, 1e-3
 
 
 @dataclass
@@ -41,6 +44,15 @@ class Descent:
     stopped: bool = False
 
 
+@dataclass(frozen=True)
+class _Quadratic:
+    """The problem to second order about a point: records condensed, the parameters' own part, the multipliers."""
+
+    reduced: Reduced
+    shares: list[Condensed]
+    joints: list[Array | None]
+
+
 def gap_of(point: Point, users: int) -> float:
     """Largest violation of the continuity."""
     return float(np.abs(point.constraints[users:]).max(initial=0.0))
@@ -51,17 +63,17 @@ class Descender:
 
     def __init__(self, problem: ShootingProblem, lower: Array, upper: Array) -> None:
         self.problem, self.lower, self.upper = problem, lower, upper
-        nv = problem.nv
-        heads = [np.arange(nv)] + [np.arange(lay.at, lay.at + lay.n) for lay in problem.layouts]
+        heads = [np.arange(problem.nv)] + [np.arange(lay.at, lay.at + lay.n) for lay in problem.layouts]
         self._entries = np.concatenate(heads)
+        self._radius = _RADIUS
 
     def run(
         self, start: Array, watch: Callable[[Point], bool], limit: int, *, exact: bool = False
     ) -> Descent:
         """Steps from ``start`` (size,); ``watch`` sees every point and returns True to stop."""
         problem = self.problem
-        problem.exact = exact
-        point = self.evaluate(np.clip(start, self.lower, self.upper))
+        problem.exact, self._radius = exact, _RADIUS
+        point = self._evaluate(np.clip(start, self.lower, self.upper))
         if point is None:
             return Descent(start, 0, settled=False)
         history: list[float] = []
@@ -70,13 +82,13 @@ class Descender:
             if watch(point):
                 return Descent(point.x, count, settled=False, stopped=True)
             problem.exact = problem.exact or self._settled(history, point)
-            found = self._next(point)
+            found = self._newton(point) if problem.exact else self._gauss_newton(point)
             if found is None:
-                break
-            point, fall = found
-            if problem.exact and self._optimal(point, fall):
+                return Descent(point.x, count, settled=False)
+            point, settled = found
+            if settled:
                 return Descent(point.x, count + 1, settled=True)
-        return Descent(point.x, len(history), settled=False)
+        return Descent(point.x, limit, settled=False)
 
     def _settled(self, history: list[float], point: Point) -> bool:
         if len(history) < 3 or len(history) > _LONG:
@@ -84,25 +96,7 @@ class Descender:
         change = abs(history[-2] - history[-1])
         return gap_of(point, self.problem.user.count) < 1e-2 and change < _SETTLED * abs(history[-1])
 
-    def _optimal(self, point: Point, fall: float) -> bool:
-        """True if an exact step foretold a fall so small that the next, for it squares, would be rounding."""
-        least = _FALL + _ROUNDING * abs(point.objective) * self.problem.samples
-        return fall < least and gap_of(point, self.problem.user.count) < _CLOSED
-
-    def _next(self, point: Point) -> tuple[Point, float] | None:
-        """The next point and the fall that was predicted: by the exact Hessian if it can be, else by Gauss-Newton."""
-        wanted = self.problem.exact
-        for exact in (True, False) if wanted else (False,):
-            self.problem.exact = exact
-            found = self.step(point)
-            if found is None:
-                continue
-            after = self.advance(point, found[0])
-            if after is not None:
-                return after, found[1]
-        return None
-
-    def evaluate(self, x: Array) -> Point | None:
+    def _evaluate(self, x: Array) -> Point | None:
         """The point at x, or None where the model cannot be evaluated."""
         try:
             found = self.problem.at(x)
@@ -110,13 +104,9 @@ class Descender:
             return None
         return found if np.isfinite(found.objective) and np.isfinite(found.gradient).all() else None
 
-    def _held(self, x: Array, gradient: Array) -> NDArray[np.bool_]:
-        """Entries [v; initial states] at a bound that the gradient pushes them against, and fixed ones."""
-        at = x[self._entries]
-        low, high = self.lower[self._entries], self.upper[self._entries]
-        return (at <= low) & (gradient >= 0) | (at >= high) & (gradient <= 0)
+    # ---- the quadratic problem
 
-    def multipliers(self, point: Point) -> list[Array | None]:
+    def _multipliers(self, point: Point) -> list[Array | None]:
         """Multipliers of the continuity of every record at a point."""
         found: list[Array | None] = []
         for lay, part in zip(self.problem.layouts, point.records, strict=True):
@@ -124,12 +114,9 @@ class Descender:
             found.append(joint_multipliers(part.path.end_s, slope) if lay.m > 1 else None)
         return found
 
-    def step(self, point: Point) -> tuple[Array, float] | None:
-        """Newton step (size,) and the fall of the summed loss it predicts; None if the matrix is not positive."""
+    def _quadratic(self, point: Point) -> _Quadratic:
         problem = self.problem
-        joints = (
-            self.multipliers(point) if problem.exact else list[Array | None]([None] * len(problem.layouts))
-        )
+        joints = self._multipliers(point)
         zz, blocks = problem.curvature(point.x, 1.0, np.zeros(problem.user.count), joints)
         gradient = point.gradient[: problem.nv].copy()
         shares: list[Condensed] = []
@@ -143,70 +130,81 @@ class Descender:
             zz[np.ix_(lay.active, lay.active)] += share.hessian[:na, :na]
             gradient[lay.active] += share.gradient[:na]
             shares.append(share)
-        slopes = [gradient] + [
-            s.gradient[len(lay.active) :] for s, lay in zip(shares, problem.layouts, strict=True)
-        ]
-        held = self._held(point.x, np.concatenate(slopes))
-        try:
-            w = self._solve(zz, gradient, shares, held)
-        except np.linalg.LinAlgError:
-            return None
-        fall = -0.5 * float(np.concatenate(slopes) @ w) * problem.samples
+        slope = np.concatenate(
+            [gradient, *(s.gradient[len(y.active) :] for s, y in zip(shares, problem.layouts, strict=True))]
+        )
+        at = point.x[self._entries]
+        low, high = self.lower[self._entries], self.upper[self._entries]
+        held = (at <= low) & (slope >= 0) | (at >= high) & (slope <= 0)
+        actives = [lay.active for lay in problem.layouts]
+        return _Quadratic(Reduced.of(zz, slope, shares, actives, held), shares, joints)
+
+    def _spread(self, point: Point, w: Array, shares: list[Condensed]) -> Array:
+        """The step of all variables from that of the parameters and initial states, cut at the bounds."""
         at = point.x[self._entries]
         w = np.clip(at + w, self.lower[self._entries], self.upper[self._entries]) - at
-        return self._spread(w, shares), fall
-
-    def _solve(self, zz: Array, gradient: Array, shares: list[Condensed], held: NDArray[np.bool_]) -> Array:
-        """w = [dv; ds(0) of every record], the initial states eliminated record by record."""
-        nv = self.problem.nv
-        matrix, right = zz.copy(), -gradient
-        kept, at = [], nv
-        for share, lay in zip(shares, self.problem.layouts, strict=True):
-            na = len(lay.active)
-            free = ~held[at : at + lay.n]
-            at += lay.n
-            factor = cho_factor(share.hessian[na:, na:][np.ix_(free, free)]) if free.any() else None
-            cross = share.hessian[na:, :na][free]
-            own = -share.gradient[na:][free]
-            kept.append((free, factor, cross, own))
-            if factor is not None:
-                both = cho_solve(factor, np.column_stack([cross, own]))
-                matrix[np.ix_(lay.active, lay.active)] -= cross.T @ both[:, :-1]
-                right[lay.active] -= cross.T @ both[:, -1]
-        open_ = ~held[:nv]
-        dv = np.zeros(nv)
-        if open_.any():
-            dv[open_] = cho_solve(cho_factor(matrix[np.ix_(open_, open_)]), right[open_])
-        parts = [dv]
-        for (free, factor, cross, own), lay in zip(kept, self.problem.layouts, strict=True):
-            ds = np.zeros(lay.n)
-            if factor is not None:
-                ds[free] = cho_solve(factor, own - cross @ dv[lay.active])
-            parts.append(ds)
-        return np.concatenate(parts)
-
-    def _spread(self, w: Array, shares: list[Condensed]) -> Array:
-        """The step of all variables from that of the parameters and initial states."""
-        nv, at = self.problem.nv, self.problem.nv
+        nv, begin = self.problem.nv, self.problem.nv
         dx = np.empty(self.problem.size)
         dx[:nv] = w[:nv]
         for share, lay in zip(shares, self.problem.layouts, strict=True):
-            own = np.concatenate([w[:nv][lay.active], w[at : at + lay.n]])
-            at += lay.n
+            own = np.concatenate([w[:nv][lay.active], w[begin : begin + lay.n]])
+            begin += lay.n
             dx[lay.at : lay.at + lay.m * lay.n] = share.nodes(own).ravel()
         return dx
 
-    def advance(self, point: Point, dx: Array) -> Point | None:
-        """The point after the step, shortened until the objective or the gaps fall; None if none does."""
-        users = self.problem.user.count
+    # ---- steps
+
+    def _gauss_newton(self, point: Point) -> tuple[Point, bool] | None:
+        """The point after a damped Gauss-Newton step, shortened until the objective or the gaps fall."""
+        quadratic, users = self._quadratic(point), self.problem.user.count
+        w = quadratic.reduced.newton()
+        if w is None:
+            return None
+        dx = self._spread(point, w, quadratic.shares)
         gap = gap_of(point, users)
         share = min(1.0, _LONGEST / max(float(np.abs(dx[: self.problem.nv]).max(initial=0.0)), 1e-300))
         for _ in range(_HALVINGS + 1):
-            found = self.evaluate(point.x + share * dx)
+            found = self._evaluate(point.x + share * dx)
             if found is not None:
-                now = gap_of(found, users)
-                small = 1e-9 * abs(point.objective)
-                if found.objective <= point.objective + small or now < max(0.9 * gap, _CLOSED):
-                    return found
+                lower = found.objective <= point.objective * (1 + 1e-9)
+                if lower or gap_of(found, users) < max(0.9 * gap, _CLOSED):
+                    return found, False
             share *= 0.5
+        return None
+
+    def _newton(self, point: Point) -> tuple[Point, bool] | None:
+        """The point after a step with the exact Hessian, and whether the next one would be rounding."""
+        quadratic, users = self._quadratic(point), self.problem.user.count
+        lam = np.concatenate([np.zeros(0), *(j.T.ravel() for j in quadratic.joints if j is not None)])
+        weight = float(np.abs(lam).max(initial=0.0))
+
+        def merit(found: Point) -> float:
+            # The augmented Lagrangian: gaps of second order, which the step foresees, do not count against it.
+            gaps = found.constraints[users:]
+            return found.objective + float(lam @ gaps) + 0.5 * weight * float(gaps @ gaps)
+
+        before = merit(point)
+        rounding = _ROUNDING * abs(before)
+        for _ in range(_REJECTIONS):
+            found = trust_step(quadratic.reduced, self._radius)
+            if found is None:
+                return None
+            w, fall, inside = found
+            length = float(np.linalg.norm(w[: self.problem.nv]))
+            after = self._evaluate(point.x + self._spread(point, w, quadratic.shares))
+            # what the model foretells of the merit: its own fall and the gaps closed
+            foretold = fall + before - point.objective
+            if after is not None:
+                gained = before - merit(after)
+                small = foretold < _FALL / self.problem.samples + rounding
+                if inside and small and gap_of(after, users) < _CLOSED:
+                    return after, True
+                closed = gap_of(after, users) < max(0.2 * gap_of(point, users), _CLOSED) and inside
+                if gained > _SHARE * foretold or closed:
+                    if gained > 0.75 * foretold and not inside:
+                        self._radius = min(2 * self._radius, 4 * _RADIUS)
+                    elif gained < 0.25 * foretold and not closed:
+                        self._radius = max(0.5 * length, 1e-12)
+                    return after, False
+            self._radius = 0.25 * min(length, self._radius)
         return None
