@@ -5,11 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import typer
 
 from casadi_engine.cli.options import Options
 from casadi_engine.errors import ResultError
 from casadi_engine.parameters import Parameters, near_matches
+
+From = Annotated[
+    Path | None,
+    typer.Option(
+        "--from",
+        metavar="RESULT",
+        help="result.json of an earlier fit (or its folder) that gives the values.",
+    ),
+]
 
 
 def values_of(path: Path, parameters: Parameters, *, given: Options) -> Parameters:

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from casadi_engine.cli.earlier import From, values_of
 from casadi_engine.cli.job import ANSWERED, Job, run, say
 from casadi_engine.cli.one_time import on_one_time
 from casadi_engine.cli.options import (
@@ -35,20 +36,24 @@ def simulate(
     seed: Seed = 0,
     jobs: Jobs = 1,
     debug: Debug = False,
+    from_: From = None,
 ) -> None:
     """Simulate the records of a problem with its parameter values, and write a data file for each.
 
+    The values are those of the problem file, or of --from, or of --set.
     The files given by --validate are simulated too. Initial states that the problem does not give as numbers
     are those that fit the measured outputs best.
     """
-    run(Options.collect("simulate", locals()), _work)
+    run(Options.collect("simulate", locals(), extra=("from_",)), _work)
 
 
 def _work(job: Job) -> int:
     from casadi_engine import estimation
     from casadi_engine.report import Simulated, text
 
-    problem = job.problem
+    problem, parameters = job.problem, job.problem.parameters
+    if job.options.extra["from_"] is not None:
+        parameters = values_of(job.options.extra["from_"], parameters, given=job.options)
     records = problem.load_records()
     if job.options.validate:
         records += problem.load_validation()
@@ -59,7 +64,7 @@ def _work(job: Job) -> int:
             estimation.simulate(
                 problem.model,
                 record,
-                parameters=problem.parameters,
+                parameters=parameters,
                 initial=initial_state(problem.initial, record.name, states),
                 method=problem.method,
             ),
@@ -68,7 +73,7 @@ def _work(job: Job) -> int:
         for record in records
     )
     files = file_names(record.name for record in records)
-    answer = Simulated(problem.model, problem.parameters, records, made, files)
+    answer = Simulated(problem.model, parameters, records, made, files)
     write_answer(job, answer, data_files=dict(zip(files, made, strict=True)))
     say(text(answer))
     say_where(job, *files)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from casadi_engine.cli.earlier import values_of
+from casadi_engine.cli.earlier import From, values_of
 from casadi_engine.cli.job import ANSWERED, INTERRUPTED, NEGATIVE, NO_ANSWER, Job, complain, run, say
 from casadi_engine.cli.options import (
     Data,
@@ -24,14 +23,6 @@ from casadi_engine.cli.options import (
 )
 from casadi_engine.cli.work import estimate_job, held, say_where, write_answer
 
-From = Annotated[
-    Path | None,
-    typer.Option(
-        "--from",
-        metavar="RESULT",
-        help="result.json of an earlier fit (or its folder) that gives the values.",
-    ),
-]
 Check = Annotated[bool, typer.Option("--check", help="End with exit code 1 if a residual test fails.")]
 
 

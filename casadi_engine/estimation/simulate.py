@@ -17,7 +17,7 @@ from casadi_engine.experiment import Channel, Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters, near_matches
 from casadi_engine.simulation.discretisation import Method
-from casadi_engine.simulation.grid import lay_grid
+from casadi_engine.simulation.grid import Grid, lay_grid
 from casadi_engine.simulation.intervals import cut
 from casadi_engine.simulation.propagator import make_propagator
 
@@ -36,8 +36,10 @@ def simulate(
 
     model : the equations; data : the inputs, and the outputs if they were measured
     parameters : a set, or name -> value (others at the model's defaults), or None for all defaults
-    initial : state -> value at the first sample; states left out, or None for all, are fitted to the measured
-        outputs by least squares
+    initial : state -> value. With one for each state they hold at the first time that all inputs cover, and the
+        simulation starts there, whether or not an output was measured by then. States left out, or None for all,
+        are fitted to the measured outputs by least squares; values given then hold, as in a fit, at the first
+        valid sample of the outputs, where the simulation starts
     method : "exact", or "euler" for a linear model
 
     Returns an Experiment with the input channels and one derived channel for each output, on the inputs' grid.
@@ -80,7 +82,9 @@ def simulate(
                 cure="give initial={state: value, ...}",
             )
         given = _fitted_start(model, data, values, given, method)
-    return _run(model, data, values, np.array([given[name] for name in names]), method)
+    grid = _fitted_grid(model, data) if missing else _whole_grid(model, data)
+    start = np.array([given[name] for name in names])
+    return _run(model, data, values, start, replace(grid, measured={}), method)
 
 
 def _fitted_start(
@@ -110,11 +114,38 @@ def _fitted_start(
     return {name: estimate.value for name, estimate in fit.initial[data.name].items()}
 
 
-def _run(model: Model, data: Experiment, values: Array, start: Array, method: Method) -> Experiment:
-    """The simulation from a known start, as an experiment."""
-    measured = tuple(out.name for out in model.outputs if out.name in data)
+def _fitted_grid(model: Model, data: Experiment) -> Grid:
+    """The grid of a fit, from the first valid output sample to the last."""
+    return lay_grid(model, data, outputs=tuple(out.name for out in model.outputs if out.name in data))
+
+
+def _whole_grid(model: Model, data: Experiment) -> Grid:
+    """The grid over all the time that the inputs cover (the outputs, if there are none), fine enough for both.
+
+    `lay_grid` spans the valid samples of outputs: they are stood in for by ones that are valid all the time.
+    """
+    inputs = [v.name for v in model.inputs]
+    outputs = [data[out.name] for out in model.outputs if out.name in data and out.name not in inputs]
+    outputs = [channel for channel in outputs if channel.span[1] > channel.span[0]]
+    if inputs or not outputs:
+        coarse = lay_grid(model, data, outputs=())  # says what is missing
+        first, last = coarse.start, float(coarse.time[-1])
+    else:
+        first, last = min(c.span[0] for c in outputs), max(c.span[1] for c in outputs)
+    for channel in outputs:
+        steps = (last - first) / (channel.span[1] - channel.span[0]) * (len(channel.time) - 1)
+        time = np.linspace(first, last, max(round(steps), 1) + 1)
+        data = data.with_channel(
+            Channel(channel.name, channel.unit, time=time, values=np.zeros_like(time))
+        )
+    return lay_grid(model, data, outputs=tuple(channel.name for channel in outputs))
+
+
+def _run(
+    model: Model, data: Experiment, values: Array, start: Array, grid: Grid, method: Method
+) -> Experiment:
+    """The simulation from a known start over a grid, as an experiment."""
     inputs = data.only(*[v.name for v in model.inputs]) if model.inputs else data
-    grid = replace(lay_grid(model, data if measured else inputs, outputs=measured), measured={})
     scale = np.array([state.scale for state in model.states])
     plan = cut(grid, None)
     propagator = make_propagator(
@@ -134,6 +165,7 @@ def _run(model: Model, data: Experiment, values: Array, start: Array, method: Me
         ) from None
     rows = path.y[0].reshape(len(plan.samples), len(model.outputs), plan.b).transpose(1, 2, 0)
     outputs = rows.reshape(len(model.outputs), -1)[:, : grid.samples]
+    measured = [out.name for out in model.outputs if out.name in data]
     result = inputs if model.inputs else data.only(*measured)
     for out, row in zip(model.outputs, outputs, strict=True):
         result = result.with_channel(

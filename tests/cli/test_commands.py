@@ -120,6 +120,28 @@ def test_validate_from_an_earlier_fit(here, call):
     assert result["arguments"]["from"] == "results/run_up-fit"
 
 
+def test_simulate_from_an_earlier_fit(here, call):
+    call("fit", "problem.py")
+    value = stored(here / "results" / "run_up-fit")["parameters"]["J_eng"]["value"]
+    done = call("simulate", "problem.py", "--from", "results/run_up-fit", "--set", "C_eng=0.5")
+    assert (done.code, done.err) == (0, "")
+    result = stored(here / "results" / "run_up-simulate")
+    assert result["parameters"]["J_eng"]["value"] == value
+    assert result["parameters"]["C_eng"]["value"] == 0.5
+    assert result["arguments"]["from"] == "results/run_up-fit"
+    plain = call("simulate", "problem.py", "--out", "plain")
+    assert plain.code == 0
+    runs = [
+        read_experiment(f / "run.csv")["omega"].values
+        for f in (here / "results" / "run_up-simulate", here / "plain")
+    ]
+    assert abs(runs[0] - runs[1]).max() > 1e-3
+    missing = call("simulate", "problem.py", "--from", "nowhere.json", "--out", "none")
+    assert missing.code == 2
+    assert "nowhere.json: no such file" in missing.err
+    assert not (here / "none").exists()
+
+
 def test_validate_may_estimate_what_is_freed(here, call):
     done = call("validate", "problem.py", "--free", "J_eng", "--set", "C_eng=0.5", "--data", "run.csv")
     assert done.code == 0

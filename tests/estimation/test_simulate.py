@@ -90,6 +90,55 @@ def test_gaps_and_other_rates_of_the_output_do_not_matter(run_up):
     assert np.isfinite(run["omega"].values).all()
 
 
+def decay(**channels):
+    """ẋ = −x + u as a model, with an experiment of the channels name = (time, values)."""
+    b = ce.Blueprint("decay")
+    x = b.state("x", unit="rad/s")
+    b.ode("x", -x + (b.input("u", unit="rad/s2") if "u" in channels else 0))
+    b.output("y", x, unit="rad/s")
+    units = {"u": "rad/s2", "y": "rad/s"}
+    made = [
+        ce.experiment.Channel(n, units[n], time=np.asarray(t), values=np.asarray(v, dtype=float))
+        for n, (t, v) in channels.items()
+    ]
+    return b.model(), ce.Experiment("made", tuple(made))
+
+
+def test_a_given_start_holds_where_the_record_begins():
+    """The first valid output comes later: it has no say in where the simulation starts."""
+    time = np.arange(11) * 0.1
+    y = np.where(time < 0.35, np.nan, 1.0)
+    model, data = decay(u=(time, np.zeros(11)), y=(time, y))
+    run = ce.simulate(model, data, initial={"x": 2.0})
+    np.testing.assert_allclose(run["y"].time, time)
+    np.testing.assert_allclose(run["y"].values, 2 * np.exp(-time), rtol=1e-12)
+    later = ce.simulate(model, data)  # fitted to what was measured, it starts there
+    assert later["y"].time[0] == pytest.approx(0.4)
+
+
+def test_a_given_start_holds_where_the_inputs_begin_and_all_of_them_is_simulated():
+    time = np.arange(11) * 0.1
+    model, data = decay(u=(time, np.zeros(11)), y=([0.3, 0.5, 0.7], [1.0, 1.0, 1.0]))
+    run = ce.simulate(model, data, initial={"x": 2.0})
+    np.testing.assert_allclose(run["y"].time, time)
+    np.testing.assert_allclose(run["y"].values, 2 * np.exp(-time), rtol=1e-12)
+
+
+def test_a_given_start_keeps_the_rate_of_a_fast_output():
+    fast = np.arange(41) * 0.025
+    model, data = decay(u=([0.0, 0.5, 1.0, 1.5], np.zeros(4)), y=(fast, np.ones(41)))
+    run = ce.simulate(model, data, initial={"x": 2.0})
+    np.testing.assert_allclose(run["y"].time, np.arange(61) * 0.025)
+    np.testing.assert_allclose(run["y"].values, 2 * np.exp(-run["y"].time), rtol=1e-12)
+
+
+def test_a_given_start_without_inputs_holds_where_the_outputs_begin():
+    time = np.arange(5) * 0.25
+    model, data = decay(y=(time, [np.nan, 1.0, np.nan, 1.0, np.nan]))
+    run = ce.simulate(model, data, initial={"x": 2.0})
+    np.testing.assert_allclose(run["y"].values, 2 * np.exp(-time), rtol=1e-12)
+
+
 def test_a_nonlinear_model_against_scipy():
     b = ce.Blueprint("pendulum")
     length = b.parameter("length", 1.0, min=0.1)
