@@ -97,7 +97,7 @@ def phi(z, terms):
 CASES = {
     "one state": {"states": 1},
     "two states": {"states": 2},
-    "two laws": {"laws": 2},
+    "two laws": {"laws": 2, "step": 0.05},
     "as many laws as signals": {"states": 2, "laws": 2, "step": 0.03},
     "parameters everywhere": {
         "laws": 3, "bent_outputs": True, "through": True, "bent_drives": True, "step": 0.03,
