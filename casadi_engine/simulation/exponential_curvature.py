@@ -33,90 +33,138 @@ def contracted(
 
     rho : (R*ny, b, M) weights of the outputs; lam : (n, M) weights of the ends
     """
-    weights = np.ascontiguousarray(from_rows(made.intervals, rho, made.ny).transpose(0, 2, 1))
+    n, weights = made.n, from_rows(made.intervals, rho, made.ny)
     rows, omega = _adjoint(made, path, weights, lam)
-    zz, zs = _by_matrices(made, z, path, rows)
-    total, own = _by_laws(made, z, path, omega)
-    out_zz, out_zs = _by_outputs(made, z, path, weights)
-    n = made.n
-    zz += own + out_zz + total[:, n:, n:].sum(axis=0)
-    zs += out_zs + total[:, n:, :n]
-    return zz, np.ascontiguousarray(zs.transpose(1, 2, 0)), total[:, :n, :n]
+    total, zz = _by_laws(made, z, path, omega)
+    zz += total[:, n:, n:].sum(axis=0)
+    zs = np.ascontiguousarray(total[:, n:, :n].transpose(1, 2, 0))
+    if made.nz:
+        cross, crossed = _crossed(made, z, path, rows, weights)
+        zz += _by_matrices(made, z, path, rows) + _by_outputs(made, z, path, weights) + cross + cross.T
+        zs += crossed
+    return zz, zs, total[:, :n, :n]
+
+
+class _Backward:
+    """One step of the adjoint: from what is wanted of its rows to what its state and laws are worth."""
+
+    def __init__(self, made: ExponentialPropagator, path: ExponentialTrajectory) -> None:
+        p, n, ns, nw = path.matrices.p[0], made.n, made.laws.size, made.laws.count
+        at_law = n + 2 * path.matrices.m
+        self.n, self.ns, self.nw = n, ns, nw
+        self.free = np.ascontiguousarray(p[:, :n].T)
+        self.turn = np.ascontiguousarray(p[:n, at_law:].T)
+        self.feeds = [
+            np.ascontiguousarray(p[n + (i + 1) * ns :, at_law + i * nw : at_law + (i + 1) * nw].T)
+            for i in range(STAGES - 1)
+        ]
+        self.slopes, self.pattern = path.slopes[0], made.laws.pattern
+
+    def laws(self, k: int, rows: Array, torques: Array) -> None:
+        """Fill the stages' parts of rows (n + 4 ns, ., M), of which the first n are given, and add to the torques
+        (4 nw, ., M) of what the laws are worth what the rows after them say."""
+        n, ns, nw = self.n, self.ns, self.nw
+        for i in range(STAGES - 1, -1, -1):
+            torque, eta = torques[i * nw : (i + 1) * nw], rows[n + i * ns : n + (i + 1) * ns]
+            if i < STAGES - 1:
+                behind = rows[n + (i + 1) * ns :]
+                torque += (self.feeds[i] @ behind.reshape(len(behind), -1)).reshape(torque.shape)
+            eta[:] = 0.0
+            for entry, (law, signal, _) in enumerate(self.pattern):
+                eta[signal] += self.slopes[k, i, entry] * torque[law]
 
 
 def _adjoint(
     made: ExponentialPropagator, path: ExponentialTrajectory, weights: Array, lam: Array
 ) -> tuple[Array, Array]:
-    """The adjoint of each step's rows, (K, M, n + 4 ns), and of the stages' laws, (K, 4, M, nw)."""
-    n, m, ns, nw, sub = made.n, path.matrices.m, made.laws.size, made.laws.count, made.substeps
-    p, c = path.matrices.p[0], path.matrices.c[0]
-    at_law = n + 2 * m
-    free, turn = np.ascontiguousarray(p[:, :n]), np.ascontiguousarray(p[:n, at_law:])
-    feeds = [
-        np.ascontiguousarray(p[n + (i + 1) * ns :, at_law + i * nw : at_law + (i + 1) * nw])
-        for i in range(STAGES - 1)
-    ]
-    slopes = path.slopes[0]
-    entries = list(zip(*made.laws.entries, strict=True))
-    rows = np.zeros((made.steps, made.intervals.m, len(p)))
-    omega = np.empty((made.steps, STAGES, made.intervals.m, nw))
-    mu = np.array(lam.T)
+    """The adjoint of each step's rows, (K, n + 4 ns, M), and of the stages' laws, (K, 4, nw, M)."""
+    n, nw, count, sub = made.n, made.laws.count, made.intervals.m, made.substeps
+    c, back = np.ascontiguousarray(path.matrices.c[0].T), _Backward(made, path)
+    rows = np.empty((made.steps, path.matrices.p.shape[1], count))
+    omega = np.empty((made.steps, STAGES * nw, count))
+    mu = np.array(lam)
     if made.intervals.points > made.intervals.length:
-        mu += weights[-1] @ c
+        mu += c @ weights[-1]
     for k in range(made.steps - 1, -1, -1):
-        row = rows[k]
-        row[:, :n] = mu
-        pull = mu @ turn
-        for i in range(STAGES - 1, -1, -1):
-            torque = pull[:, i * nw : (i + 1) * nw]
-            if i < STAGES - 1:
-                torque = torque + row[:, n + (i + 1) * ns :] @ feeds[i]
-            omega[k, i] = torque
-            eta = row[:, n + i * ns : n + (i + 1) * ns]
-            for entry, (law, signal) in enumerate(entries):
-                eta[:, signal] += slopes[k, i, :, entry] * torque[:, law]
-        mu = row @ free
+        row, torques = rows[k], omega[k]
+        row[:n] = mu
+        np.matmul(back.turn, mu, out=torques)
+        back.laws(k, row, torques)
+        mu = back.free @ row
         if k % sub == 0:
-            mu += weights[k // sub] @ c
-    return rows, omega
+            mu += c @ weights[k // sub]
+    return rows, omega.reshape(made.steps, STAGES, nw, count)
 
 
-def _by_matrices(
-    made: ExponentialPropagator, z: Array, path: ExponentialTrajectory, rows: Array
+def _crossed(
+    made: ExponentialPropagator, z: Array, path: ExponentialTrajectory, rows: Array, weights: Array
 ) -> tuple[Array, Array]:
-    """What the step's matrices and drives give: (nz, nz) and (M, nz, n)."""
-    n, nz, count = made.n, made.nz, made.intervals.m
-    zz, zs = np.zeros((nz, nz)), np.zeros((count, nz, n))
-    if nz == 0:
-        return zz, zs
-    p, m = path.matrices.p, path.matrices.m
-    samples, _, first, second = made.drive_columns(z)
-    flat, columns = rows.reshape(-1, rows.shape[2]), path.steps.columns
-    outer = flat.T @ columns.reshape(-1, columns.shape[2])
-    i, j = jets.pairs(nz)
-    zz[i, j] = p[1 + nz :].reshape(len(i), -1) @ outer.ravel()
-    zz[j, i] = zz[i, j]
+    """Sums of r P_a c_b over all steps: for b in z, (nz, nz) with a down, and for b in the starts, (nz, n, M).
+
+    The steps' own sensitivities c_b are not needed: a second adjoint carries r P_a back to what moves them.
+    """
+    from casadi_engine.simulation.exponential_runge_kutta import Pushes
+
+    n, m, nz, nw, count = made.n, path.matrices.m, made.nz, made.laws.count, made.intervals.m
+    p, c = path.matrices.p, path.matrices.c
+    samples, _, first, _ = made.drive_columns(z)
+    pushes, back = Pushes(made, path.steps, path.matrices, z), _Backward(made, path)
+    span, outputs = pushes.span(), None if jets.is_constant(c) else c[1 : 1 + nz]
+    if outputs is not None:
+        span = slice(0, nz)
     chosen = np.r_[0:n, n + 2 * m : p.shape[2]]
-    pulled = np.zeros((count, nz, made.steps + 1, len(chosen)))
-    by_interval = np.ascontiguousarray(rows.transpose(1, 0, 2))
-    for a in range(nz):
-        part = p[1 + a][:, chosen]
-        if part.any():
-            np.matmul(by_interval, part, out=pulled[:, a, :-1])
-    inner = path.inner.reshape(count, -1, n + nz)
-    crossed = pulled.reshape(count, nz, -1) @ inner
-    cross = crossed[:, :, n:].sum(axis=0)
-    active = len(samples.active)
-    for row in range(active):
-        force = flat.T @ first[row].reshape(-1, 2 * m)
-        cross[:, samples.active[row]] += p[1 : 1 + nz, :, n : n + 2 * m].reshape(nz, -1) @ force.ravel()
-    zz += cross + cross.T
-    if active:
-        push = flat @ p[0][:, n : n + 2 * m]
-        zz[np.ix_(samples.active, samples.active)] += _square(
-            active, second.reshape(len(second), -1) @ push.ravel()
-        )
-    return zz, crossed[:, :, :n].copy()
+    picked = p[1 : 1 + nz][span][:, :, chosen]
+    pull = np.ascontiguousarray(picked.transpose(2, 0, 1)).reshape(-1, p.shape[1])
+    size = len(picked)
+    nu = np.zeros((n, size, count))
+    if outputs is not None and made.intervals.points > made.intervals.length:
+        nu += np.einsum("zyi,ym->izm", outputs, weights[-1])
+    moved, direct = (
+        np.zeros((p.shape[1], size, pushes.high - pushes.low)),
+        np.zeros((size, len(made.laws.active))),
+    )
+    own = np.empty((p.shape[1], size, count))
+    pulled = np.empty((len(chosen), size, count))
+    by_z = path.slopes[1].reshape(made.steps, STAGES, len(made.laws.active), nw, count)
+    for k in range(made.steps - 1, -1, -1):
+        np.matmul(pull, rows[k], out=pulled.reshape(len(pull), -1))
+        own[:n] = nu
+        torques = pulled[n:]
+        torques += (back.turn @ nu.reshape(n, -1)).reshape(torques.shape)
+        back.laws(k, own, torques)
+        moved += own @ pushes.at(k).transpose(0, 2, 1)
+        if len(made.laws.active):
+            worth = torques.reshape(STAGES, nw, size, count)
+            direct += np.einsum("iwzm,iawm->za", worth, by_z[k])
+        nu = (back.free @ own.reshape(len(own), -1)).reshape(n, size, count)
+        nu += pulled[:n]
+        if outputs is not None and k % made.substeps == 0:
+            nu += np.einsum("zyi,ym->izm", outputs, weights[k // made.substeps])
+    cross, crossed = np.zeros((nz, nz)), np.zeros((nz, n, count))
+    cross[span, pushes.span()] = moved.sum(axis=0)
+    cross[span, made.laws.active] += direct
+    crossed[span] = nu.transpose(1, 0, 2)
+    for row, index in enumerate(samples.active):
+        force = np.matmul(rows, first[row].transpose(0, 2, 1)).sum(axis=0)
+        cross[:, index] += p[1 : 1 + nz, :, n : n + 2 * m].reshape(nz, -1) @ force.ravel()
+        slope = made.drive_samples(first[row])
+        force = np.matmul(weights, slope.transpose(0, 2, 1)).sum(axis=0)
+        cross[:, index] += path.matrices.d[1 : 1 + nz].reshape(nz, -1) @ force.ravel()
+    return cross, crossed
+
+
+def _by_matrices(made: ExponentialPropagator, z: Array, path: ExponentialTrajectory, rows: Array) -> Array:
+    """What the second derivatives of the step's matrices and of the drives give, (nz, nz)."""
+    n, nz, p, m = made.n, made.nz, path.matrices.p, path.matrices.m
+    samples, _, _, second = made.drive_columns(z)
+    outer = np.matmul(rows, path.steps.columns.transpose(0, 2, 1)).sum(axis=0)
+    i, _ = jets.pairs(nz)
+    zz = _square(nz, p[1 + nz :].reshape(len(i), -1) @ outer.ravel())
+    if len(samples.active):
+        force = p[0][:, n : n + 2 * m].T @ rows
+        bent = second.reshape(len(second), -1) @ force.ravel()
+        zz[np.ix_(samples.active, samples.active)] += _square(len(samples.active), bent)
+    return zz
 
 
 def _square(size: int, pairs: Array) -> Array:
@@ -136,7 +184,7 @@ def _by_laws(
     wide, own = n + nz, np.zeros((nz, nz))
     total = np.zeros((count, wide, wide))
     s, given = made.law_columns(path.steps)
-    multipliers = np.ascontiguousarray(omega.transpose(3, 0, 1, 2)).reshape(laws.count, -1)
+    multipliers = np.ascontiguousarray(omega.transpose(2, 0, 1, 3)).reshape(laws.count, -1)
     bends = laws.curvature(s, given, z, multipliers)
     if not len(bends):
         return total, own
@@ -167,32 +215,17 @@ def _by_laws(
     return total, own
 
 
-def _by_outputs(
-    made: ExponentialPropagator, z: Array, path: ExponentialTrajectory, weights: Array
-) -> tuple[Array, Array]:
-    """What parameters in the outputs give: (nz, nz) and (M, nz, n)."""
-    n, nz, sub = made.n, made.nz, made.substeps
-    c, d = path.matrices.c, path.matrices.d
-    zz, zs = np.zeros((nz, nz)), np.zeros((made.intervals.m, nz, n))
-    samples, _, first, second = made.drive_columns(z)
-    through = d.any() and len(samples.active) > 0
-    if nz == 0 or (jets.is_constant(c) and jets.is_constant(d) and not through):
-        return zz, zs
+def _by_outputs(made: ExponentialPropagator, z: Array, path: ExponentialTrajectory, weights: Array) -> Array:
+    """What the second derivatives of the outputs' matrices and of the drives in them give, (nz, nz)."""
+    nz, c, d = made.nz, path.matrices.c, path.matrices.d
+    samples, _, _, second = made.drive_columns(z)
     x, v = made.at_samples(path.steps, z)
-    i, j = jets.pairs(nz)
-    pairs = np.tensordot(c[1 + nz :], np.einsum("pmy,pmi->yi", weights, x))
-    pairs += np.tensordot(d[1 + nz :], np.einsum("pmy,pmi->yi", weights, v))
-    zz[i, j] = pairs
-    zz[j, i] = pairs
-    along = path.inner[:, ::sub, :n][:, : len(x)]
-    pulled = np.einsum("pmy,zyi->mpiz", weights, c[1 : 1 + nz])
-    crossed = np.einsum("mpiz,mpic->mzc", pulled, along, optimize=True)
-    cross = crossed[:, :, n:].sum(axis=0)
-    for row, index in enumerate(samples.active):
-        slope = made.slope_samples(first[row])
-        cross[:, index] += np.tensordot(d[1 : 1 + nz], np.einsum("pmy,pmi->yi", weights, slope))
-    zz += cross + cross.T
-    if through:
-        bent = [np.vdot(weights @ d[0], made.slope_samples(part)) for part in second]
-        zz[np.ix_(samples.active, samples.active)] += _square(len(samples.active), np.array(bent))
-    return zz, crossed[:, :, :n].copy()
+    zz = np.zeros((nz, nz))
+    if c[1 + nz :].any() or d[1 + nz :].any():
+        pairs = np.tensordot(c[1 + nz :], np.einsum("pym,pim->yi", weights, x))
+        zz += _square(nz, pairs + np.tensordot(d[1 + nz :], np.einsum("pym,pim->yi", weights, v)))
+    if d[0].any() and len(samples.active):
+        force = d[0].T @ weights
+        bent = np.array([np.vdot(force, made.drive_samples(part)) for part in second])
+        zz[np.ix_(samples.active, samples.active)] += _square(len(samples.active), bent)
+    return zz

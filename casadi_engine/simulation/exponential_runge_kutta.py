@@ -7,8 +7,7 @@ few matrix products; the laws are small, and their derivatives are evaluated on 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -32,9 +31,9 @@ _STRONGEST = 1.0
 
 @dataclass(frozen=True)
 class Steps:
-    """Everything of value along the K = L * substeps steps, interval by interval (M).
+    """Everything of value along the K = L * substeps steps of all intervals M.
 
-    columns : (K, M, n + 2 m + 4 nw) the factors [x; v_0; v_1; w] of each step; end : (M, n)
+    columns : (K, n + 2 m + 4 nw, M) the factors [x; v_0; v_1; w] of each step; end : (n, M)
     s : (K, 4, ns, M) signals of the stages
     """
 
@@ -47,42 +46,39 @@ class Steps:
 class ExponentialTrajectory:
     """Outputs and sensitivities; shapes as in ``GeneralTrajectory``.
 
-    y : (1+nz, R*ny, b, M); ys : (R*ny, b, M, n); last : (M, n, n+nz) sensitivities of the ends
-    inner : (M, K+1, n + 4 nw, n + nz) of states and law torques, ds : (M, K, 4 ns, n + nz) of signals, at order 2
+    y : (1+nz, R*ny, b, M); ys : (R*ny, b, M, n); last : (n, n+nz, M) sensitivities of the ends to (start, z)
+    ds : (M, K, 4 ns, n+nz) sensitivities of the signals
     """
 
-    nodes: Array
     steps: Steps
     matrices: StepMatrices
     slopes: tuple[Array, Array]
     y: Array
     ys: Array
     last: Array
+    ds: Array
     substeps: int
-    inner: Array = field(default_factory=lambda: np.zeros((0, 0, 0, 0)))
-    ds: Array = field(default_factory=lambda: np.zeros((0, 0, 0, 0)))
 
     @property
     def x(self) -> Array:
         """(L+1, n, M) states at the samples."""
-        n = self.steps.end.shape[1]
-        states = self.steps.columns[:: self.substeps, :, :n].transpose(0, 2, 1)
-        return np.concatenate([states, self.steps.end.T[None]])
+        states = self.steps.columns[:: self.substeps, : len(self.steps.end)]
+        return np.concatenate([states, self.steps.end[None]])
 
     @property
     def end(self) -> Array:
         """(n, M)."""
-        return self.steps.end.T
+        return self.steps.end
 
     @property
     def end_z(self) -> Array:
         """(nz, n, M)."""
-        return np.ascontiguousarray(self.last[:, :, self.last.shape[1] :].transpose(2, 1, 0))
+        return np.ascontiguousarray(self.last[:, len(self.last) :].transpose(1, 0, 2))
 
     @property
     def end_s(self) -> Array:
         """(M, n, n)."""
-        return self.last[:, :, : self.last.shape[1]]
+        return np.ascontiguousarray(self.last[:, : len(self.last)].transpose(2, 0, 1))
 
 
 class ExponentialPropagator:
@@ -141,7 +137,7 @@ class ExponentialPropagator:
         return self._drives.at(z).value[: self._own_drives]
 
     def _columns(self, v: Array) -> Array:
-        """Merged drives (..., m, N) as columns of the steps, (..., K, M, 2 m): at a step's start and end."""
+        """Merged drives (..., m, N) as columns of the steps, (..., K, 2 m, M): at a step's start and end."""
         plan, sub = self.intervals, self.substeps
         tail = np.repeat(v[..., -1:], plan.padded + 1 - v.shape[-1], axis=-1)
         padded = np.concatenate([v, tail], axis=-1)
@@ -154,7 +150,7 @@ class ExponentialPropagator:
             low = fine.reshape(*v.shape[:-1], plan.m, -1)
             high = (fine + rise / sub).reshape(low.shape)
         joined = np.concatenate([low, high], axis=-3)
-        return np.ascontiguousarray(np.moveaxis(joined, (-3, -2, -1), (-1, -2, -3)))
+        return np.ascontiguousarray(np.moveaxis(joined, (-3, -2, -1), (-2, -1, -3)))
 
     def _merged(self, drives: Array, constant: float) -> Array:
         """(..., m, N) columns of the core from the drives of the model."""
@@ -166,7 +162,7 @@ class ExponentialPropagator:
         return merged
 
     def drive_columns(self, z: Array) -> tuple[DriveSamples, Array, Array, Array]:
-        """Drive samples and their columns: value (K, M, 2m), first (a, K, M, 2m) and second (pairs, K, M, 2m)."""
+        """Drive samples and their columns: value (K, 2m, M), first (a, K, 2m, M) and second (pairs, K, 2m, M)."""
         samples = self._drives.at(z)
         if self._held is None or self._held[0] is not samples:
             value = self._columns(self._merged(samples.value, 1.0))
@@ -201,50 +197,52 @@ class ExponentialPropagator:
         if not (np.isfinite(steps.end).all() and np.isfinite(value).all()):
             raise FloatingPointError("the model's state is not finite here")
         if order == 0:
-            none = np.zeros((0, 0, 0))
+            none = np.zeros((self.n, 0, 0))
             rows = to_rows(self.intervals, value[None])
             return ExponentialTrajectory(
-                np.array(nodes), steps, matrices, slopes, rows, none[None], none, self.substeps
+                steps, matrices, slopes, rows, none[None], none, none[None], self.substeps
             )
-        return self._sensitivities(z, nodes, steps, matrices, slopes, value, order)
+        return self._sensitivities(z, steps, matrices, slopes, value)
 
     def _values(self, z: Array, nodes: Array, matrices: StepMatrices) -> Steps:
         """The states, signals and law torques of all steps."""
         n, m, ns, nw, count = self.n, matrices.m, self.laws.size, self.laws.count, self.intervals.m
         p = matrices.p[0]
         _, v, _, _ = self.drive_columns(z)
-        free = p[:, :n]
-        pushed = np.matmul(p[:, n : n + 2 * m], v.transpose(0, 2, 1))
-        turn = p[:n, n + 2 * m :]
-        feeds = [p[n + i * ns : n + (i + 1) * ns, n + 2 * m : n + 2 * m + i * nw] for i in range(STAGES)]
-        columns = np.empty((self.steps, count, p.shape[1]))
-        columns[:, :, n : n + 2 * m] = v
+        free = np.ascontiguousarray(p[:, :n])
+        pushed = np.matmul(p[:, n : n + 2 * m], v)
+        turn = np.ascontiguousarray(p[:n, n + 2 * m :])
+        feeds = [
+            np.ascontiguousarray(p[n + i * ns : n + (i + 1) * ns, n + 2 * m : n + 2 * m + i * nw])
+            for i in range(STAGES)
+        ]
+        columns = np.empty((self.steps, p.shape[1], count))
+        columns[:, n : n + 2 * m] = v
         signals = np.empty((self.steps, STAGES, ns, count))
-        torques = np.empty((STAGES * nw, count))
         constants, x = self.laws.constants(z), np.array(nodes, dtype=float).T
         law, given = self.laws.torques, self._given
         for k in range(self.steps):
-            rows = free @ x
+            column, stage = columns[k], signals[k]
+            column[:n] = x
+            torques = column[n + 2 * m :]
+            rows = free @ column[:n]
             rows += pushed[k]
-            stage = rows[n:].reshape(STAGES, ns, count)
+            stage[:] = rows[n:].reshape(STAGES, ns, count)
             for i in range(STAGES):
                 if i:
                     stage[i] += feeds[i] @ torques[: i * nw]
                 torques[i * nw : (i + 1) * nw] = law(stage[i], given[k, STAGE_NODES[i]], constants)
-            signals[k] = stage
-            columns[k, :, :n] = x.T
-            columns[k, :, n + 2 * m :] = torques.T
             x = rows[:n] + turn @ torques
-        return Steps(columns, np.ascontiguousarray(x.T), signals)
+        return Steps(columns, x, signals)
 
     def _slopes(self, z: Array, steps: Steps) -> tuple[Array, Array]:
-        """Derivatives of the laws: by signals (K, 4, M, entries), by the active z (K, 4, M, nw, active)."""
+        """Derivatives of the laws: by signals (K, 4, entries, M), by the active z (K, 4, active, nw, M)."""
         s, given = self.law_columns(steps)
         by_signal, by_z = self.laws.slopes(s, given, z)
         shape = (self.steps, STAGES, self.intervals.m)
         return (
-            np.ascontiguousarray(by_signal.T).reshape(*shape, -1),
-            np.ascontiguousarray(by_z.transpose(2, 1, 0)).reshape(*shape, *by_z.shape[1::-1]),
+            np.ascontiguousarray(by_signal.reshape(-1, *shape).transpose(1, 2, 0, 3)),
+            np.ascontiguousarray(by_z.reshape(*by_z.shape[:2], *shape).transpose(2, 3, 0, 1, 4)),
         )
 
     def _feedback(self, matrices: StepMatrices, slopes: Array) -> float:
@@ -252,7 +250,7 @@ class ExponentialPropagator:
         ns, nw, n, m = self.laws.size, self.laws.count, self.n, matrices.m
         last = matrices.p[0][n + 3 * ns :, n + 2 * m + 2 * nw : n + 2 * m + 3 * nw]
         law, signal = self.laws.entries
-        size = np.abs(slopes).max(axis=(0, 1, 2), initial=0.0)
+        size = np.abs(slopes).max(axis=(0, 1, 3), initial=0.0)
         gain = np.zeros((nw, ns))
         gain[law, signal] = size
         if not np.isfinite(gain).all():
@@ -262,127 +260,94 @@ class ExponentialPropagator:
     def _outputs(self, steps: Steps, matrices: StepMatrices, z: Array) -> Array:
         """(ny, points, M) outputs."""
         x, v = self.at_samples(steps, z)
-        y = x @ matrices.c[0].T
+        y = matrices.c[0] @ x
         if matrices.d[0].any():
-            y += v @ matrices.d[0].T
-        return np.ascontiguousarray(y.transpose(2, 0, 1))
+            y += matrices.d[0] @ v
+        return np.ascontiguousarray(y.transpose(1, 0, 2))
 
     def at_samples(self, steps: Steps, z: Array) -> tuple[Array, Array]:
-        """States (points, M, n) and drives (points, M, m) at the samples."""
-        n, m, points = self.n, self.core.m, self.intervals.points
-        x, v = steps.columns[:: self.substeps, :, :n], self.drive_columns(z)[1][:: self.substeps, :, :m]
-        if points > self.intervals.length:
+        """States (points, n, M) and drives (points, m, M) at the samples."""
+        x = steps.columns[:: self.substeps, : self.n]
+        if self.intervals.points > self.intervals.length:
             x = np.concatenate([x, steps.end[None]])
-            v = np.concatenate([v, self.drive_columns(z)[1][-1:, :, m:]])
-        return x, v
+        return x, self.drive_samples(self.drive_columns(z)[1])
+
+    def drive_samples(self, columns: Array) -> Array:
+        """Drive columns (K, 2m, M), at the samples (points, m, M)."""
+        m = self.core.m
+        v = columns[:: self.substeps, :m]
+        if self.intervals.points > self.intervals.length:
+            v = np.concatenate([v, columns[-1:, m:]])
+        return v
 
     def _sensitivities(
-        self,
-        z: Array,
-        nodes: Array,
-        steps: Steps,
-        matrices: StepMatrices,
-        slopes: tuple[Array, Array],
-        value: Array,
-        order: int,
+        self, z: Array, steps: Steps, matrices: StepMatrices, slopes: tuple[Array, Array], value: Array
     ) -> ExponentialTrajectory:
-        n, nz, ns, nw = self.n, self.nz, self.laws.size, self.laws.count
-        count, wide, keep = self.intervals.m, self.n + self.nz, order >= 2
-        at_law = n + 2 * matrices.m
-        p = matrices.p[0]
+        """The first derivatives to (start, z), all of them and all intervals together, step by step."""
+        n, ns, nw, count, wide = self.n, self.laws.size, self.laws.count, self.intervals.m, self.n + self.nz
+        p, at_law = matrices.p[0], n + 2 * matrices.m
         stages = np.ascontiguousarray(p[n:, :n])
         advance = np.ascontiguousarray(np.concatenate([p[:n, :n], p[:n, at_law:]], axis=1))
         feeds = [
             np.ascontiguousarray(p[n + i * ns : n + (i + 1) * ns, at_law : at_law + i * nw])
             for i in range(STAGES)
         ]
-        law, signal = self.laws.entries
-        plain = len(law) == nw == ns and (law == signal).all()
-        inner = np.empty((count, self.steps + 1 if keep else 2, n + STAGES * nw, wide))
-        kept = np.empty((count, self.steps if keep else 1, STAGES * ns, wide))
-        inner[:, 0, :n] = 0.0
-        inner[:, 0, :n, :n] = np.eye(n)
-        found = np.empty((self.ny, self.intervals.points, count, wide))
-        pushes = self._pushes(steps, matrices, z) if nz else None
-        own = n + self.laws.active
+        current, after = (np.zeros((n + STAGES * nw, wide, count)) for _ in range(2))
+        current[range(n), range(n)] = 1.0
+        s = np.empty((STAGES * ns, wide, count))
+        ds = np.empty((count, self.steps, STAGES * ns, wide))
+        found = np.empty((self.ny, self.intervals.points, wide, count))
+        pushes = Pushes(self, steps, matrices, z)
+        touched, feed, product = pushes.span(n), np.empty((ns, wide, count)), np.empty((wide, count))
         by_signal, by_z = slopes
         for k in range(self.steps):
-            now, after = (k, k + 1) if keep else (k % 2, (k + 1) % 2)
-            current = inner[:, now]
             if k % self.substeps == 0:
                 _observe(matrices.c[0], current, found[:, k // self.substeps])
-            s = kept[:, now if keep else 0]
-            np.matmul(stages, current[:, :n], out=s)
-            if pushes is not None:
-                push = next(pushes)
-                s[:, :, n:] += push[:, n:]
+            np.matmul(stages, current[:n].reshape(n, -1), out=s.reshape(STAGES * ns, -1))
+            push = pushes.at(k)
+            s[:, touched] += push[n:]
             for i in range(STAGES):
-                stage = s[:, i * ns : (i + 1) * ns]
-                torque = current[:, n + i * nw : n + (i + 1) * nw]
+                stage = s[i * ns : (i + 1) * ns]
+                torque = current[n + i * nw : n + (i + 1) * nw]
                 if i:
-                    stage += feeds[i] @ current[:, n : n + i * nw]
-                slope = by_signal[k, i][:, :, None]
-                if plain:
-                    np.multiply(slope, stage, out=torque)
-                else:
-                    np.add.reduceat(slope * stage[:, signal], self.laws.starts, axis=1, out=torque)
-                if len(own):
-                    torque[:, :, own] += by_z[k, i]
-            np.matmul(advance, current, out=inner[:, after, :n])
-            if pushes is not None:
-                inner[:, after, :n, n:] += push[:, :n]
-        last = inner[:, self.steps if keep else self.steps % 2, :n]
+                    known = current[n : n + i * nw].reshape(i * nw, -1)
+                    np.matmul(feeds[i], known, out=feed.reshape(ns, -1))
+                    stage += feed
+                for entry, (law, signal, opens) in enumerate(self.laws.pattern):
+                    if opens:
+                        np.multiply(by_signal[k, i, entry], stage[signal], out=torque[law])
+                    else:
+                        np.multiply(by_signal[k, i, entry], stage[signal], out=product)
+                        torque[law] += product
+                for row, index in enumerate(self.laws.active):
+                    torque[:, n + index] += by_z[k, i, row]
+            ds[:, k] = s.transpose(2, 0, 1)
+            np.matmul(advance, current.reshape(len(current), -1), out=after[:n].reshape(n, -1))
+            after[:n, touched] += push[:n]
+            current, after = after, current
         if self.intervals.points > self.intervals.length:
-            _observe(matrices.c[0], last, found[:, -1])
-        if nz:
+            _observe(matrices.c[0], current, found[:, -1])
+        if self.nz:
             self._push_outputs(steps, matrices, z, found)
-        y = np.concatenate([value[None], found[..., n:].transpose(3, 0, 1, 2)])
-        ys = to_rows(self.intervals, found[..., :n].transpose(3, 0, 1, 2)).transpose(1, 2, 3, 0)
-        made = ExponentialTrajectory(
-            np.array(nodes), steps, matrices, slopes, to_rows(self.intervals, y),
-            np.ascontiguousarray(ys), last.copy(), self.substeps,
+        y = np.concatenate([value[None], found[:, :, n:].transpose(2, 0, 1, 3)])
+        ys = to_rows(self.intervals, found[:, :, :n].transpose(2, 0, 1, 3)).transpose(1, 2, 3, 0)
+        return ExponentialTrajectory(
+            steps, matrices, slopes, to_rows(self.intervals, y),
+            np.ascontiguousarray(ys), current[:n].copy(), ds, self.substeps,
         )  # fmt: skip
-        if keep:
-            inner[:, -1, n:] = 0.0
-            made.inner, made.ds = inner, kept
-        return made
-
-    def _pushes(self, steps: Steps, matrices: StepMatrices, z: Array) -> Iterator[Array]:
-        """For each step what z does to it directly, (M, n + 4 ns, nz): by the matrices and by the drives."""
-        n, m = self.n, matrices.m
-        samples, _, first, _ = self.drive_columns(z)
-        rows = np.ascontiguousarray(matrices.p[1 : 1 + self.nz].transpose(2, 1, 0))
-        flat = rows.reshape(rows.shape[0], -1)
-        held = np.ascontiguousarray(matrices.p[0][:, n : n + 2 * m].T)
-        push = np.empty((self.intervals.m, flat.shape[1]))
-        shaped = push.reshape(self.intervals.m, -1, self.nz)
-        for k in range(self.steps):
-            np.matmul(steps.columns[k], flat, out=push)
-            for row, index in enumerate(samples.active):
-                shaped[:, :, index] += first[row, k] @ held
-            yield shaped
 
     def _push_outputs(self, steps: Steps, matrices: StepMatrices, z: Array, found: Array) -> None:
         """Add what z does to the outputs directly."""
-        n = self.n
-        c, d = matrices.c, matrices.d
+        n, c, d = self.n, matrices.c, matrices.d
         samples, _, first, _ = self.drive_columns(z)
         x, v = self.at_samples(steps, z)
         if not jets.is_constant(c):
-            found[..., n:] += np.einsum("zyi,pmi->ypmz", c[1 : 1 + self.nz], x)
+            found[:, :, n:] += np.einsum("zyi,pim->ypzm", c[1 : 1 + self.nz], x)
         if not jets.is_constant(d):
-            found[..., n:] += np.einsum("zyi,pmi->ypmz", d[1 : 1 + self.nz], v)
+            found[:, :, n:] += np.einsum("zyi,pim->ypzm", d[1 : 1 + self.nz], v)
         if d[0].any():
             for row, index in enumerate(samples.active):
-                found[..., n + index] += np.einsum("yi,pmi->ypm", d[0], self.slope_samples(first[row]))
-
-    def slope_samples(self, first: Array) -> Array:
-        """Columns (K, M, 2m) of one derivative of the drives, at the samples (points, M, m)."""
-        m = self.core.m
-        v = first[:: self.substeps, :, :m]
-        if self.intervals.points > self.intervals.length:
-            v = np.concatenate([v, first[-1:, :, m:]])
-        return v
+                found[:, :, n + index] += np.einsum("yi,pim->ypm", d[0], self.drive_samples(first[row]))
 
     # ---- second order
 
@@ -392,18 +357,53 @@ class ExponentialPropagator:
     ) -> tuple[Array, Array, Array]:
         """Second derivatives of sum(rho * y) + sum(lam * end): (z, z), (z, start) and (start, start)."""
         z = np.asarray(z, dtype=float)
-        if not path.inner.size or path.substeps != self.substeps:
-            path = self.propagate(z, path.nodes, 2)
-        return contracted(self, z, path, rho, lam)
+        made = self if path.substeps == self.substeps else self.refined(path.substeps)
+        if path.matrices.order < 2 and self.nz:
+            step = self.grid.step / path.substeps
+            path.matrices = self.core.at(z, 2, step, self.laws.q)
+        return contracted(made, z, path, rho, lam)
+
+
+class Pushes:
+    """What z does to a step directly, by the matrices and by the drives: (n + 4 ns, z of the span, M) of step k.
+
+    The span is the range of entries of z that do anything of this kind; those of the laws alone do not.
+    """
+
+    def __init__(self, made: ExponentialPropagator, steps: Steps, matrices: StepMatrices, z: Array) -> None:
+        n, m, nz = made.n, matrices.m, made.nz
+        samples, _, self._first, _ = made.drive_columns(z)
+        moving = matrices.p[1 : 1 + nz].any(axis=(1, 2))
+        moving[samples.active] = True
+        places = np.flatnonzero(moving)
+        self.low, self.high = (int(places[0]), int(places[-1]) + 1) if len(places) else (0, 0)
+        part = matrices.p[1 + self.low : 1 + self.high]
+        self.matrix = np.ascontiguousarray(part.transpose(1, 0, 2)).reshape(-1, part.shape[2])
+        self._active = [int(index) - self.low for index in samples.active]
+        self._held = np.ascontiguousarray(matrices.p[0][:, n : n + 2 * m])
+        self._columns = steps.columns
+        self._push = np.empty((matrices.p.shape[1], self.high - self.low, steps.end.shape[1]))
+
+    def span(self, offset: int = 0) -> slice:
+        """The entries of z, counted from ``offset``."""
+        return slice(offset + self.low, offset + self.high)
+
+    def at(self, k: int) -> Array:
+        """The push of step k, overwritten by the next call."""
+        if len(self.matrix):
+            np.matmul(self.matrix, self._columns[k], out=self._push.reshape(len(self.matrix), -1))
+        for row, place in enumerate(self._active):
+            self._push[:, place] += self._held @ self._first[row, k]
+        return self._push
 
 
 def _observe(c: Array, current: Array, out: Array) -> None:
-    """out (ny, M, n+nz) = c x for the sensitivities of one sample; an output is a state or two as a rule."""
+    """out (ny, n+nz, M) = c x for the sensitivities of one sample; an output is a state or two as a rule."""
     for row, factors in enumerate(c):
         places = np.flatnonzero(factors)
         if not len(places):
             out[row] = 0.0
             continue
-        np.multiply(current[:, places[0]], factors[places[0]], out=out[row])
+        np.multiply(current[places[0]], factors[places[0]], out=out[row])
         for place in places[1:]:
-            out[row] += factors[place] * current[:, place]
+            out[row] += factors[place] * current[place]

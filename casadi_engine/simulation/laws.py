@@ -63,7 +63,9 @@ class Laws:
         slope = ca.jacobian(rest, s)
         self.entries = _entries(slope.sparsity())
         picked = ca.vertcat(*[slope[int(i), int(j)] for i, j in zip(*self.entries, strict=True)])
-        self.starts = np.searchsorted(self.entries[0], np.arange(self.count))
+        opens = np.diff(self.entries[0], prepend=-1) > 0
+        # (law, signal, first of its law) of each entry
+        self.pattern = [(int(i), int(j), bool(o)) for i, j, o in zip(*self.entries, opens, strict=True)]
         self._slopes = ArrayFunction([s, given, z], [picked, ca.densify(ca.jacobian(rest, free))])
         self._curvature: ArrayFunction | None = None
 

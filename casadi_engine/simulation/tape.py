@@ -78,7 +78,7 @@ class ArrayFunction:
     def __init__(self, inputs: Sequence[ca.SX], outputs: Sequence[ca.SX]) -> None:
         dense = [ca.densify(ca.vec(out)) for out in outputs]
         self._function = ca.Function("columns", list(inputs), dense)
-        self._rows = [int(out.numel()) for out in dense]
+        self._rows, self._room = [int(out.numel()) for out in dense], int(self._function.sz_w())
         f = self._function
         code = [
             (f.instruction_id(k), f.instruction_input(k), f.instruction_output(k))
@@ -124,7 +124,7 @@ class ArrayFunction:
         return self._run(arguments, arguments[0].shape[1]) if self._replay else self(*arguments)
 
     def _run(self, arguments: Sequence[Array], count: int) -> list[Array]:
-        work: list[Any] = [0.0] * self._function.sz_w()
+        work: list[Any] = [0.0] * self._room
         outputs = [np.zeros((rows, count)) for rows in self._rows]
         for function, constant, op, source, target in self._steps:
             if function is not None:
