@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_engine.estimation.fit import Estimate, Fit, Optimum, Trace
+from casadi_engine.estimation.fit import Estimate, Fit, Innovations, Optimum, Trace
 from casadi_engine.estimation.fit_percent import fit_measures
+from casadi_engine.estimation.innovations import SizedPriors, loop_of
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty, uncertainty
@@ -49,6 +51,9 @@ def make_fit(
         initial[name] = errors.initial_states(record, limits, at)
         first[name] = start * record.scale
         at += record.n
+    predictor = _predictor(search, v, best.sigma, errors)
+    # With noise covariances the search adds the likelihood of the innovations' size, zero at this fit from here on.
+    size = problem.priors.size(best.v) if isinstance(problem.priors, SizedPriors) else 0.0
     timing["covariance"] = time.perf_counter() - clock
     timing["total"] = time.perf_counter() - begun
     fitted = search.parameters.copy()
@@ -65,13 +70,13 @@ def make_fit(
         covariance=errors.of_parameters(),
         undetermined=errors.directions,
         initial=initial,
-        noise=search.levels.by_name(best.sigma),
-        cost=best.cost,
+        noise=_noise(search, best.sigma, pmap.values(z)),
+        cost=best.cost - size,
         n=problem.samples,
         dof=float(problem.samples - errors.covariance.rank),
         iterations=best.iterations,
         nodes=sum(record.plan.m for record in search.records),
-        optima=optima,
+        optima=tuple(replace(optimum, cost=optimum.cost - size) for optimum in optima),
         traces=traces,
         drives=drives,
         fit_percent=percents,
@@ -79,7 +84,39 @@ def make_fit(
         options=options,
         messages=_messages(search, best, errors, optima, stopped=stopped),
         states_at_start=first,
-        gain=search.noise.gain,
+        gain=None if predictor is None else predictor.gain,
+        innovations=predictor,
+    )
+
+
+def _noise(search: Search, sigma: Array, values: dict[str, float]) -> dict[str, tuple[float, bool]]:
+    """Output -> (level, whether it was estimated); with noise covariances that of the measurement alone."""
+    if search.predictor.kind != "process":
+        return search.levels.by_name(sigma)
+    start = dict(zip(search.predictor.outputs, search.predictor.start.measurement.tolist(), strict=True))
+    own = {name: values.get(f"noise.{name}") for name in start}
+    return {name: (start[name], False) if own[name] is None else (own[name], True) for name in start}  # type: ignore[misc]
+
+
+def _predictor(search: Search, v: Array, sigma: Array, errors: Uncertainty) -> Innovations | None:
+    """The predictor at the optimum, that of the first record where records differ."""
+    if search.predictor.kind == "none":
+        return None
+    covariance = errors.covariance.matrix[: len(v), : len(v)]
+    if not errors.optimal:
+        covariance = np.full_like(covariance, np.nan)
+    gain, kalman, stderr, levels, radius = loop_of(search.records[0], v, covariance, search.predictor.every)
+    outputs = search.predictor.outputs
+    return Innovations(
+        search.predictor.kind,
+        search.predictor.states,
+        outputs,
+        gain,
+        kalman,
+        stderr,
+        dict(zip(outputs, (sigma if levels is None else levels).tolist(), strict=True)),
+        radius,
+        search.predictor.every,
     )
 
 
@@ -87,13 +124,11 @@ def _traces(search: Search, record: RecordTerm, v: Array, start: Array) -> dict[
     """Measured, simulated and, with a gain, predicted outputs at the measured times."""
     simulated = _response(record, v, start)
     predicted = None
-    if search.noise.gain is not None:
+    if search.noise.predicts:
         predicted = simulated
-        plain = RecordTerm(
-            search.model, record.experiment, *record.symbols,
-            length=None, gain=None, method=record.method, grid=record.grid,
-        )  # fmt: skip
-        simulated = _response(plain, v, start)
+        if search.predictor.kind == "process":  # the search has whitened innovations
+            predicted = _response(record.again(gain=search.plain_gain(record)), v, start)
+        simulated = _response(record.again(gain=None), v, start)
     found = {}
     for name, sample in record.grid.measured.items():
         channel = record.experiment[name]

@@ -55,6 +55,28 @@ class Trace:
 
 
 @dataclass(frozen=True)
+class Innovations:
+    """The one-step predictor of a fit, (2.10): x+ = A_D x + B_D u + K e, y = C x + D u + e.
+
+    kind : "stated" (the gain was given), "innovations" (estimated entry by entry) or "process" (by the Riccati equation
+    from noise covariances). gain : (n, ny) L of x + L e before a step. kalman : (n, ny) K = A_D L, state's unit per
+    output's unit; stderr : (n, ny) of K, NaN where there is none. sigma : output -> standard deviation of its
+    innovation e, in its unit. radius : spectral radius of A_D - K C, below one for a stable predictor. ``every`` : grid
+    steps from one sample of the outputs to the next; between them the state is not corrected
+    """
+
+    kind: str
+    states: tuple[str, ...]
+    outputs: tuple[str, ...]
+    gain: Array
+    kalman: Array
+    stderr: Array
+    sigma: Mapping[str, float]
+    radius: float
+    every: int = 1
+
+
+@dataclass(frozen=True)
 class Direction:
     """A combination of free parameters (or initial states) that the data do not determine.
 
@@ -90,7 +112,9 @@ class Fit:
     traces : record -> output -> Trace. drives : record -> drive -> (2, N) array of times [s] and values
     fit_percent : record -> output -> {"simulation": %, "prediction": % or None}, (2.32)
     timing : seconds of "setup", "solve", "covariance", "total". nodes : number of shooting intervals
-    messages : what the user should know. gain : correction gain of the predictor, None for output error
+    messages : what the user should know. gain : correction gain L of the predictor, None for output error.
+    innovations : the predictor, with K and its errors, None for output error; with process noise ``noise`` holds the
+    levels of the measurement alone
     """
 
     model: Model
@@ -119,6 +143,7 @@ class Fit:
     messages: tuple[str, ...] = ()
     states_at_start: Mapping[str, Array] = field(default_factory=dict)
     gain: Array | None = None
+    innovations: Innovations | None = None
 
     def __str__(self) -> str:
         from casadi_engine.estimation.summary import summary
@@ -129,6 +154,13 @@ class Fit:
     def converged(self) -> bool:
         """True if the solver met its tolerance."""
         return self.status == "converged"
+
+    @property
+    def residual_level(self) -> dict[str, float]:
+        """Output -> standard deviation of its residual in the fit, in its unit."""
+        if self.innovations is not None:
+            return dict(self.innovations.sigma)
+        return {name: sigma for name, (sigma, _) in self.noise.items()}
 
     @property
     def values(self) -> dict[str, float]:

@@ -125,3 +125,29 @@ def _patterns(record: RecordTerm) -> list[tuple[Seen, int]]:
         for kind, count in zip(kinds, counts, strict=True)
         if kind.any()
     ]
+
+
+def loop_of(
+    record: RecordTerm, v: Array, covariance: Array, every: int
+) -> tuple[Array, Array, Array, Array | None, float]:
+    """L, K = A_D L and its standard errors (n, ny) in the states' units, the innovations' levels (ny,) where the gain
+    knows them, and the closed loop's spectral radius.
+
+    covariance : (nv, nv) of the fit's vector, NaN where there is none
+    """
+    core, gain = of_predictor(record)
+    z, active, d = v[record.active], record.active, len(record.active)
+    discrete = core.at(z, 1)
+    lift = gain.at(z, core, discrete, (True,) * core.outputs).lift
+    kalman = jets.product(discrete.f, lift, d) * record.scale[:, None]
+    slope = kalman[1 : 1 + d].reshape(d, kalman[0].size)
+    variance = np.einsum("ik,ij,jk->k", slope, covariance[np.ix_(active, active)], slope)
+    variance = np.where(np.abs(slope).max(axis=0, initial=0.0) > 0, variance, np.nan)
+    with np.errstate(invalid="ignore"):
+        stderr = np.sqrt(variance).reshape(kalman.shape[1:])
+    sigma = None
+    if isinstance(gain, RiccatiGain):
+        sigma = np.sqrt(np.diag(gain.stationary(z, core, discrete).innovation[0]))
+    loop = closed_loop(record, v, every, 0)[0][0]
+    radius = float(np.abs(np.linalg.eigvals(loop)).max())
+    return lift[0] * record.scale[:, None], kalman[0], stderr, sigma, radius

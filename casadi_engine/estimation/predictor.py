@@ -72,9 +72,9 @@ class Predictor:
             else "none"
         )  # fmt: skip
         self.names: tuple[str, ...] = ()
+        self.every = output_stride(grids[0]) if self.kind != "none" else 1
         if self.kind in ("innovations", "process"):
             self._check_model()
-            self._every = output_stride(grids[0])
             self.process = self._process_levels()
             self.start = self._start(grids)
             self.names = self._add(parameters, grids[0])
@@ -122,7 +122,7 @@ class Predictor:
             levels.append(scatter(grids, output) if level == "estimate" else float(level))
         measurement = np.array(levels)
         size = np.array([out.scale for out in self.model.outputs])
-        relative = _SHARE * float(np.min(measurement / size)) / math.sqrt(self._every * grids[0].step)
+        relative = _SHARE * float(np.min(measurement / size)) / math.sqrt(self.every * grids[0].step)
         found = {}
         for name, level in self.process.items():
             if level != "estimate":
@@ -149,7 +149,8 @@ class Predictor:
             for name, value in zip(self._gain_names(), lift, strict=True):
                 output, state = name.split(".")[1:]
                 if name not in parameters:
-                    parameters.add(name, value, unit=f"{units[state]}/({units[output]})",
+                    unit = "1" if units[state] == units[output] else f"{units[state]}/({units[output]})"
+                    parameters.add(name, value, unit=unit,
                                    description=f"correction of {state} by {output}")  # fmt: skip
             return self._gain_names()
         for name, level in self.process.items():
@@ -266,7 +267,7 @@ class Predictor:
         sigma = [
             values.get(f"noise.{name}", self.start.measurement[k]) for k, name in enumerate(self.outputs)
         ]
-        return RiccatiGain(density, ca.vertcat(*sigma), z, scale=self.scale, every=self._every, level=level)
+        return RiccatiGain(density, ca.vertcat(*sigma), z, scale=self.scale, every=self.every, level=level)
 
     def reference(self, tail: ca.SX, physical: ca.SX, z: ca.SX, start: Array, grid: Grid) -> Array:
         """(ny,) levels of the innovations at the start: the units in which the search sees them."""

@@ -93,9 +93,13 @@ class RecordTerm:
 
     def single(self) -> RecordTerm:
         """The same record as one interval, for simulation."""
+        return self.again(gain=self.gain)
+
+    def again(self, *, gain: Array | GainPlan | None) -> RecordTerm:
+        """The same record as one interval, predicted with another gain or simulated."""
         return RecordTerm(
             self.model, self.experiment, *self.symbols,
-            length=None, gain=self.gain, method=self.method, grid=self.grid,
+            length=None, gain=gain, method=self.method, grid=self.grid,
         )  # fmt: skip
 
     @property

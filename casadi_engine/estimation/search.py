@@ -86,11 +86,12 @@ class Search:
         self.coordinates = Coordinates(self.pmap)
         self.records: list[RecordTerm] = []
         made: dict[int, Any] = {}
+        self._tails: dict[str, Any] = {}
         level: Array | None = None
         for record in data:
             physical, tail = self.pmap.physical[record.name], tails[record.name]
             local = made.setdefault(id(physical), self.coordinates.substitute(physical))
-            own = self.coordinates.substitute(tail)
+            own = self._tails[record.name] = self.coordinates.substitute(tail)
             if self.predictor.kind == "process" and level is None:
                 start = self.coordinates.of(self.pmap.start)
                 level = self.predictor.reference(
@@ -134,12 +135,16 @@ class Search:
             interrupts=interrupts,
         )
 
+    def plain_gain(self, record: RecordTerm) -> Any:
+        """The gain of a record whose innovations stay in the outputs' units."""
+        return self.predictor.plan(self._tails[record.experiment.name], record.symbols[1])
+
     def _stable(self) -> list[StableLoop]:
         """For an estimated gain, that every record's predictor forgets; once for records that share it."""
         if self.predictor.kind != "innovations":
             return []
         own = {tuple(r.active.tolist()): r for r in reversed(self.records)}
-        size, every = len(self.pmap.free), self.predictor._every
+        size, every = len(self.pmap.free), self.predictor.every
         return [StableLoop(record, every, size, alone=len(own) == 1) for record in own.values()]
 
     # ---- bounds, noise

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casadi_engine.estimation.fit import Estimate, Fit
+from casadi_engine.estimation.gain_table import gain_rows, predictor_words
 
 if TYPE_CHECKING:
     from casadi_engine.parameters import Parameter
 
 LINES, COLUMNS = 45, 100
 # Rows of each part at most; what is left out is said in words.
-ROWS = {"fit": 6, "parameters": 20, "initial": 4, "correlations": 5, "directions": 3}
+ROWS = {"fit": 6, "parameters": 20, "initial": 4, "correlations": 5, "directions": 3, "gain": 4}
 STRONG = 0.5
 # Two costs closer than this are one optimum for the reader: a chi-square difference of 0.01 means nothing.
 SAME_COST = 0.01
@@ -44,6 +45,7 @@ def _lines(fit: Fit, rows: int, notes: int) -> list[str]:
         *_header(fit),
         *_fit_rows(fit),
         *parameter_lines(fit, rows),
+        *_gain(fit),
         *_initial(fit),
         *_correlations(fit),
         *_directions(fit),
@@ -144,6 +146,19 @@ def noise_words(fit: Fit) -> list[str]:
         f"{name} sigma {number(sigma, '.4g')} {units.get(name, '')} ({'estimated' if estimated else 'known'})"
         for name, (sigma, estimated) in fit.noise.items()
     ]
+
+
+def _gain(fit: Fit) -> list[str]:
+    """The predictor and its gain K, for a fit that has one."""
+    if fit.innovations is None:
+        return []
+    rows = gain_rows(fit, with_error)
+    shown = [(f"K {short(state, 24)} by {short(output, 20)}", value) for state, output, value in rows]
+    lines = limited(wrapped(f"Predictor: {predictor_words(fit)}", "  "), 2)
+    lines += aligned(shown[: ROWS["gain"]], right=())
+    if len(shown) > ROWS["gain"]:
+        lines.append(f"  … and {len(shown) - ROWS['gain']} more: fit.innovations.kalman")
+    return lines
 
 
 def cost_words(fit: Fit) -> str:

@@ -92,6 +92,7 @@ def _(result: Fit) -> dict[str, Any]:
             record: {output: percents(found) for output, found in outputs.items()}
             for record, outputs in result.fit_percent.items()
         },
+        "gain": _gain(result),
         **_for_warm_start(result),
     }
 
@@ -153,6 +154,25 @@ def noise(fit: Fit) -> dict[str, Any]:
     """Output -> sigma in its unit, and whether it was estimated."""
     return {
         name: {"sigma": sigma, "estimated": bool(estimated)} for name, (sigma, estimated) in fit.noise.items()
+    }
+
+
+def _gain(fit: Fit) -> dict[str, Any] | None:
+    """The one-step predictor, (2.10); null for output error."""
+    found = fit.innovations
+    if found is None:
+        return None
+    return {
+        "kind": found.kind,
+        "states": list(found.states),
+        "outputs": list(found.outputs),
+        "L": found.gain,
+        "K": found.kalman,
+        "K_stderr": found.stderr,
+        "sigma": dict(found.sigma),
+        "radius": found.radius,
+        "every": found.every,
+        "why": {} if np.isfinite(found.stderr).all() else {"K_stderr": "null: nothing estimated moves it"},
     }
 
 
@@ -286,7 +306,7 @@ def _cost(validation: Any) -> tuple[float, int]:
     for outputs in validation.records.values():
         for output, check in outputs.items():
             residual = check.trace.residual[check.trace.mask]
-            sigma = validation.fit.noise[output][0]
+            sigma = validation.fit.residual_level[output]
             cost += float(np.sum((residual / sigma) ** 2))
             n += residual.size
     return cost, n

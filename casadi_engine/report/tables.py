@@ -9,6 +9,7 @@ from typing import Any
 
 from casadi_engine.estimation import summary as fits
 from casadi_engine.estimation.fit import Fit
+from casadi_engine.estimation.gain_table import gain_rows, predictor_words
 from casadi_engine.report.kinds import Simulated, not_shown
 from casadi_engine.validation import summary as validations
 from casadi_engine.validation.validate import Validation
@@ -87,7 +88,8 @@ def table(
 def fit_html(fit: Fit) -> str:
     """A fit as HTML: status, cost, parameters, initial states, fit percentages."""
     head = f"<p><b>Fit of {html.escape(fit.model.name)}: {html.escape(fit.status)}</b></p>"
-    return head + cost_table(fit) + parameter_table(fit) + initial_table(fit) + percent_table(fit)
+    parts = (cost_table, parameter_table, gain_table, initial_table, percent_table)
+    return head + "".join(part(fit) for part in parts)
 
 
 def validation_html(validation: Any) -> str:
@@ -96,11 +98,18 @@ def validation_html(validation: Any) -> str:
     return head + measure_table(validation) + residual_table(validation)
 
 
+def gain_table(fit: Fit) -> str:
+    """The predictor's gain K, (2.10); nothing for output error."""
+    rows = gain_rows(fit, fits.with_error)
+    return table(("gain K of state", "by output", "value"), rows) if rows else ""
+
+
 def cost_table(fit: Fit) -> str:
     """Cost, samples and noise."""
     rows = [
         ("cost", fits.cost_words(fit)),
         ("noise", "; ".join(fits.noise_words(fit))),
+        ("predictor", predictor_words(fit)),
         ("samples that count", fits.count(fit.n)),
         ("solved", f"{fit.iterations} iterations, {fits.count(fit.nodes)} shooting intervals"),
     ]

@@ -91,7 +91,12 @@ def validate(
     (True, 0.0091)
     """
     if not 0 < alpha < 1:
-        raise ExperimentError("alpha is not acceptable", seen=alpha, allowed="a number between 0 and 1")
+        raise ExperimentError(
+            "alpha is not acceptable",
+            seen=alpha,
+            allowed="a number between 0 and 1",
+            cure="give alpha=0.01, for instance, for one false alarm in a hundred",
+        )
     held = _hold(fit, data, parameters, noise)
     tests: dict[str, ResidualTest] = {}
     records: dict[str, dict[str, OutputCheck]] = {}
@@ -113,10 +118,7 @@ def _hold(fit: Fit | Model, data: Any, parameters: Parameters | None, noise: Noi
             return fit
         model, source = fit.model, fit.parameters if parameters is None else parameters
         records = fit.data if data is None else data
-        levels = noise or Noise(
-            gain=fit.gain,
-            **{k: "estimate" if estimated else sigma for k, (sigma, estimated) in fit.noise.items()},
-        )
+        levels = noise or _noise_of(fit)
         method = str(fit.options.get("method", "exact"))
     else:
         model, records, levels, method = fit, data, noise or Noise(), "exact"
@@ -130,6 +132,17 @@ def _hold(fit: Fit | Model, data: Any, parameters: Parameters | None, noise: Noi
         source = model.parameters() if parameters is None else parameters
     return estimate(model, records, parameters=held_parameters(model, source), noise=levels, method=method,
                     progress=False)  # fmt: skip
+
+
+def _noise_of(fit: Fit) -> Noise:
+    """The noise of a fit, its gain held; with noise covariances the residual is the innovation."""
+    estimated = {name: free for name, (_, free) in fit.noise.items()}
+    if fit.innovations is not None and fit.innovations.kind == "process":
+        estimated = dict.fromkeys(estimated, False)
+    levels: dict[str, Any] = {
+        name: "estimate" if estimated[name] else sigma for name, sigma in fit.residual_level.items()
+    }
+    return Noise(gain=fit.gain, **levels)
 
 
 def held_parameters(model: Model, source: Parameters) -> Parameters:
