@@ -1,8 +1,8 @@
 """Where in the data the gap sits: record, time, cycle, crank-angle window and engine order.
 
-The whitened residual r is summed over short blocks; a block's sum squared over its length is chi-squared with one degree
-of freedom if nothing is missing, and large where the model errs for longer than a sample. Windows are found by scanning
-runs of blocks of any length for the largest standardised excess.
+The whitened residual r is summed over short blocks; a block's sum squared over its length is chi-squared with one
+degree of freedom if nothing is missing, and large where the model errs for longer than a sample. Windows are found by
+scanning runs of blocks of any length for the largest standardised excess.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ _LEAST = 1e-12
 class Where:
     """Where the gap is; a part is None where the data do not single one out.
 
-    record; time : (from, to) s; cycles : numbers from 1, as a user counts them; crank_angle : (from, to) rad in 0..4 pi,
-    from > to where the window goes over 0; order : per revolution; excess : share of chi-squared above noise that each
-    record holds
+    record; time : (from, to) s; cycles : numbers from 1, as a user counts them; crank_angle : (from, to) rad in
+    0..4 pi, from > to where the window goes over 0; order : per revolution; excess : share of chi-squared above noise
+    that each record holds
     """
 
     record: str
@@ -175,7 +175,7 @@ def _angle_window(blocks: _Blocks) -> tuple[float, float] | None:
 def order_powers(record: RecordNull, noise: NoiseModel) -> tuple[Array, Array] | None:
     """Engine orders (K,) [per revolution] in halves, and their power (K,), chi-squared with two degrees of freedom
     where nothing is missing; None without a crank angle."""
-    orders = 0.5 * np.arange(1, 2 * _HIGHEST_ORDER + 1)
+    orders = np.asarray(0.5 * np.arange(1, 2 * _HIGHEST_ORDER + 1), dtype=np.float64)
     power = np.zeros(len(orders))
     for name, e in record.residual.items():
         theta = crank_angle(record, record.time[name])

@@ -40,8 +40,8 @@ class NullPath:
     """One record simulated with known parameters and start.
 
     x : (n, N) states at the grid's samples, in their units; slope : (n, N) their time derivative
-    d : (m, N) drives at the samples and drive_holds (m,) their holds, for a linear model, whose propagator
-    interpolates the drives themselves; (0, N) for any other, which interpolates the channels
+    d : (m, N) drives at the samples and drive_holds (m,) their holds, for a model with a linear core, whose propagators
+    interpolate the drives themselves; (0, N) for any other, which interpolates the channels
     p : (np,) parameters of the model
     """
 
@@ -118,7 +118,7 @@ def with_slope(model: Model, grid: Grid, x: Array, p: Array) -> NullPath:
     """The null path of known states x : (n, N)."""
     drives: Array = np.zeros((0, grid.samples))
     holds: tuple[str, ...] = ()
-    if model.linear is not None and not model.has_slot_laws and model.d.numel():
+    if model.linear is not None and model.d.numel():
         made = Drives(model, grid, ca.SX(0, 1), ca.SX(ca.DM(p)))
         drives, holds = made.at(np.zeros(0)).value, made.holds
     path = NullPath(model, grid, x, x, drives, holds, p)

@@ -55,16 +55,15 @@ def phi_functions(z: Array) -> tuple[Array, Array, Array, Array]:
 def step_matrices(start: Array, middle: Array, end: Array, step: float) -> Steps:
     """The steps of length ``step`` [s] from A at their start, middle and end, each (T, n, n) or (1, n, n)."""
     omega = (step / 6) * (start + 4 * middle + end)
-    if start is not end:
+    moves = start is not end
+    if moves:
         change = end - start
         omega = omega - (step**2 / 12) * (middle @ change - change @ middle)
     phi0, phi1, phi2, phi3 = phi_functions(omega)
-    return Steps(
-        phi0,
-        step * (phi1 - 3 * phi2 + 4 * phi3),
-        step * (4 * phi2 - 8 * phi3),
-        step * (4 * phi3 - phi2),
-    )
+    weight = step * (4 * phi2 - 8 * phi3)
+    if moves:  # the same commutator, between A and g
+        weight = weight + (step**2 / 12) * (phi1 @ change)
+    return Steps(phi0, step * (phi1 - 3 * phi2 + 4 * phi3), weight, step * (4 * phi3 - phi2))
 
 
 def scan(f: Array, push: Array, start: Array) -> Array:
