@@ -206,7 +206,9 @@ def rejected(tests: Mapping[str, ResidualTest], *, alpha: float = 0.01) -> tuple
     Source: S. Holm, Scand. J. Statist. 6 (1979).
     """
     if not 0.0 < alpha < 1.0:
-        raise ExperimentError("the false-alarm rate does not fit", seen=alpha, allowed="between 0 and 1")
+        raise ExperimentError(
+            "the false-alarm rate does not fit", seen=alpha, allowed="between 0 and 1", cure="give alpha=0.01"
+        )
     p_values = sorted((test.p_value, name) for name, test in tests.items() if test.p_value is not None)
     failed = []
     for position, (p_value, name) in enumerate(p_values):

@@ -513,7 +513,8 @@ def test_rejected_needs_a_rate(alpha):
     with pytest.raises(ExperimentError) as caught:
         rejected({}, alpha=alpha)
     assert (
-        str(caught.value) == f"the false-alarm rate does not fit; seen: {alpha!r}; allowed: between 0 and 1"
+        str(caught.value)
+        == f"the false-alarm rate does not fit; seen: {alpha!r}; allowed: between 0 and 1; do: give alpha=0.01"
     )
 
 
