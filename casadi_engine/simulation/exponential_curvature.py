@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casadi_engine.simulation import jets
+from casadi_engine.simulation.exponential_pushes import Pushes
 from casadi_engine.simulation.exponential_step import STAGES
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.sample_rows import from_rows
@@ -103,8 +104,6 @@ def _crossed(
 
     The steps' own sensitivities c_b are not needed: a second adjoint carries r P_a back to what moves them.
     """
-    from casadi_engine.simulation.exponential_runge_kutta import Pushes
-
     n, m, nz, nw, count = made.n, path.matrices.m, made.nz, made.laws.count, made.intervals.m
     p, c = path.matrices.p, path.matrices.c
     samples, _, first, _ = made.drive_columns(z)

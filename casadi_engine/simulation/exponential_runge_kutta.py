@@ -16,7 +16,9 @@ from casadi_engine.errors import SimulationError
 from casadi_engine.model import Model
 from casadi_engine.simulation import jets
 from casadi_engine.simulation.exponential_curvature import contracted
+from casadi_engine.simulation.exponential_pushes import Pushes
 from casadi_engine.simulation.exponential_step import STAGE_NODES, STAGES, StepCore, StepMatrices
+from casadi_engine.simulation.exponential_values import WIDE, Steps, by_arrays, by_machine
 from casadi_engine.simulation.grid import Drives, DriveSamples, Grid
 from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.jets import Array
@@ -27,19 +29,6 @@ from casadi_engine.simulation.split import Split
 MOST_SUBSTEPS = 64
 # Feedback h |dw/ds q G| of a step above which an explicit scheme loses its accuracy, and soon its stability.
 _STRONGEST = 1.0
-
-
-@dataclass(frozen=True)
-class Steps:
-    """Everything of value along the K = L * substeps steps of all intervals M.
-
-    columns : (K, n + 2 m + 4 nw, M) the factors [x; v_0; v_1; w] of each step; end : (n, M)
-    s : (K, 4, ns, M) signals of the stages
-    """
-
-    columns: Array
-    end: Array
-    s: Array
 
 
 @dataclass
@@ -176,7 +165,7 @@ class ExponentialPropagator:
         """Signals (ns, K*4*M) and channel terms (rows, K*4*M) of all stages side by side."""
         s = np.ascontiguousarray(steps.s.transpose(2, 0, 1, 3)).reshape(self.laws.size, -1)
         given = self._given[:, list(STAGE_NODES)].transpose(2, 0, 1, 3)
-        return s, np.ascontiguousarray(given).reshape(given.shape[0], -1)
+        return s, np.ascontiguousarray(given).reshape(given.shape[0], s.shape[1])
 
     # ---- forward
 
@@ -206,34 +195,9 @@ class ExponentialPropagator:
 
     def _values(self, z: Array, nodes: Array, matrices: StepMatrices) -> Steps:
         """The states, signals and law torques of all steps."""
-        n, m, ns, nw, count = self.n, matrices.m, self.laws.size, self.laws.count, self.intervals.m
-        p = matrices.p[0]
         _, v, _, _ = self.drive_columns(z)
-        free = np.ascontiguousarray(p[:, :n])
-        pushed = np.matmul(p[:, n : n + 2 * m], v)
-        turn = np.ascontiguousarray(p[:n, n + 2 * m :])
-        feeds = [
-            np.ascontiguousarray(p[n + i * ns : n + (i + 1) * ns, n + 2 * m : n + 2 * m + i * nw])
-            for i in range(STAGES)
-        ]
-        columns = np.empty((self.steps, p.shape[1], count))
-        columns[:, n : n + 2 * m] = v
-        signals = np.empty((self.steps, STAGES, ns, count))
-        constants, x = self.laws.constants(z), np.array(nodes, dtype=float).T
-        law, given = self.laws.torques, self._given
-        for k in range(self.steps):
-            column, stage = columns[k], signals[k]
-            column[:n] = x
-            torques = column[n + 2 * m :]
-            rows = free @ column[:n]
-            rows += pushed[k]
-            stage[:] = rows[n:].reshape(STAGES, ns, count)
-            for i in range(STAGES):
-                if i:
-                    stage[i] += feeds[i] @ torques[: i * nw]
-                torques[i * nw : (i + 1) * nw] = law(stage[i], given[k, STAGE_NODES[i]], constants)
-            x = rows[:n] + turn @ torques
-        return Steps(columns, x, signals)
+        run = by_arrays if self.intervals.m >= WIDE else by_machine
+        return run(matrices, self.laws, self._given, v, z, np.asarray(nodes, dtype=float))
 
     def _slopes(self, z: Array, steps: Steps) -> tuple[Array, Array]:
         """Derivatives of the laws: by signals (K, 4, entries, M), by the active z (K, 4, active, nw, M)."""
@@ -362,39 +326,6 @@ class ExponentialPropagator:
             step = self.grid.step / path.substeps
             path.matrices = self.core.at(z, 2, step, self.laws.q)
         return contracted(made, z, path, rho, lam)
-
-
-class Pushes:
-    """What z does to a step directly, by the matrices and by the drives: (n + 4 ns, z of the span, M) of step k.
-
-    The span is the range of entries of z that do anything of this kind; those of the laws alone do not.
-    """
-
-    def __init__(self, made: ExponentialPropagator, steps: Steps, matrices: StepMatrices, z: Array) -> None:
-        n, m, nz = made.n, matrices.m, made.nz
-        samples, _, self._first, _ = made.drive_columns(z)
-        moving = matrices.p[1 : 1 + nz].any(axis=(1, 2))
-        moving[samples.active] = True
-        places = np.flatnonzero(moving)
-        self.low, self.high = (int(places[0]), int(places[-1]) + 1) if len(places) else (0, 0)
-        part = matrices.p[1 + self.low : 1 + self.high]
-        self.matrix = np.ascontiguousarray(part.transpose(1, 0, 2)).reshape(-1, part.shape[2])
-        self._active = [int(index) - self.low for index in samples.active]
-        self._held = np.ascontiguousarray(matrices.p[0][:, n : n + 2 * m])
-        self._columns = steps.columns
-        self._push = np.empty((matrices.p.shape[1], self.high - self.low, steps.end.shape[1]))
-
-    def span(self, offset: int = 0) -> slice:
-        """The entries of z, counted from ``offset``."""
-        return slice(offset + self.low, offset + self.high)
-
-    def at(self, k: int) -> Array:
-        """The push of step k, overwritten by the next call."""
-        if len(self.matrix):
-            np.matmul(self.matrix, self._columns[k], out=self._push.reshape(len(self.matrix), -1))
-        for row, place in enumerate(self._active):
-            self._push[:, place] += self._held @ self._first[row, k]
-        return self._push
 
 
 def _observe(c: Array, current: Array, out: Array) -> None:

@@ -51,15 +51,16 @@ class Laws:
             value = ca.substitute(value, p, physical)
         channels = ca.vertcat(u, t)
         rest, held, known = ca.extract_parametric(value, channels, {})
-        self._given = ArrayFunction([u, t], [ca.vertcat(channels, *known)])
-        given = ca.vertcat(channels, *held)
+        bare = [i for i in range(channels.numel()) if ca.depends_on(rest, channels[i])]
+        self._given = ArrayFunction([u, t], [ca.vertcat(*[channels[i] for i in bare], *known)])
+        given = ca.vertcat(*[channels[i] for i in bare], *held)
         depends = ca.which_depends(rest, z, 1, False) if z.numel() else []
         self.active = np.flatnonzero(depends) if len(depends) else np.zeros(0, np.intp)
         free = ca.vertcat(*[z[int(i)] for i in self.active]) if len(self.active) else ca.SX(0, 1)
         self._symbols = (s, given, z, free, rest)
-        bare, constants, formulas = ca.extract_parametric(rest, z, {}) if z.numel() else (rest, [], [])
+        inner, constants, formulas = ca.extract_parametric(rest, z, {}) if z.numel() else (rest, [], [])
         self._constants = ca.Function("constants", [z], [ca.vertcat(z, *formulas)])
-        self._value = ArrayFunction([s, given, ca.vertcat(z, *constants)], [bare])
+        self._value = ArrayFunction([s, given, ca.vertcat(z, *constants)], [inner])
         slope = ca.jacobian(rest, s)
         self.entries = _entries(slope.sparsity())
         picked = ca.vertcat(*[slope[int(i), int(j)] for i, j in zip(*self.entries, strict=True)])
@@ -85,7 +86,7 @@ class Laws:
                 rows = len(found)
                 steps.append(found.reshape(rows, plan.length, plan.m))
         made = np.array(steps).reshape(substeps, len(NODES), rows, plan.length, plan.m)
-        ordered = made.transpose(3, 0, 1, 2, 4).reshape(-1, len(NODES), rows, plan.m)
+        ordered = made.transpose(3, 0, 1, 2, 4).reshape(plan.length * substeps, len(NODES), rows, plan.m)
         return np.ascontiguousarray(ordered)
 
     def constants(self, z: Array) -> Array:
@@ -95,6 +96,11 @@ class Laws:
     def torques(self, s: Array, given: Array, constants: Array) -> Array:
         """(nw, N) torques at signals s (ns, N)."""
         return self._value.narrow(s, given, constants)[0]
+
+    def expression(self, s: ca.SX, given: ca.SX, z: Array) -> ca.SX:
+        """(nw, 1) torques as an expression, z put in."""
+        own, known, symbols, _, rest = self._symbols
+        return ca.Function("torques", [own, known, symbols], [rest])(s, given, z)
 
     def slopes(self, s: Array, given: Array, z: Array) -> tuple[Array, Array]:
         """Derivatives by the signals, (entries, N), and by the active entries of z, (active, nw, N)."""
