@@ -125,6 +125,53 @@ def test_ctrl_c_in_a_fit(here):
     assert "Written: " in out
 
 
+# Sends Ctrl-C at the moment at which a module is about to be imported.
+INTERRUPTED_IMPORT = """
+import importlib.abc, os, signal, sys
+class Interrupt(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path, target=None):
+        if name == sys.argv[1]:
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Interrupt())
+from casadi_engine_start import main
+sys.exit(main())
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.parametrize(
+    "module", ["casadi_engine", "casadi", "scipy.stats", "typer", "casadi_engine.cli.app"]
+)
+def test_ctrl_c_while_the_program_is_loaded(module, here):
+    done = run(module, cwd=here, code=INTERRUPTED_IMPORT)
+    assert (done.returncode, done.stdout) == (130, "")
+    assert done.stderr == "casadi-engine: interrupted before there was anything to write\n"
+
+
+def test_the_command_starts_beside_the_package(here):
+    done = subprocess.run(
+        [sys.executable, "-m", "casadi_engine_start", "--version"],
+        cwd=here, capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"{__version__}\n", "")
+
+
+def test_ctrl_c_that_is_ignored_stays_ignored(monkeypatch):
+    import casadi_engine_start
+
+    found = []
+    monkeypatch.setattr(
+        cli, "main", lambda begin: begin() or found.append(signal.getsignal(signal.SIGINT)) or 0
+    )
+    for before in (signal.SIG_IGN, signal.default_int_handler):
+        old = signal.signal(signal.SIGINT, before)
+        try:
+            assert casadi_engine_start.main() == 0
+        finally:
+            signal.signal(signal.SIGINT, old)
+    assert found == [signal.SIG_IGN, signal.default_int_handler]
+
+
 @pytest.mark.skipif(os.name == "nt", reason="pipes of POSIX")
 def test_a_reader_that_goes_away_is_no_error(here):
     (here / "quick.py").write_text(QUICK)

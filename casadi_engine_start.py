@@ -1,0 +1,37 @@
+"""Where the command ``casadi-engine`` begins: ready for Ctrl-C before the package is imported, which takes seconds.
+
+It lies beside the package because importing anything inside one imports all of the package first.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from typing import Any
+
+
+def main() -> int:
+    """Import the package and run its command line; return the exit code, 130 if interrupted before it could begin."""
+    # A job in the background may have Ctrl-C ignored: then it stays so.
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _stop)
+    from casadi_engine import cli
+
+    return cli.main(begin=_begin)
+
+
+def _begin() -> None:
+    """From here on the commands take Ctrl-C themselves."""
+    if signal.getsignal(signal.SIGINT) is _stop:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _stop(_number: int, _frame: Any) -> None:
+    """End at once: half-imported packages are in no state to be taken down in order."""
+    os.write(2, b"casadi-engine: interrupted before there was anything to write\n")
+    os._exit(130)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
