@@ -23,7 +23,7 @@ class Pushes:
     def __init__(self, made: ExponentialPropagator, steps: Steps, matrices: StepMatrices, z: Array) -> None:
         n, m, nz = made.n, matrices.m, made.nz
         samples, _, self._first, _ = made.drive_columns(z)
-        moving = matrices.p[1 : 1 + nz].any(axis=(1, 2))
+        moving = np.asarray(matrices.p[1 : 1 + nz].any(axis=(1, 2)))
         moving[samples.active] = True
         places = np.flatnonzero(moving)
         self.low, self.high = (int(places[0]), int(places[-1]) + 1) if len(places) else (0, 0)

@@ -16,6 +16,7 @@ from casadi_engine.model import Model
 from casadi_engine.simulation.grid import Drives, Grid
 from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.jets import Array
+from casadi_engine.simulation.sample_rows import from_rows, to_rows
 from casadi_engine.simulation.tape import ArrayFunction
 
 # |lambda| h of one Runge-Kutta step: its error is then below 1e-5 of the fastest mode per radian.
@@ -58,11 +59,23 @@ class GeneralTrajectory:
 
 
 class GeneralPropagator:
-    """Any model over one record; arguments as in ``LinearPropagator``."""
+    """Any model over one record; arguments as in ``LinearPropagator``.
+
+    substeps : Runge-Kutta steps to a sample; None for as many as the fastest mode asks for
+    """
 
     def __init__(
-        self, model: Model, grid: Grid, intervals: Intervals, z: ca.SX, physical: ca.SX, *, scale: Array
+        self,
+        model: Model,
+        grid: Grid,
+        intervals: Intervals,
+        z: ca.SX,
+        physical: ca.SX,
+        *,
+        scale: Array,
+        substeps: int | None = None,
     ) -> None:
+        self._made_of = (model, grid, intervals, z, physical, scale)
         self.intervals, self.nz, self.n = intervals, int(z.numel()), len(scale)
         self.ny = len(model.outputs)
         x = ca.SX.sym("x", self.n)
@@ -77,7 +90,8 @@ class GeneralPropagator:
             held = u0 + share * first * (u1 - u0) if u0.numel() else u0
             return ode(state * s, held, t0 + share * grid.step, physical) / s
 
-        substeps = self._substeps(model, z, physical, grid.step, scale)
+        substeps = self._substeps(model, z, physical, grid.step, scale) if substeps is None else substeps
+        self.substeps = substeps
         state, h = x, grid.step / substeps
         for k in range(substeps):
             k1 = slope(state, k / substeps)
@@ -100,6 +114,11 @@ class GeneralPropagator:
         self._second: ArrayFunction | None = None
         self._known = self._on_samples(grid, ArrayFunction([u0, u1, t0], [ca.vertcat(channels, *known)]))
         self._drives = Drives(model, grid, z, physical)
+
+    def refined(self, substeps: int) -> GeneralPropagator:
+        """The same propagator with another number of steps to a sample."""
+        model, grid, intervals, z, physical, scale = self._made_of
+        return GeneralPropagator(model, grid, intervals, z, physical, scale=scale, substeps=substeps)
 
     def drives_at(self, z: Array) -> Array:
         """(m, N) drives of the model on the grid."""
@@ -147,7 +166,7 @@ class GeneralPropagator:
         if order == 0:
             y = self._value(*columns)[0].reshape(1, self.ny, points, plan.m)
             none = np.zeros((0, 0, 0, 0))
-            return GeneralTrajectory(x, none, none, self._rows(y), none)
+            return GeneralTrajectory(x, none, none, to_rows(plan, y), none)
         jacobian, value, slope = self._first(*columns)
         step = jacobian.reshape(n + nz, n, points, plan.m).transpose(2, 3, 1, 0)
         out = slope.reshape(n + nz, self.ny, points, plan.m).transpose(2, 3, 1, 0)
@@ -162,8 +181,8 @@ class GeneralPropagator:
         y = np.concatenate(
             [value.reshape(1, self.ny, points, plan.m), full[..., n:].transpose(3, 2, 0, 1)], axis=0
         )
-        ys = self._rows(full[..., :n].transpose(3, 2, 0, 1)).transpose(1, 2, 3, 0)
-        return GeneralTrajectory(x, s, a, self._rows(y), np.ascontiguousarray(ys))
+        ys = to_rows(plan, full[..., :n].transpose(3, 2, 0, 1)).transpose(1, 2, 3, 0)
+        return GeneralTrajectory(x, s, a, to_rows(plan, y), np.ascontiguousarray(ys))
 
     def _lay_steps(self, inputs: list[ca.SX], state: ca.SX) -> None:
         """The step of all intervals: an array function where they are many, else parts of the record in one call."""
@@ -192,12 +211,6 @@ class GeneralPropagator:
             x[k + 1 : k + 1 + part] = swept.reshape(n, plan.m, part).transpose(2, 0, 1)
         return x
 
-    def _rows(self, y: Array) -> Array:
-        """(., ny, points, M) to the batch's layout (., R*ny, b, M)."""
-        plan = self.intervals
-        rows = y[:, :, plan.samples[:, None] + plan.q * np.arange(plan.b)]
-        return np.ascontiguousarray(rows.transpose(0, 2, 1, 3, 4)).reshape(len(y), -1, plan.b, plan.m)
-
     def _second_function(self) -> ArrayFunction:
         if self._second is None:
             inputs, both, state, y, mu, rho = self._symbols
@@ -216,10 +229,7 @@ class GeneralPropagator:
         plan, n, nz = self.intervals, self.n, self.nz
         length, points = plan.length, plan.points
         second = self._second_function()
-        spread = np.zeros((points, self.ny, plan.m))
-        for sample, row in zip(plan.samples, rho.reshape(-1, self.ny, plan.b, plan.m), strict=True):
-            # A block's end is the next block's first sample.
-            spread[sample : sample + length : plan.q] += row.transpose(1, 0, 2)
+        spread = from_rows(plan, rho, self.ny)
         weights = np.ascontiguousarray(spread.transpose(1, 0, 2)).reshape(self.ny, -1)
         columns = self._columns(path.x[:points], z)
         pull = self._pull(*columns, weights)[0].reshape(n, points, plan.m).transpose(1, 2, 0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol, Self
+from typing import Protocol
 
 import casadi as ca
 import numpy as np
@@ -25,16 +25,21 @@ from casadi_engine.simulation.split import split
 class _CorePropagator(LinearPropagator):
     """The linear propagator of a model whose simple laws joined its drives: those are its own business."""
 
-    _shown: int | None = None
-
-    def showing(self, drives: int) -> Self:
-        """Show that many drives, the model's own."""
-        self._shown = drives
-        return self
+    shown: int | None = None
 
     def drives_at(self, z: Array) -> Array:
         """(m, N) drives of the model on the grid."""
-        return super().drives_at(z)[: self._shown]
+        return super().drives_at(z)[: self.shown]
+
+
+class _GappyCore(GappyPredictor):
+    """The same for a predictor with gaps."""
+
+    shown: int | None = None
+
+    def drives_at(self, z: Array) -> Array:
+        """(m, N) drives of the model on the grid."""
+        return super().drives_at(z)[: self.shown]
 
 
 class Trajectory(Protocol):
@@ -62,6 +67,7 @@ def make_propagator(
     method: Method = "exact",
     gain: Array | Gain | None = None,
     used: Seen | None = None,
+    substeps: int | None = None,
 ) -> LinearPropagator | GappyPredictor | ExponentialPropagator | GeneralPropagator:
     """Propagator of a model over one record.
 
@@ -70,6 +76,8 @@ def make_propagator(
 
     method : "exact", or "euler" for a linear model; gain : (n, ny) correction gain per scaled state, a Gain that hangs
     on z, or None; used : the outputs that correct the state, None for all
+    substeps : integration steps to a sample of a nonlinear model (see ``error_estimate``); None for the fewest that
+    are stable
     Raises SimulationError where a method or a gain does not go with the model or with the record.
     """
     if method not in ("exact", "euler"):
@@ -82,22 +90,9 @@ def make_propagator(
     parts = split(model) if model.has_slot_laws or model.linear is None else None
     inner = parts.model if parts is not None else model
     if inner.linear is not None and not inner.has_slot_laws:
-        if gain is None:
-            return LinearPropagator(model, grid, intervals, z, physical, scale=scale, method=method)
-        feedback, seen = _feedback(model, grid, used)
-        if isinstance(gain, np.ndarray):
-            if starts_afresh(model, gain, scale):
-                _check_pairs(grid)
-                seen = np.ones_like(seen)
-            gain = StatedGain(ca.SX(ca.DM(gain * scale[:, None])), z, scale)
-        if seen.all():
-            return LinearPropagator(
-                model, grid, intervals, z, physical, scale=scale, method=method, gain=gain, feedback=feedback
-            )
-        return GappyPredictor(
-            model, grid, intervals, z, physical, scale=scale, method=method, gain=gain, feedback=feedback,
-            seen=seen,
-        )  # fmt: skip
+        made = _linear(inner, grid, intervals, z, physical, scale=scale, method=method, gain=gain, used=used)
+        made.shown = len(model.drives)
+        return made
     if method != "exact" or gain is not None:
         raise SimulationError(
             "this model has nonlinear terms, and the option is for linear models",
@@ -106,8 +101,49 @@ def make_propagator(
             cure="take the linear form of the model, or leave the option out",
         )
     if parts is not None:
-        return ExponentialPropagator(model, parts, grid, intervals, z, physical, scale=scale)
-    return GeneralPropagator(model, grid, intervals, z, physical, scale=scale)
+        return ExponentialPropagator(
+            model, parts, grid, intervals, z, physical, scale=scale, substeps=substeps or 1
+        )
+    return GeneralPropagator(model, grid, intervals, z, physical, scale=scale, substeps=substeps)
+
+
+def _linear(
+    model: Model,
+    grid: Grid,
+    intervals: Intervals,
+    z: ca.SX,
+    physical: ca.SX,
+    *,
+    scale: Array,
+    method: Method,
+    gain: Array | Gain | None,
+    used: Seen | None,
+) -> _CorePropagator | _GappyCore:
+    """The propagator of a linear core, with or without correction."""
+    if gain is None:
+        return _CorePropagator(model, grid, intervals, z, physical, scale=scale, method=method)
+    feedback, seen = _feedback(model, grid, used)
+    if isinstance(gain, np.ndarray):
+        if starts_afresh(model, gain, scale):
+            _check_pairs(grid)
+            seen = np.ones_like(seen)
+        gain = StatedGain(ca.SX(ca.DM(gain * scale[:, None])), z, scale)
+    if seen.all():
+        return _CorePropagator(
+            model, grid, intervals, z, physical, scale=scale, method=method, gain=gain, feedback=feedback
+        )
+    return _GappyCore(
+        model,
+        grid,
+        intervals,
+        z,
+        physical,
+        scale=scale,
+        method=method,
+        gain=gain,
+        feedback=feedback,
+        seen=seen,
+    )
 
 
 def after_missing(grid: Grid) -> NDArray[np.bool_]:
