@@ -33,12 +33,14 @@ class Reduced:
     """All records with scatter and initial states eliminated: rows of [S | s | e].
 
     rows : (m, n_theta + k + 1); size : (k,) norms of the whitened s before anything was projected out
+    samples : that went in; starts : how many of their dimensions the initial states took
     """
 
     rows: Array
     parameters: int
     size: Array
     samples: int
+    starts: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +74,7 @@ class Compressed:
         """Eliminate scatter and initial states; chosen : the (record, cycle) to use, None for all."""
         wanted = None if chosen is None else set(chosen)
         width = self.parameters + len(self.candidates) + 1
-        kept, size, samples = [], np.zeros(len(self.candidates)), 0
+        kept, size, samples, starts = [], np.zeros(len(self.candidates)), 0, 0
         for record in dict.fromkeys(part.record for part in self.parts):
             parts = [
                 part
@@ -93,15 +95,16 @@ class Compressed:
                 rest = without(np.linalg.qr(random)[0], rest)
             first = self.parameters + self.starts[record]
             size += (rest[:, first:-1] ** 2).sum(axis=0)
-            states = rest[:, self.parameters : first]
+            states = basis(rest[:, self.parameters : first])
+            starts += states.shape[1]
             free = np.concatenate([rest[:, : self.parameters], rest[:, first:]], axis=1)
-            kept.append(triangle(without(basis(states), free)))
+            kept.append(triangle(without(states, free)))
         rows = np.concatenate(kept) if kept else np.zeros((0, width))
         if len(self.prior):
             extra = np.zeros((len(self.prior), width))
             extra[:, : self.parameters], extra[:, -1] = self.prior[:, :-1], self.prior[:, -1]
             rows = np.concatenate([rows, extra])
-        return Reduced(triangle(rows), self.parameters, np.sqrt(size), samples)
+        return Reduced(triangle(rows), self.parameters, np.sqrt(size), samples, starts)
 
 
 def compress(

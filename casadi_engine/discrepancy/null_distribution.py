@@ -27,7 +27,7 @@ _LIBRARY_SHARE = 0.8
 
 
 @dataclass(frozen=True, eq=False)
-class Test:
+class Row:
     """One test of the library: a subspace (m, r) of the scores' frame, and a side for r = 1 (0 is two-sided)."""
 
     name: str
@@ -50,17 +50,17 @@ class Test:
         return float(np.sqrt(np.asarray(stats.chi2.isf(p, self.frame.shape[1]))))
 
 
-def library_tests(scores: Scores, groups: dict[str, Sequence[int]] | None = None) -> list[Test]:
+def library_rows(scores: Scores, groups: dict[str, Sequence[int]] | None = None) -> list[Row]:
     """One test for each testable candidate, and one for each group of them."""
     tests = [
-        Test(candidate.label, scores.directions[:, [k]], candidate.side)
+        Row(candidate.label, scores.directions[:, [k]], candidate.side)
         for k, candidate in enumerate(scores.candidates)
         if scores.testable[k]
     ]
     for name, members in (groups or {}).items():
         frame = scores.subspace([k for k in members if scores.testable[k]])
         if frame.shape[1] > 1:
-            tests.append(Test(name, frame))
+            tests.append(Row(name, frame))
     return tests
 
 
@@ -70,7 +70,7 @@ class NullDistribution:
     tests : the rows; draws, seed : of the Monte Carlo sample, which is the same for every question asked
     """
 
-    def __init__(self, tests: Sequence[Test], *, draws: int = _DRAWS, seed: int = 0) -> None:
+    def __init__(self, tests: Sequence[Row], *, draws: int = _DRAWS, seed: int = 0) -> None:
         self.tests = tuple(tests)
         self._single = [k for k, t in enumerate(self.tests) if t.frame.shape[1] == 1]
         self._wide = [k for k, t in enumerate(self.tests) if t.frame.shape[1] > 1]

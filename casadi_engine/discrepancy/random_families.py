@@ -17,7 +17,7 @@ from scipy import optimize
 
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.linear_algebra import Array
-from casadi_engine.discrepancy.null_distribution import Test
+from casadi_engine.discrepancy.null_distribution import Row
 from casadi_engine.discrepancy.null_model import FOUR_STROKE, NullModel
 from casadi_engine.discrepancy.score import Scores
 from casadi_engine.simulation.candidate_sensitivities import Direction, torque_direction
@@ -121,7 +121,7 @@ def _basis_at(family: Family, points: Array) -> Array:
     return np.cos(math.pi * np.arange(len(family.members)) * share[:, None])
 
 
-def family_test(scores: Scores, family: Family, *, dimensions: int = _DIMENSIONS) -> Test | None:
+def family_row(scores: Scores, family: Family, *, dimensions: int = _DIMENSIONS) -> Row | None:
     """The group test of a family; None if the data cannot test it."""
     columns = _columns(scores, family) * np.sqrt(family.variances)
     if not columns.any():
@@ -129,7 +129,7 @@ def family_test(scores: Scores, family: Family, *, dimensions: int = _DIMENSIONS
     frame, strength, _ = np.linalg.svd(columns, full_matrices=False)
     share = np.cumsum(strength**2) / (strength**2).sum()
     keep = min(int(np.searchsorted(share, _SHARE)) + 1, dimensions)
-    return Test(family.name, np.asarray(frame[:, :keep]))
+    return Row(family.name, np.asarray(frame[:, :keep]))
 
 
 def _columns(scores: Scores, family: Family) -> Array:

@@ -133,5 +133,5 @@ def saturated_variance(reduced: Reduced) -> tuple[float, float]:
     freedom: 1 if the noise level is right, whatever effect of the library is there."""
     frame = basis(reduced.rows[:, :-1])
     rest = without(frame, reduced.rows[:, -1:])
-    freedom = reduced.samples - frame.shape[1]
+    freedom = reduced.samples - reduced.starts - frame.shape[1]
     return float((rest**2).sum()) / max(freedom, 1), float(freedom)
