@@ -182,12 +182,7 @@ class Predictor:
             seen = tuple(name in self.noise.innovations for name in self.outputs)
             lift = gain.at(np.zeros(0), core, core.at(np.zeros(0), 0), seen).lift[0] * self.scale[:, None]
         except FloatingPointError:
-            raise EstimationError(
-                "the predictor has no stable gain at the start values",
-                seen=", ".join(f"{k}={v:.4g}" for k, v in parameters.as_dict().items()),
-                allowed="a model whose outputs show every mode that does not decay by itself",
-                cure="measure one more output, or take output error: Noise(omega=...) alone",
-            ) from None
+            raise _no_gain(parameters.as_dict()) from None
         columns = [k for k, name in enumerate(self.outputs) if name in self.noise.innovations]
         return lift[:, columns].T.ravel().tolist()
 
@@ -273,8 +268,22 @@ class Predictor:
         """(ny,) levels of the innovations at the start: the units in which the search sees them."""
         expression = ca.vertcat(tail, physical)
         gain, core = self._riccati(expression, z), self._core(z, physical, grid)
-        found = gain.stationary(start, core, core.at(start, 0))
+        try:
+            found = gain.stationary(start, core, core.at(start, 0))
+        except FloatingPointError:
+            function = ca.Function("values", [z], [physical])
+            values = np.asarray(function(start)).ravel().tolist()
+            raise _no_gain(dict(zip(self.model.parameter_names, values, strict=True))) from None
         return np.sqrt(np.diag(found.innovation[0]))
+
+
+def _no_gain(values: Mapping[str, float]) -> EstimationError:
+    return EstimationError(
+        "the predictor has no stable gain at the start values",
+        seen=", ".join(f"{name}={value:.4g}" for name, value in values.items()),
+        allowed="a model whose outputs show every mode that does not decay by itself",
+        cure="measure one more output, or take output error: Noise(omega=...) alone",
+    )
 
 
 def _add_level(parameters: Parameters, name: str, value: float, unit: str, description: str) -> None:
