@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import dataclasses
+from dataclasses import dataclass, replace
 from random import Random
 
 import numpy as np
@@ -18,6 +19,20 @@ _ATTEMPTS = 2000
 # Orders without growth, after the first, before the rank counts as final at a generic point (one is enough).
 _PATIENCE = 2
 _DOUBLINGS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Work:
+    """What a drawing was made of, for questions that change little of it.
+
+    echelon : of all columns, [coefficients of unknown drives, free initial states, z]
+    runs : one for each experiment; columns : for each of them its columns among all. unknown : how many come first
+    """
+
+    echelon: Echelon
+    runs: tuple[Run, ...]
+    columns: tuple[list[int], ...]
+    unknown: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +52,7 @@ class Drawn:
     order: int
     orders: int
     values: Values
-    runs: tuple[Run, ...]
+    work: Work | None = dataclasses.field(default=None, repr=False)
 
     @property
     def rank(self) -> int:
@@ -68,7 +83,7 @@ class Drawn:
 def draw(question: Question, seed: int, *, keep: bool = False) -> Drawn:
     """Draw until a point without poles is found, and take in derivatives until the rank is final.
 
-    keep : keep the runs, for their sensitivities. IdentifiabilityError if no point will do.
+    keep : keep the work, for `remedies`. IdentifiabilityError if no point will do.
     """
     random = Random(seed)
     for _ in range(_ATTEMPTS):
@@ -78,7 +93,7 @@ def draw(question: Question, seed: int, *, keep: bool = False) -> Drawn:
         except Pole as pole:
             reason = str(pole)
             continue
-        return found if keep else Drawn(**{**vars(found), "runs": ()})
+        return found if keep else replace(found, work=None)
     raise IdentifiabilityError(
         "the equations have no power series at the start that was given",
         seen=reason,
@@ -151,7 +166,7 @@ def _drawn(question: Question, values: Values, fixed: int) -> Drawn:
         order=order,
         orders=k,
         values=values,
-        runs=tuple(runs),
+        work=Work(echelon, tuple(runs), tuple(places), unknown),
     )
 
 

@@ -22,13 +22,21 @@ _BITS = 21
 _LOW = np.int64((1 << _BITS) - 1)
 _LOW_40 = np.int64((1 << 40) - 1)
 _LOW_61 = np.int64((1 << 61) - 1)
-# Products of two limbs have 42 bits; the sum of this many of them is exact in double precision.
-_TERMS = 1 << 11
+# Products of two limbs have 42 bits; three sums of this many of them add up exactly in double precision.
+_TERMS = 682
+# Products of matrices with more multiplications than this would be spread over threads, which costs far more than
+# it saves at the sizes met here.
+_THREADS_FROM = 1 << 18
 _SMALL_FACTORS = 10_000
 
 
 class Pole(ArithmeticError):
-    """A random point at which the model has a pole, or no root: another one has to be drawn."""
+    """A random point at which the model has a pole, or no root: another one has to be drawn.
+
+    node : of the tape, where it came up; -1 if that is not known
+    """
+
+    node = -1
 
 
 class Field:
@@ -168,34 +176,25 @@ class Field:
 
     def product(self, left: Matrix, right: Matrix) -> Matrix:
         """left (m, k) times right (k, n)."""
-        limbs = self.split(left).reshape(3 * left.shape[0], left.shape[1])
-        wide = np.ascontiguousarray(self.split(right).transpose(1, 0, 2)).reshape(right.shape[0], -1)
-        return self.product_of_limbs(limbs, wide)
+        return self.product_of_limbs(self.split(left), self.split(right))
 
     def product_of_limbs(self, left: Limbs, right: Limbs) -> Matrix:
-        """(3m, k) times (k, 3n), the limbs of each factor outermost in rows and columns, as (m, n)."""
-        terms = left.shape[1]
+        """The product of matrices in limbs, (3, m, k) times (3, k, n), as (m, n)."""
+        terms = left.shape[2]
         if terms > _TERMS:
-            total = self.product_of_limbs(left[:, :_TERMS], right[:_TERMS])
-            return self.sum(total, self.product_of_limbs(left[:, _TERMS:], right[_TERMS:]))
-        parts = (left @ right).astype(np.int64)
-        m, n = parts.shape[0] // 3, parts.shape[1] // 3
-        p = parts.reshape(3, m, 3, n)
-        made = p[2, :, 2]
-        for added in (
-            p[1, :, 2] + p[2, :, 1],
-            p[0, :, 2] + p[1, :, 1] + p[2, :, 0],
-            p[0, :, 1] + p[1, :, 0],
-            p[0, :, 0],
-        ):
+            total = self.product_of_limbs(left[:, :, :_TERMS], right[:, :_TERMS])
+            return self.sum(total, self.product_of_limbs(left[:, :, _TERMS:], right[:, _TERMS:]))
+        p = _products(left, right)
+        made = p[2, 2].astype(np.int64)
+        for added in (p[1, 2] + p[2, 1], p[0, 2] + p[1, 1] + p[2, 0], p[0, 1] + p[1, 0], p[0, 0]):
             # made·2**21 + added with 2**61 ≡ excess: nothing here passes 2**62
             high = made >> 40
             high *= self._excess
-            made = made & _LOW_40
+            made &= _LOW_40
             made <<= _BITS
             made += high
-            made += added
-            high = made >> 61
+            made += added.astype(np.int64)
+            np.right_shift(made, 61, out=high)
             high *= self._excess
             made &= _LOW_61
             made += high
@@ -217,6 +216,18 @@ class Field:
         made = one - other
         made += np.where(made < 0, np.int64(self.prime), np.int64(0))
         return made
+
+
+def _products(left: Limbs, right: Limbs) -> Limbs:
+    """Every limb of one matrix times every limb of the other, (3, 3, m, n)."""
+    m, terms, n = left.shape[1], left.shape[2], right.shape[2]
+    if terms == 1:
+        return np.multiply(left[:, None], right[None])
+    step = max(1, _THREADS_FROM // max(1, m * n))
+    total: Limbs = np.matmul(left[:, None, :, :step], right[None, :, :step])
+    for first in range(step, terms, step):
+        total += np.matmul(left[:, None, :, first : first + step], right[None, :, first : first + step])
+    return total
 
 
 @lru_cache

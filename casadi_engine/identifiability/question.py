@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from math import pi
 from typing import Any
 
+import casadi as ca
+
 from casadi_engine.errors import IdentifiabilityError
 from casadi_engine.identifiability.equations import Equations, equations_of, unknown_name
 from casadi_engine.identifiability.field import PRIME, WIDE_PRIME, Field, field_of
-from casadi_engine.identifiability.settings import Setting, read_setting
+from casadi_engine.identifiability.settings import InputClass, Setting, Start, read_setting
 from casadi_engine.model import Model
-from casadi_engine.parameters import ParameterMap, Parameters
+from casadi_engine.parameters import Parameters
 from casadi_engine.parameters import compile as compile_parameters
 
 _KEYS = ("name", "inputs", "start", "outputs")
@@ -70,9 +72,25 @@ class Question:
                 return field_of(prime)
         return field_of(PRIME)
 
-    def changed(self, **changes: Any) -> Question:
-        """The same question with another setting in every experiment (fields of Setting)."""
-        return replace(self, settings=tuple(replace(setting, **changes) for setting in self.settings))
+    def changed(
+        self,
+        *,
+        parameters: Parameters | None = None,
+        inputs: Mapping[str, InputClass] | None = None,
+        start: Start | None = None,
+        sensors: Sequence[str] = (),
+    ) -> Question:
+        """The question with other parameters, classes of some drives, start of all states, or further sensors."""
+        equations = self.equations
+        if parameters is not None:
+            equations = _compiled(self.model, parameters, tuple(setting.name for setting in self.settings))
+        settings = []
+        for one, setting in zip(equations, self.settings, strict=True):
+            known = {**setting.inputs, **(inputs or {})}
+            classes = {name: known.get(name, InputClass("generic")) for name in one.driven}
+            starts = setting.start if start is None else dict.fromkeys(setting.start, start)
+            settings.append(Setting(setting.name, classes, starts, (*setting.outputs, *sensors)))
+        return Question(self.model, parameters or self.parameters, equations, tuple(settings))
 
 
 def _is_phase(value: float) -> bool:
@@ -101,10 +119,7 @@ def read_question(
     given = (model.parameters() if parameters is None else parameters).frozen()
     asked = _experiments(experiments, {"inputs": inputs, "start": start, "outputs": outputs})
     names = tuple(one["name"] for one in asked)
-    compiled = compile_parameters(
-        _unbounded(given), model.parameter_names, names if len(names) > 1 else ("",)
-    )
-    equations = _equations(model, compiled, names)
+    equations = _compiled(model, given, names)
     settings = tuple(read_setting(one, **words) for one, words in zip(equations, asked, strict=True))
     for one, setting in zip(equations, settings, strict=True):
         _check_outputs(one, setting)
@@ -152,24 +167,19 @@ def _unbounded(parameters: Parameters) -> Parameters:
     return made
 
 
-def _equations(model: Model, compiled: ParameterMap, names: tuple[str, ...]) -> tuple[Equations, ...]:
+def _compiled(model: Model, parameters: Parameters, names: tuple[str, ...]) -> tuple[Equations, ...]:
     """One for each experiment; the same object while no parameter varies by experiment."""
-    records = compiled.records
+    records = names if len(names) > 1 else ("",)
+    compiled = compile_parameters(_unbounded(parameters), model.parameter_names, records)
     made: dict[int, Equations] = {}
-    found = []
-    for index, _ in enumerate(names):
-        record = records[index] if len(records) > 1 else records[0]
-        key = id(compiled.physical[record])
-        if key not in made:
-            made[key] = equations_of(model, compiled, record)
-        found.append(made[key])
-    return tuple(found)
+    for record in records:
+        if id(compiled.physical[record]) not in made:
+            made[id(compiled.physical[record])] = equations_of(model, compiled, record)
+    return tuple(made[id(compiled.physical[record])] for record in records)
 
 
 def _check_outputs(equations: Equations, setting: Setting) -> None:
     """Refuse an output that shows nothing of the system: it is most often a slip of the pen."""
-    import casadi as ca
-
     seen = ca.vertcat(equations.model.x, equations.z)
     for name in setting.outputs:
         if not ca.depends_on(equations.h[name], seen):

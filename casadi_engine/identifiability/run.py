@@ -9,15 +9,18 @@ import numpy as np
 
 from casadi_engine.identifiability.convolution import Convolution
 from casadi_engine.identifiability.equations import CONSTANTS, DRIVEN, FREE, STATES, Equations, gradient_tape
-from casadi_engine.identifiability.field import Field, Matrix
+from casadi_engine.identifiability.field import Field, Matrix, Pole
 from casadi_engine.identifiability.series import Replay, Series
 from casadi_engine.identifiability.settings import Setting
 from casadi_engine.identifiability.tape import Tape
 from casadi_engine.identifiability.values import Values
 
+# How often parts of one point are drawn again before all of it is.
+_REDRAWS = 200
+
 
 class Run:
-    """The rows ∂y^(k)/∂(unknown drives, free initial states, free parameters) / k! for k = 0, 1, 2, …
+    """The rows ∂y^(k)/∂(unknown drives, free initial states, free parameters), up to factors, for k = 0, 1, 2, …
 
     Columns: the coefficients of the unknown drives, drive by drive; the free initial states; z.
     point : the values of z. orders : how many coefficients of an arbitrary drive are looked at
@@ -45,17 +48,14 @@ class Run:
         constants = [[self.field.fraction(value)] for value in self.made.constants]
         still = {(FREE, j) for j in range(len(point))} | {(CONSTANTS, j) for j in range(len(constants))}
         still |= {(DRIVEN, j) for j, one in enumerate(classes) if one.still}
-        self.replay = Replay(
-            self.made.tape,
-            values,
-            [self.x, [[value] for value in point], self.v, [self.clock], constants],
-            still=frozenset(still),
-            rational=rational | {(CONSTANTS, j): value for j, value in enumerate(self.made.constants)},
-        )
+        movable = {i for i, one in enumerate(setting.start.values()) if one.word in ("free", "known")}
+        self.replay = self._replay(list(point), constants, frozenset(still), rational, movable)
         self.order = -1
         self.sensitivity: list[Matrix] = [sensitivity]  # S_k = ∂x_k, (n, columns)
         self._by_state = self._convolution()
         self._by_drive: list[Matrix] = []
+        self._entries: list[tuple[int, tuple[int, int]]] = []
+        self._weight = 1
 
     @property
     def field(self) -> Field:
@@ -70,14 +70,45 @@ class Run:
             self._extend(k)
             self.replay.step()
         right = self._by_state.next(k, self.sensitivity[k])
-        self._add_parameters(right, k)
+        # With a constant Jacobian the rows are taken k! times: then nothing has to be divided by k + 1.
+        weight = self._weight = self._weight * max(k, 1) % field.prime if self._by_state.still else 1
+        self._add_parameters(right, k, weight)
         if self.heights:
-            self._add_drives(right, k)
+            self._add_drives(right, k, weight)
         over = field.reciprocal(k + 1)
         for series, node in zip(self.x, self.made.tape.outputs[0][:n], strict=True):
             series.append(self.replay.coefficient(node, k) * over % field.prime)
-        self.sensitivity.append(field.scaled(right[:n], over))
+        self.sensitivity.append(right[:n] if self._by_state.still else field.scaled(right[:n], over))
         return right[n:]
+
+    def _replay(
+        self,
+        point: list[int],
+        constants: list[Series],
+        still: frozenset[tuple[int, int]],
+        rational: dict[tuple[int, int], Fraction],
+        movable: set[int],
+    ) -> Replay:
+        """Start the tape; where a root is missing, draw again what no earlier root depends on.
+
+        Half of all elements have a square root: with a dozen roots a point at which all exist is not met by chance.
+        movable : the states with generic values
+        """
+        known = rational | {(CONSTANTS, j): value for j, value in enumerate(self.made.constants)}
+        inputs = [self.x, [[value] for value in point], self.v, [self.clock], constants]
+        for _ in range(_REDRAWS):
+            try:
+                return Replay(self.made.tape, self.values, inputs, still=still, rational=known)
+            except Pole as pole:
+                last = pole
+            moved = False
+            for argument, entry in self.made.tape.own_inputs(last.node):
+                if (argument == STATES and entry in movable) or (argument == DRIVEN and self.v[entry][0]):
+                    inputs[argument][entry][0] = self.values.number()
+                    moved = True
+            if not moved:
+                raise last
+        raise last
 
     def _extend(self, k: int) -> None:
         """Coefficient k of what drives the model; the states have theirs already."""
@@ -97,15 +128,23 @@ class Run:
             lambda q, k: replay.coefficient(nodes[q], k),
         )
 
-    def _add_parameters(self, right: Matrix, k: int) -> None:
+    def _add_parameters(self, right: Matrix, k: int, weight: int) -> None:
         """Add coefficient k of the Jacobian by z to its columns."""
-        shift, prime = self.unknown_columns + len(self.free_states), self.field.prime
-        for node, (row, column) in zip(self.made.tape.outputs[2], self.made.places[1], strict=True):
-            value = self.replay.coefficient(node, k)
-            if value:
-                right[row, shift + column] = (int(right[row, shift + column]) + value) % prime
+        replay, prime = self.replay, self.field.prime
+        entries = (
+            self._entries if k else list(zip(self.made.tape.outputs[2], self.made.places[1], strict=True))
+        )
+        if not entries:
+            return
+        if not k:
+            self._entries = [(node, place) for node, place in entries if replay.changes[node]]
+        shift = self.unknown_columns + len(self.free_states)
+        rows = [row for _, (row, _) in entries]
+        columns = [shift + column for _, (_, column) in entries]
+        values = [replay.coefficient(node, k) * weight % prime for node, _ in entries]
+        right[rows, columns] = self.field.sum(right[rows, columns], np.array(values, dtype=np.int64))
 
-    def _add_drives(self, right: Matrix, k: int) -> None:
+    def _add_drives(self, right: Matrix, k: int, weight: int) -> None:
         """Add what the unknown drives do: coefficient i of a drive meets order k - i of its Jacobian."""
         now = np.zeros((right.shape[0], len(self.heights)), dtype=np.int64)
         for node, (row, column) in zip(self.made.tape.outputs[3], self.made.places[2], strict=True):
@@ -117,6 +156,7 @@ class Run:
             for i in range(count):
                 added = self._by_drive[k - i][:, column]
                 if added.any():
+                    added = self.field.scaled(added, weight) if weight != 1 else added
                     right[:, first + i] = self.field.sum(right[:, first + i], added)
             first += height
 

@@ -59,7 +59,11 @@ class Replay:
                 self.series.append([self.field.fraction(exact(payload))])
                 self.changes.append(False)
             else:
-                self._start(node, op, a, b)
+                try:
+                    self._start(node, op, a, b)
+                except Pole as pole:
+                    pole.node = node
+                    raise
 
     def coefficient(self, node: int, k: int) -> int:
         """Coefficient k of a node."""

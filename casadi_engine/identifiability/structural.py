@@ -14,6 +14,7 @@ from casadi_engine.errors import IdentifiabilityError
 from casadi_engine.identifiability.draw import Drawn, draw
 from casadi_engine.identifiability.probability import error_probability
 from casadi_engine.identifiability.question import Question, read_question
+from casadi_engine.identifiability.remedies import Remedy, find_remedies
 from casadi_engine.identifiability.run import gradients_at
 from casadi_engine.identifiability.symmetry import Symmetry, symmetries
 from casadi_engine.model import Model
@@ -54,6 +55,7 @@ class Identifiability:
     seconds: float
     question: Question = field(repr=False)
     drawings: tuple[Drawn, ...] = field(repr=False)
+    _found: dict[int, tuple[Remedy, ...]] = field(default_factory=dict, repr=False)
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -80,10 +82,70 @@ class Identifiability:
         """Invisible directions that are not among the symmetries."""
         return self.size - self.rank - len(self.symmetries)
 
+    def remedies(self, *, most: int = 10) -> tuple[Remedy, ...]:
+        """Changes that bring lost parameters back, the best first: single ones, or pairs where no single one does.
+
+        A further sensor (a state), an excited or measured drive, a start from rest, a parameter fixed or tied.
+        """
+        if most not in self._found:
+            self._found[most] = find_remedies(self.question, self.lost, most=most)
+        return self._found[most]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The answer as JSON-able data; `remedies` are searched for it."""
+        return {
+            "passed": self.passed,
+            "rank": self.rank,
+            "size": self.size,
+            "identifiable": dict(self.identifiable),
+            "lost": list(self.lost),
+            "directions": self.directions,
+            "symmetries": [
+                {
+                    "kind": one.kind,
+                    "text": str(one),
+                    "exponents": {name: float(power) for name, power in one.exponents},
+                }
+                for one in self.symmetries
+            ],
+            "other_directions": self.other_directions,
+            "combinations": dict(self.combinations),
+            "order": self.order,
+            "orders": self.orders,
+            "final": self.final,
+            "error_probability": self.error_probability,
+            "seeds": self.seeds,
+            "settings": [
+                {
+                    "name": one.name,
+                    "inputs": {name: str(word) for name, word in one.inputs.items()},
+                    "start": {name: str(word) for name, word in one.start.items()},
+                    "outputs": list(one.outputs),
+                }
+                for one in self.question.settings
+            ],
+            "remedies": [
+                {
+                    "text": str(one),
+                    "changes": [
+                        {"kind": c.kind, "name": c.what, "sentence": c.sentence} for c in one.changes
+                    ],
+                    "restored": list(one.restored),
+                    "lost": list(one.lost),
+                }
+                for one in self.remedies()
+            ],
+        }
+
     def __str__(self) -> str:
         from casadi_engine.identifiability.summary import summary
 
         return summary(self)
+
+    def _repr_html_(self) -> str:
+        from casadi_engine.identifiability.summary import html_summary
+
+        return html_summary(self)
 
 
 def identifiability(

@@ -6,6 +6,7 @@ import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from math import isfinite
 from typing import Any
 
@@ -185,7 +186,6 @@ class Tape:
         self.code: list[Node] = []
         self.outputs: list[list[int]] = [[-1] * function.nnz_out(i) for i in range(function.n_out())]
         places: list[int] = [-1] * function.sz_w()
-        self._zero = self._put((ca.OP_CONST, -1, -1, 0.0))
         for k in range(function.n_instructions()):
             op, i, o = (
                 function.instruction_id(k),
@@ -200,6 +200,31 @@ class Tape:
                 places[o[0]] = self._put((op, -1, -1, function.instruction_constant(k)))
             else:
                 places[o[0]] = self._operation(op, [places[j] for j in i])
+
+    @cached_property
+    def reach(self) -> list[int]:
+        """For every node the inputs that it depends on, as bits: that of input q of `entries` is 1 << q."""
+        made: list[int] = []
+        for op, a, b, _ in self.code:
+            if op == ca.OP_INPUT:
+                made.append(1 << self.entries.index((a, b)))
+            else:
+                made.append((made[a] if a >= 0 else 0) | (made[b] if b >= 0 else 0))
+        return made
+
+    @cached_property
+    def entries(self) -> list[tuple[int, int]]:
+        """The inputs in use, (argument, entry) each."""
+        return [(a, b) for op, a, b, _ in self.code if op == ca.OP_INPUT]
+
+    def own_inputs(self, node: int) -> list[tuple[int, int]]:
+        """The inputs that this root or quotient depends on, and no root before it."""
+        before = 0
+        for other, (op, _, _, _) in enumerate(self.code[:node]):
+            if op in (ca.OP_SQRT, ca.OP_POW):
+                before |= self.reach[other]
+        own = self.reach[node] & ~before
+        return [entry for q, entry in enumerate(self.entries) if own >> q & 1]
 
     def _put(self, node: Node) -> int:
         self.code.append(node)
