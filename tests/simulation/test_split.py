@@ -1,0 +1,102 @@
+"""What of a model joins its linear core, and what is left as laws."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from casadi_engine.model import Blueprint
+from casadi_engine.simulation.split import split
+
+
+def mass(law, *, rate=None, output=None):
+    """A mass with a slot for ``law`` (q, v, u, t, k) and perhaps an equation and an output of its own kind."""
+    b = Blueprint("mass")
+    q, v, u, k = b.state("q"), b.state("v"), b.input("u"), b.parameter("k", 2.0)
+    z = b.state("z") if rate is not None else None
+    slot = b.port("spring", "coupling", {"stretch": q})
+    b.ode("q", v)
+    b.ode("v", u - q + slot)
+    if rate is not None:
+        b.ode("z", rate(q, v, z, b.time))
+    b.output("y", q if output is None else output(q, v, slot))
+    if law is not None:
+        b.law("spring", law(q, v, u, b.time, k))
+    return b.model()
+
+
+def rates(parts, x, u=0.7, t=0.3, p=2.0):
+    """The split model's rates by its core and laws."""
+    inner, core = parts.model, parts.core
+    value = ca.Function("value", [inner.x, inner.u, inner.t, inner.p], [
+        core.A @ inner.x + core.B @ inner.drive_expressions + core.G @ parts.laws + core.e
+    ])  # fmt: skip
+    return np.array(value(x, u, t, p)).ravel()
+
+
+KINDS = {
+    # law, slots left, drives of the split model
+    "affine": (lambda q, v, u, t, k: -k * v + 0.5, 0, 1),
+    "known": (lambda q, v, u, t, k: k * ca.sin(t) * u**2, 0, 2),
+    "affine and known": (lambda q, v, u, t, k: -k * v + ca.sin(t), 0, 2),
+    "nonlinear": (lambda q, v, u, t, k: -k * q**3, 1, 1),
+    "affine with a factor of time": (lambda q, v, u, t, k: ca.sin(t) * q, 1, 1),
+    "nonlinear and known": (lambda q, v, u, t, k: -(q**3) + u, 1, 1),
+}
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_simple_laws_join_the_core_and_the_rates_stay_the_same(name):
+    law, slots, drives = KINDS[name]
+    model = mass(law)
+    parts = split(model)
+    assert (int(parts.model.w.numel()), len(parts.model.drives)) == (slots, drives)
+    assert parts.model.has_slot_laws == bool(slots)
+    x = np.array([0.4, -1.2])
+    whole = ca.Function("ode", [model.x, model.u, model.t, model.p], [model.closed_ode])
+    np.testing.assert_allclose(rates(parts, x), np.array(whole(x, 0.7, 0.3, 2.0)).ravel(), rtol=1e-14)
+
+
+def test_an_equation_that_is_not_affine_gets_a_slot_and_keeps_its_linear_part():
+    model = mass(None, rate=lambda q, v, z, t: v - 3 * z - z**3 + ca.sin(t))
+    assert model.linear is None
+    parts = split(model)
+    np.testing.assert_array_equal(np.array(ca.evalf(ca.densify(parts.core.A)))[2], [0, 1, -3])
+    law = ca.Function("law", [parts.model.x, parts.model.u, parts.model.t, parts.model.p], [parts.laws])
+    assert float(law([9, 9, 0.5], 0, 0.3, 2.0)) == pytest.approx(-(0.5**3) + np.sin(0.3))
+    whole = ca.Function("ode", [model.x, model.u, model.t, model.p], [model.closed_ode])
+    x = np.array([0.4, -1.2, 0.5])
+    np.testing.assert_allclose(rates(parts, x), np.array(whole(x, 0.7, 0.3, 2.0)).ravel(), rtol=1e-14)
+
+
+def test_an_equation_whose_linear_part_is_infinite_is_all_law():
+    parts = split(mass(None, rate=lambda q, v, z, t: -ca.sqrt(z)))
+    np.testing.assert_array_equal(np.array(ca.evalf(ca.densify(parts.core.A)))[2], [0, 0, 0])
+    x = np.array([0.4, -1.2, 0.25])
+    assert rates(parts, x)[2] == -0.5
+
+
+def test_a_law_and_an_equation_that_is_not_affine_go_together():
+    law = lambda q, v, u, t, k: -k * q**3  # noqa: E731
+    model = mass(law, rate=lambda q, v, z, t: v - z * ca.fabs(v))
+    parts = split(model)
+    assert parts.core.G.shape == (3, 2)
+    whole = ca.Function("ode", [model.x, model.u, model.t, model.p], [model.closed_ode])
+    x = np.array([0.4, -1.2, 0.5])
+    np.testing.assert_allclose(rates(parts, x), np.array(whole(x, 0.7, 0.3, 2.0)).ravel(), rtol=1e-14)
+
+
+def test_models_without_a_useful_core_have_no_split():
+    b = Blueprint("duffing")
+    q, v = b.state("q"), b.state("v")
+    b.ode("q", v)
+    b.ode("v", -q - q**3)
+    b.output("q", q)
+    assert split(b.model()) is None  # half of its equations
+    assert split(mass(None, output=lambda q, v, slot: q**2)) is None
+    tank = Blueprint("tank")
+    level = tank.state("level")
+    tank.ode("level", tank.input("inflow") - ca.sqrt(level))
+    tank.output("level", level)
+    assert split(tank.model()) is None
