@@ -1,6 +1,6 @@
 """Physical effects that a model may lack: the protocol for your own, and the library."""
 
-from casadi_engine.effects.candidate import Candidate, candidate, candidates
+from casadi_engine.effects.candidate import Candidate, candidate, candidates, cycles_of
 from casadi_engine.effects.combustion import CylinderImbalance, Misfire
 from casadi_engine.effects.friction import CoulombFriction, QuadraticDrag, StribeckFriction, ViscousFriction
 from casadi_engine.effects.library import library
@@ -10,6 +10,7 @@ from casadi_engine.effects.torque import ConstantTorque, LoadStep
 from casadi_engine.model.combustion import Motored, fit_motored
 from casadi_engine.model.effect import Amplitude, Effect, Grid, Law
 from casadi_engine.model.effect_math import Sharp, Smooth
+from casadi_engine.model.port_view import port_view
 from casadi_engine.model.term import ports_for
 
 __all__ = [
@@ -35,7 +36,9 @@ __all__ = [
     "ViscousFriction",
     "candidate",
     "candidates",
+    "cycles_of",
     "fit_motored",
     "library",
+    "port_view",
     "ports_for",
 ]

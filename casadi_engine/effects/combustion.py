@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from casadi_engine.errors import EffectError
-from casadi_engine.model.combustion import Motored, combustion_torque, fit_motored
+from casadi_engine.model.combustion import Motored, combustion_torque, compresses, fit_motored
 from casadi_engine.model.effect import Amplitude, Effect, Grid
 
 # The cycle of a cylinder is counted from this angle before its combustion TDC, where nothing burns [rad].
@@ -105,11 +105,13 @@ class Misfire(Effect):
 
 
 def _pegged(port: Any, record: Any, values: Mapping[str, float]) -> Motored | None:
-    """The motored trace of a record's cylinder; None if the record lacks what it takes, or for all cylinders."""
+    """The motored trace of a record's cylinder; None if the record lacks channels or a compression for it."""
     channel = f"p{port.name.rpartition('_')[2]}"
     if not port.has("firing_offset") or "theta" not in record or channel not in record:
         return None
     theta, pressure = record["theta"], record[channel]
     angle = np.interp(pressure.time[pressure.mask], theta.time, theta.values)
     offset, ratio = port.number("firing_offset", values), port.number("rod_ratio", values)
+    if not compresses(angle - offset):
+        return None
     return fit_motored(angle - offset, pressure.values[pressure.mask], ratio=ratio)

@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 OPENS, SHUTS = math.radians(-75.0), math.radians(150.0)
 PEG_FROM, PEG_TO = math.radians(-110.0), math.radians(-35.0)
 _EDGE = 0.05
+_LEAST = 8
 _RATIOS = np.linspace(6.0, 24.0, 181)
 
 
@@ -65,6 +66,21 @@ def combustion_torque(angle: Any, pressure: Any, lever: Any, ratio: Any, motored
     return burning(angle) * (pressure - motored.trace(angle, ratio)) * lever
 
 
+def compresses(angle: Array) -> bool:
+    """True if enough samples at these angles from combustion TDC [rad] lie on the compression side."""
+    return int(np.count_nonzero(_on_compression(angle))) >= _LEAST
+
+
+def _on_compression(angle: Array) -> NDArray[np.bool_]:
+    wrapped = _wrapped(angle)
+    return np.asarray((wrapped > PEG_FROM) & (wrapped < PEG_TO))
+
+
+def _wrapped(angle: Array) -> Array:
+    """The angle within one cycle, from −2π to 2π."""
+    return np.asarray(np.mod(np.asarray(angle) + 2 * math.pi, 4 * math.pi) - 2 * math.pi)
+
+
 def fit_motored(angle: Array, pressure: Array, *, ratio: float) -> Motored:
     """Peg a motored trace on the compression side of a measured pressure.
 
@@ -72,14 +88,13 @@ def fit_motored(angle: Array, pressure: Array, *, ratio: float) -> Motored:
     Level and exponent are fitted by least squares of log p for compression ratios from 6 to 24, and the best is
     taken. EffectError if no sample lies on the compression side, or the fit is no compression.
     """
-    wrapped = np.mod(np.asarray(angle) + 2 * math.pi, 4 * math.pi) - 2 * math.pi
-    values = np.asarray(pressure, dtype=float)
-    used = (wrapped > PEG_FROM) & (wrapped < PEG_TO) & (values > 0)
-    if np.count_nonzero(used) < 8:
+    wrapped, values = _wrapped(angle), np.asarray(pressure, dtype=float)
+    used = _on_compression(angle) & (values > 0)
+    if np.count_nonzero(used) < _LEAST:
         raise EffectError(
             "the motored pressure cannot be pegged",
             seen=f"{np.count_nonzero(used)} samples between -110 and -35 degrees from combustion TDC",
-            allowed="8 or more, with pressure above 0",
+            allowed=f"{_LEAST} or more, with pressure above 0",
             cure="give a record that holds a compression stroke, with absolute pressure",
         )
     log_p = np.log(values[used])

@@ -71,6 +71,11 @@ class PortView:
         return 1.0
 
 
+def port_view(model: Model, at: str) -> PortView:
+    """The port of that name as a law sees it; ModelError if the model has none."""
+    return PortView(model, model.ports[at])
+
+
 class Values:
     """The amplitude and nuisance parameters of an effect as attributes, SX symbols or numbers."""
 

@@ -286,7 +286,9 @@ def _gap_rate(term: Torque, seen: np.ndarray, turning: np.ndarray) -> np.ndarray
 
 def _root(gap0: float, gap1: float, turn0: float, turn1: float) -> float:
     """First zero in (0, 1] of the cubic with these values and slopes at 0 and 1; nan if it has none."""
-    cubic = np.array([2 * gap0 - 2 * gap1 + turn0 + turn1, 3 * (gap1 - gap0) - 2 * turn0 - turn1, turn0, gap0])
+    cubic = np.array(
+        [2 * gap0 - 2 * gap1 + turn0 + turn1, 3 * (gap1 - gap0) - 2 * turn0 - turn1, turn0, gap0]
+    )
     roots = np.roots(cubic)
     real = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 1e-9) & (roots.real <= 1.0 + 1e-9)]
     falling = [r for r in real if 3 * cubic[0] * r * r + 2 * cubic[1] * r + cubic[2] <= 0.0]

@@ -110,7 +110,9 @@ def _burned(factors: np.ndarray, case: Case) -> np.ndarray:
         if effect.name == "misfire":
             for cycle in effect.details["cycles"]:  # type: ignore[union-attr]
                 if not 1 <= cycle < factors.shape[1]:
-                    raise ValueError(f"misfire in cycle {cycle}: the record has cycles 1..{factors.shape[1] - 2}")
+                    raise ValueError(
+                        f"misfire in cycle {cycle}: the record has cycles 1..{factors.shape[1] - 2}"
+                    )
                 true[cylinder, cycle] *= 1.0 - effect.size
     return true
 

@@ -12,6 +12,7 @@ import numpy as np
 from .hidden import Hidden, place
 from .shaft import Shaft
 
+
 @dataclass
 class Torque:
     """One kind of torque at one place, in the runs `runs` (a slice or index array of the batch).

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .engine import TDC
 from .geometry import CYCLE, cylinder_torque
 from .pressure import SEAM, Cylinders, pressure
-from .engine import TDC
 from .shaft import Shaft
 
 CELLS = 7200  # per cycle: a cell is 0.1 degrees, and the narrowest switch of the pressure is 8 degrees wide
