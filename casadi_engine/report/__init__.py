@@ -1,7 +1,8 @@
 """Report: tables, figures and self-contained pages of the results."""
 
 import casadi_engine.report.identifiability_figures
-import casadi_engine.report.modes_figures  # noqa: F401  registers what it draws
+import casadi_engine.report.modes_figures
+import casadi_engine.report.stored_view  # noqa: F401  registers what it draws
 from casadi_engine.report.figures import plot
 from casadi_engine.report.kinds import Simulated
 from casadi_engine.report.page import report

@@ -10,6 +10,8 @@ from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
 
 KINDS = "a Fit, a Validation, a Simulated"
+# What report and plot also take.
+READ_BACK = ", a loaded Result"
 # What can be drawn, but has no page.
 DRAWN_ONLY = ", Modes, a Reduction, an Experiment"
 
@@ -35,6 +37,8 @@ def not_shown(result: object, verb: str) -> ResultError:
     return ResultError(
         f"{verb} does not know this kind of result",
         seen=type(result).__name__,
-        allowed=KINDS + (DRAWN_ONLY if verb == "plot" else ""),
+        allowed=KINDS
+        + (READ_BACK if verb in ("plot", "report") else "")
+        + (DRAWN_ONLY if verb == "plot" else ""),
         cure="give what estimate, validate or simulate returned",
     )
