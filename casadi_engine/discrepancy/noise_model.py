@@ -115,7 +115,7 @@ def assumed_cylinders(record: Experiment) -> tuple[str, ...]:
     """Ports of the cylinders whose pressure was not measured but taken from another one."""
     return tuple(
         f"cylinder_{name[1:]}"
-        for name in record.inputs
+        for name in record.names
         if re.fullmatch(r"p\d+", name) and record[name].origin == "assumed"
     )
 

@@ -25,7 +25,7 @@ from casadi_engine.simulation.candidate_sensitivities import Direction, torque_d
 SIGNALS = ("twist", "twist_rate", "speed", "angle", "time")
 _TERMS = 12
 _DIMENSIONS = 6
-_SHARE = 0.99
+_SHARE = 0.999
 _POINTS = 61
 # Variance of the k-th cosine over that of the first: the course of a Matern process of length half the range.
 _ROUGH = 2.0
@@ -123,13 +123,20 @@ def _basis_at(family: Family, points: Array) -> Array:
 
 def family_row(scores: Scores, family: Family, *, dimensions: int = _DIMENSIONS) -> Row | None:
     """The group test of a family; None if the data cannot test it."""
+    frame, strength, _ = _seen(scores, family, dimensions)
+    return Row(family.name, frame) if len(strength) else None
+
+
+def _seen(scores: Scores, family: Family, dimensions: int) -> tuple[Array, Array, Array]:
+    """The combinations of terms to which the data are most sensitive under the prior: frame (m, r) in the data,
+    strength (r,), and turn (r, terms) in the scaled terms. The rest the parameters take, or noise hides."""
     columns = _columns(scores, family) * np.sqrt(family.variances)
     if not columns.any():
-        return None
-    frame, strength, _ = np.linalg.svd(columns, full_matrices=False)
+        return np.zeros((len(columns), 0)), np.zeros(0), np.zeros((0, columns.shape[1]))
+    frame, strength, turn = np.linalg.svd(columns, full_matrices=False)
     share = np.cumsum(strength**2) / (strength**2).sum()
     keep = min(int(np.searchsorted(share, _SHARE)) + 1, dimensions)
-    return Row(family.name, np.asarray(frame[:, :keep]))
+    return np.asarray(frame[:, :keep]), np.asarray(strength[:keep]), np.asarray(turn[:keep])
 
 
 def _columns(scores: Scores, family: Family) -> Array:
@@ -142,8 +149,9 @@ def _columns(scores: Scores, family: Family) -> Array:
 class Course:
     """An unknown function over its signal: signal (K,), mean (K,) and band (K,) [N m] (one standard deviation).
 
-    Parts that the parameters can take over (a level, a slope) are not determined; the mean leaves them out and the
-    band shows them. looks_like : shape -> squared correlation with the mean, where the record has been
+    Parts that the parameters can take over (a level, a slope) are not determined: mean and band leave them out, and
+    the course stands for all that differ by such parts.
+    looks_like : shape -> squared correlation with the mean, where the record has been
     """
 
     family: Family
@@ -154,12 +162,10 @@ class Course:
     looks_like: Mapping[str, float]
 
 
-def family_course(scores: Scores, family: Family) -> Course:
+def family_course(scores: Scores, family: Family, *, dimensions: int = 2 * _DIMENSIONS) -> Course:
     """The most likely course of a family's function."""
-    columns = _columns(scores, family) * np.sqrt(family.variances)
-    energy, frame = np.linalg.eigh(columns.T @ columns)
-    energy = np.maximum(energy, 0.0)
-    slope = frame.T @ (columns.T @ scores.y)
+    frame, strength, turn = _seen(scores, family, dimensions)
+    energy, slope = strength**2, strength * (frame.T @ scores.y)
 
     def cost(log_level: float) -> float:
         v = math.exp(2 * log_level)
@@ -172,7 +178,7 @@ def family_course(scores: Scores, family: Family) -> Course:
         found = optimize.minimize_scalar(cost, bounds=(middle - 3, middle + 15), method="bounded")
         level = math.exp(float(found.x)) if float(found.fun) < 0 else 0.0
     points = np.linspace(family.low, family.high, _POINTS)
-    turned = _basis_at(family, points) * np.sqrt(family.variances) @ frame
+    turned = _basis_at(family, points) * np.sqrt(family.variances) @ turn.T
     shrunk = level**2 / (1 + level**2 * energy)
     mean, band = turned @ (shrunk * slope), np.sqrt((turned**2 * shrunk).sum(axis=1))
     return Course(family, points, mean, band, level, _likeness(family, points, mean))

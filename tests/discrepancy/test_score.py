@@ -177,7 +177,7 @@ def test_predictions_are_those_of_brute_force_refits(shaft, name):
     """Amplitude, drop of chi-squared and shift of all parameters, with the effect as a part of the model."""
     effect = library(name)[0]
     at = "load" if name == "constant_torque" else "coupling"
-    size = {"coulomb_friction": 0.3, "cubic_stiffness": 50.0, "constant_torque": 0.5}[name]
+    size = {"coulomb_friction": 0.3, "cubic_stiffness": 15.0, "constant_torque": 0.5}[name]
     pair = {
         "coulomb_friction": lambda t, x: size * np.sign(x[1] - x[0]) * np.array([1, -1]),
         "cubic_stiffness": lambda t, x: size * x[2] ** 3 * np.array([1, -1]),

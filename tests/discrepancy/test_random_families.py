@@ -1,0 +1,74 @@
+"""Unknown functions of a signal: found, located and drawn, and not found where there is nothing."""
+
+import numpy as np
+import pytest
+
+from casadi_engine.discrepancy.compression import compress
+from casadi_engine.discrepancy.noise_model import NoiseModel
+from casadi_engine.discrepancy.null_distribution import NullDistribution
+from casadi_engine.discrepancy.random_families import family_candidates, family_course, family_row
+from casadi_engine.discrepancy.score import score
+
+
+def scored(shaft, data):
+    null = shaft.null(data)
+    candidates, families = family_candidates(null)
+    return score(compress(null, candidates, NoiseModel(shaft.sigma))), families
+
+
+def test_every_location_has_its_families(shaft):
+    candidates, families = family_candidates(shaft.null(shaft.data()), first=5)
+    names = [f.name for f in families]
+    assert "a function of twist at coupling" in names
+    assert "a function of time at load" in names
+    assert families[0].members[0] == 5
+    assert sum(len(f.members) for f in families) == len(candidates)
+    assert all(f.visited.sum() == pytest.approx(1) for f in families)
+
+
+def test_a_law_of_the_twist_is_found_and_drawn(shaft):
+    """A gap-like law that no candidate of the library is: torque 0.8 sin(25 twist) between the sides."""
+
+    def hidden(t, x):
+        return 0.8 * np.sin(25 * x[2]) * np.array([1, -1])
+
+    made, families = scored(shaft, shaft.data(hidden=hidden, n=900, seed=3))
+    rows = {f.name: row for f in families if (row := family_row(made, f)) is not None}
+    p = {name: float(row.p_value(made.y[:, None])[0]) for name, row in rows.items()}
+    assert p["a function of twist at coupling"] < 1e-12
+    pooled = NullDistribution(list(rows.values()), draws=1000).pooled(min(p.values()))
+    assert pooled < 1e-6
+    family = next(f for f in families if f.name == "a function of twist at coupling")
+    course = family_course(made, family)
+    truth = 0.8 * np.sin(25 * course.signal)
+    seen = family.visited > 0
+    # a level and a slope belong to the parameters: compare what is left beside them
+    shape = np.column_stack([np.ones_like(truth), course.signal])[seen]
+    weight = np.sqrt(family.visited[seen])
+
+    def bent(values):
+        fit = np.linalg.lstsq(shape * weight[:, None], values[seen] * weight, rcond=None)[0]
+        return (values[seen] - shape @ fit) * weight
+
+    assert np.corrcoef(bent(course.mean), bent(truth))[0, 1] > 0.95
+    assert course.level > 0
+    assert set(course.looks_like) == {"linear", "quadratic", "cubic", "step", "periodic"}
+
+
+def test_families_of_effect_free_records_are_not_significant(shaft):
+    smallest = []
+    for seed in range(12):
+        made, families = scored(shaft, shaft.data(seed=40 + seed, n=300))
+        rows = [row for f in families if (row := family_row(made, f)) is not None]
+        least = min(float(row.p_value(made.y[:, None])[0]) for row in rows)
+        smallest.append(NullDistribution(rows, draws=500).pooled(least))
+    assert min(smallest) > 5e-4
+    assert np.mean(smallest) > 0.2
+
+
+def test_a_family_that_parameters_take_whole_cannot_be_tested(shaft):
+    made, families = scored(shaft, shaft.data())
+    family = families[0]
+    blind = type(made)(**{**vars(made), "information": np.zeros_like(made.information)})
+    assert family_row(blind, family) is None
+    assert family_course(blind, family).level == 0
