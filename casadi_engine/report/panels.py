@@ -27,6 +27,8 @@ MEASURED, SIMULATED, PREDICTED, BAND = "0.45", "#0072B2", "#D55E00", "0.88"
 NORMAL_95 = 1.959964
 # With more samples than this, single ones are not marked.
 MARKED = 400
+# Peaks of a residual's spectrum are named above this multiple of white noise (at 15 averages noise reaches 3), so many.
+NOTICED, MOST_LINES = 5.0, 4
 
 
 @dataclass(frozen=True)
@@ -150,11 +152,30 @@ def draw_spectrum(ax: Axes, trace: Trace, subject: Subject) -> None:
     _plain_log_labels(ax.yaxis)
     if subject.sigma is not None and math.isfinite(subject.sigma) and subject.sigma > 0:
         level = 2 * subject.sigma**2 / rate
+        _mark_lines(ax, frequency, density, level)
         ax.axhline(level, color=PREDICTED, linewidth=0.9, linestyle="--", label="white noise of this σ")
         ax.legend(frameon=False, loc="best")
     if not found.all():
         ax.set_title(
             f"spectrum of the residual ({100 * (1 - found.mean()):.2g} % missing, as zero)", loc="left"
+        )
+
+
+def _mark_lines(ax: Axes, frequency: Array, density: Array, level: float) -> None:
+    """Write the frequencies of the strongest peaks over them: there the model lacks something."""
+    inner = np.flatnonzero(
+        (density[1:-1] > density[:-2]) & (density[1:-1] >= density[2:]) & (density[1:-1] > NOTICED * level)
+    )
+    peaks = 1 + inner[np.argsort(density[1 + inner])[::-1][:MOST_LINES]]
+    for peak in peaks:
+        words = f"{frequency[peak]:.3g} Hz"
+        ax.annotate(
+            words,
+            (frequency[peak], density[peak]),
+            (0, 2),
+            textcoords="offset points",
+            ha="center",
+            fontsize=7,
         )
 
 
