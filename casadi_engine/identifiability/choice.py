@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -60,6 +60,7 @@ class ExperimentChoice:
     value : of the criterion. A: root mean square of the relative errors; D: their geometric mean along the axes of
         the confidence ellipsoid; E: the largest of these; targets: the largest ratio of expected to wanted error
     by_size : value of the best set of 1, 2, ... experiments
+    free : names of the free parameters
     met : whether all targets are met (None for A, D, E). tried : number of sets; every : whether those were all
     """
 
@@ -72,7 +73,7 @@ class ExperimentChoice:
     met: bool | None
     tried: int
     every: bool
-    _free: tuple[str, ...] = field(default=(), repr=False)
+    free: tuple[str, ...]
 
     def __str__(self) -> str:
         from casadi_engine.identifiability.practical_summary import choice_text

@@ -204,7 +204,7 @@ def choice_text(choice: ExperimentChoice) -> str:
 def _asked(choice: ExperimentChoice) -> list[str]:
     if isinstance(choice.criterion, Mapping):
         return list(choice.criterion)
-    free = [name for name in choice._free if name in choice.errors]
+    free = [name for name in choice.free if name in choice.errors]
     return free or list(choice.errors)
 
 
@@ -221,7 +221,8 @@ def _criterion(choice: ExperimentChoice) -> str:
 
 
 def _next_of_choice(choice: ExperimentChoice) -> str:
-    made = f"make {', '.join(choice.chosen)} and fit them together"
+    together = " and fit them together" if len(choice.chosen) > 1 else " and fit it"
+    made = f"make {', '.join(choice.chosen)}{together}"
     if choice.met is False and isinstance(choice.criterion, Mapping):
         late = [
             (name, choice.length_for(name, target))

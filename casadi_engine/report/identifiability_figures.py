@@ -101,7 +101,8 @@ def draw_profile(ax: Axes, line: ProfileLine, *, level: float, title: str = "") 
             ax.plot([end, end], [0, line.threshold], color=panels.PREDICTED, linewidth=0.8, linestyle=":")
     ax.plot([line.estimate.value], [0], "o", color="black", markersize=4, zorder=3)
     ax.set_ylim(-0.05 * _HEIGHT * line.threshold, _HEIGHT * line.threshold)
-    ax.locator_params(axis="x", nbins=4)
+    ax.locator_params(axis="x", nbins=3)
+    ax.ticklabel_format(axis="x", useOffset=False)
     panels.dress(
         ax,
         x=f"{line.name} [{line.unit}]",
@@ -168,7 +169,7 @@ def _information(info: Information) -> Figure:
 
 
 def _choice(choice: ExperimentChoice) -> Figure:
-    names = list(choice.criterion) if not isinstance(choice.criterion, str) else list(choice._free)
+    names = list(choice.criterion) if not isinstance(choice.criterion, str) else list(choice.free)
     figure = _new(9, 1.6 + 0.42 * max(len(names), 5))
     ax = figure.subplots()
     ordered = sorted(choice.candidates.values(), key=lambda one: one.value)[:8]
@@ -297,7 +298,7 @@ def _(result: LossSweep) -> str:
 
 @as_html.register
 def _(result: ExperimentChoice) -> str:
-    names = list(result.criterion) if not isinstance(result.criterion, str) else list(result._free)
+    names = list(result.criterion) if not isinstance(result.criterion, str) else list(result.free)
     rows = [
         (
             "chosen" if one.name in result.chosen else "",

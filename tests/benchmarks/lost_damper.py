@@ -167,12 +167,14 @@ def table(rows: dict[str, list[Row]]) -> str:
 SENTENCE = (
     "**The start loses it.** The thesis simulates from a state that it takes as known, speeds as measured and the "
     "coupling relaxed, while the coupling carries the load (twist −0.028 rad) and the load turns at another speed: "
-    "the false 20 Hz oscillation that this sets off costs more than C_el can, and a large C_el ends it sooner. The "
-    "loss at the true values is then about 10³ even without noise, as in Figure 4.6. With the three initial states "
-    "estimated the minimum is back, from normal combustion too; the measured speed in the reciprocating torque, the "
-    "filter and the noise do no harm. Zero-order hold moves the minimum by half a sample's worth of phase; resampling "
-    "the torques with it, or shifting pressures between cylinders that differ, also loses C_el, but came later in the "
-    "thesis."
+    "the false 20 Hz oscillation that this sets off costs more than C_el can, and a large C_el ends it sooner. From "
+    "normal combustion the sweep then has no minimum, and the summed loss at the true values is about 10³ even without "
+    "noise, as in Figure 4.6; from misfire the sweep keeps one, and the joint fit ends 55 % off, as C_el in Table "
+    "4.3(b) does not converge. With the three initial states estimated all is well, normal combustion included: the "
+    "measured speed in the reciprocating torque, the filter and the noise do no harm. Zero-order hold moves the "
+    "minimum by half a sample's worth of phase. Two more steps lose C_el, but belong to the measured data of 4.2.3: "
+    "resampling the torques with zero-order hold, and shifting pressures between cylinders that differ (in the "
+    "simulated study the same pressures drive data and model)."
 )
 
 
@@ -223,7 +225,7 @@ def draw_figure_46(found: dict[str, tuple[LossSweep, LossSweep, Profile]]) -> No
                     ax, thesis, name, label="start known: speeds measured, twist 0", colour=panels.PREDICTED
                 )
                 draw_sweep(ax, right, name, label=RIGHT)
-                words = "U-shape" if thesis.has_minimum(name) else "minimum lost with known start"
+                words = "U-shape" if thesis.has_minimum(name) else "lost, known start"
                 ax.set_title(f"{kind}, {name}: {words}", loc="left")
                 ax.set_ylabel("loss V [(rad/s)²]" if k == 0 else "")
                 plain = name.removeprefix("1/")
@@ -244,17 +246,21 @@ def draw_figure_46(found: dict[str, tuple[LossSweep, LossSweep, Profile]]) -> No
         save(figure, "loss_sweeps.png")
 
 
+def figure_46(record: dict[str, np.ndarray]) -> tuple[LossSweep, LossSweep, Profile]:
+    """Sweeps with the start estimated and as the thesis takes it, and profiles."""
+    data, known = experiment(record, STEPS[1]), start_of(record, Step("", start="thesis"))
+    right, thesis = (loss_sweep(LINEAR, data, *SWEPT, points=51, start=start) for start in ("fitted", known))
+    fit = ce.estimate(LINEAR, data, noise=ce.Noise(omega=SIGMA), progress=False)
+    return right, thesis, profile(fit, points=5)
+
+
 def main() -> None:
     rows: dict[str, list[Row]] = {}
     found: dict[str, tuple[LossSweep, LossSweep, Profile]] = {}
     for kind in RUNS:
         noisy, clean = records(kind)
         rows[kind] = [run(noisy if step.noise else clean, step) for step in STEPS]
-        data = experiment(noisy, STEPS[1])
-        known = start_of(noisy, Step("", start="thesis"))
-        sweeps = [loss_sweep(LINEAR, data, *SWEPT, points=51, start=start) for start in ("fitted", known)]
-        fit = ce.estimate(LINEAR, data, noise=ce.Noise(omega=SIGMA), progress=False)
-        found[kind] = (sweeps[0], sweeps[1], profile(fit, points=5))
+        found[kind] = figure_46(noisy)
     text = table(rows)
     Path(__file__).with_suffix(".md").write_text(text, encoding="utf-8")
     print(text)
