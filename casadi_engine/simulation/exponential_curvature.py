@@ -190,7 +190,7 @@ def _by_laws(
     bends = np.ascontiguousarray(
         bends.reshape(len(bends), made.steps, STAGES, count).transpose(0, 3, 1, 2)
     ).reshape(len(bends), count, -1)
-    along = path.ds.reshape(count, -1, ns, wide)
+    along = np.ascontiguousarray(path.ds.transpose(3, 0, 1, 2)).reshape(count, -1, ns, wide)
     bent = np.zeros_like(along) if ns > 1 else None
     for (a, b), bend in zip(zip(*laws.bends, strict=True), bends, strict=True):
         if b < ns:

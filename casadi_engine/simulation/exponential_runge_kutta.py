@@ -36,7 +36,7 @@ class ExponentialTrajectory:
     """Outputs and sensitivities; shapes as in ``GeneralTrajectory``.
 
     y : (1+nz, R*ny, b, M); ys : (R*ny, b, M, n); last : (n, n+nz, M) sensitivities of the ends to (start, z)
-    ds : (M, K, 4 ns, n+nz) sensitivities of the signals
+    ds : (K, 4 ns, n+nz, M) sensitivities of the signals
     """
 
     steps: Steps
@@ -258,15 +258,16 @@ class ExponentialPropagator:
         ]
         current, after = (np.zeros((n + STAGES * nw, wide, count)) for _ in range(2))
         current[range(n), range(n)] = 1.0
-        s = np.empty((STAGES * ns, wide, count))
-        ds = np.empty((count, self.steps, STAGES * ns, wide))
+        ds = np.empty((self.steps, STAGES * ns, wide, count))
         found = np.empty((self.ny, self.intervals.points, wide, count))
         pushes = Pushes(self, steps, matrices, z)
         touched, feed, product = pushes.span(n), np.empty((ns, wide, count)), np.empty((wide, count))
         by_signal, by_z = slopes
+        shown = [[(int(i), float(row[i])) for i in np.flatnonzero(row)] for row in matrices.c[0]]
         for k in range(self.steps):
             if k % self.substeps == 0:
-                _observe(matrices.c[0], current, found[:, k // self.substeps])
+                _observe(shown, current, found[:, k // self.substeps])
+            s = ds[k]
             np.matmul(stages, current[:n].reshape(n, -1), out=s.reshape(STAGES * ns, -1))
             push = pushes.at(k)
             s[:, touched] += push[n:]
@@ -285,12 +286,11 @@ class ExponentialPropagator:
                         torque[law] += product
                 for row, index in enumerate(self.laws.active):
                     torque[:, n + index] += by_z[k, i, row]
-            ds[:, k] = s.transpose(2, 0, 1)
             np.matmul(advance, current.reshape(len(current), -1), out=after[:n].reshape(n, -1))
             after[:n, touched] += push[:n]
             current, after = after, current
         if self.intervals.points > self.intervals.length:
-            _observe(matrices.c[0], current, found[:, -1])
+            _observe(shown, current, found[:, -1])
         if self.nz:
             self._push_outputs(steps, matrices, z, found)
         y = np.concatenate([value[None], found[:, :, n:].transpose(2, 0, 1, 3)])
@@ -328,13 +328,13 @@ class ExponentialPropagator:
         return contracted(made, z, path, rho, lam)
 
 
-def _observe(c: Array, current: Array, out: Array) -> None:
+def _observe(c: list[list[tuple[int, float]]], current: Array, out: Array) -> None:
     """out (ny, n+nz, M) = c x for the sensitivities of one sample; an output is a state or two as a rule."""
-    for row, factors in enumerate(c):
-        places = np.flatnonzero(factors)
-        if not len(places):
+    for row, terms in enumerate(c):
+        if not terms:
             out[row] = 0.0
-            continue
-        np.multiply(current[places[0]], factors[places[0]], out=out[row])
-        for place in places[1:]:
-            out[row] += factors[place] * current[place]
+        for number, (state, factor) in enumerate(terms):
+            if number:
+                out[row] += factor * current[state]
+            else:
+                np.multiply(current[state], factor, out=out[row])

@@ -48,7 +48,7 @@ def by_arrays(matrices: StepMatrices, laws: Laws, given: Array, v: Array, z: Arr
     columns = np.empty((len(v), p.shape[1], count))
     columns[:, n : n + 2 * m] = v
     signals = np.empty((len(v), STAGES, ns, count))
-    constants, x = laws.constants(z), nodes.T
+    torque_of, x = laws.torques(z), nodes.T
     for k in range(len(v)):
         column, stage = columns[k], signals[k]
         column[:n] = x
@@ -59,7 +59,7 @@ def by_arrays(matrices: StepMatrices, laws: Laws, given: Array, v: Array, z: Arr
         for i in range(STAGES):
             if i:
                 stage[i] += feeds[i] @ torques[: i * nw]
-            torques[i * nw : (i + 1) * nw] = laws.torques(stage[i], given[k, STAGE_NODES[i]], constants)
+            torques[i * nw : (i + 1) * nw] = torque_of(stage[i], given[k, STAGE_NODES[i]])[0]
         x = rows[:n] + turn @ torques
     return Steps(columns, x, signals)
 

@@ -6,6 +6,8 @@ What hangs on channels and time alone is worked out once for the record.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
@@ -58,9 +60,7 @@ class Laws:
         self.active = np.flatnonzero(depends) if len(depends) else np.zeros(0, np.intp)
         free = ca.vertcat(*[z[int(i)] for i in self.active]) if len(self.active) else ca.SX(0, 1)
         self._symbols = (s, given, z, free, rest)
-        inner, constants, formulas = ca.extract_parametric(rest, z, {}) if z.numel() else (rest, [], [])
-        self._constants = ca.Function("constants", [z], [ca.vertcat(z, *formulas)])
-        self._value = ArrayFunction([s, given, ca.vertcat(z, *constants)], [inner])
+        self._value = ArrayFunction([s, given, z], [rest])
         slope = ca.jacobian(rest, s)
         self.entries = _entries(slope.sparsity())
         picked = ca.vertcat(*[slope[int(i), int(j)] for i, j in zip(*self.entries, strict=True)])
@@ -89,13 +89,9 @@ class Laws:
         ordered = made.transpose(3, 0, 1, 2, 4).reshape(plan.length * substeps, len(NODES), rows, plan.m)
         return np.ascontiguousarray(ordered)
 
-    def constants(self, z: Array) -> Array:
-        """What hangs on z alone, for ``torques``."""
-        return np.array(self._constants(z), dtype=float).ravel()
-
-    def torques(self, s: Array, given: Array, constants: Array) -> Array:
-        """(nw, N) torques at signals s (ns, N)."""
-        return self._value.narrow(s, given, constants)[0]
+    def torques(self, z: Array) -> Callable[..., list[Array]]:
+        """The function (signals (ns, N), given (rows, N)) -> [torques (nw, N)] at z, for an inner loop."""
+        return self._value.bound(z)
 
     def expression(self, s: ca.SX, given: ca.SX, z: Array) -> ca.SX:
         """(nw, 1) torques as an expression, z put in."""

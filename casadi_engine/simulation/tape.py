@@ -116,12 +116,15 @@ class ArrayFunction:
         with np.errstate(all="ignore"):  # the caller looks for what is not finite
             return self._run(arguments, count)
 
-    def narrow(self, *arguments: Array) -> list[Array]:
-        """The same for few columns in an inner loop; the first argument holds them all (rows, N).
+    def bound(self, *last: Array) -> Callable[..., list[Array]]:
+        """The function of its first inputs, for few columns in an inner loop, with its last inputs (rows,) put in.
 
+        The first argument holds all columns, (rows, N). What hangs on the bound inputs alone is worked out here.
         Nothing is split, and warnings of what is not finite are the caller's to silence.
         """
-        return self._run(arguments, arguments[0].shape[1]) if self._replay else self(*arguments)
+        if not self._replay:
+            return lambda *first: self(*first, *last)
+        return _Bound(self._steps, self._rows, self._function.n_in() - len(last), last).call
 
     def _run(self, arguments: Sequence[Array], count: int) -> list[Array]:
         work: list[Any] = [0.0] * self._room
@@ -135,4 +138,51 @@ class ArrayFunction:
                 outputs[target[0]][target[1]] = work[source[0]]
             else:
                 work[target[0]] = constant
+        return outputs
+
+
+class _Bound:
+    """A tape with some inputs put in; every result has a place of its own, so that known ones are kept."""
+
+    def __init__(self, steps: Sequence[Any], rows: Sequence[int], free: int, last: Sequence[Array]) -> None:
+        self._rows = rows
+        self._known: list[Any] = []
+        self._inputs: list[tuple[int, int, int]] = []
+        self._steps: list[tuple[Callable[..., Any], int, int, int]] = []
+        self._outputs: list[tuple[int, int, int]] = []
+        at: dict[int, int] = {}  # the place of what a register of the tape holds
+        for function, constant, op, source, target in steps:
+            if op == ca.OP_OUTPUT:
+                self._outputs.append((target[0], target[1], at[source[0]]))
+                continue
+            place = len(self._known)
+            if op == ca.OP_INPUT and source[0] < free:
+                self._inputs.append((place, source[0], source[1]))
+                self._known.append(None)
+            elif op == ca.OP_INPUT:
+                self._known.append(float(last[source[0] - free][source[1]]))
+            elif function is None:
+                self._known.append(float(constant))
+            else:
+                self._operate(function, [at[register] for register in source])
+            at[target[0]] = place
+
+    def _operate(self, function: Callable[..., Any], places: list[int]) -> None:
+        values = [self._known[place] for place in places]
+        if any(value is None for value in values):
+            self._steps.append((function, places[0], places[-1] if len(places) > 1 else -1, len(self._known)))
+            self._known.append(None)
+            return
+        with np.errstate(all="ignore"):
+            self._known.append(float(function(*values)))
+
+    def call(self, *arguments: Array) -> list[Array]:
+        work = self._known.copy()
+        for place, source, row in self._inputs:
+            work[place] = arguments[source][row]
+        for function, one, other, place in self._steps:
+            work[place] = function(work[one]) if other < 0 else function(work[one], work[other])
+        outputs = [np.empty((rows, arguments[0].shape[1])) for rows in self._rows]
+        for output, row, place in self._outputs:
+            outputs[output][row] = work[place]
         return outputs
