@@ -19,7 +19,7 @@ from chain import Array
 
 NODE = 20  # samples of a shooting interval
 TERMS = 14
-MOST_SECONDS = 120.0
+MOST_SECONDS = 120.0  # the caller may stop it before
 
 
 def _hold(case: Case, scale: Array) -> ca.Function:

@@ -112,6 +112,8 @@ def fit(case: Case, start: Array, mark: Callable[[], None]) -> dict[str, Any]:
         iprint=-1,
         params_min=[low],
         params_max=[high],
+        x0_min=[np.full(n, -np.inf)] * len(case.records),
+        x0_max=[np.full(n, np.inf)] * len(case.records),
     )
     first = [
         np.r_[np.full(shape.size, np.mean(record.speed[:BLOCK])), np.zeros(n - shape.size)] / scale

@@ -25,7 +25,7 @@ from worker import OUT_OF_TIME
 HERE = Path(__file__).resolve().parent
 PROBLEMS = {"A": 20, "B": 20, "B6": 20, "B21": 10}  # name -> starts
 STUDIES = ("precision", "scaling")
-LIMIT = 120.0  # CPU seconds for a start
+LIMIT = 60.0  # CPU seconds for a start
 SCALING_CYLINDERS = tuple((cylinders, 14_400) for cylinders in (1, 2, 3, 4, 6, 8, 12))
 SCALING_SAMPLES = tuple((4, samples) for samples in (14_400, 43_200, 144_000, 432_000, 1_440_000))
 SCALING_SOLVERS = ("ours", "scipy")

@@ -86,7 +86,7 @@ def run(solver: Any, case: Case, number: int, limit: float) -> dict[str, Any]:
     finally:
         ended = time.process_time()
         watch.stop()
-    row |= {"setup": marks[-1] - begun, "solve": ended - marks[-1], "iterations": found["iterations"]}
+    row |= {"setup": marks[:2][-1] - begun, "solve": ended - marks[:2][-1], "iterations": found["iterations"]}
     row["words"] = str(found.get("words", ""))
     row["peak_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     values = found["values"]
