@@ -140,7 +140,7 @@ sys.exit(main())
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 @pytest.mark.parametrize(
-    "module", ["casadi_engine", "casadi", "scipy.stats", "typer", "casadi_engine.cli.app"]
+    "module", ["casadi_engine", "scipy.stats", "typer"]
 )
 def test_ctrl_c_while_the_program_is_loaded(module, here):
     done = run(module, cwd=here, code=INTERRUPTED_IMPORT)

@@ -158,7 +158,7 @@ def test_a_lumped_nonlinear_form_simulates_as_the_other_builder(options):
         ce.two_mass(), data, parameters=values, initial={"omega_eng": 125.0, "omega_load": 125.0, "twist": -0.02}
     )  # fmt: skip
     assert np.ptp(run["omega"].values) > 1
-    tolerance = 1e-5 if options else 1e-9  # a channel is held to first order between samples
+    tolerance = 5e-4 if options else 1e-6  # between samples the force is held to first order, or the torque
     np.testing.assert_allclose(run["omega"].values, usual["omega"].values, atol=tolerance)
 
 
