@@ -176,7 +176,7 @@ class Sweep:
         halves = self._halves()
         for first in range(0, samples - 1, _PART):
             here = slice(first, min(first + _PART, samples - 1))
-            f, push = self._advance([(points.part(here), xi[:, here]) for points, xi in halves])
+            f, push = self._advance(here, halves)
             states = scan(f, np.broadcast_to(push, (here.stop - first, *push.shape[1:])), state)
             state = states[-1]
             shown = slice(first, here.stop + 1 if here.stop == samples - 1 else here.stop)
@@ -192,13 +192,23 @@ class Sweep:
             signals = [np.concatenate(pair) for pair in zip(self._own.run(), signals, strict=True)]
         return list(zip(points, signals, strict=True))
 
-    def _advance(self, halves: list[tuple[Points, Array]]) -> tuple[Array, Array]:
+    def _advance(self, here: slice, halves: list[tuple[Points, Array]]) -> tuple[Array, Array]:
         """Transition (T, n, n) and push (T, n, K) over the samples of a part."""
-        matrices = [self._matrix(points) for points, _ in halves]
-        forces = [self._ode.at(points, xi) / self.scale[:, None] for points, xi in halves]
+        matrices, forces = [], []
+        for points, xi in halves if self.path.held else halves[1:-1]:
+            matrices.append(self._matrix(points.part(here)))
+            forces.append(self._ode.at(points.part(here), xi[:, here]) / self.scale[:, None])
+        if not self.path.held:  # the end of a step is the start of the next
+            points = self.path.at_samples().part(slice(here.start, here.stop + 1))
+            last = halves[-1][1][:, here.stop - 1 : here.stop]
+            force = self._ode.at(points, np.concatenate([halves[0][1][:, here], last], axis=1))
+            force /= self.scale[:, None]
+            matrix = self._matrix(points)
+            low, high = (matrix, matrix) if self.constant else (matrix[:-1], matrix[1:])
+            matrices, forces = [low, *matrices, high], [force[:-1], *forces, force[1:]]
         total, push = None, None
         for k in range(0, len(halves) - 1, 2):
-            steps = self._steps(matrices[k], matrices[k + 1], matrices[k + 2])
+            steps = self._steps(*matrices[k : k + 3])
             own = steps.start @ forces[k] + steps.middle @ forces[k + 1] + steps.end @ forces[k + 2]
             push = own if push is None else steps.f @ push + own
             total = steps.f if total is None else steps.f @ total
