@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_engine.simulation import jets
 from casadi_engine.simulation.exponential_pushes import Pushes
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
     from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator, ExponentialTrajectory
 
 Parts = tuple[Array, Array, Array]
+
+# Stages whose curvature is worked out together: their sensitivities then stay in the cache.
+_PART = 24
 
 
 def contracted(
@@ -187,31 +191,46 @@ def _by_laws(
     bends = laws.curvature(s, given, z, multipliers)
     if not len(bends):
         return total, own
-    bends = np.ascontiguousarray(
-        bends.reshape(len(bends), made.steps, STAGES, count).transpose(0, 3, 1, 2)
-    ).reshape(len(bends), count, -1)
-    along = np.ascontiguousarray(path.ds.transpose(3, 0, 1, 2)).reshape(count, -1, ns, wide)
-    bent = np.zeros_like(along) if ns > 1 else None
-    for (a, b), bend in zip(zip(*laws.bends, strict=True), bends, strict=True):
-        if b < ns:
-            if bent is None:
-                bent = bend[:, :, None, None] * along
-                continue
-            bent[:, :, a] += bend[:, :, None] * along[:, :, b]
-            if a != b:
-                bent[:, :, b] += bend[:, :, None] * along[:, :, a]
-        elif a < ns:
-            column = (bend[:, None, :] @ along[:, :, a])[:, 0]
-            total[:, :, n + laws.active[b - ns]] += column
-            total[:, n + laws.active[b - ns], :] += column
-        else:
+    bends = bends.reshape(len(bends), made.steps * STAGES, count)
+    pairs = list(zip(*laws.bends, strict=True))
+    for (a, b), bend in zip(pairs, bends, strict=True):
+        if a >= ns:
             i, j = laws.active[a - ns], laws.active[b - ns]
             own[i, j] += bend.sum()
             own[j, i] = own[i, j]
-    if bent is not None:
-        flat = along.reshape(count, -1, wide)
-        total += flat.transpose(0, 2, 1) @ bent.reshape(count, -1, wide)
+    along = path.ds.reshape(-1, ns, wide, count)
+    for first in range(0, len(along), _PART):
+        part = slice(first, first + _PART)
+        _bend(total, along[part], bends[:, part].transpose(0, 2, 1), pairs, n + laws.active)
     return total, own
+
+
+def _bend(
+    total: Array, along: Array, bends: Array, pairs: list[tuple[int, int]], places: NDArray[np.intp]
+) -> None:
+    """Add to total (M, C, C) what the laws' curvature gives at some of the stages.
+
+    along : (stages, ns, C, M) sensitivities of the signals; bends : (pairs, M, stages)
+    """
+    ns = along.shape[1]
+    # One contiguous (M, stages, C) for each signal.
+    sides = [np.ascontiguousarray(along[:, a].transpose(2, 0, 1)) for a in range(ns)]
+    bent: list[Array | None] = [None] * ns
+    for (a, b), bend in zip(pairs, bends, strict=True):
+        if a >= ns:
+            continue
+        if b >= ns:
+            column = (bend[:, None, :] @ sides[a])[:, 0]
+            total[:, :, places[b - ns]] += column
+            total[:, places[b - ns], :] += column
+            continue
+        for one, other in {(a, b), (b, a)}:
+            more = bend[:, :, None] * sides[other]
+            before = bent[one]
+            bent[one] = more if before is None else np.add(before, more, out=before)
+    for side, weighted in zip(sides, bent, strict=True):
+        if weighted is not None:
+            total += side.transpose(0, 2, 1) @ weighted
 
 
 def _by_outputs(made: ExponentialPropagator, z: Array, path: ExponentialTrajectory, weights: Array) -> Array:

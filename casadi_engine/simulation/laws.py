@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from casadi_engine.simulation.grid import Grid
 from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.jets import Array
-from casadi_engine.simulation.signals import lift, signals
+from casadi_engine.simulation.signals import in_signals
 from casadi_engine.simulation.tape import ArrayFunction
 
 # Places within a step at which the laws are evaluated.
@@ -41,14 +41,14 @@ class Laws:
     ) -> None:
         x, u, t, p = symbols
         joined = ca.vertcat(*[ca.sum1(ca.vertcat(*[closed[i] for i in group])) for group in groups])
-        rows = signals(joined, x, ca.vertcat(u, t, p))
+        rows, combined, value = in_signals(joined, x, ca.vertcat(u, t, p))
         self.count, self.size = len(groups), len(rows)
         # Signals of about 1 at the states' declared sizes.
         self.q = rows * scale
-        sizes = np.abs(self.q).max(axis=1, keepdims=True)
-        self.q = self.q / sizes
+        sizes = np.abs(self.q).max(axis=1)
+        self.q = self.q / sizes[:, None]
         s = ca.SX.sym("s", self.size)
-        value = ca.substitute(joined, x, ca.DM(lift(rows) * sizes.T) @ s)
+        value = ca.substitute(value, combined, ca.DM(sizes) * s)
         if p.numel():
             value = ca.substitute(value, p, physical)
         channels = ca.vertcat(u, t)
