@@ -36,10 +36,9 @@ def simulate(
 
     model : the equations; data : the inputs, and the outputs if they were measured
     parameters : a set, or name -> value (others at the model's defaults), or None for all defaults
-    initial : state -> value. With one for each state they hold at the first time that all inputs cover, and the
-        simulation starts there, whether or not an output was measured by then. States left out, or None for all,
-        are fitted to the measured outputs by least squares; values given then hold, as in a fit, at the first
-        valid sample of the outputs, where the simulation starts
+    initial : state -> value. One for each state: they hold where the inputs begin, and the simulation starts there.
+        States left out, or None for all, are fitted to the outputs by least squares; values given beside fitted
+        ones, and those of a fit (`fit.initial`), are at the first valid sample of the outputs, the start then
     method : "exact", or "euler" for a linear model
 
     Returns an Experiment with the input channels and one derived channel for each output, on the inputs' grid.
