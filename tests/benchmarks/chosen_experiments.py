@@ -192,49 +192,68 @@ def study(kind: str, count: int, jobs: int) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True)
 class Coverage:
-    """Of one parameter: share of intervals that hold the truth, scatter and bias in expected errors."""
+    """Of one parameter: shares of 95 % intervals that hold the truth, by the fit's own error and by the planned one.
+
+    scatter : standard deviation of the estimates; bias : mean error, both in planned errors; without : fits in which
+    it has no symmetric error, most at a bound
+    """
 
     name: str
-    share: float
-    spread: float
+    by_fit: float
+    by_plan: float
+    scatter: float
     bias: float
     without: int
 
 
-def coverage(fits: list[dict[str, Any]], truth: dict[str, float]) -> list[Coverage]:
+def coverage(
+    fits: list[dict[str, Any]], truth: dict[str, float], planned: dict[str, float | None]
+) -> list[Coverage]:
     found = []
     for name, value in truth.items():
         pairs = [
             (one["values"][name], one["errors"][name]) for one in fits if one["errors"][name] is not None
         ]
-        z = np.array([(estimate - value) / error for estimate, error in pairs])
-        inside = float(np.mean(np.abs(z) <= NORMAL_95)) if len(z) else float("nan")
-        found.append(Coverage(name, inside, float(z.std()), float(z.mean()), len(fits) - len(pairs)))
+        own = np.array([(estimate - value) / error for estimate, error in pairs])
+        whole = np.array([one["values"][name] - value for one in fits]) / (value * (planned[name] or np.nan))
+        found.append(
+            Coverage(
+                name,
+                float(np.mean(np.abs(own) <= NORMAL_95)) if len(own) else float("nan"),
+                float(np.mean(np.abs(whole) <= NORMAL_95)),
+                float(whole.std(ddof=1)),
+                float(whole.mean()),
+                len(fits) - len(pairs),
+            )
+        )
     return found
 
 
 def coverage_rows(
-    rows: list[Coverage], choice: Any, truth: dict[str, float], fits: list[dict[str, Any]]
+    fits: list[dict[str, Any]], truth: dict[str, float], planned: dict[str, float | None]
 ) -> list[str]:
+    rows = coverage(fits, truth, planned)
     lines = [
-        "| parameter | planned error % | claimed % (median) | found scatter % | in the 95 % interval | bias in errors |"
+        "| parameter | planned error % | claimed by the fit % (median) | scatter found % | bias in planned errors "
+        "| 95 % by the plan | 95 % by the fit |",
+        "|---|---|---|---|---|---|---|",
     ]
-    lines.append("|---|---|---|---|---|---|")
     for row in rows:
         values = np.array([one["values"][row.name] for one in fits])
         errors = [one["errors"][row.name] for one in fits if one["errors"][row.name] is not None]
-        planned = choice.get(row.name)
         cells = [
             row.name,
-            "-" if planned is None else f"{100 * planned:.2g}",
+            f"{100 * (planned[row.name] or np.nan):.2g}",
             f"{100 * np.median(errors) / truth[row.name]:.2g}" if errors else "-",
-            f"{100 * values.std() / truth[row.name]:.2g}",
-            f"{100 * row.share:.1f} %" + (f" ({row.without} at a bound)" if row.without else ""),
+            f"{100 * values.std(ddof=1) / truth[row.name]:.2g}",
             f"{row.bias:+.2f}",
+            f"{100 * row.by_plan:.1f}",
+            f"{100 * row.by_fit:.1f}" + (f" ({row.without} at a bound)" if row.without else ""),
         ]
         lines.append("| " + " | ".join(cells) + " |")
-    every = [share for row in rows if not np.isnan(share := row.share)]
-    return [*lines, "", f"All intervals together: {100 * np.mean(every):.1f} % of {len(fits)} x {len(rows)}."]
+    plan_, fit = (np.nanmean([getattr(row, key) for row in rows]) for key in ("by_plan", "by_fit"))
+    words = f"All intervals together: {100 * plan_:.1f} % by the planned errors, {100 * fit:.1f} % by the fits' own."
+    return [*lines, "", words]
 
 
 def planned_run_up() -> dict[str, float | None]:
@@ -247,6 +266,14 @@ def planned_run_up() -> dict[str, float | None]:
     from casadi_engine.identifiability import fisher
 
     return fisher(model, data, parameters=crankshaft_parameters(model), noise=ce.Noise(omega=SIGMA)).relative
+
+
+REMARKS = (
+    "C_eng's bias is 0.015 %: the linear form puts all cylinders at the wheel's angle, while the shaft between is "
+    "twisted, and misses 0.01 N m of their torque (at 1800 RPM, against the simulator's). The fits' own errors are "
+    "those of a start fitted to noise, in which the fast modes ring and seem to tell more, and dampers at a bound count "
+    "as known there: for the crankshaft the planned errors, taken from the motion that repeats, are the honest ones."
+)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -267,7 +294,7 @@ def main(arguments: list[str] | None = None) -> int:
     if options.fits:
         fits = study("two_mass", options.fits, options.jobs)
         lines += [f"{len(fits)} fits to records of the simulator (misfire at 1200 RPM, starts 20 % off):", ""]
-        lines += coverage_rows(coverage(fits, TWO_MASS), two.relative, TWO_MASS, fits)
+        lines += coverage_rows(fits, TWO_MASS, two.relative)
         lines += [_work(fits), ""]
     lines += [
         "## Crankshaft: C21 under 2 %, C76 and the sum of the absolute dampers under 1 %",
@@ -284,8 +311,8 @@ def main(arguments: list[str] | None = None) -> int:
             f"{len(fits)} fits to a {RUN_UP_SECONDS:g} s run-up of the simulator (load let go at 1000 RPM):",
             "",
         ]
-        lines += coverage_rows(coverage(fits, CRANKSHAFT), planned_run_up(), CRANKSHAFT, fits)
-        lines += [_work(fits), ""]
+        lines += coverage_rows(fits, CRANKSHAFT, planned_run_up())
+        lines += [_work(fits), "", REMARKS, ""]
     text = "\n".join(lines)
     Path(__file__).with_suffix(".md").write_text(text, encoding="utf-8")
     print(text)
