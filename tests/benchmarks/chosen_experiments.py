@@ -271,7 +271,7 @@ def planned_run_up() -> dict[str, float | None]:
 REMARKS = (
     "C_eng's bias is 0.015 %: the linear form puts all cylinders at the wheel's angle, while the shaft between is "
     "twisted, and misses 0.01 N m of their torque (at 1800 RPM, against the simulator's). The fits' own errors are "
-    "those of a start fitted to noise, in which the fast modes ring and seem to tell more, and dampers at a bound count "
+    "those of a start fitted to noise: fast modes ring in it and seem to tell more, and dampers at a bound count "
     "as known there: for the crankshaft the planned errors, taken from the motion that repeats, are the honest ones."
 )
 
