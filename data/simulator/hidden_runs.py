@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from .batch import Batch, Load
+from .batch import Batch, Load, rule_for
 from .engine import Engine, burn_factors
 from .geometry import CYCLE
 from .hidden import Hidden, place
@@ -73,7 +73,8 @@ def simulate_hidden(
     table = make_table(made, people)
     factors = np.stack([e.strength * f for e, f in zip(engines, true, strict=True)], axis=1)
     strength = factors[table.cylinders.T]  # (S, H, runs, events)
-    batch = Batch(made, table, brake, strength, torques_of(made, [c.effects for c in cases]), len(cases))
+    torques = torques_of(made, [c.effects for c in cases])
+    batch = Batch(made, table, brake, strength, torques, len(cases), rule_for(made, 1.0 / (rate * steps)))
     least = sample_count(speed_rpm, cycles) * rate / SAMPLE_RATE
     count = round(1.01 * least) if duration is None else round(duration * rate)
     states, modes = _integrate(batch, np.array(starts).T, count, rate, steps)
@@ -228,7 +229,7 @@ def _shifted(
                 )
             )
     strength = np.repeat(batch.strength[:, :, run : run + 1], count, axis=2)
-    wide = Batch(batch.shaft, batch.table, batch.load, strength, torques, count)
+    wide = Batch(batch.shaft, batch.table, batch.load, strength, torques, count, batch.rule)
     time, state = origin * step, states[:, origin].copy()
     wide.burn(state)
     first = wide.rate(time, state)
