@@ -229,3 +229,29 @@ def test_what_is_not_finite_makes_no_noise():
     np.testing.assert_array_equal(np.isfinite(found[0]), [[False, False, True]])
     np.testing.assert_array_equal(np.isfinite(found[1]), [[True, False, True]])
     np.testing.assert_array_equal(np.isfinite(found[2]), [[True, True, False]])
+
+
+# ---- bound to its last inputs
+
+
+def test_a_bound_function_is_the_same_and_works_out_what_it_knows_once():
+    x, u, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p", 2)
+    expression = ca.vertcat(
+        ca.tanh(x[0] / p[0]) * ca.sin(p[1]) + u, ca.fmax(x[1], p[0]) ** 2, p[0] * p[1] + 1
+    )
+    function = ArrayFunction([x, u, p], [expression, x[0] + 0 * u])
+    rng = np.random.default_rng(0)
+    columns, channel, known = rng.normal(size=(2, 7)), rng.normal(size=(1, 7)), np.array([0.3, 1.2])
+    bound = function.bound(known)
+    for _ in range(2):  # nothing is left over from the first call
+        for one, other in zip(bound(columns, channel), function(columns, channel, known), strict=True):
+            np.testing.assert_array_equal(one, other)
+    other = rng.normal(size=(2, 3))
+    np.testing.assert_array_equal(bound(other, channel[:, :3])[0], function(other, channel[:, :3], known)[0])
+
+
+def test_a_bound_function_with_an_unknown_operation_is_evaluated_by_casadi():
+    x, p = ca.SX.sym("x"), ca.SX.sym("p")
+    function = ArrayFunction([x, p], [ca.remainder(x, p)])
+    found = function.bound(np.array([2.0]))(np.array([[0.3, 2.5, 4.1]]))
+    np.testing.assert_allclose(found[0], [[0.3, 0.5, 0.1]], atol=1e-15)
