@@ -54,7 +54,9 @@ class Start:
         return self.word != "free"
 
     def __str__(self) -> str:
-        return self.text or (
+if self.word == "number" and self.number is not None:
+            return f"{float(self.number):g}"
+        return self.text or self.word
             f"{float(self.number):g}" if self.word == "number" and self.number else self.word
         )
 

@@ -179,7 +179,7 @@ def markov_rank() -> int:
 
     inverse_J, K, C = ([parameter() for _ in range(6)] for _ in range(3))
     absolute = {i: parameter() for i in range(1, 5)}
-    n, inputs, count = 12, 6, len(free)  # 6 speeds, 6 twists; T_1..T_4, ω7 twice (its twist rate)
+    n, inputs, count = 12, 5, len(free)  # 6 speeds, 6 twists; T_1..T_4 and ω7
     A, B = {}, {}  # place -> list of (sign, indices of the factors)
 
     def add(matrix, row, column, sign, *factors):
