@@ -54,11 +54,9 @@ class Start:
         return self.word != "free"
 
     def __str__(self) -> str:
-if self.word == "number" and self.number is not None:
+        if self.number is not None and self.word == "number":
             return f"{float(self.number):g}"
         return self.text or self.word
-            f"{float(self.number):g}" if self.word == "number" and self.number else self.word
-        )
 
 
 @dataclass(frozen=True)
