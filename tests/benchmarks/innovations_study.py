@@ -26,9 +26,12 @@ WAYS = {
     "output error": ce.Noise(omega="estimate"),
     "innovations, K free": ce.Noise(omega="innovations"),
     "Riccati, Q and R known": ce.Noise(omega=source.SIGMA, process=source.PROCESS),
-    "Riccati, Q free, R known": ce.Noise(omega=source.SIGMA, process=dict.fromkeys(source.PROCESS, "estimate")),
+    "Riccati, Q free, R known": ce.Noise(
+        omega=source.SIGMA, process=dict.fromkeys(source.PROCESS, "estimate")
+    ),
     "Riccati, Q and R free": ce.Noise(omega="estimate", process="estimate"),
 }
+COMMAND = "tests/benchmarks/innovations_study.py"
 CHI2_99 = 11.3  # of three degrees of freedom
 
 
@@ -55,7 +58,9 @@ def two_masses():
 def experiment(run, name="run"):
     """A run of the independent simulator as a record."""
     units = {"T": "N m", "T_load": "N m", "omega": "rad/s"}
-    return ce.Experiment.from_arrays(name, time=run.time, units=units, T=run.torque, T_load=run.load, omega=run.y)
+    return ce.Experiment.from_arrays(
+        name, time=run.time, units=units, T=run.torque, T_load=run.load, omega=run.y
+    )
 
 
 def started(model, rng, low, high):
@@ -122,7 +127,9 @@ def report(table, seeds):
     lines = [
         f"{seeds} seeds, {source.SAMPLES} samples at {source.RATE:g} Hz, one output; {truth}; starts within 20 %.",
         "",
-        "| way | converged | median CPU [s] | rms error % of " + ", ".join(NAMES) + " | mean (error/stderr)^2 of each"
+        "| way | converged | median CPU [s] | rms error % of "
+        + ", ".join(NAMES)
+        + " | mean (error/stderr)^2 of each"
         " | joint chi2_5, mean | white at 1 % | fit % simulation / 1-step (mean) |",
         "|---|---|---|---|---|---|---|---|",
     ]
@@ -147,11 +154,13 @@ def report(table, seeds):
     kalman = source.stationary_gain()[1]
     lines += [
         "",
-        f"Gain against the Riccati gain of the truth (chi-squared with 3 degrees of freedom, by the fit's own covariance): "
-        f"below {CHI2_99} in {int((chi2 < CHI2_99).sum())}/{seeds}, mean {chi2.mean():.2f} (3 expected), largest "
-        f"{chi2.max():.1f}, Kolmogorov-Smirnov p {p:.2f}.",
+        "Gain against the Riccati gain of the truth (chi-squared with 3 degrees of freedom, by the fit's own "
+        f"covariance): below {CHI2_99} in {int((chi2 < CHI2_99).sum())}/{seeds}, mean {chi2.mean():.2f} "
+        f"(3 expected), largest {chi2.max():.1f}, Kolmogorov-Smirnov p {p:.2f}.",
         "",
-        "| way | rms error of K, in units of " + ", ".join(f"{k:.4g}" for k in kalman) + " (the true K) | mean (error/stderr)^2"
+        "| way | rms error of K, in units of "
+        + ", ".join(f"{k:.4g}" for k in kalman)
+        + " (the true K) | mean (error/stderr)^2"
         " | largest spectral radius |",
         "|---|---|---|---|",
     ]
@@ -168,7 +177,9 @@ def report(table, seeds):
         for name in source.PROCESS:
             z = rows.get(f"process.{name}")
             if z:
-                lines.append(f"- {way}: process.{name}, mean error {np.mean(z):+.2f} and rms {np.std(z):.2f} standard errors")
+                lines.append(
+                    f"- {way}: process.{name}, mean error {np.mean(z):+.2f} and rms {np.std(z):.2f} standard errors"
+                )
     return "\n".join(lines)
 
 
@@ -180,9 +191,9 @@ def main():
     text = report(study(chosen.seeds), chosen.seeds)
     print(text)
     if chosen.write:
-        head = f"# Innovations form, {datetime.date.today():%Y-%m-%d}\n\nBy `python tests/benchmarks/innovations_study.py"
+        head = f"# Innovations form, {datetime.date.today():%Y-%m-%d}\n\n"
         path = Path(__file__).with_name("INNOVATIONS.md")
-        path.write_text(f"{head} --write`.\n\n{text}\n", encoding="utf-8")
+        path.write_text(f"{head}By `python {COMMAND} --write`.\n\n{text}\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
