@@ -34,7 +34,8 @@ class Split:
 def split(model: Model) -> Split | None:
     """The split of a model, or None for a model without a useful linear core."""
     if model.linear is None:
-        own = _own_slots(model)
+        read = _known_outputs(model)
+        own = None if read is None else _own_slots(read)
         if own is None:
             return None
         model = own
@@ -51,16 +52,43 @@ def _closed(model: Model, laws: ca.SX) -> ca.SX:
     return ca.substitute(laws, model.d, model.drive_expressions) if model.d.numel() else laws
 
 
+def _is_affine(model: Model, row: ca.SX) -> bool:
+    """True if ``row`` is affine in states, drives and slots with factors of parameters alone."""
+    core, outer = ca.vertcat(model.x, model.d, model.w), ca.vertcat(model.u, model.t)
+    return bool(ca.is_linear(row, core)) and not ca.depends_on(row, outer)
+
+
+def _known_outputs(model: Model) -> Model | None:
+    """The model with drives in place of what its outputs show of channels and time; None if that is not all."""
+    inside = ca.vertcat(model.x, model.w)
+    outputs, drives = ca.SX(model.output_expressions), []
+    for row in range(int(outputs.numel())):
+        if _is_affine(model, outputs[row]):
+            continue
+        slope = ca.jacobian(outputs[row], inside)
+        if ca.depends_on(slope, ca.vertcat(inside, model.u, model.d, model.t)):
+            return None
+        drive = ca.SX.sym(f"shown_{model.outputs[row].name}")
+        drives.append((drive, _closed(model, ca.substitute(outputs[row], inside, ca.SX.zeros(inside.shape)))))
+        outputs[row] = slope @ inside + drive
+    return replace(_with_drives(model, drives), output_expressions=outputs) if drives else model
+
+
+def _with_drives(model: Model, drives: list[tuple[ca.SX, ca.SX]]) -> Model:
+    """The model with more drives behind its own: symbol and expression of each."""
+    return replace(
+        model,
+        d=ca.vertcat(model.d, *[drive for drive, _ in drives]),
+        drives=(*model.drives, *(Variable(drive.name()) for drive, _ in drives)),
+        drive_expressions=ca.vertcat(model.drive_expressions, *[value for _, value in drives]),
+    )
+
+
 def _own_slots(model: Model) -> Model | None:
     """The model with a slot of its own for every equation that is not affine."""
-    core, outer = ca.vertcat(model.x, model.d, model.w), ca.vertcat(model.u, model.t)
-
-    def affine(row: ca.SX) -> bool:
-        return bool(ca.is_linear(row, core)) and not (outer.numel() and ca.depends_on(row, outer))
-
     n = int(model.x.numel())
-    bent = [row for row in range(n) if not affine(model.ode[row])]
-    if not affine(model.output_expressions) or len(bent) >= _MOST_OWN * n:
+    bent = [row for row in range(n) if not _is_affine(model, model.ode[row])]
+    if len(bent) >= _MOST_OWN * n:
         return None
     closed = model.closed_ode
     slots = ca.vertcat(*[ca.SX.sym(f"w_{model.states[row].name}") for row in bent])
@@ -106,13 +134,11 @@ def _without_simple_laws(model: Model) -> Model:
     if not count:
         return model
     left = ca.vertcat(*[model.w[row] for row in kept]) if kept else ca.SX(0, 1)
+    wider = _with_drives(model, drives)
     return replace(
-        model,
+        wider,
         ode=ca.substitute(model.ode, model.w, ca.densify(put)),
         output_expressions=ca.substitute(model.output_expressions, model.w, ca.densify(put)),
         w=left,
         laws=ca.vertcat(*[laws[row] for row in kept]) if kept else ca.SX(0, 1),
-        d=ca.vertcat(model.d, *[drive for drive, _ in drives]),
-        drives=(*model.drives, *(Variable(drive.name(), "N m") for drive, _ in drives)),
-        drive_expressions=ca.vertcat(model.drive_expressions, *[value for _, value in drives]),
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -100,3 +102,30 @@ def test_models_without_a_useful_core_have_no_split():
     tank.ode("level", tank.input("inflow") - ca.sqrt(level))
     tank.output("level", level)
     assert split(tank.model()) is None
+
+
+def test_what_outputs_show_of_channels_and_time_becomes_a_drive():
+    b = Blueprint("toothed")
+    w, u, e = b.state("w"), b.input("u"), b.parameter("e", 0.1)
+    b.ode("w", u - w)
+    b.output("plain", w)
+    b.output("toothed", 2 * w)
+    model = b.model()
+    # Blueprints keep channels out of outputs; effects at sensors put them in.
+    model = replace(model, output_expressions=ca.vertcat(w, 2 * w + e * ca.sin(model.t) * model.u))
+    assert model.linear is None
+    parts = split(model)
+    inner = parts.model
+    assert [drive.name for drive in inner.drives] == ["u", "shown_toothed"]
+    assert not inner.has_slot_laws
+    shown = ca.Function("shown", [inner.x, inner.u, inner.t, inner.p], [
+        parts.core.C @ inner.x + parts.core.D @ inner.drive_expressions
+    ])  # fmt: skip
+    np.testing.assert_allclose(
+        np.array(shown(1.5, 0.7, 0.3, 0.1)).ravel(), [1.5, 3 + 0.1 * np.sin(0.3) * 0.7], rtol=1e-14
+    )
+
+
+def test_an_output_that_multiplies_a_state_with_a_channel_has_no_split():
+    model = mass(None)
+    assert split(replace(model, output_expressions=model.x[0] * ca.sin(model.t))) is None
