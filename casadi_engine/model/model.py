@@ -149,7 +149,7 @@ class Model:
         >>> from casadi_engine import effects, two_mass
         >>> model = two_mass(reciprocating_speed="measured").with_effect(effects.CubicStiffness(), at="coupling")
         >>> print(model.equations().splitlines()[7])
-        w_coupling = coupling.cubic_stiffness.stiffness*twist**3
+        w_coupling = coupling.cubic_stiffness.stiffness*twist*twist**2
         """
         return attach(self, effect, at=at, values=values, sharp=sharp)
 

@@ -271,8 +271,8 @@ def test_wrong_effects_are_refused():
         hidden("load_step", "load", 1.0)
     with pytest.raises(ValueError, match="backlash cannot be at 'load'; places are coupling"):
         simulate_hidden("two_mass", [Case(effects=(hidden("backlash", "load", 1.0),))])
+    one = hidden("misfire", "cylinder_1", 1.0, cycles=(9,))
     with pytest.raises(ValueError, match="misfire in cycle 9"):
-        one = hidden("misfire", "cylinder_1", 1.0, cycles=(9,))
         simulate_hidden("two_mass", [Case(effects=(one,))], cycles=1, duration=0.01)
     twice = (hidden("constant_torque", "load", 1.0), hidden("constant_torque", "load", 2.0))
     with pytest.raises(ValueError, match="an effect twice at one place"):
