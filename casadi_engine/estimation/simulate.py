@@ -134,9 +134,7 @@ def _whole_grid(model: Model, data: Experiment) -> Grid:
     for channel in outputs:
         steps = (last - first) / (channel.span[1] - channel.span[0]) * (len(channel.time) - 1)
         time = np.linspace(first, last, max(round(steps), 1) + 1)
-        data = data.with_channel(
-            Channel(channel.name, channel.unit, time=time, values=np.zeros_like(time))
-        )
+        data = data.with_channel(Channel(channel.name, channel.unit, time=time, values=np.zeros_like(time)))
     return lay_grid(model, data, outputs=tuple(channel.name for channel in outputs))
 
 
