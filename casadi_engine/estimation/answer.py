@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from casadi_engine.estimation.fit import Estimate, Fit, Innovations, Optimum, Trace
 from casadi_engine.estimation.fit_percent import fit_measures
@@ -206,11 +207,25 @@ def _messages(
     if violated:
         found.append(f"not met: {', '.join(violated)}")
     found += _coloured(search, best)
+    found += _rivals(best, optima)
     if stopped:
         done = sum(optimum.starts for optimum in optima if optimum.status == "converged")
         what = f"the best of {done} optima so far" if done else "the best point so far, not an optimum"
         found.append(f"stopped by the user: this is {what}")
     return tuple(found)
+
+
+def _rivals(best: Attempt, optima: tuple[Optimum, ...]) -> list[str]:
+    """Other optima that explain the data about as well: inside the 95 % region that the costs span."""
+    limit = best.cost + float(chdtri(max(len(best.v), 1), 0.05))
+    others = [o for o in optima if o.status == "converged" and o.apart and o.cost <= limit]
+    if not others:
+        return []
+    ways = "; ".join(f"{o.apart} at a cost {o.cost - best.cost:.2g} higher" for o in others[:3])
+    return [
+        f"{len(others)} other optim{'a explain' if len(others) > 1 else 'um explains'} the data as well: {ways}; "
+        "the standard errors are those of one optimum alone"
+    ]
 
 
 def _coloured(search: Search, best: Attempt) -> list[str]:

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.answer import make_fit
-from casadi_engine.estimation.fit import Fit, Optimum
+from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.loss import read_loss
+from casadi_engine.estimation.multistart import attempts_from, best_of, distinct_optima
 from casadi_engine.estimation.options import small, whole
-from casadi_engine.estimation.search import Attempt, Search
+from casadi_engine.estimation.search import Search
 from casadi_engine.estimation.starts import drawn_starts
 from casadi_engine.experiment import Experiment
 from casadi_engine.experiment.experiment import with_unique_names
@@ -25,9 +26,6 @@ from casadi_engine.parameters import Parameters
 from casadi_engine.problem.noise import Noise
 
 Array = NDArray[np.float64]
-
-# Two optima are one when their costs and their scaled parameters agree to these shares.
-_SAME_COST, _SAME_PLACE = 1e-6, 1e-3
 
 
 def estimate(
@@ -43,6 +41,7 @@ def estimate(
     method: str = "exact",
     starts: int = 1,
     seed: int = 0,
+    neighbours: int = 0,
     warm: Any = None,
     progress: Any = None,
     max_iterations: int = 200,
@@ -64,6 +63,8 @@ def estimate(
     ties : "substitute", or "constraint" to keep ties as equality constraints of the solver: the same answer
     method : "exact", or "euler" for the forward-Euler discretisation of a linear model
     starts, seed : number of starts, the first from the set's values, the others drawn within the bounds
+    neighbours : number of directions, those the data tell least of, along which to look for a lower optimum beside
+        the best: searches that start 5 standard errors to either side of it
     warm : a Fit (or loaded result) whose parameters and initial states are the start
     progress : None for a bar on a terminal, False for none, or a function (iteration, cost, fit percent)
     max_iterations, tolerance : of IPOPT, for each start
@@ -85,6 +86,7 @@ def estimate(
     starts = whole("starts", starts, 1)
     max_iterations = whole("max_iterations", max_iterations, 1)
     seed, tolerance = whole("seed", seed, 0), small(tolerance)
+    neighbours = whole("neighbours", neighbours, 0)
     with Interrupts() as interrupts:
         search = Search(
             model,
@@ -99,13 +101,13 @@ def estimate(
             max_iterations=max_iterations,
             tolerance=tolerance,
             warm=warm,
-            progress=_reporter(progress, starts, max_iterations),
+            progress=_reporter(progress, starts + 2 * neighbours, max_iterations),
             interrupts=interrupts,
         )
         setup = time.perf_counter() - begun
-        attempts = _attempts(search, drawn_starts(search.pmap, starts, seed))
-        best = min(attempts, key=lambda a: (a.solution.status != "converged", a.merit))
-        optima = _optima(search, attempts, best)
+        attempts = attempts_from(search, drawn_starts(search.pmap, starts, seed), neighbours)
+        best = best_of(attempts)
+        optima = distinct_optima(search, attempts, best)
         timing = {"setup": setup, "solve": time.perf_counter() - begun - setup}
         options = {
             "interval": interval,
@@ -114,30 +116,13 @@ def estimate(
             "method": method,
             "starts": starts,
             "seed": seed,
+            "neighbours": neighbours,
             "max_iterations": max_iterations,
             "tolerance": tolerance,
         }
         stopped = attempts[-1].solution.status == "interrupted"
         fit = make_fit(search, best, optima, options, timing, begun, stopped=stopped)
         return replace(fit, status="interrupted") if interrupts.stopped else fit
-
-
-def _attempts(search: Search, starts: list[Array]) -> list[Attempt]:
-    """The outcome of every start up to an interruption; drawn starts at which the model fails are passed over."""
-    attempts: list[Attempt] = []
-    try:
-        for start in starts:
-            try:
-                attempts.append(search.run(start, first=not attempts))
-            except EstimationError:
-                if not attempts:
-                    raise
-                continue
-            if attempts[-1].solution.status == "interrupted":
-                break
-    finally:
-        search.close()
-    return attempts
 
 
 def _own(model: Model, parameters: Any) -> Parameters:
@@ -165,31 +150,6 @@ def _records(data: Any) -> tuple[Experiment, ...]:
             cure="read one by read_experiment(path)",
         )
     return with_unique_names(records)
-
-
-def _optima(search: Search, attempts: list[Attempt], best: Attempt) -> tuple[Optimum, ...]:
-    """Distinct optima by rising cost at the best one's noise levels, and how many starts ended there."""
-    groups: list[list[Attempt]] = []
-    compared = [replace(attempt, cost=search.cost_of(attempt, best.sigma)) for attempt in attempts]
-    for attempt in sorted(compared, key=lambda a: a.cost):
-        for group in groups:
-            gap = abs(attempt.cost - group[0].cost)
-            apart = np.abs(attempt.v - group[0].v).max(initial=0.0)
-            if gap <= _SAME_COST * abs(group[0].cost) and apart <= _SAME_PLACE:
-                group.append(attempt)
-                break
-        else:
-            groups.append([attempt])
-    names = search.pmap.free
-    return tuple(
-        Optimum(
-            group[0].cost,
-            dict(zip(names, search.coordinates.values(group[0].v).tolist(), strict=True)),
-            len(group),
-            group[0].solution.status,
-        )
-        for group in groups
-    )
 
 
 def _reporter(progress: Any, starts: int, most: int) -> Any:

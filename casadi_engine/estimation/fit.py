@@ -89,12 +89,16 @@ class Direction:
 
 @dataclass(frozen=True)
 class Optimum:
-    """One local optimum of a multi-start: its cost, the free parameters, how many starts ended there."""
+    """One local optimum of a multi-start: its cost, the free parameters, how many starts ended there.
+
+    apart : the direction in which it differs from the best one, in words; empty for the best one itself
+    """
 
     cost: float
     values: Mapping[str, float]
     starts: int
     status: str
+    apart: str = ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -324,7 +324,9 @@ def optima_words(fit: Fit) -> str:
     ordered = sorted(fit.optima, key=lambda optimum: (not math.isfinite(optimum.cost), optimum.cost))
     total = sum(optimum.starts for optimum in ordered)
     words = [f"{ordered[0].starts} of {total} starts reached the lowest cost {number(ordered[0].cost)}"]
-    words += [f"{optimum.starts} ended at {number(optimum.cost)}" for optimum in ordered[1:4]]
+    for optimum in ordered[1:4]:
+        where = f" ({optimum.apart})" if optimum.apart else ""
+        words.append(f"{optimum.starts} ended at {number(optimum.cost)}{where}")
     if len(ordered) > 4:
         words.append(f"{len(ordered) - 4} more optima: fit.optima")
     return "; ".join(words)

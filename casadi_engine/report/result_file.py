@@ -85,7 +85,13 @@ def _(result: Fit) -> dict[str, Any]:
         "iterations": result.iterations,
         "nodes": result.nodes,
         "optima": [
-            {"cost": o.cost, "values": dict(o.values), "starts": o.starts, "status": o.status}
+            {
+                "cost": o.cost,
+                "values": dict(o.values),
+                "starts": o.starts,
+                "status": o.status,
+                "apart": o.apart,
+            }
             for o in result.optima
         ],
         "fit_percent": {

@@ -58,7 +58,9 @@ class _Estimates:
         free = result.get("free", [name for name, one in entries.items() if one["stderr"] is not None])
         self.free = tuple(name for name in free if name in self.estimates)
         self.optima = tuple(
-            Optimum(_number(one["cost"]), dict(one["values"]), one["starts"], one["status"])
+            Optimum(
+                _number(one["cost"]), dict(one["values"]), one["starts"], one["status"], one.get("apart", "")
+            )
             for one in result.get("optima", ())
         )
 

@@ -1,0 +1,116 @@
+"""Several searches: from drawn starts, and from either side of an optimum along what the data tell least of."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.errors import EstimationError
+from casadi_engine.estimation.fit import Optimum
+from casadi_engine.estimation.search import Attempt, Search
+from casadi_engine.estimation.standard_errors import uncertainty
+
+Array = NDArray[np.float64]
+
+# Two optima are one when their costs and their scaled parameters agree to these shares.
+_SAME_COST, _SAME_PLACE = 1e-6, 1e-3
+# Distance of a neighbouring start from the optimum, in standard errors; the optima along a valley of the crankshaft's
+# likelihood were found 5 to 15 of them apart.
+_APART = 5.0
+# A lower cost than this counts as another optimum to go on from; a valley is followed over at most so many.
+_LOWER, _MOST = 1e-3, 4
+
+
+def attempts_from(search: Search, starts: list[Array], neighbours: int = 0) -> list[Attempt]:
+    """The outcome of every start up to an interruption; drawn starts at which the model fails are passed over."""
+    attempts: list[Attempt] = []
+    try:
+        for start in starts:
+            _try(search, attempts, start)
+            if attempts[-1].solution.status == "interrupted":
+                return attempts
+        if neighbours:
+            _follow(search, attempts, neighbours)
+    finally:
+        search.close()
+    return attempts
+
+
+def _try(search: Search, attempts: list[Attempt], start: Array) -> None:
+    try:
+        attempts.append(search.run(start, first=not attempts))
+    except EstimationError:
+        if not attempts:
+            raise
+
+
+def _follow(search: Search, attempts: list[Attempt], neighbours: int) -> None:
+    """Search from either side of the best optimum, and again from a lower one found so."""
+    for _ in range(_MOST):
+        best = best_of(attempts)
+        if best.solution.status != "converged":
+            return
+        for start in _neighbours(search, best, neighbours):
+            _try(search, attempts, start)
+            if attempts[-1].solution.status == "interrupted":
+                return
+        if best_of(attempts).merit > best.merit - _LOWER:
+            return
+
+
+def _neighbours(search: Search, best: Attempt, count: int) -> list[Array]:
+    """Points (nz,) on either side of an optimum along the ``count`` directions of the largest errors."""
+    search._weigh(best.sigma)
+    nv = len(best.v)
+    values, vectors = np.linalg.eigh(uncertainty(search, best).covariance.matrix[:nv, :nv])
+    low, high = search.coordinates.of(search.pmap.lower), search.coordinates.of(search.pmap.upper)
+    found = []
+    for k in np.argsort(values)[::-1][:count]:
+        for side in (-_APART, _APART):
+            at = best.v + side * float(np.sqrt(max(values[k], 0.0))) * vectors[:, k]
+            found.append(search.coordinates.values(np.clip(at, low, high)))
+    return found
+
+
+def best_of(attempts: list[Attempt]) -> Attempt:
+    """The best optimum; without one, the best point."""
+    return min(attempts, key=lambda a: (a.solution.status != "converged", a.merit))
+
+
+def distinct_optima(search: Search, attempts: list[Attempt], best: Attempt) -> tuple[Optimum, ...]:
+    """Distinct optima by rising cost at the best one's noise levels, and how many starts ended there."""
+    compared = [best]
+    if len(attempts) > 1:
+        compared = [replace(attempt, cost=search.cost_of(attempt, best.sigma)) for attempt in attempts]
+    groups: list[list[Attempt]] = []
+    for attempt in sorted(compared, key=lambda a: a.cost):
+        for group in groups:
+            gap = abs(attempt.cost - group[0].cost)
+            apart = np.abs(attempt.v - group[0].v).max(initial=0.0)
+            if gap <= _SAME_COST * abs(group[0].cost) and apart <= _SAME_PLACE:
+                group.append(attempt)
+                break
+        else:
+            groups.append([attempt])
+    names = search.pmap.free
+    reference = search.coordinates.values(best.v)
+    return tuple(
+        Optimum(
+            group[0].cost,
+            dict(zip(names, (z := search.coordinates.values(group[0].v)).tolist(), strict=True)),
+            len(group),
+            group[0].solution.status,
+            _apart(names, reference, z),
+        )
+        for group in groups
+    )
+
+
+def _apart(names: tuple[str, ...], best: Array, z: Array) -> str:
+    """How a point differs from the best one, in words: the three largest changes."""
+    size = np.where(best == 0, 1.0, np.abs(best))
+    change = (z - best) / size
+    order = [k for k in np.argsort(-np.abs(change)) if abs(change[k]) > _SAME_PLACE][:3]
+    return ", ".join(f"{names[k]} {100 * change[k]:+.3g} %" for k in order)
