@@ -1,0 +1,290 @@
+"""Repair: what ``repair`` found, as numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.discrepancy.confirmation import Gap, PairedGain
+from casadi_engine.discrepancy.latent_torque import LatentTorque
+from casadi_engine.discrepancy.random_families import Course
+from casadi_engine.estimation.fit import Estimate, Fit, Trace
+from casadi_engine.experiment import Experiment
+from casadi_engine.model import Model
+from casadi_engine.parameters import Parameters
+
+Array = NDArray[np.float64]
+Verdict = Literal["named", "class", "unnamed", "nothing missing"]
+
+
+@dataclass(frozen=True)
+class Member:
+    """One effect of a class: rho, its correlation with the lead; probability among the members, with equal chances
+    before the data."""
+
+    name: str
+    at: str
+    rho: float
+    probability: float
+
+
+@dataclass(frozen=True, eq=False)
+class FoundEffect:
+    """An effect that the data ask for.
+
+    name, at : effect and port; sentence : in words; values : nuisance values of the grid point that scored best
+    parameters : name -> Estimate after the refit, ``at.name.parameter``, the amplitude first; the amplitude is zero
+    in the null model. constants : whole numbers that belong to it (the cycles of a misfire)
+    z, p_value : the score, and the p-value pooled over the whole library; drop : fall of chi-squared by the refit
+    share_explained : of the gap above the noise, closed by adding it
+    predicted_shift, found_shift : old parameter -> change in its unit, by the score and by the refit
+    selection_frequency : share of half-samples of the cycles in which it scores best; None for too few cycles
+    members : its class, the lead first, alone where the data name it
+    course : record -> (2, K) times [s] and its value, torque [N m] where it is one, along the repaired model
+    """
+
+    name: str
+    at: str
+    sentence: str
+    values: Mapping[str, float]
+    parameters: Mapping[str, Estimate]
+    constants: Mapping[str, float]
+    z: float
+    p_value: float
+    drop: float
+    share_explained: float
+    predicted_shift: Mapping[str, float]
+    found_shift: Mapping[str, float]
+    selection_frequency: float | None
+    members: tuple[Member, ...]
+    course: Mapping[str, Array] = field(default_factory=dict)
+
+    @property
+    def key(self) -> str:
+        """``port.effect``."""
+        return f"{self.at}.{self.name}"
+
+    @property
+    def amplitude(self) -> Estimate:
+        """The estimate of the amplitude."""
+        return next(iter(self.parameters.values()))
+
+
+@dataclass(frozen=True)
+class ScoreRow:
+    """The score of one candidate against the null model: an effect at a port, at one choice of its nuisance values.
+
+    z : N(0, 1) if nothing is missing; statistic : |z|, or z cut at 0 in the allowed direction; p_value of it alone
+    amplitude, stderr : one-step estimate in ``unit``; smallest_detectable : found with 95 % power, inf if not testable
+    testability : share of its sensitivity that the parameters leave, 0..1; significant : beyond the threshold
+    """
+
+    effect: str
+    at: str
+    label: str
+    values: Mapping[str, float]
+    z: float
+    statistic: float
+    p_value: float
+    amplitude: float
+    stderr: float
+    unit: str
+    smallest_detectable: float
+    testability: float
+    testable: bool
+    significant: bool
+
+
+@dataclass(frozen=True, eq=False)
+class ClassMatrix:
+    """Which effects the data tell apart: labels and (effect, port) keys of k candidates, their correlation (k, k)."""
+
+    labels: tuple[str, ...]
+    keys: tuple[tuple[str, str], ...]
+    rho: Array
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the gap sits; a part is None where the data do not single one out.
+
+    location : port at which a torque of unknown course explains most; record; time : (from, to) s; cycles : from 1
+    crank_angle : (from, to) rad in 0..4 pi, from > to where it goes over 0; order : per revolution
+    excess : record -> share of chi-squared above the noise
+    """
+
+    location: str | None
+    record: str
+    time: tuple[float, float]
+    cycles: tuple[int, ...] | None
+    crank_angle: tuple[float, float] | None
+    order: float | None
+    excess: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """Simulation against data, before or after: the gap by output, whiteness p-values by record and output (None where
+    the test cannot be made), and traces record -> output -> Trace."""
+
+    gap: Gap
+    whiteness_p: Mapping[str, Mapping[str, float | None]]
+    traces: Mapping[str, Mapping[str, Trace]]
+
+
+@dataclass(frozen=True, eq=False)
+class Gaps:
+    """The gap before and after, on the data that the repair was found from and on fresh ones (None without).
+
+    validation_before/after hold the parameters and find initial states alone. gain_per_cycle : of fresh data
+    source : "records" (fresh ones), "cycles" (held out) or None
+    """
+
+    estimation_before: Side
+    estimation_after: Side
+    validation_before: Side | None = None
+    validation_after: Side | None = None
+    gain_per_cycle: PairedGain | None = None
+    source: Literal["records", "cycles"] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Unknown:
+    """Something is missing that no effect of the library names.
+
+    sentence : in words; tests : name of each rejected residual test -> p-value; port, signal : the torque at ``port``
+    as a function of ``signal`` that explains most, with its p-value and course, None if no such function does
+    """
+
+    sentence: str
+    tests: Mapping[str, float]
+    port: str | None = None
+    signal: str | None = None
+    p_value: float | None = None
+    course: Course | None = None
+
+
+@dataclass(frozen=True)
+class NotFound:
+    """An effect that was looked for and not found: the smallest size that would have been, with 95 % power, in ``unit``
+    (inf where not testable, which is not to say that it is absent)."""
+
+    name: str
+    at: str
+    smallest_detectable: float
+    unit: str
+    testable: bool
+
+
+@dataclass(frozen=True)
+class NextExperiment:
+    """The experiment that would split a class: what to change, the pairs of effects that it splits, and the separation
+    d expected with it and now (d = 3.3: right in 95 %)."""
+
+    change: str
+    splits: tuple[str, ...]
+    expected_separation: float
+    separation_now: float
+
+
+@dataclass(frozen=True)
+class Equation:
+    """Equations of the repaired model; terms : the lines that the repair changed."""
+
+    text: str
+    latex: str
+    terms: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseFound:
+    """The noise of the score tests: sigma : output -> (standard deviation, estimated); colour : "record/output" ->
+    order of its autoregression; scatter : kind -> standard deviation of a relative amplitude, cycle by cycle."""
+
+    sigma: Mapping[str, tuple[float, bool]]
+    colour: Mapping[str, int]
+    scatter: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round of the search: best proposals (label, pooled p-value), refits (label, chi-squared, converged), the
+    label kept or None, and the labels dropped."""
+
+    proposals: tuple[tuple[str, float], ...]
+    refits: tuple[tuple[str, float, bool], ...]
+    kept: str | None
+    dropped: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Repair:
+    """The answer of ``repair``.
+
+    status : "answered", or why there is no answer
+    verdict : "named", "class", "unnamed", "nothing missing", or None without an answer
+    confirmed : fresh data agree; False where they withdrew the repair; None without fresh data or with too few cycles
+    null_fit : the fit without effects, on the data of the search; fit : with all effects found (the null fit if none)
+    model, parameters : the repaired model and its parameters
+    effects : found, in the order in which they were; withdrawn : found first and then refused by fresh data
+    alpha : false-alarm rate over the whole library; threshold : its |z|; threshold_p : the p-value of a single test
+    candidates : how many were tested; scores : of every candidate against the null model
+    data, fresh : records of the search, and those (or held-out cycles) of the confirmation
+    latent : a torque of unknown course per port before the repair, the one that explains most first
+    timing : seconds of each part and "total"; messages : what the user should know
+    """
+
+    status: str
+    verdict: Verdict | None
+    confirmed: bool | None
+    null_fit: Fit
+    fit: Fit
+    alpha: float
+    threshold: float | None = None
+    threshold_p: float | None = None
+    candidates: int = 0
+    scores: tuple[ScoreRow, ...] = ()
+    matrix: ClassMatrix | None = None
+    effects: tuple[FoundEffect, ...] = ()
+    withdrawn: tuple[FoundEffect, ...] = ()
+    where: Place | None = None
+    gaps: Gaps | None = None
+    unknown: Unknown | None = None
+    not_found: tuple[NotFound, ...] = ()
+    next_experiment: NextExperiment | None = None
+    equation: Equation | None = None
+    noise: NoiseFound | None = None
+    latent: tuple[LatentTorque, ...] = ()
+    rounds: tuple[Round, ...] = ()
+    data: tuple[Experiment, ...] = ()
+    fresh: tuple[Experiment, ...] = ()
+    timing: Mapping[str, float] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict)
+    messages: tuple[str, ...] = ()
+
+    @property
+    def model(self) -> Model:
+        """The repaired model."""
+        return self.fit.model
+
+    @property
+    def parameters(self) -> Parameters:
+        """The repaired model's parameters, frozen at the optimum."""
+        return self.fit.parameters
+
+    @property
+    def best_scores(self) -> tuple[ScoreRow, ...]:
+        """The best score of each effect at each port, the highest statistic first."""
+        best: dict[tuple[str, str], ScoreRow] = {}
+        for row in sorted(self.scores, key=lambda one: -one.statistic):
+            best.setdefault((row.effect, row.at), row)
+        return tuple(best.values())
+
+    def __str__(self) -> str:
+        from casadi_engine.discrepancy.summary import summary
+
+        return summary(self)
