@@ -206,7 +206,7 @@ class Predictor:
         """The map with the model's own parameters as ``physical``, and record -> the added ones as SX of z."""
         count = len(self.model.parameter_names)
         physical: Mapping[str, ca.SX] = pmap.physical
-        tails = {record: expression[count:] for record, expression in physical.items()}
+        tails = {record: expression[count:, 0] for record, expression in physical.items()}
         if not self.names:
             return pmap, tails
         own = {
