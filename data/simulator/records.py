@@ -1,11 +1,17 @@
 """The records that are kept in data/: their operating points and seeds."""
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from .hidden import Hidden, hidden
+from .hidden_runs import Case, simulate_hidden
 from .simulate import Record, simulate_crankshaft, simulate_two_mass
+
+SECRET = Path(__file__).resolve().parent.parent / "hidden_effect" / "truth.json"
 
 CONTRACT = {
     "time": "s",
@@ -18,6 +24,20 @@ CONTRACT = {
     "omega": "rad/s",
     "omega_load": "rad/s",
 }
+
+
+def hidden_truth() -> tuple[Hidden, ...]:
+    """The effects that the records of hidden_effect/ hide, from the file that nothing else reads."""
+    told = json.loads(SECRET.read_text(encoding="utf-8"))
+    return tuple(hidden(one["name"], one["at"], one["size"]) for one in told["effects"])
+
+
+def simulate_two_mass_hidden(
+    speed_rpm: float, *, misfire: Mapping[int, str], scatter_seed: int, noise_seed: int
+) -> Record:
+    """One record of the two-mass engine that has what `hidden_truth` says."""
+    case = Case(hidden_truth(), scatter_seed, noise_seed, misfire)
+    return simulate_hidden("two_mass", [case], speed_rpm=speed_rpm)[0]
 
 
 @dataclass(frozen=True)
@@ -50,6 +70,9 @@ PLANS = (
     # one run written twice: what a rig with two pressure sensors would record, and all four true pressures
     Plan("assumed_pressure_1200rpm.csv.gz", simulate_two_mass, 1200.0, None, 106, 204, assumed=True),
     Plan("assumed_pressure_1200rpm_truth.csv.gz", simulate_two_mass, 1200.0, None, 106, 204),
+    Plan("hidden_effect/normal_1200rpm.csv.gz", simulate_two_mass_hidden, 1200.0, None, 123, 221),
+    Plan("hidden_effect/misfire_1200rpm.csv.gz", simulate_two_mass_hidden, 1200.0, 2, 122, 222),
+    Plan("hidden_effect/normal_1400rpm.csv.gz", simulate_two_mass_hidden, 1400.0, None, 121, 223),
     Plan("crankshaft/normal_1000rpm.csv.gz", simulate_crankshaft, 1000.0, None, 111, 211),
     Plan("crankshaft/misfire_1000rpm.csv.gz", simulate_crankshaft, 1000.0, 2, 112, 212),
     Plan("crankshaft/normal_1200rpm.csv.gz", simulate_crankshaft, 1200.0, None, 113, 213),

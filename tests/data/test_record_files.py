@@ -10,7 +10,8 @@ import generate
 import numpy as np
 import pytest
 from simulator.files import compare, compress, read_columns, read_hashes, to_text
-from simulator.records import CONTRACT, PLANS, Plan
+from simulator.hidden import PLACES
+from simulator.records import CONTRACT, PLANS, Plan, hidden_truth
 from simulator.simulate import simulate_two_mass
 
 HEADER = "time [s],theta [rad],p1 [Pa],p2 [Pa],p3 [Pa],p4 [Pa],T_load [N m],omega [rad/s],omega_load [rad/s]"
@@ -113,8 +114,8 @@ def test_hash_list_is_that_of_the_files(data_folder):
 
 def test_no_script_here_uses_the_package_under_test(data_folder):
     allowed = {"numpy", "scipy", "pandas", "simulator"}
-    standard = {"argparse", "collections", "dataclasses", "functools", "gzip", "hashlib", "io", "math", "pathlib", "sys",
-                "time", "types", "typing"}  # fmt: skip
+    standard = {"argparse", "collections", "dataclasses", "functools", "gzip", "hashlib", "io", "json", "math", "pathlib",
+                "sys", "time", "types", "typing"}  # fmt: skip
     for script in data_folder.rglob("*.py"):
         for node in ast.walk(ast.parse(script.read_text(encoding="utf-8"))):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
@@ -207,3 +208,19 @@ def test_written_digits_are_far_below_the_noise():
     again = read_columns(compress(to_text(columns)))
     for name, error in {"time": 6e-13, "theta": 6e-10, "p1": 0.51, "omega": 6e-5}.items():
         assert np.abs(again[name] - columns[name]).max() < error
+
+
+def test_what_the_records_hide_is_told_in_one_file_that_only_the_simulator_reads(data_folder):
+    (secret,) = hidden_truth()
+    assert secret.name in PLACES
+    root = data_folder.parent
+    readers = [
+        path.relative_to(root).as_posix()
+        for folder in ("casadi_engine", "problems", "data")
+        for path in (root / folder).rglob("*.py")
+        if "truth.json" in path.read_text(encoding="utf-8")
+    ]
+    assert readers == ["data/simulator/records.py"]
+    problem = (root / "problems" / "hidden_effect.py").read_text(encoding="utf-8")
+    assert secret.name not in problem
+    assert all(secret.name not in plan.path for plan in PLANS)

@@ -43,7 +43,7 @@ def quick_report(monkeypatch):
     monkeypatch.setattr(room, "report", lambda result, path, **options: path.touch())
 
 
-@pytest.mark.parametrize("name", ["two_mass", "one_inertia"])
+@pytest.mark.parametrize("name", ["two_mass", "one_inertia", "hidden_effect"])
 def test_a_page_that_loads(name):
     path = ROOT / "problems" / f"{name}.py"
     problem = ce.load_problem(path)
