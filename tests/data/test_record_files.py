@@ -114,8 +114,8 @@ def test_hash_list_is_that_of_the_files(data_folder):
 
 def test_no_script_here_uses_the_package_under_test(data_folder):
     allowed = {"numpy", "scipy", "pandas", "simulator"}
-    standard = {"argparse", "collections", "dataclasses", "functools", "gzip", "hashlib", "io", "json", "math", "pathlib",
-                "sys", "time", "types", "typing"}  # fmt: skip
+    standard = {"argparse", "collections", "dataclasses", "functools", "gzip", "hashlib", "io", "json", "math",
+                "pathlib", "sys", "time", "types", "typing"}  # fmt: skip
     for script in data_folder.rglob("*.py"):
         for node in ast.walk(ast.parse(script.read_text(encoding="utf-8"))):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
