@@ -153,7 +153,7 @@ def declare_cylinders(
         else:
             drives.append(one.indicated_drive(b, None if angles is None else theta - offset))
         gas_torques.append(one.gas)
-        burned.append(one.combustion_torque(angle))
+        burned.append(one.combustion)
         changes.append(one.change)
     signals = {"angle": turned[0], "speed": speeds[0], "gas_torque": sum(gas_torques)}
     signals["combustion_torque"] = sum(burned)
@@ -174,6 +174,7 @@ class _Cylinder:
     factor: Any
     slope: Any
     change: Any
+    combustion: Any
 
     def declare_port(self, b: Blueprint, angle: Any, offset: float) -> Any:
         """Declare the port at the angle from combustion TDC `angle` [rad], which is at `offset` [rad]."""
@@ -182,7 +183,7 @@ class _Cylinder:
             "speed": self.speed,
             "pressure": self.pressure,
             "gas_torque": self.gas,
-            "combustion_torque": self.combustion_torque(angle),
+            "combustion_torque": self.combustion,
             "torque_factor": self.factor,
             "torque_factor_slope": self.slope,
             "lever": self.geometry.A_p * self.geometry.r * self.factor,
@@ -190,11 +191,6 @@ class _Cylinder:
             "firing_offset": offset,
         }
         return b.port(f"cylinder_{self.number}", "cylinder", signals, description=f"cylinder {self.number}")
-
-    def combustion_torque(self, angle: Any) -> Any:
-        """What combustion adds to the torque [N m], against the usual motored cylinder."""
-        lever = self.geometry.A_p * self.geometry.r * self.factor
-        return combustion_torque(angle, self.pressure, lever, self.geometry.ratio, Motored())
 
     def total_drive(self, b: Blueprint) -> Any:
         """The linear form: all of the torque is made of channels."""
@@ -224,7 +220,8 @@ class _Cylinder:
 
 @cache
 def _one_cylinder() -> Any:
-    """CasADi function of one cylinder: torques (3.1) and (3.5), f, df/dθ and m_eq r² (f² − ⟨f²⟩).
+    """CasADi function of one cylinder: torques (3.1) and (3.5), f, df/dθ, m_eq r² (f² − ⟨f²⟩), and what combustion
+    adds to the torque [N m] against the usual motored cylinder.
 
     Made once and called with the symbols of each cylinder, many times faster than writing it anew.
     """
@@ -237,6 +234,7 @@ def _one_cylinder() -> Any:
         factor,
         torque_factor_slope(angle, geometry.ratio),
         geometry.m_eq * geometry.r**2 * (factor**2 - mean_square_factor(geometry.ratio)),
+        combustion_torque(angle, pressure, geometry.A_p * geometry.r * factor, geometry.ratio, Motored()),
     ]
     return ca.Function("cylinder", [angle, pressure, speed, *vars(geometry).values()], results)
 
