@@ -86,6 +86,10 @@ class NotIdentifiableError(EstimationError):
     """The data leave directions of the free parameters undetermined."""
 
 
+class StudyError(EstimationError):
+    """A study's pieces or its checkpoint cannot be used."""
+
+
 class IdentifiabilityError(CasadiEngineError):
     """A question about identifiability names something unknown, or the exact test cannot answer it."""
 
