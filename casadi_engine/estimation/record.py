@@ -18,6 +18,7 @@ from casadi_engine.simulation.grid import Grid, lay_grid
 from casadi_engine.simulation.intervals import Intervals, Observation, cut
 from casadi_engine.simulation.linear import LinearPropagator
 from casadi_engine.simulation.propagator import after_missing, make_propagator, starts_afresh
+from casadi_engine.simulation.shared_core import Cores
 
 Array = NDArray[np.float64]
 
@@ -62,6 +63,7 @@ class RecordTerm:
         gain: Array | GainPlan | None,
         method: Method,
         grid: Grid | None = None,
+        cores: Cores | None = None,
     ) -> None:
         self.experiment, self.model = experiment, model
         self.symbols, self.gain, self.method = (v, physical), gain, method
@@ -78,7 +80,7 @@ class RecordTerm:
         self.propagator = make_propagator(
             model, self.grid, self.plan, local, physical, scale=self.scale, method=method,
             gain=gain.build(gain.expression, local) if isinstance(gain, GainPlan) else gain,
-            used=None if plan is None else plan.used,
+            used=None if plan is None else plan.used, cores=cores,
         )  # fmt: skip
         self.n = len(self.scale)
         if isinstance(gain, np.ndarray) and starts_afresh(model, gain, self.scale):

@@ -27,6 +27,7 @@ from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters, compile
 from casadi_engine.problem.noise import Noise
 from casadi_engine.simulation.grid import lay_grid
+from casadi_engine.simulation.shared_core import Cores
 
 Array = NDArray[np.float64]
 
@@ -86,6 +87,7 @@ class Search:
         self.coordinates = Coordinates(self.pmap)
         self.records: list[RecordTerm] = []
         made: dict[int, Any] = {}
+        cores = Cores()
         self._tails: dict[str, Any] = {}
         level: Array | None = None
         for record in data:
@@ -107,6 +109,7 @@ class Search:
                     gain=self.predictor.plan(own, local, level),
                     method=method,
                     grid=grids[record.name],
+                    cores=cores,
                 )
             )
         priors: Any = Priors(self.pmap, self.coordinates)

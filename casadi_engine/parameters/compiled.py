@@ -140,10 +140,9 @@ def compile(
     expanded = {record: layout.everything(record) for record in layout.distinct}
     index = {name: position for position, name in enumerate(parameters)}
     rows = [index[name] for name in names]
-    physical = {}
-    for record in layout.records:
-        source = expanded.get(record, expanded[layout.distinct[0]])
-        physical[record] = source[rows] if rows else ca.SX(0, 1)
+    # records without values of their own share one expression: what is made from it can be shared too
+    shared = {record: source[rows] if rows else ca.SX(0, 1) for record, source in expanded.items()}
+    physical = {record: shared.get(record, shared[layout.distinct[0]]) for record in layout.records}
     reported: list[str] = []
     expressions: list[Any] = []
     for name, position in index.items():

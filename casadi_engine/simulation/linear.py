@@ -14,11 +14,12 @@ import numpy as np
 from casadi_engine.model import Model
 from casadi_engine.simulation import jets
 from casadi_engine.simulation.blocks import Blocks, block_matrices
-from casadi_engine.simulation.discretisation import DiscreteCore, Method
+from casadi_engine.simulation.discretisation import Method
 from casadi_engine.simulation.gain import Gain, corrected
 from casadi_engine.simulation.grid import Drives, DriveSamples, Grid
 from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.jets import Array
+from casadi_engine.simulation.shared_core import Cores
 
 
 @dataclass
@@ -57,7 +58,7 @@ class LinearPropagator:
     """The linear core of a model over one record.
 
     z : (nz,) SX local estimated vector; physical : (np,) SX of it; gain : of a one-step predictor, or None;
-    feedback : (ny, N) measured outputs for its correction
+    feedback : (ny, N) measured outputs for its correction; cores : shared with further records, or None
     """
 
     def __init__(
@@ -72,12 +73,14 @@ class LinearPropagator:
         method: Method = "exact",
         gain: Gain | None = None,
         feedback: Array | None = None,
+        cores: Cores | None = None,
     ) -> None:
         self.intervals, self.nz = intervals, int(z.numel())
         self._drives = Drives(model, grid, z, physical)
-        self.core = DiscreteCore(
+        self._shared = (cores or Cores()).of(
             model, z, physical, step=grid.step, hold=self._drives.holds, scale=scale, method=method
         )
+        self.core = self._shared.core
         self.n, self.ny = self.core.states, self.core.outputs
         self._samples = grid.samples
         self.gain = gain
@@ -131,10 +134,10 @@ class LinearPropagator:
     # ---- forward
 
     def _blocks(self, z: Array, order: int) -> Blocks:
-        discrete = self.core.at(z, order)
-        if self.gain is not None:
-            seen = (True,) * self.ny
-            discrete = corrected(discrete, self.gain.at(z, self.core, discrete, seen))
+        if self.gain is None:
+            return self._shared.blocks(z, order, self.intervals.q, self.intervals.samples)
+        discrete, seen = self._shared.at(z, order), (True,) * self.ny
+        discrete = corrected(discrete, self.gain.at(z, self.core, discrete, seen))
         return block_matrices(discrete, self.intervals.q, self.intervals.samples)
 
     # A trial point of the search may be far off: what overflows is found by its result.

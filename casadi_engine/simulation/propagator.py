@@ -19,6 +19,7 @@ from casadi_engine.simulation.grid import Grid
 from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.linear import LinearPropagator
+from casadi_engine.simulation.shared_core import Cores
 from casadi_engine.simulation.split import split
 
 
@@ -68,6 +69,7 @@ def make_propagator(
     gain: Array | Gain | None = None,
     used: Seen | None = None,
     substeps: int | None = None,
+    cores: Cores | None = None,
 ) -> LinearPropagator | GappyPredictor | ExponentialPropagator | GeneralPropagator:
     """Propagator of a model over one record.
 
@@ -76,6 +78,7 @@ def make_propagator(
 
     method : "exact", or "euler" for a linear model; gain : (n, ny) correction gain per scaled state, a Gain that hangs
     on z, or None; used : the outputs that correct the state, None for all
+    cores : discrete cores shared with further records of the same fit; None for its own
     substeps : integration steps to a sample of a nonlinear model (see ``error_estimate``); None for the fewest that
     are stable
     Raises SimulationError where a method or a gain does not go with the model or with the record.
@@ -90,7 +93,9 @@ def make_propagator(
     parts = split(model) if model.has_slot_laws or model.linear is None else None
     inner = parts.model if parts is not None else model
     if inner.linear is not None and not inner.has_slot_laws:
-        made = _linear(inner, grid, intervals, z, physical, scale=scale, method=method, gain=gain, used=used)
+        made = _linear(
+            inner, grid, intervals, z, physical, scale=scale, method=method, gain=gain, used=used, cores=cores
+        )
         made.shown = len(model.drives)
         return made
     if method != "exact" or gain is not None:
@@ -118,10 +123,11 @@ def _linear(
     method: Method,
     gain: Array | Gain | None,
     used: Seen | None,
+    cores: Cores | None,
 ) -> _CorePropagator | _GappyCore:
     """The propagator of a linear core, with or without correction."""
     if gain is None:
-        return _CorePropagator(model, grid, intervals, z, physical, scale=scale, method=method)
+        return _CorePropagator(model, grid, intervals, z, physical, scale=scale, method=method, cores=cores)
     feedback, seen = _feedback(model, grid, used)
     if isinstance(gain, np.ndarray):
         if starts_afresh(model, gain, scale):
@@ -130,8 +136,9 @@ def _linear(
         gain = StatedGain(ca.SX(ca.DM(gain * scale[:, None])), z, scale)
     if seen.all():
         return _CorePropagator(
-            model, grid, intervals, z, physical, scale=scale, method=method, gain=gain, feedback=feedback
-        )
+            model, grid, intervals, z, physical, scale=scale, method=method, gain=gain, feedback=feedback,
+            cores=cores,
+        )  # fmt: skip
     return _GappyCore(
         model,
         grid,
