@@ -19,6 +19,8 @@ _ATTEMPTS = 2000
 # Orders without growth, after the first, before the rank counts as final at a generic point (one is enough).
 _PATIENCE = 2
 _DOUBLINGS = 6
+# A known start may be silent for long even in a small model: at least so many orders are looked at.
+_LEAST = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +119,7 @@ def _drawn_arbitrary(question: Question, values: Values) -> Drawn:
 
 def _orders(question: Question) -> int:
     size = len(question.free) + len(question.initial)
-    return 2 * (size + sum(len(setting.start) for setting in question.settings)) + 2
+    return max(_LEAST, 2 * (size + sum(len(setting.start) for setting in question.settings)) + 2)
 
 
 def _drawn(question: Question, values: Values, fixed: int) -> Drawn:

@@ -10,7 +10,7 @@ from itertools import combinations
 
 import numpy as np
 
-from casadi_engine.errors import CasadiEngineError
+from casadi_engine.errors import CasadiEngineError, IdentifiabilityError
 from casadi_engine.identifiability.draw import Drawn, draw
 from casadi_engine.identifiability.echelon import echelon_of
 from casadi_engine.identifiability.field import Field, Matrix
@@ -82,17 +82,19 @@ def find_remedies(
     if not lost:
         return ()
     base = _Space(question, draw(question, seed, keep=True))
-    others = {change: _drawn(question, [change], seed) for change in _events(question)}
+    drawn = {change: _drawn(question, [change], seed) for change in _events(question)}
+    others = {change: space for change, space in drawn.items() if space is not None}
     found = [remedy for change, space in others.items() for remedy in space.remedies([change], lost, 0)]
     found += base.remedies([], lost, 1)
     good = _confirmed(question, found, lost, most, seed)
     if not any(remedy.complete for remedy in good):
         pairs = base.remedies([], lost, 2)
-        for change, space in others.items():
-            pairs += space.remedies([change], lost, 1)
+        for change, found_there in others.items():
+            pairs += found_there.remedies([change], lost, 1)
         for one, other in combinations(others, 2):
             if one.what != other.what and (one.kind, other.kind) != ("start", "start"):
-                pairs += _drawn(question, [one, other], seed).remedies([one, other], lost, 0)
+                space = _drawn(question, [one, other], seed)
+                pairs += [] if space is None else space.remedies([one, other], lost, 0)
         good = _confirmed(question, pairs + [one for one in good if not one.complete], lost, most, seed)
     return tuple(good)
 
@@ -133,9 +135,13 @@ def apply(question: Question, changes: Iterable[Change]) -> Question:
     return question.changed(parameters=parameters, inputs=inputs, start=start, sensors=sensors)
 
 
-def _drawn(question: Question, changes: Sequence[Change], seed: int) -> _Space:
+def _drawn(question: Question, changes: Sequence[Change], seed: int) -> _Space | None:
+    """None where the changed experiment cannot be told of: an empty tank as a start has no power series."""
     changed = apply(question, changes)
-    return _Space(changed, draw(changed, seed, keep=True))
+    try:
+        return _Space(changed, draw(changed, seed, keep=True))
+    except IdentifiabilityError:
+        return None
 
 
 class _Space:
