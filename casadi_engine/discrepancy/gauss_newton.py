@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from casadi_engine.discrepancy.linear_algebra import Array, coefficients
+from casadi_engine.discrepancy.linear_algebra import Array, coefficients, without
+from casadi_engine.discrepancy.noise_model import NoiseModel, Scatter
 from casadi_engine.discrepancy.null_model import NullModel, null_at
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
@@ -17,10 +18,7 @@ _HALVINGS = 12
 
 def chi_squared(null: NullModel, sigma: Mapping[str, float]) -> float:
     """Sum of ((y - y_hat)/sigma)^2 and of the priors."""
-    total = float((null.prior[:, -1] ** 2).sum())
-    for record in null.records:
-        total += sum(float(e @ e) / sigma[name] ** 2 for name, e in record.residual.items())
-    return total
+    return _cost(null, _rows(null, NoiseModel(sigma), ()))
 
 
 def settle(
@@ -30,7 +28,9 @@ def settle(
     z: Array,
     first: Mapping[str, Array],
     *,
-    sigma: Mapping[str, float],
+    sigma: Mapping[str, float] | None = None,
+    noise: NoiseModel | None = None,
+    scatter: Sequence[Scatter] = (),
     starts_only: bool = False,
     held_starts: Mapping[str, tuple[str, ...]] | None = None,
     iterations: int = 12,
@@ -38,10 +38,13 @@ def settle(
 ) -> tuple[NullModel, dict[str, Array], float]:
     """Minimise chi-squared from z : (nz,) and first states record -> (n,).
 
+    sigma : output -> standard deviation of white noise; or noise and the scatter that it has levels for: chi-squared
+    is then e'V^-1 e, and a scatter of combustion moves no parameter that it can explain
     starts_only : move the initial states alone. tolerance : promised drop of chi-squared at which to stop
     Returns the null model at the optimum, the first states, and chi-squared. A step that makes chi-squared larger is
     halved; where no part of it helps the best point so far is returned.
     """
+    known = NoiseModel(sigma or {}) if noise is None else noise
     held = tuple(parameters) if starts_only else ()
     z, first = np.array(z, dtype=float), {name: np.array(x, dtype=float) for name, x in first.items()}
 
@@ -49,9 +52,10 @@ def settle(
         return null_at(model, data, parameters, z, first, held_parameters=held, held_starts=held_starts)
 
     here = at(z, first)
-    cost = chi_squared(here, sigma)
+    rows = _rows(here, known, scatter)
+    cost = _cost(here, rows)
     for _ in range(iterations):
-        step, moves, promised = _step(here, sigma)
+        step, moves, promised = _step(here, rows)
         if promised < tolerance:
             break
         share, found = 1.0, None
@@ -62,32 +66,57 @@ def settle(
             except FloatingPointError:
                 share /= 2
                 continue
-            new = chi_squared(there, sigma)
+            seen = _rows(there, known, scatter)
+            new = _cost(there, seen)
             if np.isfinite(new) and new <= cost:
-                found = (there, z + share * step, trial, new)
+                found = (there, z + share * step, trial, new, seen)
                 break
             share /= 2
         if found is None:
             break
-        here, z, first, cost = found
+        here, z, first, cost, rows = found
     return here, first, cost
 
 
-def _step(null: NullModel, sigma: Mapping[str, float]) -> tuple[Array, dict[str, Array], float]:
+def _rows(null: NullModel, noise: NoiseModel, scatter: Sequence[Scatter]) -> list[Array]:
+    """For each record the whitened rows [slopes | e], free of what its scatter explains at the cost of its prior."""
+    found = []
+    for record in null.records:
+        own = [s for s in scatter if s.record == record.name and noise.scatter.get(s.kind, 0.0) > 0]
+        random = record.columns([direction for s in own for direction in s.directions])
+        size = np.array([noise.scatter[s.kind] for s in own for _ in s.directions])
+        parts = []
+        for name, e in record.residual.items():
+            columns = [random[name] * size, record.slopes[name], e[:, None]]
+            parts.append(noise.whiten(record, name, np.concatenate(columns, axis=1)))
+        rows = np.concatenate(parts)
+        if len(size):
+            # an amplitude of unit variance: its prior is one more row
+            prior = np.zeros((len(size), rows.shape[1]))
+            prior[:, : len(size)] = np.eye(len(size))
+            rows = np.concatenate([rows, prior])
+            rows = without(np.linalg.qr(rows[:, : len(size)])[0], rows[:, len(size) :])
+        found.append(rows)
+    return found
+
+
+def _cost(null: NullModel, rows: Sequence[Array]) -> float:
+    return float((null.prior[:, -1] ** 2).sum()) + sum(float(r[:, -1] @ r[:, -1]) for r in rows)
+
+
+def _step(null: NullModel, given: Sequence[Array]) -> tuple[Array, dict[str, Array], float]:
     """The least-squares step of z (nz,) and of the first states record -> (n,), and the drop that it promises."""
     shared = null.turn.shape[1]
     width = shared + sum(len(record.starts) for record in null.records)
     if width == 0:
         return np.zeros(len(null.values)), {}, 0.0
     rows, right, at = [], [], shared
-    for record in null.records:
+    for record, inside in zip(null.records, given, strict=True):
         own = len(record.starts)
-        for name, e in record.residual.items():
-            part = np.zeros((len(e), width))
-            own_slopes = record.slopes[name] / sigma[name]
-            part[:, :shared], part[:, at : at + own] = own_slopes[:, :shared], own_slopes[:, shared:]
-            rows.append(part)
-            right.append(e / sigma[name])
+        part = np.zeros((len(inside), width))
+        part[:, :shared], part[:, at : at + own] = inside[:, :shared], inside[:, shared:-1]
+        rows.append(part)
+        right.append(inside[:, -1])
         at += own
     if len(null.prior):
         extra = np.zeros((len(null.prior), width))
