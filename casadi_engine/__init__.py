@@ -1,5 +1,8 @@
 """casadi-engine: grey-box identification of engine-load systems in CasADi."""
 
+from casadi_engine import effects
+from casadi_engine.discrepancy import repair
+from casadi_engine.effects import Effect
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation import estimate, simulate
 from casadi_engine.experiment import Experiment, read_experiment
@@ -14,18 +17,21 @@ __version__ = "0.1.0"
 __all__ = [
     "Blueprint",
     "CasadiEngineError",
+    "Effect",
     "Experiment",
     "Model",
     "Noise",
     "Parameters",
     "Problem",
     "crankshaft",
+    "effects",
     "estimate",
     "load_problem",
     "load_result",
     "one_inertia",
     "plot",
     "read_experiment",
+    "repair",
     "report",
     "simulate",
     "two_mass",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -44,7 +43,7 @@ def estimate_job(job: Job, records: Sequence[Experiment], parameters: Parameters
             method=problem.method,
             starts=problem.starts,
             seed=job.options.seed,
-            **_processes(job.options.jobs),
+            jobs=job.options.jobs,
         )
     except NotConvergedError as error:
         _write_nothing_found(job, records, parameters, error)
@@ -60,13 +59,6 @@ def fitting(job: Job, records: Sequence[Experiment]) -> Sequence[Experiment]:
             outputs={variable.name: variable.unit for variable in model.outputs},
         )
     return records
-
-
-def _processes(jobs: int) -> dict[str, int]:
-    """The option `jobs` of estimate, where it has one: without it several starts run one after the other."""
-    from casadi_engine import estimation
-
-    return {"jobs": jobs} if "jobs" in inspect.signature(estimation.estimate).parameters else {}
 
 
 def held(parameters: Parameters, free: Sequence[str] = ()) -> Parameters:

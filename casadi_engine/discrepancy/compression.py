@@ -7,7 +7,7 @@ all records or for some of their cycles, is found from a few hundred rows.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -69,6 +69,16 @@ class Compressed:
     def cycles(self) -> tuple[tuple[str, int], ...]:
         """(record, cycle) of all parts, in order, each once."""
         return tuple(dict.fromkeys((part.record, part.cycle) for part in self.parts))
+
+    def only(self, members: Sequence[int]) -> Compressed:
+        """The same records with some of the candidates, by number."""
+        parts = []
+        for part in self.parts:
+            before = len(self.scatter[part.record]) + self.parameters + self.starts[part.record]
+            keep = [*range(before), *(before + k for k in members), part.triangle.shape[1] - 1]
+            parts.append(replace(part, triangle=triangle(part.triangle[:, keep])))
+        candidates = tuple(self.candidates[k] for k in members)
+        return replace(self, parts=tuple(parts), candidates=candidates)
 
     def reduced(self, chosen: Sequence[tuple[str, int]] | None = None) -> Reduced:
         """Eliminate scatter and initial states; chosen : the (record, cycle) to use, None for all."""

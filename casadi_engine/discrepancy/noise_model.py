@@ -200,6 +200,18 @@ def estimated_noise(
     return noise
 
 
+def left_over(
+    null: NullModel,
+    noise: NoiseModel,
+    explained: Mapping[str, Mapping[str, Array]],
+    scatter: Mapping[str, Mapping[str, Array]] | None = None,
+) -> dict[str, dict[str, Array]]:
+    """Residuals less what the columns explain and the most likely scatter: record -> output -> (N,); arguments as in
+    ``estimated_noise``."""
+    tau = max(noise.scatter.values(), default=0.0) if scatter else 0.0
+    return _left(null, noise, explained, scatter, tau)[0]
+
+
 def _first_level(null: NullModel, explained: Mapping[str, Mapping[str, Array]], output: str) -> float:
     square, count = 0.0, 0.0
     for record in null.records:

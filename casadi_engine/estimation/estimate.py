@@ -15,10 +15,12 @@ from casadi_engine.estimation.answer import make_fit
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.loss import read_loss
-from casadi_engine.estimation.multistart import attempts_from, best_of, distinct_optima
+from casadi_engine.estimation.multistart import attempts_from, best_of, distinct_optima, interrupted
 from casadi_engine.estimation.options import small, whole
+from casadi_engine.estimation.parallel import checked_jobs
 from casadi_engine.estimation.search import Search
 from casadi_engine.estimation.starts import drawn_starts
+from casadi_engine.estimation.workers import Workers
 from casadi_engine.experiment import Experiment
 from casadi_engine.experiment.experiment import with_unique_names
 from casadi_engine.model import Model
@@ -42,6 +44,7 @@ def estimate(
     starts: int = 1,
     seed: int = 0,
     neighbours: int = 0,
+    jobs: int | None = 1,
     warm: Any = None,
     progress: Any = None,
     max_iterations: int = 200,
@@ -65,12 +68,15 @@ def estimate(
     starts, seed : number of starts, the first from the set's values, the others drawn within the bounds
     neighbours : number of directions, those the data tell least of, along which to look for a lower optimum beside
         the best: searches that start 5 standard errors to either side of it
+    jobs : processes for the starts and neighbours, by joblib (extra "cluster"): the same answer as in one; None takes
+        what ``joblib.parallel_config`` says, such as a dask cluster
     warm : a Fit (or loaded result) whose parameters and initial states are the start
     progress : None for a bar on a terminal, False for none, or a function (iteration, cost, fit percent)
     max_iterations, tolerance : of IPOPT, for each start
 
     Returns a Fit; its ``status`` says "converged", "interrupted" (Ctrl-C: the best point so far) or why not.
-    Raises EstimationError, ParameterError, ConstraintError, ExperimentError for input that cannot be used.
+    Raises EstimationError, ParameterError, ConstraintError, ExperimentError for input that cannot be used,
+    MissingDependencyError for ``jobs`` without joblib.
 
     >>> import numpy as np, casadi_engine as ce
     >>> t = np.arange(200) * 0.01
@@ -86,26 +92,29 @@ def estimate(
     starts = whole("starts", starts, 1)
     max_iterations = whole("max_iterations", max_iterations, 1)
     seed, tolerance = whole("seed", seed, 0), small(tolerance)
-    neighbours = whole("neighbours", neighbours, 0)
+    neighbours, jobs = whole("neighbours", neighbours, 0), checked_jobs(jobs)
+    arguments: dict[str, Any] = {
+        "model": model,
+        "data": records,
+        "parameters": _own(model, parameters),
+        "noise": noise,
+        "interval": interval,
+        "initial": initial,
+        "loss": read_loss(loss),
+        "ties": ties,
+        "method": method,
+        "max_iterations": max_iterations,
+        "tolerance": tolerance,
+        "warm": warm,
+    }
     with Interrupts() as interrupts:
-        search = Search(
-            model,
-            records,
-            _own(model, parameters),
-            noise,
-            interval=interval,
-            initial=initial,
-            loss=read_loss(loss),
-            ties=ties,
-            method=method,
-            max_iterations=max_iterations,
-            tolerance=tolerance,
-            warm=warm,
-            progress=_reporter(progress, starts + 2 * neighbours, max_iterations),
-            interrupts=interrupts,
-        )
+        report = _reporter(progress, starts + 2 * neighbours, max_iterations)
+        search = Search(**arguments, progress=report, interrupts=interrupts)
         setup = time.perf_counter() - begun
-        attempts = attempts_from(search, drawn_starts(search.pmap, starts, seed), neighbours)
+        several = jobs != 1 and starts + neighbours > 1
+        workers = Workers(arguments, jobs, interrupts, search.tell) if several else None
+        drawn = drawn_starts(search.pmap, starts, seed)
+        attempts = attempts_from(search, drawn, neighbours, outcomes=workers.outcomes if workers else None)
         best = best_of(attempts)
         optima = distinct_optima(search, attempts, best)
         timing = {"setup": setup, "solve": time.perf_counter() - begun - setup}
@@ -120,8 +129,7 @@ def estimate(
             "max_iterations": max_iterations,
             "tolerance": tolerance,
         }
-        stopped = attempts[-1].solution.status == "interrupted"
-        fit = make_fit(search, best, optima, options, timing, begun, stopped=stopped)
+        fit = make_fit(search, best, optima, options, timing, begun, stopped=interrupted(attempts))
         return replace(fit, status="interrupted") if interrupts.stopped else fit
 
 

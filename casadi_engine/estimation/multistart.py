@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -23,39 +24,67 @@ _APART = 5.0
 _LOWER, _MOST = 1e-3, 4
 
 
-def attempts_from(search: Search, starts: list[Array], neighbours: int = 0) -> list[Attempt]:
-    """The outcome of every start up to an interruption; drawn starts at which the model fails are passed over."""
+# The outcomes of several starts, the set's own among them or not, each an Attempt or the error that it met.
+Outcomes = Callable[[list[Array], bool], Iterator[Attempt | EstimationError]]
+
+
+def attempts_from(
+    search: Search, starts: list[Array], neighbours: int = 0, *, outcomes: Outcomes | None = None
+) -> list[Attempt]:
+    """The outcome of every start up to an interruption; drawn starts at which the model fails are passed over.
+
+    outcomes : runs several starts at a time, in their order (see ``workers``); None runs one after the other
+    """
     attempts: list[Attempt] = []
+    run = outcomes or _one_by_one(search)
     try:
-        for start in starts:
-            _try(search, attempts, start)
-            if attempts[-1].solution.status == "interrupted":
-                return attempts
-        if neighbours:
-            _follow(search, attempts, neighbours)
+        if _tried(run, attempts, starts) and neighbours:
+            _follow(search, run, attempts, neighbours)
     finally:
         search.close()
     return attempts
 
 
-def _try(search: Search, attempts: list[Attempt], start: Array) -> None:
-    try:
-        attempts.append(search.run(start, first=not attempts))
-    except EstimationError:
-        if not attempts:
-            raise
+def interrupted(attempts: list[Attempt]) -> bool:
+    """True if a search was ended by the user."""
+    return any(attempt.solution.status == "interrupted" for attempt in attempts)
 
 
-def _follow(search: Search, attempts: list[Attempt], neighbours: int) -> None:
+def _one_by_one(search: Search) -> Outcomes:
+    def run(starts: list[Array], first: bool) -> Iterator[Attempt | EstimationError]:
+        for k, start in enumerate(starts):
+            try:
+                attempt = search.run(start, first=first and k == 0)
+            except EstimationError as error:
+                yield error
+                continue
+            yield attempt
+            if attempt.solution.status == "interrupted":
+                return
+
+    return run
+
+
+def _tried(run: Outcomes, attempts: list[Attempt], starts: list[Array]) -> bool:
+    """Add the outcomes of these starts; False if the user ended them."""
+    first = not attempts
+    for outcome in run(starts, first):
+        if isinstance(outcome, EstimationError):
+            if first and not attempts:  # the set's own values have to be possible
+                raise outcome
+            continue
+        attempts.append(outcome)
+    return not interrupted(attempts)
+
+
+def _follow(search: Search, run: Outcomes, attempts: list[Attempt], neighbours: int) -> None:
     """Search from either side of the best optimum, and again from a lower one found so."""
     for _ in range(_MOST):
         best = best_of(attempts)
         if best.solution.status != "converged":
             return
-        for start in _neighbours(search, best, neighbours):
-            _try(search, attempts, start)
-            if attempts[-1].solution.status == "interrupted":
-                return
+        if not _tried(run, attempts, _neighbours(search, best, neighbours)):
+            return
         if best_of(attempts).merit > best.merit - _LOWER:
             return
 

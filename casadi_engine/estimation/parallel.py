@@ -40,7 +40,7 @@ def spread(
             raise
         raise EstimationError(
             "the work cannot be sent to another process",
-            seen=str(error),
+            seen=_reason(error),
             allowed="functions and classes of modules that can be imported, and plain data",
             cure="move the function or class into a module, or leave jobs out",
         ) from error
@@ -60,6 +60,12 @@ def _numbered(work: Callable[[Any], Any], position: int, item: Any) -> tuple[int
 
 def _is_about_sending(error: BaseException) -> bool:
     return isinstance(error, PicklingError) or "pickle" in str(error)
+
+
+def _reason(error: BaseException) -> str:
+    """What could not be sent: the last line of what joblib was told."""
+    lines = str(error.__cause__ or error).strip().strip('"').splitlines()
+    return next((line.strip() for line in reversed(lines) if line.strip()), str(error))
 
 
 def _joblib() -> Any:

@@ -287,6 +287,10 @@ class Search:
         fit_percent = 100 * (1 - np.sqrt(max(chi2, 0.0) / self._fraction))
         return bool(self._progress(iteration, chi2 * self.problem.samples, float(fit_percent)))
 
+    def tell(self, attempt: Attempt) -> None:
+        """Report a search that another process has finished; what the progress asks for comes too late."""
+        self._report(0, attempt.cost / (2 * self.problem.samples))
+
     def close(self) -> None:
         """End the progress display."""
         if hasattr(self._progress, "close"):

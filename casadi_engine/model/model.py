@@ -202,6 +202,12 @@ class Model:
     def __str__(self) -> str:
         return sheets.sheet(self)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """What other processes are sent."""
+        from casadi_engine.model.parcel import pack, unpack
+
+        return unpack, (pack(self),)
+
     def __repr__(self) -> str:
         return f"Model({self.name!r}, {len(self.states)} states, {len(self.declarations)} parameters)"
 

@@ -294,6 +294,10 @@ class Parameters:
     def __deepcopy__(self, memo: dict[int, Any]) -> Parameters:
         return self.copy()
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """What other processes are sent; symbols are made anew there."""
+        return storage.received, (self.to_dict(), self._frozen)
+
     def frozen(self) -> Parameters:
         """A copy on which every change raises ParameterError; ``copy()`` of it can be changed again."""
         other = self.copy()

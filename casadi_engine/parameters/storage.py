@@ -113,6 +113,14 @@ def from_dict(data: Mapping[str, Any], parameters: Parameters) -> Parameters:
     return parameters
 
 
+def received(data: Mapping[str, Any], frozen: bool) -> Parameters:
+    """A set that came from another process."""
+    from casadi_engine.parameters.collection import Parameters
+
+    found = from_dict(data, Parameters())
+    return found.frozen() if frozen else found
+
+
 def _bounds(entry: Mapping[str, Any]) -> tuple[float, float]:
     low, high = entry["min"], entry["max"]
     return -math.inf if low is None else low, math.inf if high is None else high

@@ -1,0 +1,255 @@
+"""The last steps of a repair: confirmation on fresh data, the gap before and after, the verdict."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from casadi_engine.discrepancy.certificate import (
+    class_matrix,
+    equation_of,
+    found_effects,
+    noise_found,
+    not_found,
+    place_of,
+    score_rows,
+    unknown_of,
+)
+from casadi_engine.discrepancy.confirmation import PairedGain
+from casadi_engine.discrepancy.fresh import (
+    Judgement,
+    Portions,
+    fresh_sides,
+    gap_of,
+    judge,
+    side,
+)
+from casadi_engine.discrepancy.latent_torque import LatentTorque, latent_torques
+from casadi_engine.discrepancy.next_experiment import next_experiment
+from casadi_engine.discrepancy.null_model import NullModel
+from casadi_engine.discrepancy.repaired import FoundEffect, Gaps, NextExperiment, Repair, Unknown, Verdict
+from casadi_engine.discrepancy.search import Search, Station
+from casadi_engine.estimation import Fit
+
+Pairs = list[tuple[Fit, NullModel]]
+
+
+@dataclass(frozen=True, eq=False)
+class Confirmation:
+    """The stations that fresh data leave, the ones they refuse, what they say, and null and last model on them."""
+
+    kept: tuple[Station, ...]
+    refused: tuple[Station, ...]
+    judgement: Judgement | None
+    before: Pairs = field(default_factory=list)
+    after: Pairs = field(default_factory=list)
+
+
+@dataclass
+class Answer:
+    """What the search found, to be put to the test and into words."""
+
+    search: Search
+    portion: Portions
+    alpha: float
+    options: dict[str, Any]
+    timing: dict[str, float]
+    begun: float
+    tell: Any
+    messages: list[str] = field(default_factory=list)
+
+    def made(self) -> Repair:
+        """The Repair."""
+        null = self.search.stations[0]
+        if self.portion.why is not None:
+            self.messages.append(self.portion.why)
+        proof = self._timed("confirm", self._confirmation)
+        last = proof.kept[-1]
+        found, withdrawn = self._timed("certificate", lambda: _effects(proof))
+        unknown = self._timed("leftover", lambda: _unknown(last, null, found, withdrawn))
+        verdict = _verdict(found, unknown)
+        self._say(null, last, proof)
+        blank = Repair(
+            "answered",
+            verdict,
+            proof.judgement.confirmed if proof.judgement and found else None,
+            null.fit,
+            last.fit,
+            self.alpha,
+            effects=found,
+            withdrawn=withdrawn,
+            unknown=unknown,
+            gaps=self._timed("gap", lambda: self._gaps(null, last, proof)),
+            rounds=tuple(self.search.rounds),
+            data=self.portion.data,
+            fresh=self.portion.fresh,
+            options=self.options,
+        )
+        return self._finished(blank, null, last, proof)
+
+    def _finished(self, blank: Repair, null: Station, last: Station, proof: Confirmation) -> Repair:
+        screened = null.screened
+        latent: tuple[LatentTorque, ...] = ()
+        place = None
+        if blank.verdict != "nothing missing":
+            latent = self._timed("latent torque", lambda: self._latent(null))
+            place = place_of(screened, latent)
+        split = self._timed("next experiment", lambda: _split(proof.kept))
+        self.timing["total"] = time.perf_counter() - self.begun
+        return replace(
+            blank,
+            threshold=screened.threshold,
+            threshold_p=screened.threshold_p,
+            candidates=len(screened.candidates),
+            scores=score_rows(screened),
+            matrix=class_matrix(screened),
+            where=place,
+            not_found=not_found(last.screened),
+            next_experiment=split,
+            equation=equation_of(last.fit.model, null.fit.model) if blank.effects else None,
+            noise=noise_found(screened, null.fit.noise),
+            latent=latent,
+            timing=self.timing,
+            messages=tuple(dict.fromkeys(self.messages)),
+        )
+
+    def _timed(self, what: str, work: Any) -> Any:
+        begun = time.perf_counter()
+        made = work()
+        self.timing[what] = self.timing.get(what, 0.0) + time.perf_counter() - begun
+        return made
+
+    # ---- fresh data
+
+    def _confirmation(self) -> Confirmation:
+        """Take back the effects that fresh data refuse, the last one first."""
+        stations = self.search.stations
+        if not self.portion.fresh:
+            return Confirmation(tuple(stations), (), None)
+        self.tell("fresh data")
+        null = stations[0]
+        before = fresh_sides(null.fit, (), self.portion, null.screened.noise)
+        if before is None:
+            self.messages.append("the model without effects cannot be simulated on the fresh data")
+            return Confirmation(tuple(stations), (), None)
+        kept, refused = list(stations), list[Station]()
+        sides: dict[int, Pairs | None] = {0: before}
+        while len(kept) > 1:
+            here, base = kept[-1], kept[-2]
+            for number, station in ((len(kept) - 1, here), (len(kept) - 2, base)):
+                if number not in sides:
+                    sides[number] = fresh_sides(
+                        station.fit, station.effects, self.portion, null.screened.noise
+                    )
+            judged = self._judged(sides[len(kept) - 2], sides[len(kept) - 1], base, here)
+            if not judged.refused:
+                break
+            self.messages.append(f"{here.effects[-1].label}: {judged.why}")
+            refused.insert(0, kept.pop())
+        after = sides[len(kept) - 1] if len(kept) > 1 else before
+        if len(kept) == 1:
+            return Confirmation((null,), tuple(refused), Judgement(None, None), before, before)
+        judgement = self._judged(before, after, null, kept[-1])
+        if not judgement.confirmed and judgement.why:
+            self.messages.append(judgement.why)
+        return Confirmation(tuple(kept), tuple(refused), judgement, before, after or [])
+
+    def _judged(self, old: Pairs | None, new: Pairs | None, base: Station, here: Station) -> Judgement:
+        if not old or not new:
+            why = "the repaired model cannot be simulated on the fresh data"
+            return Judgement(None, False, True, why)
+        noise = base.screened.noise
+        first, then = gap_of([base.screened.null], noise), gap_of([here.screened.null], noise)
+        drop = (first.chi2_per_sample - then.chi2_per_sample) * first.samples
+        foreseen = drop / max(len(base.screened.compressed.cycles), 1)
+        event = here.effects[-1].placed and self.portion.source == "records"
+        judged = judge([n for _, n in old], [n for _, n in new], noise, foreseen=0.0 if event else foreseen)
+        if event and not judged.confirmed and not judged.refused:
+            why = "it is an event of one record, which no other record can confirm"
+            return replace(judged, confirmed=None, why=f"{here.effects[-1].label}: {why}")
+        return judged
+
+    # ---- parts
+
+    def _gaps(self, null: Station, last: Station, proof: Confirmation) -> Gaps:
+        choice = null.screened.choice
+        gain: PairedGain | None = proof.judgement.gain if proof.judgement else None
+        return Gaps(
+            side([(null.fit, null.screened.null)], choice),
+            side([(last.fit, last.screened.null)], choice),
+            side(proof.before, choice) if proof.before else None,
+            side(proof.after, choice) if proof.after else None,
+            gain,
+            self.portion.source if proof.before else None,
+        )
+
+    def _latent(self, null: Station) -> tuple[LatentTorque, ...]:
+        self.tell("where: a torque of unknown course at every port")
+        return tuple(latent_torques(null.screened.null, null.screened.noise))
+
+    def _say(self, null: Station, last: Station, proof: Confirmation) -> None:
+        self.messages += [*null.screened.choice.messages]
+        own = {
+            record.name: {int(c) for n in record.cycle.values() for c in n}
+            for record in null.screened.null.records
+        }
+        if sum(len(cycles) for cycles in own.values()) == 1:
+            self.messages.append(
+                "one engine cycle: in which cycles an effect acts, how combustion scatters and how often half of the "
+                "data would choose the same effect cannot be told from it"
+            )
+        bound = [name for name, e in null.fit.estimates.items() if e.at_bound is not False]
+        if bound and len(proof.kept) > 1:
+            self.messages.append(
+                f"without the effects {', '.join(bound)} went to a bound: the scores held them there"
+            )
+        late = [
+            name for name, e in last.fit.estimates.items() if e.at_bound is not False and name not in bound
+        ]
+        if late and len(proof.kept) > 1:
+            self.messages.append(f"in the repaired model {', '.join(late)} is at a bound")
+
+
+def _effects(proof: Confirmation) -> tuple[tuple[FoundEffect, ...], tuple[FoundEffect, ...]]:
+    """The effects found, and those withdrawn."""
+    found = found_effects(proof.kept)
+    if not proof.refused:
+        return found, ()
+    known = {one.key for one in found}
+    everything = found_effects([*proof.kept, *proof.refused])
+    return found, tuple(one for one in everything if one.key not in known)
+
+
+def _unknown(
+    last: Station, null: Station, found: Sequence[FoundEffect], withdrawn: Sequence[FoundEffect]
+) -> Unknown | None:
+    """What is missing beside the effects found."""
+    unknown = unknown_of(last.screened.leftover)
+    if unknown is not None or found:
+        return unknown
+    if withdrawn:
+        words = f"{withdrawn[0].name} at {withdrawn[0].at} explains these data best, but fresh data refuse it"
+        return Unknown(words, {})
+    screened = null.screened
+    if screened.significant:
+        best = screened.significant[0]
+        label = screened.candidates[best].label
+        words = f"{label} scores beyond chance, but no refit with it is better than none"
+        return Unknown(words, {label: screened.pooled(best)})
+    return None
+
+
+def _verdict(found: Sequence[FoundEffect], unknown: Unknown | None) -> Verdict:
+    if found:
+        return "class" if any(len(one.members) > 1 for one in found) else "named"
+    return "nothing missing" if unknown is None else "unnamed"
+
+
+def _split(kept: Sequence[Station]) -> NextExperiment | None:
+    """The experiment for the first class of more than one."""
+    for number, station in enumerate(kept):
+        if number and len(station.members) > 1:
+            return next_experiment(kept[number - 1], station)
+    return None

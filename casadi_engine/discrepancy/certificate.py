@@ -1,0 +1,214 @@
+"""The certificate: what was found and what was not, in numbers and in equations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from casadi_engine.discrepancy.confirmation import share_explained
+from casadi_engine.discrepancy.fresh import gap_of
+from casadi_engine.discrepancy.latent_torque import LatentTorque
+from casadi_engine.discrepancy.linear_algebra import Array
+from casadi_engine.discrepancy.localisation import where_in_data
+from casadi_engine.discrepancy.refit import Addition
+from casadi_engine.discrepancy.repaired import (
+    ClassMatrix,
+    Equation,
+    FoundEffect,
+    NoiseFound,
+    NotFound,
+    Place,
+    ScoreRow,
+    Unknown,
+)
+from casadi_engine.discrepancy.screening import Leftover, Screened
+from casadi_engine.discrepancy.search import Station
+from casadi_engine.effects import candidate as candidate_of
+from casadi_engine.estimation import Fit
+from casadi_engine.model import Model
+
+# Candidates drawn in the class matrix.
+_MATRIX = 24
+_LIKE = 0.8
+
+
+def score_rows(screened: Screened) -> tuple[ScoreRow, ...]:
+    """The scores of all candidates."""
+    s = screened.scores
+    detectable = s.detectable(screened.threshold)
+    return tuple(
+        ScoreRow(
+            candidate.effect,
+            candidate.port,
+            candidate.label,
+            dict(candidate.nuisance),
+            float(s.z[k]),
+            float(s.statistic[k]),
+            float(s.p_value[k]),
+            float(s.amplitude[k]),
+            float(s.error[k]),
+            candidate.unit,
+            float(detectable[k]),
+            float(s.testability[k]),
+            bool(s.testable[k]),
+            bool(s.testable[k] and s.p_value[k] <= screened.threshold_p),
+        )
+        for k, candidate in enumerate(screened.candidates)
+    )
+
+
+def class_matrix(screened: Screened) -> ClassMatrix | None:
+    """The correlation of the best points of the effects that scored best; None if nothing could be tested."""
+    best: dict[tuple[str, str], int] = {}
+    for k in screened.order:
+        best.setdefault(screened.candidates[k].key, k)
+    chosen = list(best.values())[:_MATRIX]
+    if not chosen:
+        return None
+    rho = screened.scores.correlation[np.ix_(chosen, chosen)]
+    labels = tuple(screened.candidates[k].label for k in chosen)
+    return ClassMatrix(labels, tuple(best)[:_MATRIX], rho)
+
+
+def not_found(screened: Screened) -> tuple[NotFound, ...]:
+    """Every effect that is not in the model, with the size that would have been found: the middle one of its grid."""
+    detectable = screened.scores.detectable(screened.threshold)
+    sizes: dict[tuple[str, str], list[float]] = {}
+    units: dict[tuple[str, str], str] = {}
+    for k, one in enumerate(screened.candidates):
+        sizes.setdefault(one.key, []).append(float(detectable[k]))
+        units[one.key] = one.unit
+    found = []
+    for (name, at), own in sizes.items():
+        finite = np.sort([size for size in own if np.isfinite(size)])
+        middle = float(finite[len(finite) // 2]) if len(finite) else np.inf
+        found.append(NotFound(name, at, middle, units[name, at], bool(len(finite))))
+    return tuple(found)
+
+
+def found_effects(stations: Sequence[Station]) -> tuple[FoundEffect, ...]:
+    """The effects of the last station, each with the numbers of the round in which it came."""
+    last = stations[-1]
+    return tuple(_found(stations, one, last) for one in last.effects)
+
+
+def _found(stations: Sequence[Station], one: Addition, last: Station) -> FoundEffect:
+    number = next(k for k, s in enumerate(stations) if k and s.effects[-1].label == one.label)
+    here, before = stations[number], stations[number - 1]
+    screened, lead = before.screened, here.lead
+    assert lead is not None
+    keys = [name for name in last.fit.estimates if name.partition("@")[0].startswith(f"{one.key}.")]
+    names = before.screened.null.parameters
+    moved = {
+        name: here.fit.values[name] - before.fit.values[name] for name in names if name in here.fit.values
+    }
+    noise = screened.noise
+    share = share_explained(
+        gap_of([before.screened.null], noise), gap_of([here.screened.null], noise), floor=1.0
+    )
+    made = one.candidate.source
+    return FoundEffect(
+        one.candidate.effect,
+        one.candidate.port,
+        made.effect.describe(one.candidate.port),
+        dict(one.candidate.nuisance),
+        {name: last.fit.estimates[name] for name in keys},
+        {name: float(made.values[name]) for name, grid in made.effect.nuisance.items() if grid.whole},
+        float(screened.scores.z[lead]),
+        screened.pooled(lead),
+        here.drop,
+        share,
+        dict(zip(names, screened.scores.shift[:, lead].tolist(), strict=True)),
+        moved,
+        here.frequency,
+        here.members,
+        _course(stations[0].fit.model, one, last),
+    )
+
+
+def _course(base: Model, one: Addition, last: Station) -> dict[str, Array]:
+    """record -> (2, K): times and what the effect adds along the repaired model."""
+    made = one.candidate.source
+    found = {}
+    for record in last.screened.null.records:
+        size = _value(last.fit, one.amplitude, record.name)
+        values = {
+            name: _value(last.fit, f"{one.key}.{name}", record.name) if not grid.whole else made.values[name]
+            for name, grid in made.effect.nuisance.items()
+        }
+        if size == 0.0 or made.states:
+            continue
+        term = candidate_of(base, made.effect, one.candidate.port, values, size=size)
+        expression = _added(base, one.candidate.port, term)
+        if expression is None:
+            continue
+        course = record.path.function([size * expression])(*record.path.at_samples().arguments)[0][0]
+        time = record.path.grid.time
+        found[record.name] = np.array([time, np.broadcast_to(course, time.shape)])
+    return found
+
+
+def _value(fit: Fit, name: str, record: str) -> float:
+    return float(fit.values.get(f"{name}@{record}", fit.values.get(name, 0.0)))
+
+
+def _added(model: Model, port: str, term: Any) -> Any:
+    """What the effect adds at its port per unit of amplitude; None where that is no torque and no output."""
+    slots = [p.name for p in model.ports.with_slot]
+    if port in slots:
+        return term.slots[slots.index(port)]
+    sensors = [p.name for p in model.ports if p.kind == "sensor"]
+    return term.outputs[sensors.index(port)] if port in sensors else None
+
+
+def place_of(screened: Screened, latent: Sequence[LatentTorque]) -> Place | None:
+    """Where the gap of the null model sits."""
+    where = where_in_data(screened.null, screened.noise)
+    if where is None:
+        return None
+    location = latent[0].port if latent and latent[0].gain > 0 else None
+    return Place(
+        location,
+        where.record,
+        where.time,
+        where.cycles,
+        where.crank_angle,
+        where.order,
+        dict(where.excess),
+    )
+
+
+def unknown_of(leftover: Leftover) -> Unknown | None:
+    """What the tests beside the library reject, in words; None if they reject nothing."""
+    alarms = leftover.alarms
+    if not alarms:
+        return None
+    family, course = leftover.family, leftover.course
+    if family is None or course is None or family.name not in alarms:
+        first = next(iter(alarms)).split("/")
+        return Unknown(f"the residual of {first[1]} in {first[0]} is not white", alarms)
+    shape, like = next(iter(course.looks_like.items()))
+    words = f"an unknown torque at {family.port} that depends on its {family.signal.replace('_', ' ')}"
+    if like > _LIKE:
+        words += f" and looks {shape}"
+    return Unknown(words, alarms, family.port, family.signal, leftover.family_p, course)
+
+
+def equation_of(model: Model, base: Model) -> Equation:
+    """The equations of the repaired model, and the lines that are not those of the first one."""
+    old = set(base.equations().splitlines())
+    text = model.equations()
+    return Equation(text, model.latex(), tuple(line for line in text.splitlines() if line not in old))
+
+
+def noise_found(screened: Screened, levels: Mapping[str, tuple[float, bool]]) -> NoiseFound:
+    """The noise of the tests; a level is known if it is still what the fit was told."""
+    noise = screened.noise
+    sigma = {
+        name: (value, name not in levels or levels[name][1] or value != levels[name][0])
+        for name, value in noise.sigma.items()
+    }
+    colour = {f"{record}/{output}": c.order for (record, output), c in noise.colour.items() if c.order}
+    return NoiseFound(sigma, colour, dict(noise.scatter))

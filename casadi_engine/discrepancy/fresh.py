@@ -1,0 +1,228 @@
+"""Data that the repair was not found from: fresh records, or cycles held out; and the gap before and after on both."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from casadi_engine.discrepancy.compression import scatter_columns
+from casadi_engine.discrepancy.confirmation import Gap, PairedGain, Residuals, gap, hold_out, paired_gain
+from casadi_engine.discrepancy.linear_algebra import Array
+from casadi_engine.discrepancy.noise_choice import NoiseChoice, scatter_of, white_p
+from casadi_engine.discrepancy.noise_model import NoiseModel, left_over
+from casadi_engine.discrepancy.null_model import FOUR_STROKE, Index, NullModel, null_model
+from casadi_engine.discrepancy.refit import Addition
+from casadi_engine.discrepancy.repaired import Side
+from casadi_engine.errors import CasadiEngineError
+from casadi_engine.estimation import Fit, estimate
+from casadi_engine.experiment import Experiment
+from casadi_engine.model import Model
+from casadi_engine.problem.noise import Noise
+
+Source = Literal["records", "cycles"]
+
+# Fewest cycles that tell a gain from chance; fewest of a record that the search keeps.
+_HELD, _KEPT = 3, 3
+_PIECES = 10
+# A gain that the search foresaw at this many standard errors of the fresh data's, and that is not there, is refused.
+_FORESEEN, _WANTED = 4.0, 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Portions:
+    """data to search in; fresh ones to confirm on; where the fresh ones came from; and why there are none."""
+
+    data: tuple[Experiment, ...]
+    fresh: tuple[Experiment, ...]
+    source: Source | None
+    why: str | None = None
+
+
+def portions(
+    model: Model, data: tuple[Experiment, ...], fresh: tuple[Experiment, ...], *, share: float
+) -> Portions:
+    """Fresh records as they are; without them the last ``share`` of every record's cycles is held out, at least three
+    cycles together, if three are left to search in."""
+    if fresh:
+        return Portions(data, fresh, "records")
+    if share <= 0:
+        return Portions(data, (), None, "no fresh data and nothing held out: nothing confirms what was found")
+    numbers = [_cycles(model, record) for record in data]
+    cycles = [sorted({int(n) for n in own}) for own, _ in numbers]
+    total = sum(len(c) for c in cycles)
+    word = "engine cycle" if _turns(model, data[0]) else "piece"
+    if total < _HELD + _KEPT:
+        many = f"{total} {word}{'s' if total > 1 else ''}"
+        return Portions(
+            data, (), None, f"no fresh data, and {many}: too few to hold {_HELD} out, so nothing is confirmed"
+        )
+    share = max(share, _HELD / total)
+    kept, held = [], []
+    for record, (number, time), own in zip(data, numbers, cycles, strict=True):
+        _, last = hold_out(own, share=share)
+        if not last:
+            kept.append(record)
+            continue
+        stop = int(np.searchsorted(number, last[0]))
+        inputs = [v.name for v in model.inputs if v.name in record]
+        kept.append(record.between(float(time[0]), float(time[stop - 1]), inputs=inputs))
+        held.append(record.between(float(time[stop]), float(time[-1]), inputs=inputs))
+    return Portions(tuple(kept), tuple(held), "cycles")
+
+
+def _turns(model: Model, record: Experiment) -> bool:
+    return any(v.name == "theta" for v in model.inputs) and "theta" in record
+
+
+def _cycles(model: Model, record: Experiment) -> tuple[Array, Array]:
+    """Cycle number at each sample of the first measured output, never falling, and the samples' times. A last cycle of
+    which less than half is there counts with the one before."""
+    output = next((out.name for out in model.outputs if out.name in record), None)
+    time = record[output].time if output is not None else np.linspace(*record.span, 11)
+    if not _turns(model, record):
+        share = (time - time[0]) / (time[-1] - time[0])
+        return np.minimum(np.floor(share * _PIECES), _PIECES - 1), time
+    theta = np.interp(time, record["theta"].time, record["theta"].values)
+    turns = theta / FOUR_STROKE
+    number = np.maximum.accumulate(np.floor(turns))
+    if turns[-1] - np.floor(turns[-1]) < 0.5 and number[-1] > number[0]:
+        number = np.minimum(number, number[-1] - 1)
+    return number, time
+
+
+# ---- parameters held, initial states found ------------------------------------------------------------
+
+
+def held_fit(fit: Fit, record: Experiment, *, noise: NoiseModel, idle: Sequence[str] = ()) -> Fit:
+    """The fit's parameters held on one record, initial states found; idle : amplitudes that are zero there.
+
+    Raises EstimationError where the model fails.
+    """
+    held = fit.model.parameters()
+    for name in held.names:
+        value = fit.values.get(f"{name}@{record.name}", fit.values.get(name, 0.0))
+        value = 0.0 if name in idle else value
+        own = held[name]
+        own.set(value, min=min(own.min, value), max=max(own.max, value))
+        held.fix(name)
+    levels: dict[str, Any] = {
+        out.name: noise.sigma[out.name] for out in fit.model.outputs if out.name in noise.sigma
+    }
+    method = str(fit.options.get("method", "exact"))
+    return estimate(fit.model, record, parameters=held, noise=Noise(**levels), method=method, progress=False)
+
+
+def fresh_sides(
+    fit: Fit, effects: Sequence[Addition], portion: Portions, noise: NoiseModel
+) -> list[tuple[Fit, NullModel]] | None:
+    """The fit on all fresh records, parameters held; None where a simulation fails.
+
+    Events of one record do not act in other ones.
+    """
+    found = []
+    for record in portion.fresh:
+        idle = [e.amplitude for e in effects if e.placed and not _goes_on(e, record, portion)]
+        try:
+            held = held_fit(fit, record, noise=noise, idle=idle)
+            found.append((held, null_model(held)))
+        except (CasadiEngineError, FloatingPointError):
+            return None
+    return found
+
+
+def _goes_on(effect: Addition, record: Experiment, portion: Portions) -> bool:
+    """True if an event of the search's record lasts into this one: cycles held out of it."""
+    return portion.source == "cycles" and effect.record in (None, record.name)
+
+
+# ---- the gap ------------------------------------------------------------------------------------------
+
+
+def residuals(nulls: Sequence[NullModel], noise: NoiseModel) -> list[Residuals]:
+    """Residuals of all outputs of all records, with the standard deviation of their noise, colour and all."""
+    found = []
+    for null in nulls:
+        for record in null.records:
+            for output, e in record.residual.items():
+                colour = noise.colour.get((record.name, output))
+                spread = 1.0 if colour is None else math.sqrt(float(colour.variances[0]))
+                measured = record.path.grid.measured[output].values
+                cycle = _without_stubs(record.cycle[output])
+                found.append(Residuals(record.name, output, e, measured, cycle, spread * noise.sigma[output]))
+    return found
+
+
+def _without_stubs(cycle: Index) -> Index:
+    """Cycle numbers in which one of less than half the usual length counts with its neighbour."""
+    numbers, counts = np.unique(cycle, return_counts=True)
+    if len(numbers) < 2:
+        return cycle
+    short = numbers[counts < 0.5 * np.median(counts)]
+    out = cycle.copy()
+    for number in short:
+        near = numbers[~np.isin(numbers, short)]
+        out[cycle == number] = near[np.argmin(np.abs(near - number))]
+    return out
+
+
+def gap_of(nulls: Sequence[NullModel], noise: NoiseModel) -> Gap:
+    """The gap of null models."""
+    return gap(residuals(nulls, noise))
+
+
+def side(pairs: Sequence[tuple[Fit, NullModel]], choice: NoiseChoice) -> Side:
+    """What one side of the comparison shows: gap, whiteness of the residuals, traces."""
+    white: dict[str, dict[str, float | None]] = {}
+    traces: dict[str, Any] = {}
+    for fit, null in pairs:
+        traces |= fit.traces
+        scatter = scatter_of(null, fit.data, choice.cylinders) if choice.scatter else ()
+        random = {r.name: scatter_columns(r, scatter) for r in null.records} if scatter else None
+        slopes = {record.name: dict(record.slopes) for record in null.records}
+        left = left_over(null, choice.noise, slopes, random)
+        for record in null.records:
+            white[record.name] = {}
+            for output in record.outputs:
+                held = record.slopes[output]
+                if random is not None:
+                    held = np.concatenate([held, random[record.name][output]], axis=1)
+                p = white_p(record, output, left[record.name][output], held)
+                white[record.name][output] = p
+    return Side(gap_of([null for _, null in pairs], choice.noise), white, traces)
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What fresh data say: the gain per cycle; confirmed, or refused; and why not, in words."""
+
+    gain: PairedGain | None
+    confirmed: bool | None
+    refused: bool = False
+    why: str | None = None
+
+
+def judge(
+    before: Sequence[NullModel],
+    after: Sequence[NullModel],
+    noise: NoiseModel,
+    *,
+    foreseen: float,
+) -> Judgement:
+    """Compare null and repaired model on fresh data; foreseen : gain per cycle where the repair was found."""
+    gain = paired_gain(residuals(before, noise), residuals(after, noise))
+    if gain.confirmed is None or gain.mean is None or gain.se is None:
+        return Judgement(gain, None, why=gain.why)
+    if gain.confirmed:
+        return Judgement(gain, True)
+    worse = gain.mean < -_WANTED * gain.se
+    missed = foreseen > _FORESEEN * gain.se and gain.mean < 0.25 * foreseen
+    if worse or missed:
+        words = "the gap grows" if worse else f"a gain of {foreseen:.3g} per cycle was to be seen"
+        why = f"fresh data refuse it: {words}, the gain is {gain.mean:.3g} ± {gain.se:.2g}"
+        return Judgement(gain, False, True, why)
+    why = f"fresh data do not confirm it: the gain is {gain.mean:.3g} ± {gain.se:.2g} per cycle"
+    return Judgement(gain, False, False, f"{why}, less than two standard errors")

@@ -1,0 +1,178 @@
+"""repair: find where simulation and data disagree, name the missing effect, add it, and test it on fresh data."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from casadi_engine.discrepancy.answer import Answer
+from casadi_engine.discrepancy.fresh import Portions, portions
+from casadi_engine.discrepancy.noise_choice import ColourChoice
+from casadi_engine.discrepancy.refit import Refitter
+from casadi_engine.discrepancy.repaired import Repair
+from casadi_engine.discrepancy.requests import read_request
+from casadi_engine.discrepancy.screening import Screened, screen
+from casadi_engine.discrepancy.search import Search
+from casadi_engine.errors import EstimationError
+from casadi_engine.estimation import Fit, estimate
+from casadi_engine.estimation.estimate import _own, _records
+from casadi_engine.estimation.options import as_number, whole
+from casadi_engine.experiment import Experiment
+from casadi_engine.model import Model
+from casadi_engine.parameters import Parameters
+from casadi_engine.problem.noise import Noise
+
+_STARTS, _MOST = 4, 4
+
+
+def repair(
+    model: Model,
+    data: Experiment | Sequence[Experiment],
+    *,
+    parameters: Parameters | None = None,
+    effects: Any = None,
+    at: Sequence[str] | str | None = None,
+    fresh: Experiment | Sequence[Experiment] | None = None,
+    noise: Noise | None = None,
+    alpha: float = 0.01,
+    holdout: float = 0.3,
+    colour: ColourChoice = "auto",
+    scatter: Any = "assumed",
+    most: int = _MOST,
+    starts: int = _STARTS,
+    seed: int = 0,
+    interval: Any = "auto",
+    initial: Any = None,
+    method: str = "exact",
+    max_iterations: int = 200,
+    progress: Any = None,
+) -> Repair:
+    """Find the physical effects that a model lacks, name them, refit with them, and test them on fresh data.
+
+    The model is fitted (multi-start); every effect at every port is scored with all parameters free, at one false-alarm
+    rate for the whole library; the best are added, refitted and kept by the extended BIC until nothing is significant;
+    fresh data, on which initial states alone are found, have the last word.
+
+    Parameters
+    ----------
+    model, data, parameters, noise, interval, initial, method, max_iterations : as in ``estimate``, of output error
+    effects : None for the library ``ce.effects.library()``, or a sequence of effects (your own too), of names, or of
+        pairs (effect or name, port); at : names of ports to which the search is held
+    fresh : experiments to confirm on; without them the last ``holdout`` share of the cycles of every record is held out
+    alpha : false-alarm rate of "something is missing" over all tests together
+    colour : count with an autoregression of the noise: True, False, or "auto" where the residual asks for it
+    scatter : cylinder ports whose combustion scatters from cycle to cycle beside its recorded pressure, "assumed" for
+        those with an assumed pressure, or None
+    most : effects at most; starts, seed : of the multi-start of the fit without effects
+    progress : None for lines on a terminal, False for none, or a function of a text
+
+    Returns a Repair; its ``verdict`` is "named", "class", "unnamed", "nothing missing", or None with ``status`` saying
+    why (the first fit did not converge). Raises EffectError, EstimationError, ExperimentError, ParameterError for input
+    that cannot be used. Sources: score tests (Rao 1948), extended BIC (Chen & Chen 2008).
+
+    >>> import numpy as np, casadi_engine as ce
+    >>> t = np.arange(1000) * 0.01
+    >>> exp = ce.Experiment.from_arrays("swing", time=t, units={"T": "N m"}, T=80 * np.sin(1.5 * t))
+    >>> lossy = ce.one_inertia().with_effect(ce.effects.CoulombFriction(), at="engine", values={"torque": 3.0})
+    >>> run = ce.simulate(lossy, exp, initial={"omega_eng": 0.0})
+    >>> noisy = run["omega"].values + 0.1 * np.random.default_rng(0).standard_normal(1000)
+    >>> exp = ce.Experiment.from_arrays("swing", time=t, units={"T": "N m", "omega": "rad/s"}, T=exp["T"].values,
+    ...     omega=noisy)
+    >>> found = ce.repair(ce.one_inertia(), exp, noise=ce.Noise(omega=0.1), progress=False)
+    >>> found.verdict, found.confirmed, found.effects[0].key, round(found.effects[0].amplitude.value, 2)
+    ('named', True, 'engine.coulomb_friction', 3.0)
+    """
+    begun = time.perf_counter()
+    pars = _own(model, parameters)
+    records = _records(data)
+    others = () if fresh is None else _records(fresh)
+    read_request(model, effects, at)
+    _check(noise, alpha, holdout)
+    most, starts, seed = whole("most", most, 1), whole("starts", starts, 1), whole("seed", seed, 0)
+    tell = _teller(progress)
+    portion = portions(model, records, others, share=holdout)
+    options = {
+        "interval": interval, "initial": initial, "method": method, "max_iterations": max_iterations,
+    }  # fmt: skip
+    tell(f"fit without effects, {starts} starts")
+    null_fit = estimate(
+        model, portion.data, parameters=pars, noise=noise, starts=starts, seed=seed, progress=False, **options
+    )
+    timing = {"null fit": time.perf_counter() - begun}
+    asked = {"alpha": alpha, "holdout": holdout, "starts": starts, "seed": seed, "most": most, **options}
+    if not null_fit.converged:
+        return _no_answer(null_fit, portion, alpha, asked, timing, begun)
+
+    def scores(fit: Fit) -> Screened:
+        return screen(fit, effects, at=at, alpha=alpha, colour=colour, scatter=scatter, seed=seed)
+
+    search = Search(Refitter(model, pars, portion.data, noise, options), scores, most, tell)
+    search.run(null_fit)
+    timing |= search.timing
+    return Answer(search, portion, alpha, asked, timing, begun, tell).made()
+
+
+def _check(noise: Noise | None, alpha: Any, holdout: Any) -> None:
+    if isinstance(noise, Noise) and noise.predicts:
+        raise EstimationError(
+            "effects are looked for in simulations, and this noise asks for a one-step predictor",
+            seen=repr(noise),
+            allowed="output error: levels of the outputs, or none",
+            cure='write noise=ce.Noise(omega="estimate")',
+        )
+    number = as_number(alpha)
+    if number is None or not 0 < number < 1:
+        raise EstimationError(
+            "alpha is not acceptable",
+            seen=alpha,
+            allowed="a number between 0 and 1",
+            cure="give alpha=0.01, for one false alarm in a hundred",
+        )
+    number = as_number(holdout)
+    if number is None or not 0 <= number <= 0.9:
+        raise EstimationError(
+            "holdout is not acceptable",
+            seen=holdout,
+            allowed="a share of the cycles from 0 to 0.9",
+            cure="give holdout=0.3, or fresh data",
+        )
+
+
+def _teller(progress: Any) -> Any:
+    if progress is None:
+        return _print if sys.stderr.isatty() else _silent
+    if progress is False:
+        return _silent
+    if not callable(progress):
+        raise EstimationError(
+            "progress is not acceptable",
+            seen=repr(progress),
+            allowed="None, False, or a function of a text",
+            cure="leave it out",
+        )
+    return progress
+
+
+def _print(text: str) -> None:
+    print(f"repair: {text}", file=sys.stderr)
+
+
+def _silent(_: str) -> None:
+    return
+
+
+def _no_answer(
+    fit: Fit, portion: Portions, alpha: float, asked: dict[str, Any], timing: dict[str, float], begun: float
+) -> Repair:
+    status = fit.status if fit.status == "interrupted" else f"the fit without effects has {fit.status}"
+    why = (
+        "no effect can be looked for before the model without effects fits: give other start values, bounds, or more "
+        "starts; a wrong optimum looks like missing physics"
+    )
+    timing["total"] = time.perf_counter() - begun
+    return Repair(
+        status, None, None, fit, fit, alpha, data=portion.data, fresh=portion.fresh, timing=timing,
+        options=asked, messages=(why,),
+    )  # fmt: skip

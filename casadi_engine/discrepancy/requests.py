@@ -1,0 +1,80 @@
+"""What is to be looked for: effects, and the ports at which they may act."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from casadi_engine.discrepancy.candidate import Candidate
+from casadi_engine.effects import Effect, library, ports_for
+from casadi_engine.errors import EffectError
+from casadi_engine.model import Model
+from casadi_engine.model.effect import check_effect
+from casadi_engine.model.term import find_port
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """effects : each once; where : effect name -> the ports that were asked for, None for all that fit."""
+
+    effects: tuple[Effect, ...]
+    where: dict[str, tuple[str, ...] | None]
+
+    def wants(self, candidate: Candidate) -> bool:
+        """True if this candidate was asked for."""
+        ports = self.where[candidate.effect]
+        return ports is None or candidate.port in ports
+
+
+def read_request(model: Model, effects: Any, at: Sequence[str] | str | None = None) -> Request:
+    """Read effects and ports.
+
+    effects : None for the library, or a sequence of effects, names of the library, or pairs (effect or name, port)
+    at : names of ports to which the search is held, None for all
+    Raises EffectError for an effect that does not follow the protocol, for one that is there twice, for a port that
+    does not exist or that no effect fits, and where nothing is left to be tested.
+    """
+    given = library() if effects is None else (effects,) if isinstance(effects, (Effect, str)) else effects
+    held = None if at is None else _held(model, (at,) if isinstance(at, str) else tuple(at))
+    found: dict[str, Effect] = {}
+    where: dict[str, tuple[str, ...] | None] = {}
+    for item in given:
+        effect, port = item if isinstance(item, tuple) else (item, None)
+        effect = library(effect)[0] if isinstance(effect, str) else effect
+        check_effect(effect)
+        ports = None if port is None else (find_port(model, effect, port).name,)
+        if effect.name in found and (ports is None or where[effect.name] is None):
+            raise EffectError(
+                "two effects have the same name",
+                seen=effect.name,
+                allowed="each effect once, or several pairs of it with ports",
+                cure="leave one of them out, or rename your own",
+            )
+        found[effect.name] = effect
+        where[effect.name] = ports if ports is None else (*(where.get(effect.name) or ()), *ports)
+    if held is not None:
+        where = {name: tuple(p for p in held if ports is None or p in ports) for name, ports in where.items()}
+    fits = {name: [port.name for port in ports_for(model, effect)] for name, effect in found.items()}
+    if not any(
+        port in (where[name] or fits[name]) and where[name] != () for name in fits for port in fits[name]
+    ):
+        raise EffectError(
+            f"none of these effects can act anywhere in the model {model.name}",
+            seen=", ".join(found) or "no effects",
+            allowed="effects that attach to ports of the model" + ("" if at is None else f" among {at}"),
+            cure="print(model.ports) lists the ports; leave effects out for the whole library",
+        )
+    return Request(tuple(found.values()), where)
+
+
+def _held(model: Model, ports: tuple[str, ...]) -> tuple[str, ...]:
+    for name in ports:
+        if name not in model.ports.names:
+            raise EffectError(
+                f"effects are to be looked for at a port that the model {model.name} does not have",
+                seen=repr(name),
+                allowed=", ".join(model.ports.names),
+                cure="print(model.ports) lists all ports",
+            )
+    return ports

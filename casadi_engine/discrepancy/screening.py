@@ -1,0 +1,234 @@
+"""Screening: the scores of a whole library against a fit, with a false-alarm rate that holds for all of them together.
+
+No refit is made: the null fit gives residuals and slopes, one sweep all sensitivities, and draws the threshold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from casadi_engine.discrepancy.candidate import Candidate
+from casadi_engine.discrepancy.compression import (
+    Compressed,
+    candidate_columns,
+    compress,
+    scatter_columns,
+)
+from casadi_engine.discrepancy.library_candidates import library_candidates
+from casadi_engine.discrepancy.linear_algebra import Array
+from casadi_engine.discrepancy.noise_choice import (
+    ColourChoice,
+    NoiseChoice,
+    choose_noise,
+    scatter_of,
+    white_p,
+)
+from casadi_engine.discrepancy.noise_model import NoiseModel, left_over
+from casadi_engine.discrepancy.null_distribution import NullDistribution, Row, library_rows, split_alpha
+from casadi_engine.discrepancy.null_model import NullModel, null_model
+from casadi_engine.discrepancy.random_families import (
+    Course,
+    Family,
+    family_candidates,
+    family_course,
+    family_row,
+)
+from casadi_engine.discrepancy.requests import read_request
+from casadi_engine.discrepancy.score import Scores, score
+from casadi_engine.errors import EstimationError
+from casadi_engine.estimation.fit import Fit
+
+
+@dataclass(frozen=True, eq=False)
+class Leftover:
+    """Tests for what no effect of the library names.
+
+    tests : name -> p-value of a residual test ("record/output/whiteness") or of a family of functions; level : a
+    p-value below it is an alarm; family, course : the family of the smallest p-value and its function
+    """
+
+    tests: Mapping[str, float]
+    level: float
+    family: Family | None = None
+    family_p: float | None = None
+    course: Course | None = None
+
+    @property
+    def alarms(self) -> dict[str, float]:
+        """The tests that are rejected, the surest first."""
+        return dict(
+            sorted(((n, p) for n, p in self.tests.items() if p < self.level), key=lambda pair: pair[1])
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Screened:
+    """Scores of a library against a fit.
+
+    null, candidates, columns : as linearised (record -> output -> (N, k)); choice : the noise and how it was chosen
+    compressed, scores : of the candidates; law : their smallest p-value under the null
+    alpha : false-alarm rate of the library's tests and the leftover's together; share : that of the library alone
+    threshold_p : p-value of one test at which the library's smallest falls with probability ``share``
+    """
+
+    null: NullModel
+    candidates: tuple[Candidate, ...]
+    columns: Mapping[str, Mapping[str, Array]]
+    choice: NoiseChoice
+    compressed: Compressed
+    scores: Scores
+    law: NullDistribution
+    alpha: float
+    share: float
+    threshold_p: float
+    seed: int = 0
+    timing: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def noise(self) -> NoiseModel:
+        """The noise of the tests."""
+        return self.choice.noise
+
+    @property
+    def threshold(self) -> float:
+        """The |z| of a two-sided test at the threshold."""
+        return float(stats.norm.isf(self.threshold_p / 2))
+
+    @property
+    def order(self) -> list[int]:
+        """Testable candidates by rising p-value, then by falling statistic."""
+        p, size = self.scores.p_value, self.scores.statistic
+        return sorted((int(k) for k in np.flatnonzero(self.scores.testable)), key=lambda k: (p[k], -size[k]))
+
+    @property
+    def significant(self) -> list[int]:
+        """Candidates beyond the threshold, the best first."""
+        return [k for k in self.order if self.scores.p_value[k] <= self.threshold_p]
+
+    def pooled(self, k: int) -> float:
+        """p-value of a candidate's score pooled over the library."""
+        return self.law.pooled(float(self.scores.p_value[k]))
+
+    @cached_property
+    def leftover(self) -> Leftover:
+        """The tests beside the library: whiteness of the residuals, and families of unknown functions."""
+        return _leftover(self)
+
+    @property
+    def alarm(self) -> bool:
+        """True if anything is missing: a candidate is significant, or a test beside the library."""
+        return bool(self.significant) or bool(self.leftover.alarms)
+
+
+def screen(
+    fit: Fit,
+    effects: Any = None,
+    *,
+    at: Sequence[str] | str | None = None,
+    alpha: float = 0.01,
+    noise: NoiseModel | None = None,
+    colour: ColourChoice = "auto",
+    scatter: Any = "assumed",
+    seed: int = 0,
+) -> Screened:
+    """Score every effect at every port against a fit, all its parameters and initial states free.
+
+    fit : a converged Fit of output error; effects, at : as in ``repair``
+    alpha : false-alarm rate over all tests together: four fifths for the library, one fifth for whiteness and families
+    noise : a noise model to hold; None chooses one: the levels that the fit was told, or those of the residual that the
+    library leaves; colour : True, False or "auto"; scatter : cylinder ports whose combustion scatters from cycle to
+    cycle, "assumed" for those with an assumed pressure, or None
+    Raises EffectError for effects or ports that do not fit, EstimationError for a predictor's fit or an alpha outside
+    (0, 1).
+
+    >>> import numpy as np, casadi_engine as ce
+    >>> from casadi_engine.discrepancy import screen
+    >>> t = np.arange(400) * 0.01
+    >>> exp = ce.Experiment.from_arrays("run", time=t, units={"T": "N m"}, T=2 * np.sin(3 * t))
+    >>> model = ce.one_inertia().with_effect(ce.effects.CoulombFriction(), at="engine", values={"torque": 0.2})
+    >>> run = ce.simulate(model, exp, initial={"omega_eng": 0.0})
+    >>> noisy = run["omega"].values + 0.01 * np.random.default_rng(0).standard_normal(400)
+    >>> exp = ce.Experiment.from_arrays("run", time=t, units={"T": "N m", "omega": "rad/s"}, T=exp["T"].values,
+    ...     omega=noisy)
+    >>> fit = ce.estimate(ce.one_inertia(), exp, noise=ce.Noise(omega=0.01), progress=False)
+    >>> screened = screen(fit)
+    >>> screened.candidates[screened.order[0]].label
+    'coulomb_friction at engine'
+    """
+    if not 0 < alpha < 1:
+        raise EstimationError(
+            "alpha is not acceptable",
+            seen=alpha,
+            allowed="a number between 0 and 1",
+            cure="give alpha=0.01, for one false alarm in a hundred",
+        )
+    request = read_request(fit.model, effects, at)
+    null = null_model(fit)
+    candidates = [c for c in library_candidates(null, fit.data, request.effects) if request.wants(c)]
+    columns = {record.name: candidate_columns(record, candidates) for record in null.records}
+    if noise is None:
+        choice = choose_noise(
+            null, candidates, columns, fit.noise, data=fit.data, cylinders=scatter, colour=colour
+        )
+    else:
+        random = scatter_of(null, fit.data, scatter) if noise.scatter else ()
+        choice = NoiseChoice(noise, random, scatter)
+    compressed = compress(null, candidates, choice.noise, scatter=choice.scatter, columns=columns)
+    scores = score(compressed)
+    share, _ = split_alpha(alpha)
+    law = NullDistribution(library_rows(scores), seed=seed)
+    return Screened(
+        null,
+        tuple(candidates),
+        columns,
+        choice,
+        compressed,
+        scores,
+        law,
+        alpha,
+        share,
+        law.threshold(share),
+        seed,
+    )
+
+
+def _leftover(screened: Screened) -> Leftover:
+    """Half of the remaining false-alarm rate each for whiteness and for families."""
+    rest = screened.alpha - screened.share
+    null, choice = screened.null, screened.choice
+    tests: dict[str, float] = {}
+    slopes = {record.name: dict(record.slopes) for record in null.records}
+    random = {r.name: scatter_columns(r, choice.scatter) for r in null.records} if choice.scatter else None
+    left = left_over(null, choice.noise, slopes, random)
+    for record in null.records:
+        for output in record.outputs:
+            held = record.slopes[output]
+            if random is not None:
+                held = np.concatenate([held, random[record.name][output]], axis=1)
+            p = white_p(record, output, left[record.name][output], held)
+            if p is not None:
+                tests[f"{record.name}/{output}/whiteness"] = p
+    white = len(tests)
+    found, families = family_candidates(null)
+    scores = score(compress(null, found, choice.noise, scatter=choice.scatter)) if found else None
+    rows: list[tuple[Row, Family]] = []
+    for family in families if scores is not None else ():
+        row = family_row(scores, family)  # type: ignore[arg-type]
+        if row is not None:
+            rows.append((row, family))
+    level = 0.5 * rest / max(white, 1)
+    if not rows or scores is None:
+        return Leftover(tests, level)
+    law = NullDistribution([row for row, _ in rows], seed=screened.seed)
+    p_values = {row.name: float(row.p_value(scores.y[:, None])[0]) for row, _ in rows}
+    best, family = min(rows, key=lambda pair: p_values[pair[0].name])
+    pooled = law.pooled(p_values[best.name])
+    # on the scale of the whiteness tests
+    tests[family.name] = pooled * level / (0.5 * rest)
+    return Leftover(tests, level, family, pooled, family_course(scores, family))
