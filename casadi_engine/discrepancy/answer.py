@@ -94,8 +94,8 @@ class Answer:
         latent: tuple[LatentTorque, ...] = ()
         place = None
         if blank.verdict != "nothing missing":
-            latent = self._timed("latent torque", lambda: self._latent(null))
-            place = place_of(screened, latent)
+            latent = self._timed("latent torque", lambda: self._latent(null, last))
+            place = place_of(screened.null, last.screened.noise, latent)
         split = self._timed("next experiment", lambda: _split(proof.kept))
         self.timing["total"] = time.perf_counter() - self.begun
         return replace(
@@ -109,7 +109,7 @@ class Answer:
             not_found=not_found(last.screened),
             next_experiment=split,
             equation=equation_of(last.fit.model, null.fit.model) if blank.effects else None,
-            noise=noise_found(screened, null.fit.noise),
+            noise=noise_found(last.screened, null.fit.noise),
             latent=latent,
             timing=self.timing,
             messages=tuple(dict.fromkeys(self.messages)),
@@ -130,7 +130,8 @@ class Answer:
             return Confirmation(tuple(stations), (), None)
         self.tell("fresh data")
         null = stations[0]
-        before = fresh_sides(null.fit, (), self.portion, null.screened.noise)
+        noise = stations[-1].screened.noise
+        before = fresh_sides(null.fit, (), self.portion, noise)
         if before is None:
             self.messages.append("the model without effects cannot be simulated on the fresh data")
             return Confirmation(tuple(stations), (), None)
@@ -140,9 +141,7 @@ class Answer:
             here, base = kept[-1], kept[-2]
             for number, station in ((len(kept) - 1, here), (len(kept) - 2, base)):
                 if number not in sides:
-                    sides[number] = fresh_sides(
-                        station.fit, station.effects, self.portion, null.screened.noise
-                    )
+                    sides[number] = fresh_sides(station.fit, station.effects, self.portion, noise)
             judged = self._judged(sides[len(kept) - 2], sides[len(kept) - 1], base, here)
             if not judged.refused:
                 break
@@ -160,7 +159,7 @@ class Answer:
         if not old or not new:
             why = "the repaired model cannot be simulated on the fresh data"
             return Judgement(None, False, True, why)
-        noise = base.screened.noise
+        noise = here.screened.noise
         first, then = gap_of([base.screened.null], noise), gap_of([here.screened.null], noise)
         drop = (first.chi2_per_sample - then.chi2_per_sample) * first.samples
         foreseen = drop / max(len(base.screened.compressed.cycles), 1)
@@ -174,7 +173,7 @@ class Answer:
     # ---- parts
 
     def _gaps(self, null: Station, last: Station, proof: Confirmation) -> Gaps:
-        choice = null.screened.choice
+        choice = last.screened.choice
         gain: PairedGain | None = proof.judgement.gain if proof.judgement else None
         return Gaps(
             side([(null.fit, null.screened.null)], choice),
@@ -185,12 +184,12 @@ class Answer:
             self.portion.source if proof.before else None,
         )
 
-    def _latent(self, null: Station) -> tuple[LatentTorque, ...]:
+    def _latent(self, null: Station, last: Station) -> tuple[LatentTorque, ...]:
         self.tell("where: a torque of unknown course at every port")
-        return tuple(latent_torques(null.screened.null, null.screened.noise))
+        return tuple(latent_torques(null.screened.null, last.screened.noise))
 
     def _say(self, null: Station, last: Station, proof: Confirmation) -> None:
-        self.messages += [*null.screened.choice.messages]
+        self.messages += [*last.screened.choice.messages]
         own = {
             record.name: {int(c) for n in record.cycle.values() for c in n}
             for record in null.screened.null.records

@@ -12,6 +12,8 @@ from casadi_engine.discrepancy.fresh import gap_of
 from casadi_engine.discrepancy.latent_torque import LatentTorque
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.localisation import where_in_data
+from casadi_engine.discrepancy.noise_model import NoiseModel
+from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.refit import Addition
 from casadi_engine.discrepancy.repaired import (
     ClassMatrix,
@@ -104,7 +106,7 @@ def _found(stations: Sequence[Station], one: Addition, last: Station) -> FoundEf
     moved = {
         name: here.fit.values[name] - before.fit.values[name] for name in names if name in here.fit.values
     }
-    noise = screened.noise
+    noise = last.screened.noise
     share = share_explained(
         gap_of([before.screened.null], noise), gap_of([here.screened.null], noise), floor=1.0
     )
@@ -163,9 +165,9 @@ def _added(model: Model, port: str, term: Any) -> Any:
     return term.outputs[sensors.index(port)] if port in sensors else None
 
 
-def place_of(screened: Screened, latent: Sequence[LatentTorque]) -> Place | None:
+def place_of(null: NullModel, noise: NoiseModel, latent: Sequence[LatentTorque]) -> Place | None:
     """Where the gap of the null model sits."""
-    where = where_in_data(screened.null, screened.noise)
+    where = where_in_data(null, noise)
     if where is None:
         return None
     location = latent[0].port if latent and latent[0].gain > 0 else None

@@ -133,27 +133,19 @@ class Search:
         assert kept.state is not None
         screened = here.screened
         lead = next(k for k in picked if screened.candidates[k].label == kept.effects[-1])
-        before = whitened_cost(here.fit, screened.choice)
-        gains = {
-            next(k for k in picked if screened.candidates[k].label == one.effects[-1]): before - one.cost
-            for one in step.tried
-            if one.converged
-        }
-        gains[lead] = max(gains.get(lead, 0.0), before - kept.cost)
+        after = self._screen(kept.state)
         begun = time.perf_counter()
-        frequency = _frequency(screened, lead)
+        # with the effect in the model its noise is known better: a large effect leaves more than one step explains
+        before = whitened_cost(here.fit, after.choice)
+        gains: dict[int, float] = {}
+        for one in (*step.tried, kept):
+            if one.converged and one.state is not None:
+                k = next(k for k in picked if screened.candidates[k].label == one.effects[-1])
+                gains[k] = max(gains.get(k, 0.0), before - whitened_cost(one.state, after.choice))
+        effects = tuple(known[name] for name in kept.effects)
+        members, frequency = members_of(screened, lead, gains), _frequency(screened, lead)
         self._spent("certificate", begun)
-        self.stations.append(
-            Station(
-                kept.state,
-                tuple(known[name] for name in kept.effects),
-                self._screen(kept.state),
-                lead,
-                members_of(screened, lead, gains),
-                gains[lead],
-                frequency,
-            )
-        )
+        self.stations.append(Station(kept.state, effects, after, lead, members, gains[lead], frequency))
 
 
 def proposals(screened: Screened) -> list[int]:
