@@ -16,7 +16,7 @@ from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.loss import read_loss
 from casadi_engine.estimation.multistart import attempts_from, best_of, distinct_optima, interrupted
-from casadi_engine.estimation.options import small, whole
+from casadi_engine.estimation.options import chosen, small, whole
 from casadi_engine.estimation.parallel import checked_jobs
 from casadi_engine.estimation.search import Search
 from casadi_engine.estimation.starts import drawn_starts
@@ -41,6 +41,7 @@ def estimate(
     loss: Any = "square",
     ties: str = "substitute",
     method: str = "exact",
+    approach: str = "direct",
     starts: int = 1,
     seed: int = 0,
     neighbours: int = 0,
@@ -65,6 +66,8 @@ def estimate(
     loss : "square", "huber", or ("huber", knee in standard deviations)
     ties : "substitute", or "constraint" to keep ties as equality constraints of the solver: the same answer
     method : "exact", or "euler" for the forward-Euler discretisation of a linear model
+    approach : "direct", or "prediction" for a start that may be far off: the parameters are fitted to predictions over
+        short pieces of the data first, from there and from points around it, and then to longer and longer ones
     starts, seed : number of starts, the first from the set's values, the others drawn within the bounds
     neighbours : number of directions, those the data tell least of, along which to look for a lower optimum beside
         the best: searches that start 5 standard errors to either side of it
@@ -103,6 +106,7 @@ def estimate(
         "loss": read_loss(loss),
         "ties": ties,
         "method": method,
+        "approach": chosen("approach", approach, ("direct", "prediction")),
         "max_iterations": max_iterations,
         "tolerance": tolerance,
         "warm": warm,
@@ -123,6 +127,7 @@ def estimate(
             "loss": loss if isinstance(loss, str) else repr(loss),
             "ties": ties,
             "method": method,
+            "approach": approach,
             "starts": starts,
             "seed": seed,
             "neighbours": neighbours,

@@ -17,6 +17,8 @@ from casadi_engine.simulation.grid import Grid
 
 Array = NDArray[np.float64]
 
+# The solver counts its iterations in 32 bits.
+_MOST = 2**31 - 1
 # "auto" cuts a record into about this many intervals.
 _AUTO = 100
 _UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
@@ -28,13 +30,13 @@ def interval_length(interval: Any, grid: Grid) -> int | None:
 
     interval : "auto", "single", a number of samples, or text such as "10 ms" or "144 samples"
     """
-    if interval == "auto":
+    if isinstance(interval, str) and interval == "auto":
         return max(16, 16 * round(grid.samples / _AUTO / 16))
-    if interval in ("single", None):
+    if interval is None or (isinstance(interval, str) and interval == "single"):
         return None
     found: float | None = None
     if isinstance(interval, (int, np.integer)) and not isinstance(interval, bool):
-        found = float(interval)
+        found = as_number(interval)
     elif isinstance(interval, str) and (match := _TEXT.match(interval)):
         number, unit = float(match[1]), match[2]
         found = number * _UNITS[unit] / grid.step if unit in _UNITS else number
@@ -101,7 +103,7 @@ def as_number(value: Any) -> float | None:
         return None
     try:
         return float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return None
 
 
@@ -115,13 +117,26 @@ def _bad_initial(seen: Any) -> EstimationError:
 
 
 def whole(name: str, value: Any, least: int) -> int:
-    """A whole number >= least, or an error that names the option."""
-    if isinstance(value, (int, np.integer)) and not isinstance(value, bool) and value >= least:
+    """A whole number >= least, or an error that names the option; a seed may have any size."""
+    most = math.inf if name == "seed" else _MOST
+    if isinstance(value, (int, np.integer)) and not isinstance(value, bool) and least <= value <= most:
         return int(value)
     raise EstimationError(
         f"{name} is not acceptable",
         seen=repr(value),
-        allowed=f"a whole number >= {least}",
+        allowed=f"a whole number >= {least}" + (" and < 2**31" if math.isfinite(most) else ""),
+        cure=f"leave {name} out",
+    )
+
+
+def chosen(name: str, value: Any, words: Sequence[str]) -> str:
+    """One of the words, or an error that names the option."""
+    if isinstance(value, str) and value in words:
+        return value
+    raise EstimationError(
+        f"{name} is not acceptable",
+        seen=repr(value),
+        allowed=" or ".join(f'"{word}"' for word in words),
         cure=f"leave {name} out",
     )
 

@@ -97,11 +97,11 @@ class RecordTerm:
         """The same record as one interval, for simulation."""
         return self.again(gain=self.gain)
 
-    def again(self, *, gain: Array | GainPlan | None) -> RecordTerm:
-        """The same record as one interval, predicted with another gain or simulated."""
+    def again(self, *, gain: Array | GainPlan | None, length: int | None = None) -> RecordTerm:
+        """The same record in intervals of another length (None: one), predicted with another gain or simulated."""
         return RecordTerm(
             self.model, self.experiment, *self.symbols,
-            length=None, gain=gain, method=self.method, grid=self.grid,
+            length=length, gain=gain, method=self.method, grid=self.grid,
         )  # fmt: skip
 
     @property

@@ -18,10 +18,11 @@ from casadi_engine.estimation.ipopt import Solution, Solver
 from casadi_engine.estimation.levels import NoiseLevels, check_noise
 from casadi_engine.estimation.loss import Loss
 from casadi_engine.estimation.options import initial_bounds, interval_length
+from casadi_engine.estimation.pieces import REACH, SCREENED, approach
 from casadi_engine.estimation.predictor import Predictor
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.shooting import ShootingProblem
-from casadi_engine.estimation.starts import chained_nodes, nodes_from_measurement
+from casadi_engine.estimation.starts import chained_nodes, drawn_starts, nodes_from_measurement
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters, compile
@@ -72,10 +73,12 @@ class Search:
         warm: Any,
         progress: Callable[[int, float, float], Any] | None,
         interrupts: Interrupts | None = None,
+        approach: str = "direct",
     ) -> None:
         noise = check_noise(noise, model)
         self.model, self.data, self.noise, self.loss = model, data, noise, loss
         self.warm, self._progress = _checked_warm(warm), progress
+        self._approach, self._interrupts = approach, interrupts or Interrupts()
         names = tuple(record.name for record in data)
         grids = {record.name: lay_grid(model, record) for record in data}
         self.predictor = Predictor(noise, model, list(grids.values()), parameters)
@@ -135,7 +138,7 @@ class Search:
             max_iterations=max_iterations,
             tolerance=tolerance,
             progress=self._report,
-            interrupts=interrupts,
+            interrupts=self._interrupts,
         )
 
     def plain_gain(self, record: RecordTerm) -> Any:
@@ -223,6 +226,7 @@ class Search:
     def run(self, z: Array, *, first: bool = True) -> Attempt:
         """Search from z : (nz,), in the parameters' units."""
         z = self._warm_values(z) if first and self.warm is not None else z
+        given, z = z, self._approached(z) if first else z
         x = self._start(z, first=first)
         self._weigh(self.levels.first(self.warm if first else None))
         if not np.isfinite(self._objective(x)):
@@ -246,7 +250,25 @@ class Search:
                 break
             solution = self.solver.solve(solution.x, self.lower, self.upper, exact=True)
             iterations += solution.iterations
-        return self._outcome(solution, iterations, z)
+        return self._outcome(solution, iterations, given)
+
+    def _approached(self, z: Array) -> Array:
+        """The start of the simulation that predictions over short pieces lead to; ``z`` itself without them."""
+        if self._approach == "direct" or self.warm is not None or not self.problem.nv:
+            return z
+        self._weigh(self.levels.first())
+        drawn = drawn_starts(replace(self.pmap, start=z), 1 + SCREENED, 0, REACH)
+        v = approach(
+            self.records,
+            [self.coordinates.of(point) for point in drawn],
+            lambda record: nodes_from_measurement(record, self.pmap.unpack(z, record.experiment.name)),
+            coordinates=self.coordinates,
+            bounds=(self.lower[: self.problem.nv], self.upper[: self.problem.nv]),
+            sigma=self.sigma,
+            stop=lambda: self._interrupts.stopped,
+        )
+        found = np.clip(self.coordinates.values(v), self.pmap.lower, self.pmap.upper)
+        return found if np.isfinite(found).all() else z
 
     @property
     def _settles(self) -> bool:

@@ -90,8 +90,8 @@ def chained_nodes(record: RecordTerm, v: Array, first: Array) -> Array:
     return np.ascontiguousarray(path.x[: plan.m * plan.length : plan.length, :, 0])[: plan.m]
 
 
-def drawn_starts(pmap: ParameterMap, count: int, seed: int) -> list[Array]:
-    """``count`` starts of z: the given one, then points drawn within the bounds and a factor 3 of it."""
+def drawn_starts(pmap: ParameterMap, count: int, seed: int, reach: float = _REACH) -> list[Array]:
+    """``count`` starts of z: the given one, then points drawn within the bounds and a factor ``reach`` of it."""
     starts = [pmap.start.copy()]
     rng = np.random.default_rng(seed)
     for _ in range(count - 1):
@@ -100,10 +100,10 @@ def drawn_starts(pmap: ParameterMap, count: int, seed: int) -> list[Array]:
         for i, part in enumerate(share):
             low, high, at = pmap.lower[i], pmap.upper[i], pmap.start[i]
             if low >= 0 and at > 0:
-                low, high = max(low, at / _REACH), min(high, at * _REACH)
+                low, high = max(low, at / reach), min(high, at * reach)
                 point[i] = low * (high / low) ** part
             else:
-                width = _REACH * pmap.scale[i]
+                width = reach * pmap.scale[i]
                 low, high = max(low, at - width), min(high, at + width)
                 point[i] = low + (high - low) * part
         starts.append(point)
