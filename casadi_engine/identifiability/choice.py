@@ -130,10 +130,12 @@ def choose_experiments(
     >>> t = np.arange(200) * 0.01
     >>> def run(torque):
     ...     return ce.Experiment.from_arrays("run", time=t, units={"T": "N m"}, T=torque)
-    >>> choice = choose_experiments(ce.one_inertia(), {"constant": run(0 * t + 2), "steps": run(4.0 * (t % 1 < 0.5))},
-    ...     noise=ce.Noise(omega=0.01), size=1)
+    >>> candidates = {"constant": run(0 * t + 2), "steps": run(4.0 * (t % 1 < 0.5))}
+    >>> choice = ce.choose_experiments(ce.one_inertia(), candidates, noise=ce.Noise(omega=0.01), size=1)
     >>> choice.chosen
     ('steps',)
+    >>> {name: f"{100 * choice.relative[name]:.2g} %" for name in ("J_eng", "C_eng")}
+    {'J_eng': '0.099 %', 'C_eng': '0.045 %'}
     """
     size = whole("size", size, 1)
     plans, made = planned(candidates), () if have is None else planned(have)

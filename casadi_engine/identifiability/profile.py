@@ -130,9 +130,9 @@ def profile(
     >>> exp = ce.Experiment.from_arrays("run_up", time=t, units={"T": "N m", "omega": "rad/s"}, hold="zero",
     ...     T=np.full(200, 2.0), omega=4 * (1 - np.exp(-t / 0.8)) + noise)
     >>> fit = ce.estimate(ce.one_inertia(), exp, noise=ce.Noise(omega=0.02))
-    >>> low, high = profile(fit, "J_eng", points=3).intervals["J_eng"]
-    >>> low < 0.4 < high
-    True
+    >>> low, high = ce.profile(fit, "J_eng", points=3).intervals["J_eng"]
+    >>> print(f"{low:.3f} to {high:.3f} kg m2, estimate {fit.values['J_eng']:.3f}")
+    0.398 to 0.404 kg m2, estimate 0.401
     """
     _check(fit, level)
     points = whole("points", points, 2)

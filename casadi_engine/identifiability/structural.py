@@ -182,9 +182,13 @@ def identifiability(
 
     >>> import casadi_engine as ce
     >>> two_mass = ce.two_mass(reciprocating_speed="measured")
-    >>> found = identifiability(two_mass, inputs="zero", combinations=["(C_eng + C_el)/J_eng + C_el/J_load"])
+    >>> found = ce.identifiability(two_mass, inputs="zero", combinations=["(C_eng + C_el)/J_eng + C_el/J_load"])
     >>> found.rank, found.size, found.directions, list(found.combinations.values())
     (6, 8, 3, [True])
+    >>> print(found.symmetries[0])
+    J_eng, J_load, K_el, C_el, C_eng times s, for any s > 0
+    >>> print(found.remedies()[0])
+    excite T_1 (now zero): restores all
     """
     began = time.process_time()
     question = read_question(
