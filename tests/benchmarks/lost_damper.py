@@ -254,6 +254,13 @@ def figure_46(record: dict[str, np.ndarray]) -> tuple[LossSweep, LossSweep, Prof
     return right, thesis, profile(fit, points=5)
 
 
+FIGURES = (
+    "![The sweep of C_el with and without each step](../../.pictures/lost_damper.png)\n\n"
+    "![Figure 4.6 again: one parameter at a time, start known and start estimated, beside profiles]"
+    "(../../.pictures/loss_sweeps.png)\n"
+)
+
+
 def main() -> None:
     rows: dict[str, list[Row]] = {}
     found: dict[str, tuple[LossSweep, LossSweep, Profile]] = {}
@@ -261,7 +268,7 @@ def main() -> None:
         noisy, clean = records(kind)
         rows[kind] = [run(noisy if step.noise else clean, step) for step in STEPS]
         found[kind] = figure_46(noisy)
-    text = table(rows)
+    text = table(rows).rstrip("\n") + "\n\n" + FIGURES
     Path(__file__).with_suffix(".md").write_text(text, encoding="utf-8")
     print(text)
     draw_steps(rows)
