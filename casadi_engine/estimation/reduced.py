@@ -119,6 +119,10 @@ def trust_step(problem: Reduced, radius: float) -> tuple[Array, float, bool] | N
         inside = False
         shift = _shift(values, along, radius, floor)
     step = -along / (values + shift)
+    missing = radius**2 - float(step @ step)
+    if values.min() < -floor and missing > 0.19 * radius**2:
+        # The hard case: the gradient says nothing of the direction of the strongest bend down, either way is as good.
+        step[np.argmin(values)] += np.sqrt(missing)
     fall = -float(along @ step) - 0.5 * float(values @ step**2)
     return problem.whole(vectors @ step), fall + problem.settled, inside and not problem.bent
 
