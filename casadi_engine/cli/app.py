@@ -10,6 +10,7 @@ from casadi_engine import __version__
 from casadi_engine.cli.fit import fit
 from casadi_engine.cli.identify import identify
 from casadi_engine.cli.new import new
+from casadi_engine.cli.repair import repair
 from casadi_engine.cli.simulate import simulate
 from casadi_engine.cli.validate import validate
 
@@ -29,7 +30,7 @@ app = typer.Typer(
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (simulate, fit, identify, validate, new):
+for command in (simulate, fit, identify, validate, repair, new):
     app.command(epilog=EXIT_CODES)(command)
 
 

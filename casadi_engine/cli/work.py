@@ -19,6 +19,10 @@ if TYPE_CHECKING:
 EMPTY: dict[str, dict[str, Any]] = {
     "fit": {"iterations": 0, "nodes": 0, "optima": [], "fit_percent": {}},
     "validate": {"records": {}, "passed": False},
+    "repair": dict.fromkeys(
+        ("verdict", "confirmed", "threshold", "where", "gap", "unknown", "next_experiment", "equation")
+    )
+    | {"candidates": 0, "effects": [], "not_found": []},
 }
 
 
@@ -46,7 +50,7 @@ def estimate_job(job: Job, records: Sequence[Experiment], parameters: Parameters
             jobs=job.options.jobs,
         )
     except NotConvergedError as error:
-        _write_nothing_found(job, records, parameters, error)
+        nothing_found(job, records, parameters, error)
         raise
 
 
@@ -105,7 +109,7 @@ def _common(job: Job) -> dict[str, Any]:
     }
 
 
-def _write_nothing_found(
+def nothing_found(
     job: Job, records: Sequence[Experiment], parameters: Parameters, error: NotConvergedError
 ) -> None:
     """Write the result of a search that failed: where it started, and its status."""
@@ -114,6 +118,11 @@ def _write_nothing_found(
     started_from = Simulated(job.problem.model, parameters, tuple(records), ())
     document = EMPTY.get(job.options.command, {}) | to_result(started_from, **_common(job))
     document["status"] = f"not converged: {error.problem}"
+    if job.options.command == "repair":
+        why = "the fit without effects found no point"
+        null_fit = {"cost": None, "n": 0, "status": document["status"], "optima": [], "why": {"cost": why}}
+        document |= {"alpha": job.options.extra["alpha"], "null_fit": null_fit}
+        document["why"]["threshold"] = why
     with uninterrupted():
         make_folder(job.folder)
         # A page of an earlier run would stand beside a result that it does not belong to.

@@ -2,6 +2,9 @@
 
 import casadi_engine.report.identifiability_figures
 import casadi_engine.report.modes_figures
+import casadi_engine.report.repaired
+import casadi_engine.report.repaired_figures
+import casadi_engine.report.repaired_page
 import casadi_engine.report.stored_view  # noqa: F401  registers what it draws
 from casadi_engine.report.figures import plot
 from casadi_engine.report.kinds import Simulated

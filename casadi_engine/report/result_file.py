@@ -84,16 +84,7 @@ def _(result: Fit) -> dict[str, Any]:
         "parameters": parameters_of(result),
         "iterations": result.iterations,
         "nodes": result.nodes,
-        "optima": [
-            {
-                "cost": o.cost,
-                "values": dict(o.values),
-                "starts": o.starts,
-                "status": o.status,
-                "apart": o.apart,
-            }
-            for o in result.optima
-        ],
+        "optima": optima_of(result),
         "fit_percent": {
             record: {output: percents(found) for output, found in outputs.items()}
             for record, outputs in result.fit_percent.items()
@@ -154,6 +145,20 @@ def describe(data: Sequence[Experiment], model: Model) -> list[dict[str, Any]]:
         if channel["rate"] is None:
             channel["why"] = {"rate": "the times are not evenly spaced"}
     return made
+
+
+def optima_of(fit: Fit) -> list[dict[str, Any]]:
+    """The local optima of a multi-start, the best first."""
+    return [
+        {
+            "cost": one.cost,
+            "values": dict(one.values),
+            "starts": one.starts,
+            "status": one.status,
+            "apart": one.apart,
+        }
+        for one in fit.optima
+    ]
 
 
 def noise(fit: Fit) -> dict[str, Any]:

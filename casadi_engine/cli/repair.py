@@ -1,0 +1,142 @@
+"""``casadi-engine repair``: find what the model lacks, name it, add it, and show that the gap shrinks."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Annotated, Any
+
+import typer
+
+from casadi_engine.cli.job import ANSWERED, INTERRUPTED, NEGATIVE, NO_ANSWER, Job, complain, run, say
+from casadi_engine.cli.options import (
+    Data,
+    Debug,
+    Fix,
+    Free,
+    Jobs,
+    Options,
+    Out,
+    ProblemFile,
+    Seed,
+    Set,
+    Validate,
+)
+from casadi_engine.cli.work import fitting, nothing_found, say_where, write_answer
+from casadi_engine.errors import NotConvergedError
+
+Alpha = Annotated[
+    float,
+    typer.Option("--alpha", metavar="SHARE", help="False-alarm rate of all that is looked for together."),
+]
+HoldOut = Annotated[
+    float,
+    typer.Option(
+        "--holdout",
+        metavar="SHARE",
+        help="Share of the cycles kept for confirmation where no fresh file is given.",
+    ),
+]
+Check = Annotated[bool, typer.Option("--check", help="End with exit code 1 if something is missing.")]
+
+# A wrong optimum of the model without effects looks like missing physics: so many starts at least.
+STARTS = 4
+_WIDTH = 24
+
+
+def repair(
+    problem: ProblemFile,
+    data: Data = None,
+    validate: Validate = None,
+    set: Set = None,  # the option's name is --set
+    free: Free = None,
+    fix: Fix = None,
+    out: Out = None,
+    seed: Seed = 0,
+    jobs: Jobs = 1,
+    debug: Debug = False,
+    alpha: Alpha = 0.01,
+    holdout: HoldOut = 0.3,
+    check: Check = False,
+) -> None:
+    """Find where simulation and records disagree, name the missing effect, add it, and test it on fresh records.
+
+    The fresh records are the problem's validation records, or those of --validate; without any the last cycles of each
+    record are held out.
+    """
+    run(Options.collect("repair", locals(), extra=("alpha", "holdout", "check")), _work)
+
+
+def _work(job: Job) -> int:
+    found = _found(job)
+    write_answer(job, found)
+    say(found)
+    say_where(job)
+    if found.verdict is None:
+        complain("repair", f"no answer: {found.status}; what there is lies in {job.folder}")
+        return INTERRUPTED if found.status == "interrupted" else NO_ANSWER
+    missing = found.verdict != "nothing missing"
+    return NEGATIVE if job.options.extra["check"] and missing else ANSWERED
+
+
+def _found(job: Job) -> Any:
+    from casadi_engine import discrepancy
+
+    problem = job.problem
+    records = fitting(job, problem.load_records())
+    fresh = fitting(job, problem.load_validation())
+    bar = Progress()
+    try:
+        return discrepancy.repair(
+            problem.model,
+            records,
+            parameters=problem.parameters,
+            fresh=fresh or None,
+            noise=problem.noise,
+            alpha=job.options.extra["alpha"],
+            holdout=job.options.extra["holdout"],
+            starts=max(STARTS, problem.starts),
+            seed=job.options.seed,
+            interval=problem.interval,
+            initial=problem.initial_of(records),
+            method=problem.method,
+            progress=bar.tell,
+        )
+    except NotConvergedError as error:
+        nothing_found(job, records, problem.parameters, error)
+        raise
+    finally:
+        bar.done()
+
+
+class Progress:
+    """One line on a terminal that says what is being done; nothing where standard error is not one.
+
+    write : takes the text; width : columns of the line
+    """
+
+    def __init__(self, write: Callable[[str], Any] | None = None, *, width: int = 100) -> None:
+        terminal = sys.stderr.isatty()
+        self.write = write if write is not None else _to_terminal if terminal else None
+        self.width = width
+        self.steps = 0
+
+    def tell(self, text: str) -> None:
+        """Show the step that begins."""
+        self.steps += 1
+        if self.write is None:
+            return
+        # How many steps there are hangs on what is found: the bar fills by a share of what is left.
+        full = round(_WIDTH * (1 - 0.85**self.steps))
+        line = f"[{'#' * full}{'.' * (_WIDTH - full)}] {text}"
+        self.write("\r" + line[: self.width].ljust(self.width))
+
+    def done(self) -> None:
+        """Take the line away."""
+        if self.write is not None and self.steps:
+            self.write("\r" + " " * self.width + "\r")
+
+
+def _to_terminal(text: str) -> None:
+    sys.stderr.write(text)
+    sys.stderr.flush()

@@ -1,0 +1,381 @@
+"""report.html of a repair: one page that an engineer hands to a colleague, the verdict and the gap on top."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from casadi_engine.discrepancy.repaired import FoundEffect, Repair, Side
+from casadi_engine.estimation.summary import number, with_error
+from casadi_engine.report import tables
+from casadi_engine.report.figures import figures
+from casadi_engine.report.page import Folded, Section
+from casadi_engine.report.repaired_gap import pairs
+from casadi_engine.report.repaired_words import mood, verdict_lines
+from casadi_engine.report.sections import DRAWN, Page, _data, _how, _model, page_of
+from casadi_engine.report.tables import as_html, table, text
+
+
+@page_of.register
+def _(result: Repair, _validation: Any, arguments: Mapping[str, Any]) -> Page:
+    sections = [_verdict(result)]
+    if result.gaps is None:
+        fit = result.null_fit
+        sections += [_failed(result), _model(fit.model)]
+    else:
+        if result.effects:
+            sections += [_equation(result), _effects(result)]
+        if result.unknown is not None:
+            sections.append(_unknown(result))
+        sections += [
+            _certificate(result),
+            _parameters(result),
+            _where(result),
+            _scores(result),
+            _not_found(result),
+        ]
+        if not result.effects:
+            sections.append(_model(result.model))
+    sections += [_data((*result.data, *result.fresh)), _how(arguments, result.options, result.timing)]
+    return f"Repair of {result.model.name}", result.null_fit.model.description, sections
+
+
+@text.register
+def _(result: Repair) -> str:
+    return str(result)
+
+
+@as_html.register
+def _(result: Repair) -> str:
+    parts = [f"<p><b>{html.escape(verdict_lines(result)[0])}</b></p>"]
+    if result.gaps is not None:
+        parts += [_gap_table(result), _parameter_table(result)]
+    return "".join(parts)
+
+
+# ---- sections
+
+
+def _verdict(result: Repair) -> Section:
+    wanted = []
+    if result.gaps is not None:
+        caption = "The gap between measurement and simulation"
+        caption += " before and after the repair, mean of the cycles; its engine orders; its spread; and the law found"
+        if not result.effects:
+            caption = caption.replace(" before and after the repair", "").replace(
+                "the law found", "the scores"
+            )
+        wanted.append((result, "overview", caption))
+    return Section("verdict", "Verdict", verdict_lines(result), mood(result), wanted=wanted)
+
+
+def _failed(result: Repair) -> Section:
+    fit = result.null_fit
+    known = figures(fit)
+    wanted = [(fit, "overview", "The fit without effects, where it stopped")] if "overview" in known else []
+    return Section(
+        "fit",
+        "The fit without effects",
+        preformatted=[str(fit)],
+        tables=[tables.parameter_table(fit)],
+        wanted=wanted,
+    )
+
+
+def _equation(result: Repair) -> Section:
+    found = result.equation
+    if found is None:
+        return Section("equation", "The equations with the new term")
+    return Section(
+        "equation",
+        "The equations with the new term",
+        lines=["What the repair changed:"],
+        preformatted=["\n".join(found.terms)] if found.terms else [],
+        folded=[Folded("All equations", found.text), Folded("The equations in LaTeX", found.latex)],
+    )
+
+
+def _effects(result: Repair) -> Section:
+    rows = []
+    for one in result.effects:
+        first = True
+        for name, estimate in one.parameters.items():
+            size = f"{with_error(estimate.value, estimate.stderr)} {estimate.unit}"
+            if first:
+                frequency = (
+                    "-" if one.selection_frequency is None else f"{100 * one.selection_frequency:.0f} %"
+                )
+                share = f"{100 * one.share_explained:.3g} %"
+                rows.append((one.sentence, name, size, f"{one.z:.1f}", _p(one.p_value), share, frequency))
+            else:
+                rows.append(("", name, size, "", "", "", ""))
+            first = False
+    header = (
+        "effect",
+        "parameter",
+        "value ± standard error",
+        "z",
+        "p, whole library",
+        "of the gap",
+        "chosen in halves",
+    )
+    made = [table(header, rows, right=(3, 4, 5, 6), caption="Effects found")]
+    made += [_class_table(one) for one in result.effects if len(one.members) > 1]
+    return Section("effects", "The effects", tables=made, wanted=_latent_wanted(result))
+
+
+def _class_table(effect: FoundEffect) -> str:
+    rows = [
+        (f"{one.name} at {one.at}", f"{one.rho:+.3f}", f"{100 * one.probability:.3g} %")
+        for one in effect.members
+    ]
+    caption = f"The class of {effect.key}: these explain the data as well"
+    return table(("effect", "correlation", "probability, equal before"), rows, right=(1, 2), caption=caption)
+
+
+def _latent_wanted(result: Repair) -> list[tuple[Any, str, str]]:
+    known = figures(result)
+    ports = list(dict.fromkeys(one.at for one in result.effects if f"latent {one.at}" in known))
+    if not ports and result.latent:
+        ports = [result.latent[0].port]
+    caption = (
+        "Torque of unknown course at {port}, as the data ask for it before the repair, and the law that was named. "
+        "Parts linear in the signals belong to the old parameters and are set so that they agree with the law"
+    )
+    return [(result, f"latent {port}", caption.format(port=port)) for port in ports]
+
+
+def _unknown(result: Repair) -> Section:
+    unknown = result.unknown
+    assert unknown is not None
+    rows = [(name, _p(p)) for name, p in unknown.tests.items()]
+    wanted = (
+        [] if unknown.course is None else [(result, "unknown", "The unknown torque that explains most of it")]
+    )
+    if not result.effects:
+        wanted += _latent_wanted(result)
+    made = [table(("rejected residual test", "p"), rows, right=(1,))] if rows else []
+    title, line = "What no effect of the library explains", f"{unknown.sentence}."
+    return Section("unknown", title, [line], "poor", tables=made, wanted=wanted)
+
+
+def _certificate(result: Repair) -> Section:
+    gaps = result.gaps
+    assert gaps is not None
+    made = [_gap_table(result), _test_table(result)]
+    gain = gaps.gain_per_cycle
+    if gain is not None:
+        rows = [(number(gain.mean, ".4g"), number(gain.se, ".3g"), str(gain.cycles), _yes(result.confirmed))]
+        header = ("mean", "standard error", "cycles", "confirmed (mean > 2 s.e.)")
+        made.append(
+            table(header, rows, right=(0, 1, 2), caption="Fall of chi-squared per cycle of data not used")
+        )
+    what = {
+        "records": "Fresh records: the parameters are kept, only initial states are found.",
+        "cycles": "No fresh record was given: the last cycles of each record were held out of the search.",
+        None: "No fresh data: the repair is not confirmed.",
+    }
+    every = pairs(result)
+    wanted = [
+        (
+            result,
+            f"{'fresh gap' if one.fresh else 'gap'} {one.record} {one.output}",
+            f"{one.title}: residual over time with the band of the noise, its mean cycle, its orders",
+        )
+        for one in every[:DRAWN]
+    ]
+    lines = [what[gaps.source]]
+    if len(every) > DRAWN:
+        lines.append(f"{len(every) - DRAWN} more outputs are in the tables, but not drawn here.")
+    return Section(
+        "certificate", "Certificate: the gap before and after", lines=lines, tables=made, wanted=wanted
+    )
+
+
+def _gap_table(result: Repair) -> str:
+    gaps = result.gaps
+    assert gaps is not None
+    units = {variable.name: variable.unit for variable in result.model.outputs}
+    rows = []
+    for words, before, after in (
+        ("search", gaps.estimation_before, gaps.estimation_after),
+        ("fresh", gaps.validation_before, gaps.validation_after),
+    ):
+        if before is None or after is None:
+            continue
+        for output, old in before.gap.rmse.items():
+            rows.append(
+                (
+                    words, output, units.get(output, "1"), f"{old:.4g}", f"{after.gap.rmse[output]:.4g}",
+                    f"{before.gap.fit_percent[output]:.2f}", f"{after.gap.fit_percent[output]:.2f}",
+                    f"{before.gap.chi2_per_sample:.4f}", f"{after.gap.chi2_per_sample:.4f}",
+                )
+            )  # fmt: skip
+    header = (
+        "data", "output", "unit", "rms before", "rms after", "fit % before", "fit % after", "χ²/N before", "χ²/N after",
+    )  # fmt: skip
+    caption = "The gap in simulation; χ² with the noise of the scores, 1 is noise alone"
+    return table(header, rows, right=range(3, 9), caption=caption)
+
+
+def _test_table(result: Repair) -> str:
+    gaps = result.gaps
+    assert gaps is not None
+    rows = []
+    for before, after in (
+        (gaps.estimation_before, gaps.estimation_after),
+        (gaps.validation_before, gaps.validation_after),
+    ):
+        if before is not None and after is not None:
+            rows += _test_rows(before, after)
+    header = ("record", "output", "p before", "p after")
+    return table(header, rows, right=(2, 3), caption="Whiteness of the residuals (Ljung-Box)")
+
+
+def _test_rows(before: Side, after: Side) -> list[tuple[str, str, str, str]]:
+    return [
+        (record, output, _p(p), _p(after.whiteness_p[record][output]))
+        for record, outputs in before.whiteness_p.items()
+        for output, p in outputs.items()
+    ]
+
+
+def _parameters(result: Repair) -> Section:
+    known = figures(result)
+    wanted = [
+        (
+            result,
+            f"shift {one.key}",
+            f"Old parameters when {one.name} at {one.at} was added: predicted and found",
+        )
+        for one in result.effects
+        if one.found_shift and f"shift {one.key}" in known
+    ]
+    made = [_parameter_table(result), tables.initial_table(result.fit)]
+    return Section(
+        "parameters", "Parameters before and after", tables=[one for one in made if one], wanted=wanted
+    )
+
+
+def _parameter_table(result: Repair) -> str:
+    shifts: dict[str, float] = {}
+    for one in result.effects:
+        for name, value in one.predicted_shift.items():
+            shifts[name] = shifts.get(name, 0.0) + value
+    rows = []
+    for name, new in result.fit.estimates.items():
+        old = result.null_fit.estimates.get(name)
+        note = f"at its {new.at_bound} bound" if new.at_bound else "fixed" if new.fixed else ""
+        changed = "" if old is None or new.fixed else f"{new.value - old.value:+.3g}"
+        rows.append(
+            (
+                name,
+                "-" if old is None else with_error(old.value, old.stderr),
+                with_error(new.value, None if new.at_bound else new.stderr),
+                new.unit,
+                changed,
+                f"{shifts[name]:+.3g}" if name in shifts else "",
+                note,
+            )
+        )
+    header = (
+        "parameter",
+        "before ± standard error",
+        "after ± standard error",
+        "unit",
+        "change",
+        "predicted",
+        "note",
+    )
+    return table(
+        header, rows, right=(4, 5), caption="Parameters; the change predicted by the score is a first step"
+    )
+
+
+def _where(result: Repair) -> Section:
+    place = result.where
+    rows = []
+    if place is not None:
+        rows = [("record", place.record), ("time", f"{place.time[0]:.4g} to {place.time[1]:.4g} s")]
+        if place.cycles:
+            rows.append(("engine cycles", ", ".join(map(str, place.cycles))))
+        if place.crank_angle is not None:
+            first, last = (math.degrees(angle) for angle in place.crank_angle)
+            rows.append(("crank angle", f"{first:.0f} to {last:.0f} deg of 720"))
+        if place.order is not None:
+            rows.append(("engine order", f"{place.order:g} per revolution"))
+        rows += [
+            (f"share of the gap in {name}", f"{100 * value:.3g} %") for name, value in place.excess.items()
+        ]
+    made = [table(("the gap before the repair", "where"), rows)] if rows else []
+    if result.latent:
+        gains = [(one.port, f"{one.gain:.4g}", f"{one.level:.3g}") for one in result.latent]
+        header = ("torque of unknown course at", "gain of 2 log likelihood", "its size [N m]")
+        caption = "Where in the machine (a screen: with few sensors any place explains much; the claim is the score's)"
+        made.append(table(header, gains, right=(1, 2), caption=caption))
+    lines = [] if rows else ["No part of the data stands out of the noise."]
+    return Section("where", "Where the gap sits", lines=lines, tables=made)
+
+
+def _scores(result: Repair) -> Section:
+    known = figures(result)
+    wanted = [
+        (result, name, caption)
+        for name, caption in (
+            (
+                "scores",
+                "Score of every effect at every port, all parameters free, and the threshold of the whole library",
+            ),
+            ("classes", "How alike the leading effects look in these data"),
+        )
+        if name in known
+    ]
+    line = (
+        f"{result.candidates} candidates at α = {result.alpha:g} over all of them together: threshold "
+        f"|z| = {number(result.threshold, '.3g')}."
+    )
+    lines = [line]
+    if result.rounds:
+        kept = [one.kept for one in result.rounds if one.kept]
+        lines.append(f"Rounds of the search: {len(result.rounds)}; kept: {', '.join(kept) or 'nothing'}.")
+    return Section("scores", "What was looked for", lines=lines, wanted=wanted)
+
+
+def _not_found(result: Repair) -> Section:
+    rows = [
+        (
+            f"{one.name} at {one.at}",
+            f"{one.smallest_detectable:.3g}"
+            if one.testable and math.isfinite(one.smallest_detectable)
+            else "-",
+            one.unit,
+            ""
+            if one.testable
+            else "not testable: the free parameters explain all that it does; it may be there",
+        )
+        for one in result.not_found
+    ]
+    made = (
+        [table(("effect", "smallest size found in 95 %", "unit", "note"), rows, right=(1,))] if rows else []
+    )
+    line = "Not found is not absent: an effect below its smallest detectable size would have been missed."
+    split = result.next_experiment
+    lines = [line] if rows else ["Every effect that was looked for was found, or nothing was looked for."]
+    if split is not None:
+        lines.append(
+            f"Next experiment: {split.change}; expected separation {split.expected_separation:.2g}, now "
+            f"{split.separation_now:.2g} (3.3 is right in 95 %)."
+        )
+    return Section("not-found", "Not found, and how small it would have to be", lines=lines, tables=made)
+
+
+def _p(value: float | None) -> str:
+    if value is None:
+        return "-"
+    return "< 1e-16" if value < 1e-16 else f"{value:.2g}"
+
+
+def _yes(answer: bool | None) -> str:
+    return "not known" if answer is None else "yes" if answer else "no"

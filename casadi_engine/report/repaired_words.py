@@ -1,0 +1,183 @@
+"""A repair in sentences, for the top of its page."""
+
+from __future__ import annotations
+
+import math
+
+from casadi_engine.discrepancy.repaired import FoundEffect, Repair
+from casadi_engine.estimation.summary import number, with_error
+from casadi_engine.report.panels import half_width
+
+# A parameter is named at the top if it moved by so many of its standard errors.
+_MOVED = 3.0
+
+
+def verdict_lines(repair: Repair) -> list[str]:
+    """The verdict, what fresh data say, by how much the gap shrank, what the old parameters hid, and what to do."""
+    lines = [_verdict(repair)]
+    lines += [_class(one) for one in repair.effects if len(one.members) > 1]
+    if repair.effects and repair.unknown is not None:
+        lines.append(f"The residuals still hold more: {repair.unknown.sentence}.")
+    lines += [f"{_where(repair)}." if _where(repair) else ""]
+    lines += [_confirmed(repair)]
+    lines += [gap_sentence(repair)]
+    moved = moved_parameters(repair)
+    if moved:
+        lines.append(f"Without it the model had these wrong: {moved}.")
+    lines += [
+        f"Found first and then refused by fresh data: {one.name} at {one.at}." for one in repair.withdrawn
+    ]
+    lines += list(repair.messages)
+    lines.append(f"Next: {next_step(repair)}.")
+    return [line for line in lines if line]
+
+
+def mood(repair: Repair) -> str:
+    """Colour of the verdict: good where the answer stands, poor where something is open."""
+    if repair.verdict == "nothing missing":
+        return "good"
+    return "good" if repair.verdict == "named" and repair.confirmed is not False else "poor"
+
+
+def _verdict(repair: Repair) -> str:
+    if repair.verdict is None:
+        return f"No answer: {repair.status}."
+    if repair.verdict == "nothing missing":
+        return (
+            f"Nothing is missing that these data can show: {repair.candidates} candidates at α = {repair.alpha:g}, "
+            "and the residuals are white."
+        )
+    if repair.verdict == "unnamed":
+        words = repair.unknown.sentence if repair.unknown is not None else "the residuals are not noise"
+        return f"Something is missing that no effect of the library names: {words}."
+    return f"Something is missing: {' and '.join(effect_words(one) for one in repair.effects)}."
+
+
+def effect_words(effect: FoundEffect) -> str:
+    """An effect with its size: ``dry friction at coupling (coulomb_friction at coupling), torque 8.05 ± 0.07 N m``."""
+    amplitude = next(iter(effect.parameters))
+    size = f"{amplitude.rpartition('.')[2]} {with_error(effect.amplitude.value, effect.amplitude.stderr)}"
+    size = f"{size} {effect.amplitude.unit}".strip()
+    return f"{effect.sentence} ({effect.name} at {effect.at}), {size}"
+
+
+def _class(effect: FoundEffect) -> str:
+    others = ", ".join(f"{one.name} at {one.at} ({100 * one.probability:.2g} %)" for one in effect.members)
+    return f"These data do not tell apart {len(effect.members)} effects that explain it as well: {others}."
+
+
+def _where(repair: Repair) -> str:
+    place = repair.where
+    if place is None:
+        return ""
+    words = [f"in {place.record}"]
+    if place.cycles:
+        words.append(f"cycle{'s' if len(place.cycles) > 1 else ''} {_numbers(place.cycles)}")
+    if place.crank_angle is not None:
+        first, last = (math.degrees(angle) for angle in place.crank_angle)
+        words.append(f"crank angles {first:.0f} to {last:.0f} deg")
+    if place.order is not None:
+        words.append(f"engine order {place.order:g}")
+    at = f"; a torque at {place.location} explains most of it" if place.location else ""
+    return f"The gap is widest {', '.join(words)}{at}"
+
+
+def _numbers(values: tuple[int, ...]) -> str:
+    """Cycle numbers, consecutive ones as a range: ``2, 5 to 8``.
+
+    >>> _numbers((2, 5, 6, 7, 8)), _numbers((1,)), _numbers((1, 2))
+    ('2, 5 to 8', '1', '1, 2')
+    """
+    runs: list[list[int]] = []
+    for value in sorted(values):
+        if runs and value == runs[-1][-1] + 1:
+            runs[-1].append(value)
+        else:
+            runs.append([value])
+    words = [f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs]
+    return ", ".join(words)
+
+
+def _confirmed(repair: Repair) -> str:
+    gaps = repair.gaps
+    if not repair.effects or gaps is None:
+        return ""
+    gain = gaps.gain_per_cycle
+    if repair.confirmed is None:
+        why = "there are no fresh data" if gain is None or gain.why is None else gain.why
+        return f"Not confirmed: {why}."
+    kind = "fresh records" if gaps.source == "records" else "cycles that were held out"
+    size = ""
+    if gain is not None and gain.mean is not None and gain.se is not None:
+        size = f", gain of chi-squared {gain.mean:.3g} ± {gain.se:.2g} per cycle over {gain.cycles} cycles"
+    return f"{'Confirmed' if repair.confirmed else 'REFUSED'} by {kind}{size}."
+
+
+def gap_sentence(repair: Repair) -> str:
+    """How far the rms gap fell, on the data of the search and on fresh ones, and to what share of the noise."""
+    gaps = repair.gaps
+    if gaps is None:
+        return ""
+    units = {variable.name: variable.unit for variable in repair.model.outputs}
+    parts = []
+    for name, before, after in (
+        ("data of the search", gaps.estimation_before, gaps.estimation_after),
+        ("fresh data", gaps.validation_before, gaps.validation_after),
+    ):
+        if before is None or after is None:
+            continue
+        for output, old in before.gap.rmse.items():
+            new, unit = after.gap.rmse[output], units.get(output, "1")
+            if repair.effects:
+                parts.append(f"{output} {old:.4g} to {new:.4g} {unit} on {name}")
+            else:
+                parts.append(f"{output} {new:.4g} {unit} on {name}")
+    share = sum(one.share_explained for one in repair.effects)
+    closed = f"; {100 * share:.3g} % of the gap above the noise is closed" if repair.effects else ""
+    return f"Rms gap: {', '.join(parts)}{closed}." if parts else ""
+
+
+def moved_parameters(repair: Repair) -> str:
+    """Old parameters that adding the effects moved by several standard errors, the largest share first."""
+    found = []
+    for name in repair.null_fit.free:
+        old, new = repair.null_fit.estimates.get(name), repair.fit.estimates.get(name)
+        error = None if new is None else half_width(new)
+        if not repair.effects or old is None or new is None or error is None:
+            continue
+        change = new.value - old.value
+        if abs(change) > _MOVED * error / 1.96:
+            share = abs(change) / (abs(new.value) or 1.0)
+            found.append(
+                (
+                    share,
+                    f"{name} {number(old.value, '.4g')}, now {with_error(new.value, new.stderr)} {new.unit}",
+                )
+            )
+    found.sort(key=lambda pair: -pair[0])
+    return "; ".join(text for _, text in found[:4])
+
+
+def next_step(repair: Repair) -> str:
+    """What to do with the answer."""
+    if repair.verdict is None:
+        return "look at the fit below: other start values, wider bounds, or more starts"
+    if repair.next_experiment is not None:
+        split = repair.next_experiment
+        return (
+            f"{split.change}: it would tell apart {', '.join(split.splits)} "
+            f"(separation {split.expected_separation:.2g}, now {split.separation_now:.2g})"
+        )
+    if repair.verdict == "nothing missing":
+        return "keep the model; the table of what was not found says what could hide below the noise"
+    if repair.verdict == "unnamed":
+        return (
+            "look at the curve of the unknown torque and write an effect of your own (ten lines, ce.Effect)"
+        )
+    if repair.verdict == "class":
+        return "record data that tell the members of the class apart, or fix by knowledge which one it is"
+    if repair.unknown is not None:
+        return "look at the figures of the residuals after the repair: they hold more"
+    if repair.confirmed is None:
+        return "record fresh data, and give them by --validate FILE"
+    return "keep the repaired model: the equation and the parameters are below"
