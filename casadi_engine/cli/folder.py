@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import secrets
+from collections.abc import Iterable
 from pathlib import Path
 
 from casadi_engine.errors import OutputError
@@ -41,6 +43,26 @@ def make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as error:
         raise _unwritable(folder, error) from None
+
+
+def simulated_files(folder: Path) -> tuple[str, ...]:
+    """The data files that an earlier `simulate` left in `folder`, by its own result.json; none in doubt."""
+    try:
+        earlier = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return ()
+    if not isinstance(earlier, dict) or earlier.get("command") != "simulate":
+        return ()
+    names = earlier.get("files")
+    listed = names if isinstance(names, list) else []
+    return tuple(n for n in listed if isinstance(n, str) and n.endswith(".csv") and n == os.path.basename(n))
+
+
+def remove_files(folder: Path, names: Iterable[str]) -> None:
+    """Take files out of `folder`; one that is gone, or that cannot be removed, is left as it is."""
+    for name in names:
+        with contextlib.suppress(OSError):
+            (folder / name).unlink()
 
 
 def _unwritable(folder: Path, error: Exception) -> OutputError:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from casadi_engine.cli.earlier import From, values_of
+from casadi_engine.cli.folder import remove_files, simulated_files
 from casadi_engine.cli.job import ANSWERED, Job, run, say
 from casadi_engine.cli.one_time import on_one_time
 from casadi_engine.cli.options import (
@@ -74,7 +75,10 @@ def _work(job: Job) -> int:
     )
     files = file_names(record.name for record in records)
     answer = Simulated(problem.model, parameters, records, made, files)
+    earlier = simulated_files(job.folder)
     write_answer(job, answer, data_files=dict(zip(files, made, strict=True)))
+    # Records of an earlier run would stand beside a result that does not speak of them.
+    remove_files(job.folder, {*earlier} - {*files})
     say(text(answer))
     say_where(job, *files)
     return ANSWERED

@@ -98,6 +98,16 @@ def test_simulate_writes_data_files(here, call):
     assert call("fit", "problem.py", "--data", folder / "run.csv", "--out", "again").code == 0
 
 
+def test_simulate_takes_its_own_old_files_away(here, call, quick_report):
+    """A reused folder holds what the last run says it holds, and files of others."""
+    call("simulate", "problem.py", "--validate", "fresh.csv", "--out", "again")
+    (here / "again" / "mine.csv").write_text("time [s]\n")
+    assert files("again") == ["fresh.csv", "mine.csv", "report.html", "result.json", "run.csv"]
+    assert call("simulate", "problem.py", "--data", "fresh.csv", "--out", "again").code == 0
+    assert files("again") == ["fresh.csv", "mine.csv", "report.html", "result.json"]
+    assert stored(here / "again")["files"] == ["fresh.csv"]
+
+
 def test_validate_keeps_the_values(here, call):
     done = call("validate", "problem.py", "--set", "J_eng=0.4", "--set", "C_eng=0.5")
     assert (done.code, done.err) == (0, "")

@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from casadi_engine.cli.folder import check_folder, make_folder
+from casadi_engine.cli.folder import check_folder, make_folder, remove_files, simulated_files
 from casadi_engine.errors import OutputError
 
 
@@ -61,3 +61,28 @@ def test_a_name_that_no_system_takes(tmp_path):
     with pytest.raises(OutputError, match="cannot be written"):
         check_folder(tmp_path / "a\0b")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "not json",
+        "[]",
+        '{"command": "fit", "files": ["run.csv"]}',
+        '{"command": "simulate", "files": 3}',
+        '{"command": "simulate", "files": ["../run.csv", "/run.csv", "a/run.csv", "notes.txt", 3]}',
+    ],
+)
+def test_files_in_doubt_are_not_ours(tmp_path, text):
+    assert simulated_files(tmp_path) == ()
+    (tmp_path / "result.json").write_text(text)
+    assert simulated_files(tmp_path) == ()
+
+
+def test_only_what_is_named_is_removed(tmp_path):
+    (tmp_path / "result.json").write_text('{"command": "simulate", "files": ["run.csv", "gone.csv"]}')
+    for name in ("run.csv", "mine.csv"):
+        (tmp_path / name).write_text("x")
+    remove_files(tmp_path, simulated_files(tmp_path))
+    assert sorted(os.listdir(tmp_path)) == ["mine.csv", "result.json"]
