@@ -115,7 +115,7 @@ class Blueprint:
         """
         if _identifier("port", name) in self._ports:
             raise _repeated("port", name)
-        slot = ca.SX.sym(f"w_{name}") if PORT_KINDS.get(kind, False) else None
+        slot = ca.SX.sym(f"w_{name}") if isinstance(kind, str) and PORT_KINDS.get(kind, False) else None
         made = {key: _scalar(f"signal {key} of port {name}", value) for key, value in (signals or {}).items()}
         self._ports[name] = Port(name, kind, description, made, slot)
         return slot

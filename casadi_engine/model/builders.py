@@ -191,7 +191,8 @@ def declare_outputs(b: Blueprint, names: Sequence[str], known: Mapping[str, tupl
 
     ModelError for any other.
     """
-    if isinstance(names, str) or not names or not set(names) <= set(known):
+    listed = isinstance(names, (tuple, list)) and all(isinstance(name, str) for name in names)
+    if not listed or not names or not set(names) <= set(known):
         raise ModelError(
             "the outputs are not ones of this model",
             seen=repr(names),
@@ -212,7 +213,7 @@ def _cylinder_options(
     if cylinders != 0:
         return options
     usual = CylinderOptions(0)
-    given = [key for key, value in vars(options).items() if value != getattr(usual, key)]
+    given = [key for key, value in vars(options).items() if not _same(value, getattr(usual, key))]
     if given:
         raise ModelError(
             "options of cylinders are given, but the torque is a channel",
@@ -221,3 +222,8 @@ def _cylinder_options(
             cure="give the number of cylinders, or leave these options out",
         )
     return None
+
+
+def _same(value: Any, usual: Any) -> bool:
+    """Whether an option is as it was left out; an array never is."""
+    return value is usual or (isinstance(value, (str, int)) and value == usual)

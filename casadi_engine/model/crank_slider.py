@@ -79,6 +79,13 @@ class Geometry:
         """Return a Geometry from one, from a mapping of some of its fields, or from None (the defaults)."""
         if isinstance(geometry, Geometry):
             return geometry
+        if geometry is not None and not isinstance(geometry, Mapping):
+            raise ModelError(
+                "the geometry is of the wrong kind",
+                seen=type(geometry).__name__,
+                allowed="a Geometry, a mapping of some of its fields, or None",
+                cure='write geometry={"r": 0.043, "L": 0.145}, for instance',
+            )
         given = dict(geometry or {})
         fields = tuple(asdict(Geometry()))
         for name in given:

@@ -20,7 +20,7 @@ from casadi_engine.model.crank_slider import (
     torque_factor,
     torque_factor_slope,
 )
-from casadi_engine.model.firing import firing_offsets
+from casadi_engine.model.firing import check_cylinders, firing_offsets
 
 ReciprocatingSpeed = Literal["model", "measured"]
 ReciprocatingInertia = Literal["mean", "variable"]
@@ -59,6 +59,7 @@ class CylinderOptions:
     reciprocating_inertia: ReciprocatingInertia = "mean"
 
     def __post_init__(self) -> None:
+        check_cylinders(self.cylinders, least=0)
         check_option("reciprocating_speed", self.reciprocating_speed, ("model", "measured"))
         check_option("reciprocating_inertia", self.reciprocating_inertia, ("mean", "variable"))
         if self.reciprocating_inertia == "variable" and self.reciprocating_speed == "measured":
@@ -92,7 +93,7 @@ class Cylinders:
 
 def check_option(name: str, value: object, allowed: Sequence[str]) -> None:
     """Raise ModelError unless `value` is one of the words `allowed`."""
-    if value not in allowed:
+    if not isinstance(value, str) or value not in allowed:
         raise ModelError(
             f"the option {name} is not known",
             seen=repr(value),

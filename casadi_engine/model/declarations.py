@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from numbers import Real
 from types import MappingProxyType
 from typing import Any, overload
 
@@ -41,10 +43,19 @@ class Variable:
     scale: float = 1.0
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.scale) and self.scale > 0):
+        for key, text in (("unit", self.unit), ("description", self.description)):
+            if not isinstance(text, str) or (key == "unit" and not text.strip()):
+                raise ModelError(
+                    f"the {key} of {self.name} is not acceptable",
+                    seen=repr(text),
+                    allowed="text, such as rad/s; 1 if dimensionless" if key == "unit" else "text",
+                    cure="write it in quotes",
+                )
+        number = isinstance(self.scale, Real) and not isinstance(self.scale, bool)
+        if not (number and 0 < self.scale <= sys.float_info.max):
             raise ModelError(
                 f"the scale of {self.name} is not acceptable",
-                seen=self.scale,
+                seen=repr(self.scale),
                 allowed="a finite number > 0",
                 cure="give the typical magnitude of the quantity in its unit",
             )
@@ -98,7 +109,7 @@ class Port:
     slot: Any = None
 
     def __post_init__(self) -> None:
-        if self.kind not in PORT_KINDS:
+        if not isinstance(self.kind, str) or self.kind not in PORT_KINDS:
             raise ModelError(
                 f"the kind of port {self.name} is not known",
                 seen=repr(self.kind),

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from numbers import Integral
+from collections.abc import Iterable, Mapping, Sequence
+from numbers import Integral, Real
 from types import MappingProxyType
+from typing import Any
 
 from casadi_engine.errors import ModelError
 
 CYCLE = 4 * math.pi
+
+# Above that it is a slip of the pen, and the model would take minutes to write down.
+_MOST_CYLINDERS = 64
 
 # The orders in common use; any other is given by the user.
 USUAL_ORDERS: Mapping[int, tuple[int, ...]] = MappingProxyType(
@@ -25,6 +29,35 @@ USUAL_ORDERS: Mapping[int, tuple[int, ...]] = MappingProxyType(
         12: (1, 7, 5, 11, 3, 9, 6, 12, 2, 8, 4, 10),
     }
 )
+
+
+def check_cylinders(cylinders: object, least: int = 1) -> None:
+    """Raise ModelError unless `cylinders` is a whole number from `least` up to what an engine has."""
+    if (
+        not isinstance(cylinders, Integral)
+        or isinstance(cylinders, bool)
+        or not least <= int(cylinders) <= _MOST_CYLINDERS
+    ):
+        raise ModelError(
+            "the number of cylinders is not acceptable",
+            seen=repr(cylinders),
+            allowed=f"a whole number, {least} or more"
+            if least == 1
+            else "0 for a torque channel, or 1 or more",
+            cure="give cylinders=4, for instance",
+        )
+
+
+def as_tuple(given: object, what: str) -> tuple[Any, ...]:
+    """The elements of a sequence that is no text, or ModelError."""
+    if isinstance(given, Iterable) and not isinstance(given, (str, bytes, Mapping)):
+        return tuple(given)
+    raise ModelError(
+        f"{what} is not a sequence",
+        seen=repr(given),
+        allowed="a tuple or list of numbers",
+        cure="leave it out",
+    )
 
 
 def firing_offsets(
@@ -46,13 +79,7 @@ def firing_offsets(
     >>> [round(angle / math.pi, 3) for angle in firing_offsets(4, order=(1, 3, 4, 2))]
     [0.0, 3.0, 1.0, 2.0]
     """
-    if not isinstance(cylinders, Integral) or isinstance(cylinders, bool) or cylinders < 1:
-        raise ModelError(
-            "the number of cylinders is not acceptable",
-            seen=repr(cylinders),
-            allowed="a whole number, 1 or more",
-            cure="give cylinders=4, for instance",
-        )
+    check_cylinders(cylinders)
     number = int(cylinders)
     checked = None if order is None else _checked_order(number, order)
     if offsets is not None:
@@ -73,8 +100,9 @@ def _usual(cylinders: int) -> tuple[int, ...]:
 
 
 def _checked_order(cylinders: int, order: Sequence[int]) -> tuple[int, ...]:
-    given = tuple(order)
-    if given[:1] != (1,) or sorted(given) != list(range(1, cylinders + 1)):
+    given = as_tuple(order, "the firing order")
+    whole = all(isinstance(number, Integral) and not isinstance(number, bool) for number in given)
+    if not whole or given[:1] != (1,) or sorted(given) != list(range(1, cylinders + 1)):
         raise ModelError(
             f"the firing order does not fit {cylinders} cylinders",
             seen=repr(given),
@@ -87,7 +115,8 @@ def _checked_order(cylinders: int, order: Sequence[int]) -> tuple[int, ...]:
 def _checked_offsets(
     cylinders: int, order: tuple[int, ...] | None, offsets: Sequence[float]
 ) -> tuple[float, ...]:
-    given = tuple(float(offset) for offset in offsets)
+    given = as_tuple(offsets, "the firing offsets")
+    given = tuple(float(o) if isinstance(o, Real) and not isinstance(o, bool) else math.nan for o in given)
     good = len(given) == cylinders and all(0 <= offset < CYCLE for offset in given) and given[0] == 0
     if not good:
         raise ModelError(

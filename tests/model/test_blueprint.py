@@ -294,3 +294,21 @@ def test_a_blueprint_can_be_finished_twice():
     first = b.model()
     b.output("z", 2 * x)
     assert (len(first.outputs), len(b.model().outputs)) == (1, 2)
+
+
+@pytest.mark.parametrize("given", [None, "1", [1.0], 10**400, True, 1j])
+def test_a_scale_of_another_kind(given):
+    with pytest.raises(ModelError, match="the scale of x is not acceptable"):
+        Blueprint("m").state("x", scale=given)
+
+
+@pytest.mark.parametrize("given", [None, 1, ["rad"], "", " "])
+def test_a_unit_of_another_kind(given):
+    with pytest.raises(ModelError, match="the unit of x is not acceptable"):
+        Blueprint("m").input("x", unit=given)
+
+
+@pytest.mark.parametrize("given", [[], {}, None])
+def test_a_kind_of_port_of_another_kind(given):
+    with pytest.raises(ModelError, match="the kind of port x is not known"):
+        Blueprint("m").port("x", given)

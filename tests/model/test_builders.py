@@ -382,3 +382,33 @@ def _timed(function, clock):
     start = clock()
     function()
     return clock() - start
+
+
+@pytest.mark.parametrize("given", [None, "4", 4.0, [4], -1, 10**400, np.array([1, 2])])
+@pytest.mark.parametrize("build", [one_inertia, two_mass])
+def test_a_number_of_cylinders_of_another_kind(build, given):
+    with pytest.raises(ModelError, match="the number of cylinders is not acceptable"):
+        build(cylinders=given)
+
+
+@pytest.mark.parametrize("given", [3, "r", [0.043], np.array([1, 2])])
+def test_a_geometry_of_another_kind(given):
+    with pytest.raises(ModelError, match="the geometry is of the wrong kind"):
+        two_mass(geometry=given)
+
+
+@pytest.mark.parametrize("given", [np.array(["model", "measured"]), 1, None])
+def test_a_word_of_another_kind(given):
+    with pytest.raises(ModelError, match="the option reciprocating_speed is not known"):
+        two_mass(reciprocating_speed=given)
+
+
+@pytest.mark.parametrize("given", [3, None, np.array(["omega"]), {"omega": 1}, (1, 2)])
+def test_outputs_of_another_kind(given):
+    with pytest.raises(ModelError, match="the outputs are not ones of this model"):
+        two_mass(outputs=given)
+
+
+def test_an_array_is_no_option_left_out():
+    with pytest.raises(ModelError, match="options of cylinders are given"):
+        one_inertia(firing_offsets=np.array([0.0, 1.0]))

@@ -75,3 +75,24 @@ def test_offsets_must_follow_a_given_order():
     with pytest.raises(ModelError, match=r"contradict the firing order; seen: order \(1, 2, 3\)") as caught:
         firing_offsets(3, order=(1, 2, 3), offsets=(0, 9, 4))
     assert "do: give the offsets cylinder by cylinder" in str(caught.value)
+
+
+@pytest.mark.parametrize("given", [3, None, "1342", {1: 0}, (1, 3, 4, 2.0), (1, "3", 4, 2)])
+def test_an_order_of_another_kind(given):
+    if given is None:
+        assert firing_offsets(4, order=None) == firing_offsets(4)
+        return
+    with pytest.raises(ModelError, match="the firing order"):
+        firing_offsets(4, order=given)
+
+
+@pytest.mark.parametrize("given", [3, "0123", (0, "1", 2, 3), (0, True, 2, 3)])
+def test_offsets_of_another_kind(given):
+    with pytest.raises(ModelError, match="the firing offsets"):
+        firing_offsets(4, offsets=given)
+
+
+@pytest.mark.parametrize("cylinders", [65, 10**400])
+def test_more_cylinders_than_any_engine_has(cylinders):
+    with pytest.raises(ModelError, match="the number of cylinders is not acceptable"):
+        firing_offsets(cylinders)
