@@ -33,6 +33,7 @@ def load_arrays(
     if not names:
         raise ExperimentError("no channel given", cure="give the arrays by keyword: omega=values")
     inputs = name_list(inputs, "inputs")
+    units = _mapping(units, "units")
     for option, given in (("inputs", inputs), *_options(units, hold, origin)):
         for name in given:
             if name not in (*names, *(("time",) if option == "units" else ())):
@@ -56,6 +57,32 @@ def load_arrays(
     longest = max(len(channel) for channel in made)
     step = Step(function, {"channels": list(names)}, longest, longest)
     return Loaded(made, (step,), inputs=inputs)
+
+
+def _mapping(units: Any, option: str) -> dict[str, str]:
+    """The units by channel, or an error that shows the form."""
+    if isinstance(units, Mapping) and all(isinstance(name, str) for name in units):
+        return dict(units)
+    raise UnitError(
+        f"{option} is not a mapping from channel to unit",
+        seen=repr(units),
+        allowed="one unit for every channel",
+        cure=f'write {option}={{"omega": "rad/s", "T": "N m"}}',
+    )
+
+
+def _word(given: Any, name: str, option: str, usual: str) -> str:
+    """The hold or origin of a channel, from one word for all or a mapping by name."""
+    if isinstance(given, str):
+        return given
+    if isinstance(given, Mapping):
+        return given.get(name, usual)
+    raise ExperimentError(
+        f"{option} is not acceptable",
+        seen=repr(given),
+        allowed="one word for all channels, or a mapping from channel to word",
+        cure=f'write {option}="{usual}", or leave it out',
+    )
 
 
 def _options(units: Any, hold: Any, origin: Any) -> list[tuple[str, Any]]:
@@ -112,8 +139,8 @@ def _channel(
         unit=unit,
         time=time,
         values=values,
-        hold=hold if isinstance(hold, str) else hold.get(name, "first"),
-        origin=origin if isinstance(origin, str) else origin.get(name, "measured"),
+        hold=_word(hold, name, "hold", "first"),
+        origin=_word(origin, name, "origin", "measured"),
     )
 
 
@@ -126,7 +153,14 @@ def load_frame(
     inputs: Iterable[str] = (),
 ) -> Loaded:
     """Channels from a data frame: the work of ``Experiment.from_dataframe``."""
-    given = dict(units or {})
+    if not all(hasattr(frame, part) for part in ("columns", "index", "iloc")):
+        raise ExperimentError(
+            "this is not a data frame",
+            seen=type(frame).__name__,
+            allowed="a pandas DataFrame",
+            cure="make one, or use Experiment.from_arrays",
+        )
+    given = {} if units is None else _mapping(units, "units")
     labels: list[Any] = list(frame.columns)
     channels: dict[str, Any] = {}
     time: Any = None

@@ -12,7 +12,7 @@ from casadi_engine.errors import ExperimentError
 
 from . import arrays, conditioning, csv_writer, npz_reader, pressures, requirements, slicing, summary
 from .channel import Channel, Step
-from .header import make_request
+from .header import make_request, name_list
 from .source import read_source, record_key
 
 if TYPE_CHECKING:
@@ -150,11 +150,11 @@ class Experiment:
         return tuple(channel.name for channel in self.channels)
 
     def __contains__(self, name: object) -> bool:
-        return name in self.names
+        return isinstance(name, str) and name in self.names
 
     def __getitem__(self, name: str) -> Channel:
         for channel in self.channels:
-            if channel.name == name:
+            if isinstance(name, str) and channel.name == name:
                 return channel
         near = difflib.get_close_matches(name, self.names, n=1) if isinstance(name, str) else []
         raise ExperimentError(
@@ -318,7 +318,7 @@ class Experiment:
 
     def with_inputs(self, *names: str) -> Experiment:
         """Say which channels are inputs, for ``between``, ``cycles``, ``require`` and ``describe``."""
-        return dataclasses.replace(self, inputs=tuple(dict.fromkeys(names)))
+        return dataclasses.replace(self, inputs=name_list(names, "inputs"))
 
     def without(self, *names: str) -> Experiment:
         """Leave channels out."""

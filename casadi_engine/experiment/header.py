@@ -46,9 +46,9 @@ def make_request(
     hold: str = "first",
 ) -> Request:
     """Check the options of a reader; raises :class:`ExperimentError` for what is not a list of names."""
-    if hold not in HOLDS:
+    if not isinstance(hold, str) or hold not in HOLDS:
         raise ExperimentError(
-            "unknown hold", seen=hold, allowed=", ".join(HOLDS), cure="choose one of the allowed words"
+            "unknown hold", seen=repr(hold), allowed=", ".join(HOLDS), cure="choose one of the allowed words"
         )
     return Request(
         assumed=name_list(assumed, "assumed"),

@@ -94,10 +94,10 @@ def _check_pair(experiment: Experiment, new: str, old: str) -> None:
 
 
 def _offset(offsets: Mapping[str, float], name: str) -> float:
-    if name not in offsets:
+    if not isinstance(offsets, Mapping) or name not in offsets:
         raise ExperimentError(
             f"no firing offset of pressure {name!r}",
-            seen=", ".join(offsets),
+            seen=", ".join(map(str, offsets)) if isinstance(offsets, Mapping) else repr(offsets),
             allowed="the combustion TDC [rad] of every pressure that is shifted",
             cure=f"give offsets={{{name!r}: ...}}",
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +27,7 @@ CYCLE_SLACK = 0.02
 def finite(value: Any, what: str) -> float:
     """A finite number as float; raises :class:`ExperimentError` otherwise."""
     number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-    if not number or not math.isfinite(value):
+    if not number or not abs(value) < math.inf or abs(value) > sys.float_info.max:
         raise ExperimentError(
             f"{what} is not a number", seen=repr(value), allowed="a finite number", cure="correct it"
         )

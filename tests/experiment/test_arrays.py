@@ -127,3 +127,28 @@ def test_a_frame_with_the_same_label_twice(refused):
     refused(
         BAD, ["column 'p [Pa]' is repeated", "rename or drop"], Experiment.from_dataframe, frame, name="f"
     )
+
+
+@pytest.mark.parametrize("units", [None, "rad/s", ["rad/s"], {1: "rad/s"}])
+def test_units_that_are_no_mapping(units):
+    with pytest.raises(UnitError, match="units is not a mapping from channel to unit") as caught:
+        make(units=units)
+    assert 'units={"omega": "rad/s", "T": "N m"}' in str(caught.value)
+
+
+@pytest.mark.parametrize("option", ["hold", "origin"])
+@pytest.mark.parametrize("given", [None, 1, ["first"]])
+def test_a_hold_or_origin_that_is_no_word(option, given):
+    with pytest.raises(BAD, match=f"{option} is not acceptable"):
+        make(**{option: given})
+
+
+@pytest.mark.parametrize("frame", [None, "run.csv", {"time [s]": T}, pd.Series(T), np.zeros((5, 2))])
+def test_what_is_no_data_frame(frame):
+    with pytest.raises(BAD, match="this is not a data frame"):
+        Experiment.from_dataframe(frame, name="r")
+
+
+def test_units_of_a_frame_that_are_no_mapping():
+    with pytest.raises(UnitError, match="units is not a mapping"):
+        Experiment.from_dataframe(pd.DataFrame({"time": T, "omega": T}), name="r", units="rad/s")

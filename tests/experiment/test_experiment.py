@@ -174,3 +174,13 @@ def test_all_errors_are_of_one_family(engine):
     with pytest.raises(CasadiEngineError) as caught:
         engine.resample(omega=0)
     assert caught.value.exit_code == 2
+
+
+@pytest.mark.parametrize("name", [np.array([1, 2]), ["omega"], None, 3])
+def test_a_channel_by_something_that_is_no_name(engine, name):
+    assert name not in engine
+    for look in (engine.__getitem__, engine.without, engine.only):
+        with pytest.raises(ExperimentError, match="has no channel"):
+            look(name)
+    with pytest.raises(ExperimentError, match="inputs is not a list of channel names"):
+        engine.with_inputs(name)

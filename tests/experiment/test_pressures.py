@@ -108,3 +108,9 @@ def test_what_is_refused(refused):
     late = record().with_channel(record().between(0.1, 0.2)["theta"])
     pieces = ["crank angle 'theta' does not cover pressure 'p1'", "0 to 0.3 s"]
     refused(BAD, pieces, late.shift_pressures, {"p3": "p1"})
+
+
+@pytest.mark.parametrize("offsets", [3, [0.0, 1.0], {1: 0.0}])
+def test_offsets_that_are_no_mapping_of_names(offsets):
+    with pytest.raises(ExperimentError, match="no firing offset of pressure"):
+        record().shift_pressures({"p3": "p1"}, offsets=offsets)

@@ -165,3 +165,8 @@ def test_missing_angles_are_left_out():
     record = turning(0, 3 * CYCLE)
     gaps = record.masked("theta", np.arange(2000) % 3 > 0)
     assert len(gaps.cycles(2, 2)["omega"]) == len(record.cycles(2, 2)["omega"])
+
+
+def test_a_number_beyond_floating_point(engine):
+    with pytest.raises(ExperimentError, match="start is not a number"):
+        engine.between(10**400, 1.0)
