@@ -52,11 +52,12 @@ def read_loss(loss: Any) -> Loss:
     """Loss of the ``loss`` option: "square", "huber" (knee 1.345) or ("huber", knee)."""
     if isinstance(loss, Loss):
         return loss
-    if loss == "square":
+    word = loss if isinstance(loss, str) else None
+    if word == "square":
         return Loss()
-    if loss == "huber":
+    if word == "huber":
         return Loss(1.345)
-    if isinstance(loss, tuple) and len(loss) == 2 and loss[0] == "huber":
+    if isinstance(loss, tuple) and len(loss) == 2 and isinstance(loss[0], str) and loss[0] == "huber":
         knee = loss[1]
         number = isinstance(knee, (int, float)) and not isinstance(knee, bool)
         if number and math.isfinite(knee) and knee > 0:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -51,6 +52,7 @@ def simulate(
     >>> run["omega"].values.round(3)
     array([100.   ,  60.653,  36.788])
     """
+    _check_kinds(model, data, parameters, initial)
     names = [state.name for state in model.states]
     given = dict(initial or {})
     for name, value in given.items():
@@ -84,6 +86,25 @@ def simulate(
     grid = _fitted_grid(model, data) if missing else _whole_grid(model, data)
     start = np.array([given[name] for name in names])
     return _run(model, data, values, start, replace(grid, measured={}), method)
+
+
+def _check_kinds(model: Any, data: Any, parameters: Any, initial: Any) -> None:
+    """Raise SimulationError for an argument that is of another kind than asked for, such as two exchanged ones."""
+    kinds: tuple[tuple[str, Any, Any, str, str], ...] = (
+        ("model", model, Model, "a Model", "give simulate(model, experiment)"),
+        ("data", data, Experiment, "one Experiment", "simulate several one by one"),
+        ("parameters", parameters, (Parameters, Mapping, type(None)), "a set, name -> value, or None",
+         'write parameters={"J_eng": 0.4}'),
+        ("initial", initial, (Mapping, type(None)), "state -> value, or None", 'write initial={"omega_eng": 125.0}'),
+    )  # fmt: skip
+    for name, given, kind, allowed, cure in kinds:
+        if not isinstance(given, kind):
+            raise SimulationError(
+                f"the argument {name} of simulate is of the wrong kind",
+                seen=type(given).__name__,
+                allowed=allowed,
+                cure=cure,
+            )
 
 
 def _fitted_start(

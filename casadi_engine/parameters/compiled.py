@@ -341,7 +341,7 @@ def _check_arguments(
             allowed="at least one name, each once",
             cure="give a tuple of different record names",
         )
-    if ties not in ("substitute", "constraint"):
+    if not isinstance(ties, str) or ties not in ("substitute", "constraint"):
         raise ParameterError(
             "unknown treatment of ties",
             seen=repr(ties),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 from dataclasses import dataclass
 from typing import Any
 
@@ -97,19 +98,28 @@ def check_bounds(label: str, low: object, high: object) -> tuple[float, float]:
 
 def check_frequency(mode: object, low: object, high: object) -> FrequencyConstraint:
     """Return the constraint on natural frequency number `mode` [Hz], or raise ConstraintError."""
-    if isinstance(mode, bool) or not hasattr(mode, "__index__") or int(mode) < 1:
+    number = _whole(mode)
+    if number is None or number < 1:
         raise ConstraintError(
             "the number of a natural frequency is not acceptable",
             seen=repr(mode),
             allowed="a whole number from 1 on, the rigid body mode (0 Hz) not counted",
             cure="number the modes by rising frequency; print(model.modes(parameters)) lists them",
         )
-    lower, upper = check_bounds(f"natural frequency {int(mode)}", low, high)
+    lower, upper = check_bounds(f"natural frequency {number}", low, high)
     if upper <= 0 or (lower < 0 and math.isfinite(lower)):
         raise ConstraintError(
-            f"the bounds of the constraint natural frequency {int(mode)} are not frequencies",
+            f"the bounds of the constraint natural frequency {number} are not frequencies",
             seen=f"min = {lower:.6g} Hz, max = {upper:.6g} Hz",
             allowed="0 <= min, 0 < max, in Hz",
             cure="give positive frequencies in Hz",
         )
-    return FrequencyConstraint(int(mode), lower, upper)
+    return FrequencyConstraint(number, lower, upper)
+
+
+def _whole(number: Any) -> int | None:
+    """A whole number of any kind but bool, or None."""
+    try:
+        return None if isinstance(number, bool) else operator.index(number)
+    except TypeError:
+        return None

@@ -115,7 +115,11 @@ class Parameter:
         new_min = self._min if min is None else _number(name, "min", min, infinite=-1)
         new_max = self._max if max is None else _number(name, "max", max, infinite=1)
         new_vary = self._vary if vary is None else _flag(name, vary)
-        new_prior = self._prior if prior is None else (None if prior == () else _prior(name, prior))
+        new_prior = (
+            self._prior
+            if prior is None
+            else (None if isinstance(prior, tuple) and not prior else _prior(name, prior))
+        )
         if self._tie is not None:  # the stored value is out of use: it only has to fit when untied
             new_value = clip(new_value, new_min, new_max)
         _check_order(name, new_value, new_min, new_max)

@@ -52,17 +52,19 @@ class Noise:
         **levels: Any,
     ) -> None:
         for output, level in levels.items():
-            if level not in ("estimate", "innovations") and not _positive(level):
+            if not _word(level, "estimate", "innovations") and not _positive(level):
                 raise EstimationError(
                     f"the noise level of {output} is not acceptable",
-                    seen=level,
+                    seen=level if isinstance(level, str) else repr(level),
                     allowed='a standard deviation > 0 in the unit of the output, or "estimate", or "innovations"',
                     cure=f'write Noise({output}="estimate") if it is not known',
                 )
         self._levels: Mapping[str, Level] = {
-            name: "estimate" if level == "innovations" else level for name, level in levels.items()
+            name: "estimate" if isinstance(level, str) else float(level) for name, level in levels.items()
         }
-        self.innovations: tuple[str, ...] = tuple(k for k, level in levels.items() if level == "innovations")
+        self.innovations: tuple[str, ...] = tuple(
+            k for k, level in levels.items() if _word(level, "innovations")
+        )
         self.process: Mapping[str, Level] | Literal["estimate"] | None = _process(process)
         self.gain: NDArray[np.float64] | None = None if gain is None else _matrix(gain)
         ways = {
@@ -103,20 +105,32 @@ class Noise:
         return f"Noise({', '.join(words)})"
 
 
+def _word(level: Any, *words: str) -> bool:
+    """True for one of the words; an array is compared with none of them."""
+    return isinstance(level, str) and level in words
+
+
 def _positive(level: Any) -> bool:
-    number = isinstance(level, (int, float)) and not isinstance(level, bool)
-    return number and math.isfinite(level) and level > 0
+    """True for a number > 0 of any kind, NumPy's scalars with it."""
+    if isinstance(level, (bool, np.bool_, str, bytes)) or np.ndim(level):
+        return False
+    try:
+        return math.isfinite(level) and level > 0
+    except (TypeError, ValueError, OverflowError):
+        return False
 
 
 def _process(process: Any) -> Mapping[str, Level] | Literal["estimate"] | None:
     """The process noise, checked and read only."""
     if process is None:
         return None
-    if process == "estimate":
+    if _word(process, "estimate"):
         return "estimate"
     named = isinstance(process, Mapping) and len(process) > 0
-    if named and all(level == "estimate" or _positive(level) for level in process.values()):
-        return MappingProxyType(dict(process))
+    if named and all(_word(level, "estimate") or _positive(level) for level in process.values()):
+        return MappingProxyType(
+            {k: "estimate" if isinstance(v, str) else float(v) for k, v in process.items()}
+        )
     raise EstimationError(
         "the process noise is not acceptable",
         seen=repr(process),
@@ -129,7 +143,7 @@ def _matrix(gain: ArrayLike) -> NDArray[np.float64]:
     """A read-only copy of a gain, as a matrix."""
     try:
         matrix = np.atleast_2d(np.array(gain, dtype=float))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         matrix = np.array(np.nan)
     if matrix.ndim != 2 or not np.all(np.isfinite(matrix)):
         raise EstimationError(

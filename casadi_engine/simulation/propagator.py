@@ -83,7 +83,7 @@ def make_propagator(
     are stable
     Raises SimulationError where a method or a gain does not go with the model or with the record.
     """
-    if method not in ("exact", "euler"):
+    if not isinstance(method, str) or method not in ("exact", "euler"):
         raise SimulationError(
             "the method is not known",
             seen=repr(method),

@@ -121,6 +121,14 @@ def _hold(fit: Fit | Model, data: Any, parameters: Parameters | None, noise: Noi
         levels = noise or _noise_of(fit)
         method = str(fit.options.get("method", "exact"))
     else:
+        if not isinstance(fit, Model):
+            raise EstimationError(
+                "there is nothing to validate",
+                seen=type(fit).__name__,
+                allowed="a Fit, or a Model with data and parameters",
+                cure="give validate(fit, fresh); a stored result has numbers only: fit again, or use "
+                "`casadi-engine validate PROBLEM.py --from RESULT`",
+            )
         model, records, levels, method = fit, data, noise or Noise(), "exact"
         if records is None:
             raise EstimationError(

@@ -242,3 +242,30 @@ def test_a_gain_with_a_model_that_is_not_linear(misfire, refused):
         ce.estimate(
             ce.two_mass(), misfire(1, 1), noise=ce.Noise(omega=0.1, gain=np.ones((3, 1))), progress=False
         )
+
+
+@pytest.mark.parametrize("given", [np.array([1, 2]), np.array(["exact", "euler"]), 3.5, ["square"]])
+def test_options_of_another_kind(run_up, given):
+    words = {
+        "interval": "the shooting interval is not acceptable",
+        "loss": "the loss is not known",
+        "ties": "unknown treatment of ties",
+        "method": "the method is not known",
+    }
+    for option, words_of_it in words.items():
+        with pytest.raises(ce.CasadiEngineError, match=words_of_it):
+            fit(run_up, **{option: given})
+
+
+@pytest.mark.parametrize("name", ["max_iterations", "starts"])
+def test_counts_beyond_the_solver(run_up, refused, name):
+    with refused(E, f"{name} is not acceptable", allowed="a whole number >= 1 and < 2**31"):
+        fit(run_up, **{name: 2**31})
+
+
+def test_numbers_beyond_floating_point(run_up):
+    with pytest.raises(E, match="the tolerance is not acceptable"):
+        fit(run_up, tolerance=10**400)
+    with pytest.raises(E, match="the shooting interval is not acceptable"):
+        fit(run_up, interval=10**400)
+    assert fit(run_up, seed=10**400).converged

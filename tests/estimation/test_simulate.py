@@ -261,3 +261,28 @@ def test_a_simulation_that_is_not_finite(run_up, refused):
         ce.simulate(
             ce.one_inertia(), run_up(), parameters={"J_eng": 1e-9, "C_eng": -1e3}, initial={"omega_eng": 1.0}
         )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "name"),
+    [
+        ({"model": None}, "model"),
+        ({"model": "one_inertia"}, "model"),
+        ({"data": None}, "data"),
+        ({"data": "run.csv"}, "data"),
+        ({"parameters": [0.4, 0.5]}, "parameters"),
+        ({"initial": 20.0}, "initial"),
+        ({"initial": ""}, "initial"),
+    ],
+)
+def test_arguments_of_another_kind(run_up, arguments, name):
+    given = {"model": ce.one_inertia(), "data": run_up(), **arguments}
+    with pytest.raises(ce.errors.SimulationError) as caught:
+        ce.simulate(given.pop("model"), given.pop("data"), **given)
+    assert f"the argument {name} of simulate is of the wrong kind" in str(caught.value)
+    assert f"seen: {type(arguments[name]).__name__}" in str(caught.value)
+
+
+def test_a_list_of_records_is_told_what_to_do(run_up):
+    with pytest.raises(ce.errors.SimulationError, match="simulate several one by one"):
+        ce.simulate(ce.one_inertia(), [run_up(), run_up()])

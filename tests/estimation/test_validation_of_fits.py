@@ -122,5 +122,14 @@ def test_no_data(refused):
 
 @pytest.mark.parametrize("alpha", [0, 1, -0.1, 2, float("nan")])
 def test_a_false_alarm_rate_that_is_none(fit, alpha):
-    with pytest.raises(ce.CasadiEngineError, match=r"alpha is not acceptable; .* 0 and 1; do: give alpha=0.01"):
+    with pytest.raises(
+        ce.CasadiEngineError, match=r"alpha is not acceptable; .* 0 and 1; do: give alpha=0.01"
+    ):
         ce.validate(fit, alpha=alpha)
+
+
+@pytest.mark.parametrize("given", [None, "result.json", {"parameters": {}}])
+def test_what_is_no_fit(run_up, given):
+    with pytest.raises(ce.errors.EstimationError, match="there is nothing to validate") as caught:
+        ce.validate(given, run_up())
+    assert "--from RESULT" in str(caught.value)

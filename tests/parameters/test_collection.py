@@ -4,6 +4,7 @@ import copy
 import math
 
 import casadi as ca
+import numpy as np
 import pytest
 
 from casadi_engine.errors import ConstraintError, ExpressionError, ParameterError
@@ -411,3 +412,17 @@ def test_extended_takes_a_set(engine, refused):
         cure="model.parameters()",
     ):
         engine.extended({})
+
+
+@pytest.mark.parametrize("mode", [np.array([1, 2]), 1.0, "1", True, None])
+def test_a_mode_of_another_kind(mode):
+    with pytest.raises(ConstraintError, match="the number of a natural frequency is not acceptable"):
+        Parameters([Parameter("a", 1.0)]).constrain_frequency(mode, 1, 2)
+
+
+@pytest.mark.parametrize("prior", [np.zeros(2), np.zeros(0), [], "ab"])
+def test_a_prior_of_another_kind(prior):
+    pars = Parameters([Parameter("a", 1.0, prior=(1.0, 0.5))])
+    with pytest.raises(ParameterError, match="prior of the parameter a"):
+        pars["a"].set(prior=prior)
+    assert pars["a"].prior == (1.0, 0.5)

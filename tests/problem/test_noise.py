@@ -92,3 +92,23 @@ def test_a_gain_that_is_asked_for_twice(given, seen):
         Noise(**given)
     assert f"seen: {seen}; " in str(caught.value)
     assert 'one of gain=, process= and output="innovations"' in str(caught.value)
+
+
+@pytest.mark.parametrize("level", [np.float32(0.5), np.float64(0.5), np.array(0.5)])
+def test_numbers_of_numpy_are_levels(level):
+    assert Noise(omega=level).level("omega") == 0.5
+    assert type(Noise(omega=level).level("omega")) is float
+    assert Noise(omega=0.1, process={"omega_eng": level}).process == {"omega_eng": 0.5}
+
+
+@pytest.mark.parametrize("given", [np.array([0.1, 0.2]), 10**400, b"x", {}, object()])
+def test_what_is_no_number_is_refused_in_words(given):
+    with pytest.raises(EstimationError, match="the noise level of omega is not acceptable"):
+        Noise(omega=given)
+    with pytest.raises(EstimationError, match="the process noise is not acceptable"):
+        Noise(process=given)
+
+
+def test_a_gain_too_large_for_a_number():
+    with pytest.raises(EstimationError, match="the gain of the predictor is not acceptable"):
+        Noise(gain=10**400)
