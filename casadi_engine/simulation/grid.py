@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_engine.errors import SimulationError
+from casadi_engine.errors import ExperimentError, SimulationError
 from casadi_engine.experiment import Channel, Experiment
 from casadi_engine.experiment.channel import sampling_rate
 from casadi_engine.model import Model
@@ -24,6 +24,8 @@ from casadi_engine.simulation.tape import ArrayFunction
 # Samples that lie closer to a grid point than this share of a step count as on it: files round their times, to
 # microseconds for instance.
 _ON_GRID = 1e-2
+# The fourth power of a residual this large is a finite number still: squares of squares occur in step lengths.
+_LARGEST = 1e70
 # An output is faster than the inputs by more than this share.
 _FASTER = 0.1
 
@@ -76,6 +78,8 @@ def lay_grid(model: Model, experiment: Experiment, *, outputs: tuple[str, ...] |
             allowed=f"a record with {', '.join(v.name for v in model.outputs)}",
             cure="give the record a channel for an output, with the times wanted",
         )
+    for channel in (*inputs, *observed):
+        _check_size(channel, experiment.place)
     first, last = _span(observed) if observed else _common_span(inputs, experiment.place)
     leader = _leader(inputs or observed)
     rate = sampling_rate(leader.time, _ON_GRID)
@@ -100,6 +104,19 @@ def lay_grid(model: Model, experiment: Experiment, *, outputs: tuple[str, ...] |
 def _span(channels: list[Channel]) -> tuple[float, float]:
     valid = [c.time[c.mask] for c in channels]
     return min(float(t[0]) for t in valid), max(float(t[-1]) for t in valid)
+
+
+def _check_size(channel: Channel, place: str) -> None:
+    """Raise for a value so large that sums of its square with others are not finite."""
+    values = np.abs(np.where(channel.mask, channel.values, 0.0))
+    if values.max(initial=0.0) > _LARGEST:
+        index = int(values.argmax())
+        raise ExperimentError(
+            f"{place}, column {channel.name!r}: a value is too large to calculate with",
+            seen=f"{float(channel.values[index]):g} {channel.unit} at {channel.time[index]:.9g} s",
+            allowed=f"sizes up to {_LARGEST:g}",
+            cure="correct the value, or mark the sample as missing if it is one of an output",
+        )
 
 
 def _common_span(inputs: list[Channel], place: str) -> tuple[float, float]:

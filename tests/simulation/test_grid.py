@@ -260,3 +260,15 @@ def test_nothing_to_take_times_from_is_an_error():
         match=r"there is no time grid; seen: experiment 'run': other; allowed: a record with y",
     ):
         lay_grid(b.model(), record(other=ramp(10, 3)), outputs=())
+
+
+@pytest.mark.parametrize("column", ["a", "y"])
+def test_a_value_whose_square_is_no_number(model, column):
+    time = np.arange(5.0)
+    values = {name: np.ones(5) for name in ("a", "c", "y", "w")}
+    values[column] = np.array([1, 1, -1e160, 1, 1])
+    experiment = Experiment.from_arrays("big", time=time, units=dict.fromkeys(values, "1"), **values)
+    with pytest.raises(ExperimentError, match=f"column '{column}': a value is too large") as caught:
+        lay_grid(model, experiment)
+    assert "seen: -1e+160 1 at 2 s" in str(caught.value)
+    assert lay_grid(model, experiment.masked("y", np.arange(5) != 2)).samples == 5 if column == "y" else True
