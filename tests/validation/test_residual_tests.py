@@ -533,7 +533,8 @@ def test_a_full_record_against_five_drives_is_quick():
     drives = {f"T_{c}": engine_torque(size, rate=14402.0, phase=c, noise=1.0, seed=c) for c in range(5)}
     seconds = []
     for _ in range(5):
-        start = time.perf_counter()
+        # The time that this thread computed, not that on the clock: a loaded machine lets it wait.
+        start = time.thread_time()
         check_residual(residual, drives)
-        seconds.append(time.perf_counter() - start)
+        seconds.append(time.thread_time() - start)
     assert min(seconds) < 0.2  # 0.03 s on an idle core
