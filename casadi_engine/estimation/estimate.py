@@ -140,6 +140,13 @@ def estimate(
 
 def _own(model: Model, parameters: Any) -> Parameters:
     """A copy of the parameter set, or the model's own."""
+    if not isinstance(model, Model):
+        raise EstimationError(
+            "there is no model to fit",
+            seen=type(model).__name__,
+            allowed="a Model",
+            cure="give estimate(model, data); ce.two_mass() and Blueprint.model() make one",
+        )
     if parameters is None:
         return model.parameters()
     if not isinstance(parameters, Parameters):

@@ -100,6 +100,26 @@ class NoiseLevels:
         return max(total / max(count, 1), 1e-300)
 
 
+def check_samples(noise: Noise, records: list[RecordTerm], unknowns: int, pulls: int) -> None:
+    """Raise unless there are more samples than what is found from them, where noise levels are among that.
+
+    unknowns : free parameters and initial states, less the equalities between them; pulls : priors, which count as
+    samples. With fewer, the model goes through every sample and the noise that is left over says nothing.
+    """
+    if not records:
+        return
+    count = sum(record.count for record in records)
+    known = all(noise.level(name) != "estimate" for name in records[0].outputs)
+    if known or count + pulls > unknowns:
+        return
+    raise EstimationError(
+        "there are too few samples to estimate the parameters and the noise level",
+        seen=f"{count} that count, for {unknowns} unknown parameters and initial states",
+        allowed=f"more than {unknowns - pulls} samples, or a known noise level",
+        cure="take a longer record, fix parameters or initial states, or give ce.Noise(output=sigma)",
+    )
+
+
 def _largest(values: Array) -> float:
     return float(np.abs(values).max(initial=0.0))
 

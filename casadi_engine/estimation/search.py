@@ -15,7 +15,7 @@ from casadi_engine.estimation.coordinates import Coordinates
 from casadi_engine.estimation.innovations import SizedPriors, StableLoop
 from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.ipopt import Solution, Solver
-from casadi_engine.estimation.levels import NoiseLevels, check_noise
+from casadi_engine.estimation.levels import NoiseLevels, check_noise, check_samples
 from casadi_engine.estimation.loss import Loss
 from casadi_engine.estimation.options import initial_bounds, interval_length
 from casadi_engine.estimation.pieces import REACH, SCREENED, approach
@@ -132,6 +132,8 @@ class Search:
         self._bounds()
         self.sigma = np.zeros(0)
         self.levels = NoiseLevels(noise, model, self.records)
+        if nv:
+            check_samples(noise, self.records, self.free_count, len(self.pmap.priors))
         self._weigh(self.levels.first())
         self.solver = Solver(
             self.problem,

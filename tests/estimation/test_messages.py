@@ -269,3 +269,32 @@ def test_numbers_beyond_floating_point(run_up):
     with pytest.raises(E, match="the shooting interval is not acceptable"):
         fit(run_up, interval=10**400)
     assert fit(run_up, seed=10**400).converged
+
+
+@pytest.mark.parametrize("model", [None, "two_mass", ce.one_inertia])
+def test_what_is_no_model(run_up, refused, model):
+    with refused(E, "there is no model to fit", allowed="a Model", cure="give estimate(model, data)"):
+        ce.estimate(model, run_up(), progress=False)
+
+
+def test_too_few_samples_for_the_parameters_and_their_noise(run_up, refused):
+    with refused(
+        E,
+        "there are too few samples to estimate the parameters and the noise level",
+        seen="3 that count, for 3 unknown parameters and initial states",
+        allowed="more than 3 samples, or a known noise level",
+        cure="give ce.Noise(output=sigma)",
+    ):
+        ce.estimate(ce.one_inertia(), run_up(n=3), progress=False)
+    one_more = {"noise": ce.Noise(omega=0.05)}, {"initial": {"omega_eng": 20.0}}
+    for options in one_more:
+        ce.estimate(ce.one_inertia(), run_up(n=3), progress=False, **options)
+    pars = ce.one_inertia().parameters()
+    pars["J_eng"].set(prior=(0.4, 0.1))
+    ce.estimate(ce.one_inertia(), run_up(n=3), parameters=pars, progress=False)
+    pars.fix("J_eng")
+    ce.estimate(ce.one_inertia(), run_up(n=3), parameters=pars, progress=False)
+
+
+def test_a_record_of_two_samples_still_simulates(run_up):
+    assert len(ce.simulate(ce.one_inertia(), run_up(n=2))["omega"]) == 2
