@@ -21,9 +21,8 @@ import casadi_engine as ce
 from casadi_engine.discrepancy.compression import candidate_columns, compress
 from casadi_engine.discrepancy.gauss_newton import settle
 from casadi_engine.discrepancy.library_candidates import library_candidates
-from casadi_engine.discrepancy.noise_model import NoiseModel, estimated_noise
+from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_distribution import NullDistribution, library_rows
-from casadi_engine.discrepancy.score import score
 
 TRUTH = {"J_eng": 1 / 2.557, "J_load": 1 / 5.646, "K_el": 1992.0, "C_el": 2.5, "C_eng": 0.1541}
 SIGMA, RATE = 0.1, 2880.4
@@ -83,26 +82,9 @@ def null_fit(data, start, *, sensors=1, noise=None, scatter=(), z=None):
         noise=white(sensors) if noise is None else noise,
         scatter=scatter,
         iterations=25,
-        tolerance=1e-2,
+        tolerance=0.03,  # of chi-squared; what is left of the step is projected out of the score
     )
     return Fitted(null, data, cost, first)
-
-
-def fitted_with_noise(record, *, sensors=1, assumed=False):
-    """Null fits and noise models of a record, with known levels and with estimated ones; and the scatter."""
-    data, start = experiment(record, sensors=sensors, assumed=assumed), first_state(record)
-    if not assumed:
-        fitted = null_fit(data, start, sensors=sensors)
-        return (fitted, fitted), {"known": white(sensors), "estimated": estimated_white(fitted, sensors)}, ()
-    raise NotImplementedError
-
-
-def estimated_white(fitted, sensors):
-    """The noise level that the null parameters and the whole library leave."""
-    record = fitted.null.records[0]
-    own = columns_of(fitted, candidates_of(fitted, sensors=sensors))[NAME]
-    both = {o: np.concatenate([record.slopes[o], own[o]], axis=1) for o in record.outputs}
-    return estimated_noise(fitted.null, explained={NAME: both})
 
 
 def columns_of(fitted, candidates):
@@ -112,7 +94,7 @@ def columns_of(fitted, candidates):
     return fitted.columns
 
 
-def refitted_drop(fitted, scores, noise, scatter, *, sensors=1):
+def refitted_drop(fitted, scores, noise, scatter):
     """The best candidate put into the model and refitted: how far chi-squared falls, against what the score said."""
     k = int(np.argmin(scores.p_value))
     candidate = scores.candidates[k]
@@ -173,19 +155,20 @@ def white(sensors=1):
     return NoiseModel(dict.fromkeys(SENSORS[sensors], SIGMA))
 
 
-def scored(fitted, candidates, noise, *, scatter=()):
-    """Scores of a null fit."""
-    columns = columns_of(fitted, candidates)
-    return score(compress(fitted.null, candidates, noise, scatter=scatter, columns=columns))
+def compressed(fitted, candidates, noise, *, scatter=()):
+    """A null fit compressed for the score tests."""
+    return compress(fitted.null, candidates, noise, scatter=scatter, columns=columns_of(fitted, candidates))
 
 
-def library_test(scores, *, least=1.0):
+def library_test(scores, *, least=1.0, level=1.0):
     """The smallest p-value of all rows (candidates and groups), its name, and its pooled p-value.
 
     least : above this smallest p-value the pooled one, which is larger, is not worked out: it is nan
+    level : the noise level in units of that which the scores were made with
     """
     rows = library_rows(scores, groups_of(scores.candidates))
-    p = np.array([float(row.p_value(scores.y[:, None])[0]) for row in rows])
+    y = scores.y[:, None] / level
+    p = np.array([float(row.p_value(y)[0]) for row in rows])
     k = int(np.argmin(p))
     pooled = NullDistribution(rows).pooled(float(p[k])) if p[k] <= least else float("nan")
     return float(p[k]), rows[k].name, pooled
