@@ -2,11 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from casadi_engine import effects
+from casadi_engine.discrepancy.confirmation import Gap, PairedGain
+from casadi_engine.discrepancy.latent_torque import LatentCourse, LatentTorque
+from casadi_engine.discrepancy.random_families import Course, Family
+from casadi_engine.discrepancy.repaired import (
+    ClassMatrix,
+    Equation,
+    FoundEffect,
+    Gaps,
+    Member,
+    NoiseFound,
+    NotFound,
+    Place,
+    Repair,
+    Round,
+    ScoreRow,
+    Side,
+    Unknown,
+)
 from casadi_engine.estimation.fit import Direction, Estimate, Fit, Optimum, Trace
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import two_mass
@@ -175,3 +195,130 @@ def make_validation(fit=None, *, white=True):
 @pytest.fixture
 def validation():
     return make_validation()
+
+
+KEY = "coupling.coulomb_friction.torque"
+
+
+def make_repair(**changes):
+    """A repair made by hand: dry friction in a coupling, its gap an order of 2 that is gone afterwards."""
+    model = two_mass()
+    mended = model.with_effect(effects.CoulombFriction(), at="coupling")
+    null_fit, fresh_fit = make_fit(model=model), make_fit(model=model, records=("normal_1400rpm",))
+    fit = make_fit(model=mended, noise={"omega": (0.1001, True)})
+    found = dict(fit.estimates) | {KEY: Estimate(8.05, 0.07, "N m"), "J_load": Estimate(0.17, 0.002, "kg m2")}
+    fit = replace(fit, estimates=found, free=(*fit.free, KEY))
+
+    def side(one, gap):
+        traces = {}
+        for name, outputs in one.traces.items():
+            theta = next(e for e in one.data if e.name == name)["theta"].values
+            trace = outputs["omega"]
+            truth = trace.simulated - 0.02 * np.sin(9 * trace.time)
+            traces[name] = {"omega": replace(trace, simulated=truth - gap * np.cos(2 * theta))}
+        level = float(np.hypot(0.1, gap / np.sqrt(2)))
+        size = Gap((level / 0.1) ** 2, {"omega": level}, {"omega": 95.0 - 20 * gap}, one.n)
+        return Side(size, {name: {"omega": 1e-20 if gap else 0.4} for name in traces}, traces)
+
+    data, fresh = null_fit.data, fresh_fit.data
+    time = data[0]["theta"].time
+    knots = np.linspace(time[0], time[-1], 60)
+    rate = 3 * np.sin(40 * np.pi * knots)
+    law = np.vstack([time, 8.05 * np.sign(np.sin(40 * np.pi * time))])
+    course = LatentCourse(
+        knots, 8 * np.tanh(rate) - 1.5 * rate, np.full(60, 0.8),
+        {"twist": -0.03 + 0.01 * np.cos(40 * np.pi * knots), "twist_rate": rate, "stiffness": np.full(60, 1992.0)},
+    )  # fmt: skip
+    effect = FoundEffect(
+        "coulomb_friction", "coupling", "dry friction at coupling", {}, {KEY: found[KEY]}, {}, 95.0, 1e-200, 5000.0,
+        0.99, {"C_eng": 0.001, "J_load": -0.005}, {"C_eng": 0.0, "J_load": -0.007117}, 1.0,
+        (Member("coulomb_friction", "coupling", 1.0, 1.0),), {data[0].name: law},
+    )  # fmt: skip
+
+    def row(name, at, z, threshold=3.8, testable=True):
+        return ScoreRow(
+            name, at, f"{name} at {at}", {}, z, abs(z), 0.5, 1.0, 0.1, "N m", 0.4 if testable else np.inf,
+            1.0 if testable else 0.0, testable, testable and abs(z) > threshold,
+        )  # fmt: skip
+
+    given = {
+        "status": "answered", "verdict": "named", "confirmed": True, "null_fit": null_fit, "fit": fit, "alpha": 0.01,
+        "threshold": 3.8, "threshold_p": 1e-4, "candidates": 380,
+        "scores": (
+            row("coulomb_friction", "coupling", 95.0), row("backlash", "coupling", 50.0),
+            row("backlash", "coupling", 2.0),
+            row("load_step", "load", -3.0), row("viscous_friction", "coupling", 0.0, testable=False),
+        ),
+        "matrix": ClassMatrix(
+            ("a", "b"), (("coulomb_friction", "coupling"), ("backlash", "coupling")),
+            np.array([[1.0, -0.37], [-0.37, 1.0]]),
+        ),
+        "effects": (effect,),
+        "where": Place("coupling", data[0].name, (0.1, 0.3), (2, 3, 4), (12.3, 2.4), 1.5, {data[0].name: 1.0}),
+        "gaps": Gaps(
+            side(null_fit, 0.15), side(fit, 0.0), side(fresh_fit, 0.15), side(fresh_fit, 0.0),
+            PairedGain(339.0, 36.0, 10, True), "records",
+        ),
+        "not_found": (
+            NotFound("backlash", "coupling", 3e-4, "rad", True),
+            NotFound("viscous_friction", "coupling", np.inf, "N m s/rad", False),
+        ),
+        "equation": Equation(mended.equations(), mended.latex(), ("w_coupling = torque*tanh(rate/0.02)",)),
+        "noise": NoiseFound({"omega": (0.1, True)}, {"misfire_1200rpm/omega": 2}, {"combustion": 0.02}),
+        "latent": (LatentTorque("coupling", "exponential", 4739.0, 4.7, 0.0076, {data[0].name: course}),),
+        "rounds": (Round((("coulomb_friction at coupling", 0.0),), (("coulomb_friction at coupling", 1168.0, True),),
+                         "coulomb_friction at coupling", ()),),
+        "data": data, "fresh": fresh, "timing": {"null fit": 1.5, "total": 12.5}, "options": {"starts": 4},
+    }  # fmt: skip
+    return Repair(**(given | changes))
+
+
+@pytest.fixture(scope="session")
+def repaired():
+    return make_repair()
+
+
+@pytest.fixture(scope="session")
+def nothing_missing(repaired):
+    """The same records where nothing was found."""
+    gaps, after = repaired.gaps, repaired.gaps.estimation_after
+    fresh = gaps.validation_after
+    return replace(
+        repaired, verdict="nothing missing", confirmed=None, fit=repaired.null_fit, effects=(), where=None,
+        unknown=None,
+        gaps=replace(
+            gaps, estimation_before=after, validation_before=fresh, gain_per_cycle=None,
+        ),
+        scores=repaired.scores[3:], equation=None, rounds=(),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def unnamed(repaired):
+    """Residuals that are not white, and a torque that looks like a cubic of the twist."""
+    signal = np.linspace(-0.05, 0.0, 40)
+    family = Family("coupling", "twist", (0, 1), np.ones(2), -0.05, 0.0, np.ones(64) / 64)
+    course = Course(family, signal, 1e5 * signal**3, np.full(40, 1.0), 2.0, {"cubic": 0.97, "linear": 0.8})
+    unknown = Unknown(
+        "a torque at the coupling that depends on its twist and looks cubic",
+        {"misfire_1200rpm/omega/whiteness": 1e-20}, "coupling", "twist", 1e-9, course,
+    )  # fmt: skip
+    gaps = repaired.gaps
+    gaps = replace(
+        gaps, estimation_after=gaps.estimation_before, validation_before=None, validation_after=None,
+        gain_per_cycle=None, source=None,
+    )  # fmt: skip
+    return replace(
+        repaired, verdict="unnamed", confirmed=None, fit=repaired.null_fit, effects=(), unknown=unknown, gaps=gaps,
+        equation=None, fresh=(),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def no_answer(repaired):
+    """The fit without effects did not converge."""
+    failed = make_fit(status="not converged: Maximum_Iterations_Exceeded")
+    return Repair(
+        f"the fit without effects has {failed.status}", None, None, failed, failed, 0.01, data=failed.data,
+        timing={"total": 1.0}, messages=("no effect can be looked for before the model without effects fits",),
+    )  # fmt: skip

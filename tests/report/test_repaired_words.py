@@ -1,0 +1,121 @@
+"""A repair in sentences."""
+
+from dataclasses import replace
+
+import pytest
+
+from casadi_engine.discrepancy.confirmation import PairedGain
+from casadi_engine.discrepancy.repaired import Member, NextExperiment
+from casadi_engine.estimation.fit import Estimate
+from casadi_engine.report.repaired_words import (
+    effect_words,
+    gap_sentence,
+    mood,
+    moved_parameters,
+    next_step,
+    verdict_lines,
+)
+
+
+def test_a_named_and_confirmed_effect(repaired):
+    lines = verdict_lines(repaired)
+    assert lines[0] == (
+        "Something is missing: dry friction at coupling (coulomb_friction at coupling), torque 8.050 ± 0.070 N m."
+    )
+    assert lines[1] == (
+        "The gap is widest in misfire_1200rpm, cycles 2 to 4, crank angles 705 to 138 deg, engine order 1.5; a torque "
+        "at coupling explains most of it."
+    )
+    assert lines[2] == ("Confirmed by fresh records, gain of chi-squared 339 ± 36 per cycle over 10 cycles.")
+    assert lines[3] == (
+        "Rms gap: omega 0.1458 to 0.1 rad/s on data of the search, omega 0.1458 to 0.1 rad/s on fresh data; 99 % of "
+        "the gap above the noise is closed."
+    )
+    assert lines[4] == "Without it the model had these wrong: J_load 0.1771, now 0.1700 ± 0.0020 kg m2."
+    assert lines[-1] == "Next: keep the repaired model: the equation and the parameters are below."
+    assert mood(repaired) == "good"
+
+
+def test_nothing_missing(nothing_missing):
+    lines = verdict_lines(nothing_missing)
+    assert lines[0] == (
+        "Nothing is missing that these data can show: 380 candidates at α = 0.01, and the residuals are white."
+    )
+    assert lines[1] == "Rms gap: omega 0.1 rad/s on data of the search, omega 0.1 rad/s on fresh data."
+    assert lines[-1].startswith("Next: keep the model; the table of what was not found")
+    assert (len(lines), mood(nothing_missing)) == (3, "good")
+
+
+def test_no_name_in_the_library(unnamed):
+    lines = verdict_lines(unnamed)
+    assert lines[0] == (
+        "Something is missing that no effect of the library names: a torque at the coupling that depends on its twist "
+        "and looks cubic."
+    )
+    assert "on fresh data" not in gap_sentence(unnamed)
+    assert next_step(unnamed).startswith("look at the curve of the unknown torque")
+    assert mood(unnamed) == "poor"
+
+
+def test_no_answer(no_answer):
+    lines = verdict_lines(no_answer)
+    assert lines[0] == "No answer: the fit without effects has not converged: Maximum_Iterations_Exceeded."
+    assert lines[-1] == "Next: look at the fit below: other start values, wider bounds, or more starts."
+    assert mood(no_answer) == "poor"
+    assert gap_sentence(no_answer) == ""
+
+
+def test_a_class_names_its_members_and_what_would_split_it(repaired):
+    members = (Member("coulomb_friction", "coupling", 1.0, 0.7), Member("backlash", "coupling", 0.98, 0.3))
+    effect = replace(repaired.effects[0], members=members)
+    changed = replace(repaired, verdict="class", effects=(effect,))
+    lines = verdict_lines(changed)
+    assert lines[1] == (
+        "These data do not tell apart 2 effects that explain it as well: coulomb_friction at coupling (70 %), backlash "
+        "at coupling (30 %)."
+    )
+    assert next_step(changed).startswith("record data that tell the members of the class apart")
+    assert mood(changed) == "poor"
+    split = NextExperiment("a run-up to 1800 RPM", ("coulomb_friction and backlash",), 6.1, 1.2)
+    assert next_step(replace(changed, next_experiment=split)) == (
+        "a run-up to 1800 RPM: it would tell apart coulomb_friction and backlash (separation 6.1, now 1.2)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("confirmed", "gain", "source", "words"),
+    [
+        (None, None, None, "Not confirmed: there are no fresh data."),
+        (None, PairedGain(2.0, None, 2, None, "2 cycles: at least 3 are needed"), "records",
+         "Not confirmed: 2 cycles: at least 3 are needed."),
+        (False, PairedGain(-4.0, 3.0, 5, False), "cycles",
+         "REFUSED by cycles that were held out, gain of chi-squared -4 ± 3 per cycle over 5 cycles."),
+    ],
+)  # fmt: skip
+def test_what_fresh_data_say(repaired, confirmed, gain, source, words):
+    gaps = replace(repaired.gaps, gain_per_cycle=gain, source=source)
+    changed = replace(repaired, confirmed=confirmed, gaps=gaps)
+    assert words in verdict_lines(changed)
+    assert mood(changed) == ("poor" if confirmed is False else "good")
+    if confirmed is None:
+        assert next_step(changed) == "record fresh data, and give them by --validate FILE"
+
+
+def test_more_than_the_effects_explain_is_said(repaired, unnamed):
+    changed = replace(repaired, unknown=unnamed.unknown, withdrawn=repaired.effects, messages=("a note",))
+    lines = verdict_lines(changed)
+    assert (
+        "The residuals still hold more: a torque at the coupling that depends on its twist and looks cubic."
+        in lines
+    )
+    assert "Found first and then refused by fresh data: coulomb_friction at coupling." in lines
+    assert "a note" in lines
+    assert next_step(changed).startswith("look at the figures of the residuals after the repair")
+
+
+def test_an_amplitude_without_error_and_parameters_that_stayed(repaired):
+    key = next(iter(repaired.effects[0].parameters))
+    bare = replace(repaired.effects[0], parameters={key: Estimate(0.004, None, "")})
+    assert effect_words(bare).endswith("(coulomb_friction at coupling), torque 0.004")
+    still = replace(repaired, fit=replace(repaired.fit, estimates=dict(repaired.null_fit.estimates)))
+    assert moved_parameters(still) == ""
