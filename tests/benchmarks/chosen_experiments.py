@@ -36,6 +36,7 @@ KEPT = ROOT / "results" / "chosen_experiments"
 RPM = np.pi / 30
 SIGMA = 0.1
 NORMAL_95 = 1.959964
+SEARCHES = 5
 UNITS = {"theta": "rad"} | dict.fromkeys(("p1", "p2", "p3", "p4"), "Pa") | {"T_load": "N m", "omega": "rad/s"}
 TWO_MASS = {"J_eng": 1 / 2.557, "J_load": 1 / 5.646, "K_el": 1992.0, "C_el": 2.5, "C_eng": 0.1541}
 CRANKSHAFT = {
@@ -75,11 +76,16 @@ def choose_two_mass() -> ExperimentChoice:
     )
 
 
-def crankshaft_parameters(model: ce.Model) -> ce.Parameters:
-    """The thesis's ties; the six of Table 4.12 and the tied dampers free, the dynamometer known."""
+def crankshaft_parameters(model: ce.Model, *, belief: bool = False) -> ce.Parameters:
+    """The thesis's ties; the six of Table 4.12 and the tied dampers free, the dynamometer known.
+
+    belief : hold C32 and C65 within 50 % of their table value by a prior, for no record of seconds tells them
+    """
     parameters = thesis_ties(model.parameters())
     for name in ("C21", "C32", "C65", "C76", "C_eng"):
         parameters[name].set(vary=True)
+    for name in ("C32", "C65") if belief else ():
+        parameters[name].set(prior=(2.5, 1.25))
     return parameters
 
 
@@ -148,7 +154,11 @@ def run_up_record() -> dict[str, np.ndarray]:
 
 
 def fitted(kind: str, seed: int) -> dict[str, Any]:
-    """One fit from starts 20 % off: estimates and standard errors."""
+    """One fit from starts 20 % off: estimates and standard errors.
+
+    Where the cost is far from what the noise allows, the search ended beside the optimum and is begun again from
+    other starts: what anyone would do who looks at the residual.
+    """
     begun = time.process_time()
     truth = TWO_MASS if kind == "two_mass" else CRANKSHAFT
     clean = misfire_record() if kind == "two_mass" else run_up_record()
@@ -158,13 +168,18 @@ def fitted(kind: str, seed: int) -> dict[str, Any]:
     )
     build = ce.two_mass if kind == "two_mass" else ce.crankshaft
     model = build(reciprocating_speed="measured")
-    parameters = model.parameters() if kind == "two_mass" else crankshaft_parameters(model)
-    factors = 1 + 0.2 * np.random.default_rng(seed).choice([-1, 1], len(truth))
-    for (name, value), factor in zip(truth.items(), factors, strict=True):
-        parameters[name].set(value * factor)
-    fit = ce.estimate(model, data, parameters=parameters, noise=ce.Noise(omega=SIGMA), progress=False)
+    parameters = model.parameters() if kind == "two_mass" else crankshaft_parameters(model, belief=True)
+    draw = np.random.default_rng(seed)
+    plausible, searches = False, 0
+    while not plausible and searches < SEARCHES:
+        searches += 1
+        for (name, value), sign in zip(truth.items(), draw.choice([-1, 1], len(truth)), strict=True):
+            parameters[name].set(value * (1 + 0.2 * sign))
+        fit = ce.estimate(model, data, parameters=parameters, noise=ce.Noise(omega=SIGMA), progress=False)
+        plausible = fit.converged and fit.cost < fit.n + 5 * np.sqrt(2 * fit.n)
     return {
         "seed": seed,
+        "searches": searches,
         "status": fit.status,
         "values": {name: fit.values[name] for name in truth},
         "errors": {name: fit.stderr[name] for name in truth},
@@ -265,7 +280,9 @@ def planned_run_up() -> dict[str, float | None]:
     )
     from casadi_engine.identifiability import fisher
 
-    return fisher(model, data, parameters=crankshaft_parameters(model), noise=ce.Noise(omega=SIGMA)).relative
+    return fisher(
+        model, data, parameters=crankshaft_parameters(model, belief=True), noise=ce.Noise(omega=SIGMA)
+    ).relative
 
 
 REMARKS = (
@@ -322,7 +339,8 @@ def main(arguments: list[str] | None = None) -> int:
 def _work(fits: list[dict[str, Any]]) -> str:
     good = sum(one["status"] == "converged" for one in fits)
     seconds = np.median([one["seconds"] for one in fits])
-    return f"{good} of {len(fits)} converged; {seconds:.2f} s of processor time a fit."
+    again = sum(one["searches"] > 1 for one in fits)
+    return f"{good} of {len(fits)} converged, {again} after further starts; {seconds:.2f} s of processor time a fit."
 
 
 def _lengths(choice: ExperimentChoice) -> str:
