@@ -17,11 +17,14 @@ from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty, uncertainty
 from casadi_engine.estimation.starts import chained_nodes
+from casadi_engine.simulation.error_estimate import ErrorEstimate, Stepped, estimate_error
 
 Array = NDArray[np.float64]
 
 # Lag-one correlation, in its standard errors, from which a residual counts as coloured; least samples to say so.
 _COLOUR, _FEW = 5.0, 30
+# An integration error of this share of the noise level is said: it begins to show in the estimates.
+_COARSE = 0.1
 
 
 def make_fit(
@@ -42,12 +45,14 @@ def make_fit(
     v = errors.v
     z = search.coordinates.values(v)
     traces, drives, percents, first = {}, {}, {}, {}
+    integration: dict[str, ErrorEstimate] = {}
     initial: dict[str, dict[str, Estimate]] = {}
     at = problem.nv
     for record, lay, limits in zip(search.records, problem.layouts, search._initial, strict=True):
         name, start = record.experiment.name, lay.take(errors.x)[0]
         traces[name] = _traces(search, record, v, start)
         drives[name] = _drives(record, v)
+        integration |= _integration(record, v, start)
         percents[name] = {key: _percent(trace) for key, trace in traces[name].items()}
         initial[name] = errors.initial_states(record, limits, at)
         first[name] = start * record.scale
@@ -83,10 +88,12 @@ def make_fit(
         fit_percent=percents,
         timing=timing,
         options=options,
-        messages=_messages(search, best, errors, optima, stopped=stopped),
+        messages=_messages(search, best, errors, optima, stopped=stopped)
+        + _coarse(integration, search, best.sigma),
         states_at_start=first,
         gain=None if predictor is None else predictor.gain,
         innovations=predictor,
+        integration=integration,
     )
 
 
@@ -149,6 +156,32 @@ def _response(record: RecordTerm, v: Array, start: Array) -> tuple[Array, Any]:
     """Outputs (K, M) of the trajectory from ``start``, and the observation that lays them out."""
     path = record.propagator.propagate(v[record.active], chained_nodes(record, v, start), 0)
     return record.observation.observe(path.y)[0], record.observation
+
+
+def _integration(record: RecordTerm, v: Array, start: Array) -> dict[str, ErrorEstimate]:
+    """The integration error of the record's simulation from its first state, where it is integrated at all."""
+    whole = record.single().propagator if isinstance(record.propagator, Stepped) else None
+    if not isinstance(whole, Stepped):
+        return {}
+    try:
+        found = estimate_error(
+            whole, v[record.active], start[None], outputs=record.outputs, samples=record.grid.samples
+        )
+    except FloatingPointError:
+        return {}
+    return {record.experiment.name: found}
+
+
+def _coarse(integration: dict[str, ErrorEstimate], search: Search, sigma: Array) -> tuple[str, ...]:
+    """What to do about integration errors that are not small beside the noise."""
+    noise = dict(zip(search.records[0].outputs, sigma.tolist(), strict=True))
+    return tuple(
+        f"the integration of {record}/{name} is off by up to {error:.2g}, {error / noise[name]:.2g} of its noise: give "
+        "the inputs at a higher rate, or make the law smoother"
+        for record, found in integration.items()
+        for name, error in zip(found.outputs, found.absolute, strict=True)
+        if error > _COARSE * noise[name]
+    )
 
 
 def _filled(size: int, index: NDArray[np.intp], values: Array) -> Array:

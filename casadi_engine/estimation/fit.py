@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
+from casadi_engine.simulation.error_estimate import ErrorEstimate
 
 Array = NDArray[np.float64]
 AtBound = Literal[False, "min", "max"]
@@ -117,6 +118,7 @@ class Fit:
     fit_percent : record -> output -> {"simulation": %, "prediction": % or None}, (2.32)
     timing : seconds of "setup", "solve", "covariance", "total". nodes : number of shooting intervals
     messages : what the user should know. gain : correction gain L of the predictor, None for output error.
+    integration : record -> estimated error of the integration at the optimum, empty for models that are solved exactly
     innovations : the predictor, with K and its errors, None for output error; with process noise ``noise`` holds the
     levels of the measurement alone
     """
@@ -148,6 +150,7 @@ class Fit:
     states_at_start: Mapping[str, Array] = field(default_factory=dict)
     gain: Array | None = None
     innovations: Innovations | None = None
+    integration: Mapping[str, ErrorEstimate] = field(default_factory=dict)
 
     def __str__(self) -> str:
         from casadi_engine.estimation.summary import summary
