@@ -39,7 +39,11 @@ class NoiseLevels:
             ]
         )
         self._size = np.array(
-            [max((_largest(s) for s in self._series(k)), default=1.0) for k in self.outputs]
+            # An output that is zero throughout is of no size: its unit's scale stands in, for it gives the weights.
+            [
+                max((_largest(s) for s in self._series(out.name)), default=0.0) or out.scale
+                for out in model.outputs
+            ]
         )
 
     def _series(self, name: str) -> list[Array]:

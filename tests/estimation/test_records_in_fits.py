@@ -227,3 +227,15 @@ def test_drives_and_inputs_of_the_fit(shaft, shaft_model):
     np.testing.assert_allclose(fit.drives["shaft"]["T"], [made.data["T"].time, made.data["T"].values])
     assert fit.data == (made.data,)
     assert set(fit.timing) == {"setup", "solve", "covariance", "total"}
+
+
+def test_a_record_at_rest_is_fitted_without_overflow():
+    """No torque, no speed: the level found is that of rounding, and the damping is said to be undetermined."""
+    time = np.arange(50) * 0.02
+    units = {"T": "N m", "omega": "rad/s"}
+    rest = ce.Experiment.from_arrays("rest", time=time, units=units, T=np.zeros(50), omega=np.zeros(50))
+    fit = ce.estimate(ce.one_inertia(), rest, progress=False)
+    assert fit.converged
+    assert abs(fit.initial["rest"]["omega_eng"].value) < 1e-9
+    assert np.isfinite(fit.cost)
+    assert fit.undetermined
