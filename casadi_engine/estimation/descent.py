@@ -30,6 +30,8 @@ _FALL, _ROUNDING, _CLOSED = 1e-9, 1e-13, 1e-9
 _LONGEST = 1.0
 # Halvings of a Gauss-Newton step that raises both the objective and the gaps; rejections of an exact one.
 _HALVINGS, _REJECTIONS = 5, 12
+# Share of the foretold closing of the gaps that a Gauss-Newton step must bring if the objective rises.
+_CLOSING = 0.1
 # First radius of the trust region, in the same units; least share of the foretold fall that a step must bring.
 _RADIUS, _SHARE = 0.5, 1e-3
 
@@ -167,7 +169,7 @@ class Descender:
             found = self._evaluate(point.x + share * dx)
             if found is not None:
                 lower = found.objective <= point.objective * (1 + 1e-9)
-                if lower or gap_of(found, users) < max(0.9 * gap, _CLOSED):
+                if lower or gap_of(found, users) < max((1 - _CLOSING * share) * gap, _CLOSED):
                     return found, False
             share *= 0.5
         return None
