@@ -23,6 +23,7 @@ from casadi_engine.estimation.predictor import Predictor
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.shooting import ShootingProblem
 from casadi_engine.estimation.starts import chained_nodes, drawn_starts, nodes_from_measurement
+from casadi_engine.estimation.unreachable import unreachable
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters, compile
@@ -34,6 +35,8 @@ Array = NDArray[np.float64]
 
 # Noise levels that are estimated beside priors, several outputs or a robust loss are settled by repeated fits.
 _ROUNDS, _LEVEL = 12, 1e-6
+# Points from which values that meet all constraints are looked for, where a search has ended without.
+_TRIED = 5
 
 
 @dataclass
@@ -252,7 +255,18 @@ class Search:
                 break
             solution = self.solver.solve(solution.x, self.lower, self.upper, exact=True)
             iterations += solution.iterations
-        return self._outcome(solution, iterations, given)
+        return self._outcome(self._blamed(solution), iterations, given)
+
+    def _blamed(self, solution: Solution) -> Solution:
+        """The solution with a status that names the constraints no values meet, if they are why there is no optimum."""
+        nv, v = self.problem.nv, solution.x[: self.problem.nv]
+        if not solution.status.startswith("not converged") or not self.constraints.violated(v):
+            return solution
+        starts = [v, *(self.coordinates.of(z) for z in drawn_starts(self.pmap, _TRIED, 0))]
+        found = unreachable(self.constraints, starts, self.lower[:nv], self.upper[:nv])
+        if not found:
+            return solution
+        return replace(solution, status=f"not converged: no values within the bounds meet {'; '.join(found)}")
 
     def _approached(self, z: Array) -> Array:
         """The start of the simulation that predictions over short pieces lead to; ``z`` itself without them."""

@@ -6,6 +6,7 @@ import pytest
 import casadi_engine as ce
 from casadi_engine.estimation.constraints import ParameterConstraints
 from casadi_engine.estimation.coordinates import Coordinates
+from casadi_engine.estimation.unreachable import unreachable
 from casadi_engine.parameters import compile
 
 SIGMA = 0.1
@@ -182,7 +183,9 @@ def test_a_constraint_that_cannot_be_met_is_said_so(line, line_data):
     pars["p2"].set(1.0, min=-2, max=2)
     pars.constrain("p1**2 + p2**2", min=20.0, name="circle")
     fit = fitted(line(), line_data().data, pars, max_iterations=100)
-    assert fit.status.startswith("not converged: ")
+    assert fit.status == (
+        "not converged: no values within the bounds meet circle (the closest is 8, wanted at least 20)"
+    )
     assert not fit.converged
     assert "not met: circle" in fit.messages
 
@@ -221,6 +224,51 @@ def test_a_natural_frequency_is_kept(shaft, shaft_model, side):
     else:
         assert found == pytest.approx({"min": low, "max": high, "equal": low}[side], rel=1e-7)
         assert sigma < 1e-5 * scale
+
+
+def test_a_frequency_that_cannot_be_reached_is_named(shaft, shaft_model):
+    model, made = shaft_model(), shaft()
+    pars = model.parameters()
+    pars["K_el"].set(120.0, min=50, max=200)
+    pars["J_load"].set(0.18, min=0.1, max=1)
+    pars["J_eng"].set(0.4, min=0.1, max=1)
+    best = model.natural_frequency(
+        1, {**made.truth, "K_el": 200.0, "J_load": 0.1, "J_eng": 0.1, "C_el": 0, "C_eng": 0}
+    )
+    pars.constrain_frequency(1, 2 * best, 3 * best)
+    fit = ce.estimate(model, made.data, parameters=pars, max_iterations=60, progress=False)
+    assert not fit.converged
+    start, _, rest = fit.status.partition(" (the closest is ")
+    assert start.startswith("not converged: no values within the bounds meet ")
+    assert "frequency" in start
+    assert float(rest.split(",")[0]) == pytest.approx(best, rel=0.02)
+    assert rest.endswith(f"wanted at least {2 * best:.5g})")
+
+
+def test_a_search_that_runs_out_of_iterations_does_not_blame_a_constraint_that_can_be_met(line, line_data):
+    pars = line().parameters()
+    pars.constrain("p1**2 + p2**2", min=20.0, name="circle")
+    fit = fitted(line(), line_data().data, pars, max_iterations=1)
+    assert fit.status == "not converged: the iterations ran out; allow more with max_iterations"
+
+
+def test_two_constraints_that_exclude_each_other_are_both_named(line):
+    pars = line().parameters()
+    pars.constrain("p1 * p2", min=1.0, name="product")
+    pars.constrain("p1**2 + p2**2", max=1.0, name="circle")
+    coordinates = Coordinates(compile(pars, line().parameter_names))
+    constraints = ParameterConstraints(line(), coordinates._pmap, coordinates)
+    wide = np.full(2, np.inf)
+    words = unreachable(constraints, [np.array([0.3, 0.1])], -wide, wide)
+    assert [text.split(" (")[0] for text in words] == ["product", "circle"]
+    # at the closest point p1 = p2 = p with (1 - p^2)^2 + ((2 p^2 - 1)/2)^2 least (the circle is 2 at the start): p^2 = 3/4
+    assert words[0] == "product (the closest is 0.75, wanted at least 1)"
+    assert words[1] == "circle (the closest is 1.5, wanted at most 1)"
+    assert unreachable(constraints, [], -wide, wide) == []
+    held = np.array([0.5, 0.2])
+    assert (
+        unreachable(constraints, [held], held, held)[0] == "product (the closest is 0.1, wanted at least 1)"
+    )
 
 
 def frequency_slope(model, fit):
