@@ -17,7 +17,7 @@ from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty, uncertainty
 from casadi_engine.estimation.starts import chained_nodes
-from casadi_engine.simulation.error_estimate import ErrorEstimate, Stepped, estimate_error
+from casadi_engine.simulation.error_estimate import ErrorEstimate, Stepped, accumulated_error
 
 Array = NDArray[np.float64]
 
@@ -49,10 +49,11 @@ def make_fit(
     initial: dict[str, dict[str, Estimate]] = {}
     at = problem.nv
     for record, lay, limits in zip(search.records, problem.layouts, search._initial, strict=True):
-        name, start = record.experiment.name, lay.take(errors.x)[0]
+        name, nodes = record.experiment.name, lay.take(errors.x)
+        start = nodes[0]
         traces[name] = _traces(search, record, v, start)
         drives[name] = _drives(record, v)
-        integration |= _integration(record, v, start)
+        integration |= _integration(record, v, nodes)
         percents[name] = {key: _percent(trace) for key, trace in traces[name].items()}
         initial[name] = errors.initial_states(record, limits, at)
         first[name] = start * record.scale
@@ -158,14 +159,13 @@ def _response(record: RecordTerm, v: Array, start: Array) -> tuple[Array, Any]:
     return record.observation.observe(path.y)[0], record.observation
 
 
-def _integration(record: RecordTerm, v: Array, start: Array) -> dict[str, ErrorEstimate]:
-    """The integration error of the record's simulation from its first state, where it is integrated at all."""
-    whole = record.single().propagator if isinstance(record.propagator, Stepped) else None
-    if not isinstance(whole, Stepped):
+def _integration(record: RecordTerm, v: Array, nodes: Array) -> dict[str, ErrorEstimate]:
+    """The integration error of a record whose intervals start at ``nodes`` (M, n), where it is integrated at all."""
+    if not isinstance(record.propagator, Stepped):
         return {}
     try:
-        found = estimate_error(
-            whole, v[record.active], start[None], outputs=record.outputs, samples=record.grid.samples
+        found = accumulated_error(
+            record.propagator, v[record.active], nodes, outputs=record.outputs, samples=record.grid.samples
         )
     except FloatingPointError:
         return {}

@@ -83,14 +83,43 @@ def estimate_error(
     # The coarse path first: it may have refined its steps for stability.
     coarse = propagator.propagate(z, nodes, 0).y[0]
     fine = propagator.refined(2 * propagator.substeps).propagate(z, nodes, 0).y[0]
-    real = _recorded(propagator.intervals, samples)
-    absolute, relative = [], []
-    for column in range(len(outputs)):
-        one, other = coarse[column :: len(outputs)][real], fine[column :: len(outputs)][real]
-        absolute.append(float(np.abs(one - other).max(initial=0.0)) * _RICHARDSON)
-        size = float(np.abs(other).max(initial=0.0))
-        relative.append(absolute[-1] / size if size else absolute[-1])
-    return ErrorEstimate(outputs, tuple(absolute), tuple(relative), propagator.substeps, tolerance)
+    return _largest(propagator, fine - coarse, fine, outputs, samples, tolerance)
+
+
+def accumulated_error(
+    propagator: Stepped,
+    z: Array,
+    nodes: Array,
+    *,
+    outputs: tuple[str, ...],
+    samples: int,
+    tolerance: float = 1e-6,
+) -> ErrorEstimate:
+    """`estimate_error` of one whole run whose states at the intervals' starts are ``nodes`` (M, n), scaled.
+
+    What an interval's steps are off by is carried through the later ones by the sensitivities: all intervals are
+    integrated side by side, which a single run is not.
+    """
+    coarse = propagator.propagate(z, nodes, 1)
+    fine = propagator.refined(2 * propagator.substeps).propagate(z, nodes, 0)
+    ends = np.broadcast_to(coarse.end_s, (len(nodes), nodes.shape[1], nodes.shape[1]))
+    own = fine.end - coarse.end
+    carried = np.zeros_like(nodes)
+    for k in range(len(nodes) - 1):
+        carried[k + 1] = ends[k] @ carried[k] + own[:, k]
+    off = fine.y[0] - coarse.y[0] + np.einsum("kbma,ma->kbm", coarse.ys, carried)
+    return _largest(propagator, off, fine.y[0], outputs, samples, tolerance)
+
+
+def _largest(
+    propagator: Stepped, off: Array, size: Array, outputs: tuple[str, ...], samples: int, tolerance: float
+) -> ErrorEstimate:
+    """The largest entries within the record; off, size : (R * ny, b, M)."""
+    real, ny = _recorded(propagator.intervals, samples), len(outputs)
+    absolute = [_RICHARDSON * float(np.abs(off[k::ny][real]).max(initial=0.0)) for k in range(ny)]
+    sizes = [float(np.abs(size[k::ny][real]).max(initial=0.0)) for k in range(ny)]
+    relative = tuple(one / other if other else one for one, other in zip(absolute, sizes, strict=True))
+    return ErrorEstimate(outputs, tuple(absolute), relative, propagator.substeps, tolerance)
 
 
 def refined_to(

@@ -8,7 +8,12 @@ import pytest
 
 from casadi_engine.errors import SimulationError
 from casadi_engine.model import Blueprint
-from casadi_engine.simulation.error_estimate import ErrorEstimate, estimate_error, refined_to
+from casadi_engine.simulation.error_estimate import (
+    ErrorEstimate,
+    accumulated_error,
+    estimate_error,
+    refined_to,
+)
 from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
 from casadi_engine.simulation.general import GeneralPropagator
 from casadi_engine.simulation.intervals import cut
@@ -77,6 +82,22 @@ def test_the_estimate_is_the_true_error_within_a_fifth(made, name, length):
     off = made.by_interval(plan, ny, off).reshape(-1, ny)[: about["samples"]].max(axis=0)
     np.testing.assert_allclose(found.absolute, off, rtol=0.2)
     assert found.substeps == propagator.substeps
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_errors_of_intervals_add_up_to_that_of_the_whole_run(made, name):
+    model, start, _ = SYSTEMS[name]
+    single, node, about = made_for(made, model(), start)
+    whole = estimate_error(single, NONE, node, **about)
+    cut_up, nodes, _ = made_for(made, model(), start, length=10)
+    for k in range(len(nodes) - 1):  # continuous
+        nodes[k + 1] = cut_up.propagate(NONE, nodes, 0).end[:, k]
+    found = accumulated_error(cut_up, NONE, nodes, **about)
+    np.testing.assert_allclose(found.absolute, whole.absolute, rtol=1e-3)
+    np.testing.assert_allclose(found.relative, whole.relative, rtol=1e-3)
+    assert found.substeps == whole.substeps
+    if name == "duffing":  # without damping to speak of, much more than what an interval alone is off by
+        assert found.absolute[0] > 1.5 * estimate_error(cut_up, NONE, nodes, **about).absolute[0]
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
