@@ -267,7 +267,7 @@ def _matrix(fit: Fit) -> Figure:
 
 
 def _waterfall(fit: Fit) -> Figure:
-    figure = _new(6, 3.2)
+    figure = _new(9, 3.2)
     panels.draw_waterfall(figure.subplots(), fit.optima)
     return figure
 

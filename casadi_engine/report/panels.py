@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 
 # Okabe and Ito's colours: told apart by colour-blind readers and in grey print.
 MEASURED, SIMULATED, PREDICTED, BAND = "0.45", "#0072B2", "#D55E00", "0.88"
+# Optima of a multi-start by rising cost, the last colour for all that are left.
+OPTIMA = (SIMULATED, PREDICTED, "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 NORMAL_95 = 1.959964
 # With more samples than this, single ones are not marked.
 MARKED = 400
@@ -319,7 +321,7 @@ def draw_matrix(ax: Axes, matrix: Array, names: Sequence[str]) -> Any:
 
 
 def draw_waterfall(ax: Axes, optima: Sequence[Optimum]) -> None:
-    """Cost of every start above the lowest one, sorted; starts in one optimum stand beside each other."""
+    """Cost of every start above the lowest one, sorted; starts in one optimum stand beside each other in one colour."""
     from matplotlib.ticker import MaxNLocator
 
     ordered = sorted((o for o in optima if math.isfinite(o.cost)), key=lambda optimum: optimum.cost)
@@ -327,21 +329,42 @@ def draw_waterfall(ax: Axes, optima: Sequence[Optimum]) -> None:
     if not ordered:
         note(ax, "no start ended at a finite cost")
         return
-    costs = np.repeat([o.cost for o in ordered], [o.starts for o in ordered]) - ordered[0].cost
-    good = np.repeat([o.status == "converged" for o in ordered], [o.starts for o in ordered])
-    places = np.arange(1, costs.size + 1)
-    ax.plot(places, costs, color="0.8", linewidth=0.8, zorder=1)
-    for chosen, shape, colour, label in (
-        (good, "o", SIMULATED, "converged"),
-        (~good, "x", PREDICTED, "not converged"),
-    ):
-        if chosen.any():
-            ax.plot(places[chosen], costs[chosen], shape, color=colour, markersize=5, label=label)
+    above = [optimum.cost - ordered[0].cost for optimum in ordered]
+    ends = np.cumsum([optimum.starts for optimum in ordered])
+    ax.plot(
+        np.arange(1, ends[-1] + 1),
+        np.repeat(above, [o.starts for o in ordered]),
+        color="0.8",
+        linewidth=0.8,
+        zorder=1,
+    )
+    named = 0
+    for optimum, cost, end in zip(ordered, above, ends, strict=True):
+        places = np.arange(end - optimum.starts + 1, end + 1)
+        good = optimum.status == "converged"
+        colour = OPTIMA[min(named, len(OPTIMA) - 1)] if good else MEASURED
+        label = _optimum_words(optimum, cost) if named < len(OPTIMA) else None
+        if not good:
+            label = None if "not converged" in ax.get_legend_handles_labels()[1] else "not converged"
+        ax.plot(
+            places, np.full(places.size, cost), "o" if good else "x", color=colour, markersize=5, label=label
+        )
+        named += good
     # Linear up to 1, where costs cannot be told apart by the data, logarithmic above.
     ax.set_yscale("symlog", linthresh=1.0)
-    ax.set_ylim(bottom=-0.2)
+    # room below for the lowest points, above for the names
+    ax.set_ylim(-0.3, max(3.0, 3 * above[-1]))
+    ax.set_xlim(0.5, ends[-1] + 0.5)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     lost = sum(o.starts for o in optima if not math.isfinite(o.cost))
     if lost:
         ax.set_title(f"where the starts ended ({lost} without a finite cost are not shown)", loc="left")
-    ax.legend(frameon=False, loc="upper left")
+    ax.legend(frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
+
+
+def _optimum_words(optimum: Optimum, above: float) -> str:
+    """An optimum in a legend: how many starts, how far above, in which direction."""
+    starts = f"{optimum.starts} start{'s' if optimum.starts > 1 else ''}"
+    if not optimum.apart:
+        return f"{starts}, the lowest" if above == 0 else f"{starts}, +{number(above)}"
+    return textwrap.fill(f"{starts}, +{number(above)}: {optimum.apart}", 34)

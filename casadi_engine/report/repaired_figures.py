@@ -91,7 +91,8 @@ def _overview(repair: Repair, gaps: tuple[Pair, ...]) -> Figure:
     top.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False)
     left, middle, right = bottom.subplots(1, 3)
     draw_orders(left, _widest(chosen))
-    left.legend(frameon=False, loc="upper right", fontsize=7)
+    if left.get_legend_handles_labels()[0]:
+        left.legend(frameon=False, loc="upper right", fontsize=7)
     draw_density(middle, tuple(gaps))
     middle.set_ylim(0, 0.56)
     middle.legend(frameon=False, loc="upper center", fontsize=7)

@@ -139,7 +139,7 @@ def _matrix_figure(result: Result, known: _Estimates) -> Figure:
 
 
 def _waterfall_figure(known: _Estimates) -> Figure:
-    figure = _new(6, 3.2)
+    figure = _new(9, 3.2)
     panels.draw_waterfall(figure.subplots(), known.optima)
     return figure
 

@@ -1,0 +1,286 @@
+"""`casadi-engine repair` in this process: verdicts, exit codes, files, options, and one message for every fault."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import io
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from casadi_engine import cli, discrepancy
+from casadi_engine.cli.repair import Progress
+from casadi_engine.errors import NotConvergedError
+from casadi_engine.report import load_result
+
+PROBLEM = '''"""Inertia and damping from a torque that goes back and forth."""
+import casadi_engine as ce
+
+
+def problem():
+    m = ce.one_inertia()
+    p = m.parameters()
+    p["J_eng"].set(0.3, min=0.01, max=4)
+    p["C_eng"].set(0.4, min=0.01, max=4)
+    return ce.Problem(name="swing", goal=__doc__, model=m, parameters=p, noise=ce.Noise(omega=0.05),
+                      records=["run.csv"], validation=["fresh.csv"])
+'''
+
+
+def swing(path, *, seed, friction=0.0, rows=400):
+    """A record of one inertia under random torque, with sharp dry friction; in 200 steps between samples."""
+    rng = np.random.default_rng(seed)
+    step, parts, inertia, damping = 0.02, 200, 0.4, 0.5
+    time = step * np.arange(rows)
+    torque = sum(rng.uniform(20, 40) * np.sin(w * time + rng.uniform(0, 6)) for w in (2.0, 5.1, 11.3, 17.7))
+    fine = np.interp(np.arange(rows * parts) * step / parts, time, torque).tolist()
+    speed, h, omega = 0.0, step / parts, []
+    for k, drive in enumerate(fine):
+        if k % parts == 0:
+            omega.append(speed)
+        free = speed + h / inertia * (drive - damping * speed)
+        grip = h / inertia * friction
+        speed = free - max(-grip, min(grip, free))  # implicit: it sticks as long as it can hold
+    noisy = np.array(omega) + 0.05 * rng.standard_normal(rows)
+    lines = [f"{t:.6f},{x:.9f},{w:.9f}" for t, x, w in zip(time, torque, noisy, strict=True)]
+    path.write_text("\n".join(["time [s],T [N m],omega [rad/s]", *lines]) + "\n")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """problem.py, run.csv and fresh.csv with dry friction of 3 N m, clean.csv and clean_fresh.csv without."""
+    made = tmp_path_factory.mktemp("swing")
+    (made / "problem.py").write_text(PROBLEM)
+    for name, seed, friction in (
+        ("run", 1, 3.0),
+        ("fresh", 2, 3.0),
+        ("clean", 3, 0.0),
+        ("clean_fresh", 4, 0.0),
+    ):
+        swing(made / f"{name}.csv", seed=seed, friction=friction)
+    return made
+
+
+def run(folder, *arguments, out="out"):
+    """Exit code and result.json of the command in a folder."""
+    code = cli.main(["repair", str(folder / "problem.py"), *map(str, arguments), "--out", str(folder / out)])
+    path = folder / out / "result.json"
+    return code, json.loads(path.read_text()) if path.exists() else None
+
+
+@pytest.fixture(scope="module")
+def found(folder):
+    """One run with everything that it writes, what it said, and what `repair` was given and gave."""
+    said, complained, kept = io.StringIO(), io.StringIO(), []
+    real = discrepancy.repair
+
+    def repair(*arguments, **options):
+        kept.append((options, real(*arguments, **options)))
+        return kept[-1][1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(discrepancy, "repair", repair)
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(complained):
+            code, result = run(folder, "--seed", 3, out="found")
+    options, answer = kept[0]
+    return SimpleNamespace(
+        code=code,
+        result=result,
+        out=said.getvalue(),
+        err=complained.getvalue(),
+        options=options,
+        answer=answer,
+    )
+
+
+@pytest.fixture
+def canned(found, monkeypatch, quick_report):
+    """canned(verdict=...) lets the next command find the answer of `found`, changed so."""
+
+    def give(**changes):
+        given = []
+        changed = dataclasses.replace(found.answer, **changes)
+        monkeypatch.setattr(discrepancy, "repair", lambda *a, **options: given.append(options) or changed)
+        return given
+
+    return give
+
+
+# ---- one real run
+
+
+def test_a_hidden_effect_is_named_and_confirmed(found):
+    assert (found.code, found.err) == (0, "")
+    result = found.result
+    assert (result["command"], result["status"], result["verdict"], result["confirmed"]) == (
+        "repair", "answered", "named", True,
+    )  # fmt: skip
+    (effect,) = result["effects"]
+    assert (effect["name"], effect["at"]) == ("coulomb_friction", "engine")
+    torque = effect["parameters"]["engine.coulomb_friction.torque"]
+    assert abs(torque["value"] - 3.0) < 4 * torque["stderr"]
+    for name, truth in (("J_eng", 0.4), ("C_eng", 0.5)):
+        one = result["parameters"][name]
+        assert abs(one["value"] - truth) < 5 * one["stderr"], name
+    gap = result["gap"]["validation"]
+    assert gap["after"]["rmse"]["omega"] < 0.1 * gap["before"]["rmse"]["omega"]
+    assert (result["seed"], result["arguments"]["alpha"], result["arguments"]["holdout"]) == (3, 0.01, 0.3)
+
+
+def test_the_verdict_is_one_screen_and_says_where_the_files_are(found, folder):
+    lines = found.out.splitlines()
+    assert lines[0] == "Repair of one_inertia: coulomb_friction at engine is missing, confirmed on fresh data"
+    assert len(lines) <= 48
+    assert lines[-2].endswith("result.json")
+    assert lines[-1].endswith("report.html")
+
+
+def test_the_page_opens_alone_and_the_result_is_read_back(found, folder):
+    page = (folder / "found" / "report.html").read_text(encoding="utf-8")
+    assert "Something is missing: dry friction at engine" in page
+    assert page.count("data:image/") >= 6
+    assert "http" not in page
+    assert len(page) < 3_000_000
+    again = load_result(folder / "found")
+    assert again.values["engine.coulomb_friction.torque"] == pytest.approx(3.0, abs=0.1)
+
+
+def test_what_reaches_repair(found):
+    assert found.options["fresh"][0].name == "fresh"
+    assert (found.options["alpha"], found.options["holdout"], found.options["seed"]) == (0.01, 0.3, 3)
+    assert found.options["starts"] == 4
+    assert found.options["noise"].level("omega") == 0.05
+
+
+def test_nothing_missing_is_no_negative_answer(folder, quick_report, capsys):
+    files = ["--data", folder / "clean.csv", "--validate", folder / "clean_fresh.csv", "--check"]
+    code, result = run(folder, *files, out="clean")
+    assert (code, result["verdict"], result["effects"]) == (0, "nothing missing", [])
+    assert "nothing is missing" in capsys.readouterr().out
+
+
+# ---- exit codes and options
+
+
+@pytest.mark.parametrize("verdict", ["named", "class", "unnamed"])
+def test_check_makes_something_missing_negative(folder, canned, verdict, capsys):
+    canned(verdict=verdict)
+    assert run(folder, "--check")[0] == 1
+    assert run(folder)[0] == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_options_reach_repair(folder, canned):
+    given = canned()
+    files = [
+        "--data",
+        folder / "clean.csv",
+        "--alpha",
+        "0.05",
+        "--holdout",
+        "0.5",
+        "--seed",
+        "9",
+        "--fix",
+        "C_eng=0.5",
+    ]
+    code, result = run(folder, *files)
+    (options,) = given
+    assert (code, options["fresh"]) == (0, None)  # --data replaces the validation records too
+    assert (options["alpha"], options["holdout"], options["seed"]) == (0.05, 0.5, 9)
+    assert not options["parameters"]["C_eng"].vary
+    assert result["arguments"]["alpha"] == 0.05
+
+
+@pytest.mark.parametrize(
+    ("status", "code"), [("the fit without effects has not converged", 3), ("interrupted", 130)]
+)
+def test_a_first_fit_without_answer(folder, canned, found, capsys, status, code):
+    canned(status=status, verdict=None, confirmed=None, effects=(), gaps=None, threshold=None, equation=None,
+           where=None, fit=found.answer.null_fit)  # fmt: skip
+    got, result = run(folder, out="failed")
+    assert (got, result["status"], result["verdict"]) == (code, status, None)
+    assert capsys.readouterr().err == (
+        f"casadi-engine repair: no answer: {status}; what there is lies in {folder / 'failed'}\n"
+    )
+
+
+def test_a_search_that_finds_no_point_is_written(folder, monkeypatch, capsys):
+    def repair(*arguments, **options):
+        raise NotConvergedError("no start gave a finite cost", cure="give other start values")
+
+    monkeypatch.setattr(discrepancy, "repair", repair)
+    code, result = run(folder, out="nothing")
+    assert code == 3
+    assert "no start gave a finite cost" in capsys.readouterr().err
+    assert result["status"] == "not converged: no start gave a finite cost"
+    assert (result["verdict"], result["alpha"], result["effects"]) == (None, 0.01, [])
+    assert result["why"]["threshold"] == "the fit without effects found no point"
+    load_result(folder / "nothing")
+    assert not (folder / "nothing" / "report.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--alpha", "0"], "alpha is not acceptable"),
+        (["--alpha", "2"], "alpha is not acceptable"),
+        (["--holdout", "1"], "holdout is not acceptable"),
+        (["--set", "K_el=3"], "K_el"),
+        (["--data", "none.csv"], "none.csv"),
+    ],
+)
+def test_wrong_input_is_one_message_and_nothing_is_written(folder, capsys, options, words):
+    code, result = run(folder, *options, out="untouched")
+    assert (code, result) == (2, None)
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert told.err.startswith("casadi-engine repair: ")
+    assert words in told.err
+    assert not (folder / "untouched").exists()
+
+
+def test_an_alpha_that_is_no_number(folder, capsys):
+    code, result = run(folder, "--alpha", "small", out="untouched")
+    assert (code, result) == (2, None)
+    assert "Invalid value for '--alpha'" in capsys.readouterr().err
+
+
+def test_the_help_names_every_option(capsys):
+    assert cli.main(["repair", "--help"]) == 0
+    told = capsys.readouterr().out
+    for option in ("--alpha", "--holdout", "--check", "--data", "--validate", "--set", "--free", "--fix", "--out",
+                   "--seed", "--jobs", "--debug"):  # fmt: skip
+        assert option in told
+
+
+# ---- the bar
+
+
+def test_the_bar_fills_says_the_step_and_goes_away():
+    written = []
+    bar = Progress(written.append, width=40)
+    bar.tell("fit without effects")
+    bar.tell("scores")
+    bar.done()
+    assert written[0] == "\r" + ("[####" + "." * 20 + "] fit without effects")[:40]
+    assert written[1].startswith("\r[#######")
+    assert "] scores" in written[1]
+    assert all(len(text) == 41 for text in written[:2])
+    assert written[2] == "\r" + " " * 40 + "\r"
+
+
+def test_no_bar_where_there_is_no_terminal(capsys):
+    bar = Progress()
+    bar.tell("scores")
+    bar.done()
+    assert capsys.readouterr().err == ""
+
+
+def test_a_bar_that_said_nothing_takes_nothing_away():
+    written = []
+    Progress(written.append).done()
+    assert written == []
