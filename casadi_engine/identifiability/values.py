@@ -32,6 +32,7 @@ class Values:
         self._turns: dict[int, tuple[int, int]] = {}
         self._logarithms: dict[int, int] = {}  # value -> its logarithm
         self._arguments: dict[int, int] = {}  # logarithm -> the value it is of
+        self._exponents: dict[int, Sum] = {}  # value of exp -> its argument
         self._phases: list[tuple[Fraction, tuple[int, int]]] = [(Fraction(0), (1, 0))]
 
     def number(self) -> int:
@@ -49,6 +50,7 @@ class Values:
             if base not in self._exponentials:
                 self._exponentials[base] = field.exponential(self.random)
             made = made * field.exponential_power(self._exponentials[base], factor * share) % field.prime
+        self._exponents.setdefault(made, dict(argument))
         return made
 
     def log(self, factors: Sum) -> tuple[int, Sum]:
@@ -59,6 +61,11 @@ class Values:
                 continue
             if value == 0:
                 raise Pole("logarithm of zero")
+            if value in self._exponents:  # log(exp(u)) = u
+                for key, factor in self._exponents[value].items():
+                    found[key] = found.get(key, Fraction(0)) + factor * exponent
+                    total += key * self.field.fraction(factor * exponent)
+                continue
             if value not in self._logarithms:
                 inverse = self.field.inverse(value)
                 if inverse in self._logarithms:

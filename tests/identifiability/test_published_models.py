@@ -176,6 +176,12 @@ def test_trap_related_exponentials_are_not_independent():
     assert identifiability(same, outputs=["y", "x"]).lost == ("p", "q")
 
 
+def test_trap_a_logarithm_undoes_an_exponential():
+    """q·(log(exp(p·x)) - p·x) is zero whatever q is."""
+    model = written("zero", {"x": "-p*x + q*(log(exp(p*x)) - p*x)"}, {"y": "x"}, parameters="p q")
+    assert identifiability(model).lost == ("q",)
+
+
 @pytest.mark.parametrize("cylinders", [3, 4, 5, 6, 7])
 def test_trap_phases_of_evenly_firing_cylinders_add_up_to_nothing(cylinders):
     """Σ sin(θ + 2πk/n) = 0: a torque common to all cylinders leaves no trace, one cylinder's own does."""
