@@ -323,15 +323,19 @@ def _optima(fit: Fit) -> list[str]:
 
 
 def optima_words(fit: Fit) -> str:
-    """How many starts ended where, the lowest cost first."""
+    """How many starts ended where, the lowest cost first, and the directions in which optima differ from the best."""
     ordered = sorted(fit.optima, key=lambda optimum: (not math.isfinite(optimum.cost), optimum.cost))
     total = sum(optimum.starts for optimum in ordered)
-    words = [f"{ordered[0].starts} of {total} starts reached the lowest cost {number(ordered[0].cost)}"]
-    for optimum in ordered[1:4]:
+    found = [optimum for optimum in ordered if optimum.status == "converged"] or ordered
+    words = [f"{found[0].starts} of {total} starts reached the lowest cost {number(found[0].cost)}"]
+    for optimum in found[1:4]:
         where = f" ({optimum.apart})" if optimum.apart else ""
         words.append(f"{optimum.starts} ended at {number(optimum.cost)}{where}")
-    if len(ordered) > 4:
-        words.append(f"{len(ordered) - 4} more optima: fit.optima")
+    if len(found) > 4:
+        words.append(f"{len(found) - 4} more optima: fit.optima")
+    lost = total - sum(optimum.starts for optimum in found)
+    if lost:
+        words.append(f"{lost} did not converge")
     return "; ".join(words)
 
 
@@ -344,16 +348,22 @@ def next_steps(fit: Fit) -> list[str]:
     if fit.status == "interrupted":
         steps.append("it was interrupted; go on from here: ce.estimate(model, data, warm=fit)")
     elif not fit.converged:
-        steps.append("try other starts: ce.estimate(model, data, starts=8), or bounds closer to what can be")
+        steps.append(
+            'try other starts: ce.estimate(model, data, approach="prediction"), starts=8, or bounds closer to what '
+            "can be"
+        )
     steps += list(dict.fromkeys(_cure(fit, direction.weights) for direction in fit.undetermined))
     for name, estimate in fit.estimates.items():
         if estimate.at_bound and name in fit.free:
             bound = estimate.at_bound
             steps.append(f'{name} rests on its bound: widen it, pars["{name}"].set({bound}=...), or fix it')
+    converged = [optimum for optimum in fit.optima if optimum.status == "converged"]
     lowest = min((optimum.cost for optimum in fit.optima if math.isfinite(optimum.cost)), default=math.nan)
     if fit.converged and fit.cost > lowest + max(SAME_COST, 1e-9 * abs(lowest)):
-        steps.append("a lower optimum was found than this one: look at fit.optima")
-    elif len(fit.optima) > 1 and min(fit.optima, key=lambda optimum: optimum.cost).starts == 1:
+        steps.append(
+            "a search that did not converge came lower than this optimum: look at fit.optima, allow max_iterations=1000"
+        )
+    elif len(converged) > 1 and min(converged, key=lambda optimum: optimum.cost).starts == 1:
         steps.append("only one start found the lowest cost: repeat with starts=32")
     if not steps:
         steps.append(FRESH)

@@ -261,7 +261,7 @@ def test_two_constraints_that_exclude_each_other_are_both_named(line):
     wide = np.full(2, np.inf)
     words = unreachable(constraints, [np.array([0.3, 0.1])], -wide, wide)
     assert [text.split(" (")[0] for text in words] == ["product", "circle"]
-    # at the closest point p1 = p2 = p with (1 - p^2)^2 + ((2 p^2 - 1)/2)^2 least (the circle is 2 at the start): p^2 = 3/4
+    # at the closest point p1 = p2 = p with (1 - p^2)^2 + ((2 p^2 - 1)/2)^2 least, as the circle is 2 at the start
     assert words[0] == "product (the closest is 0.75, wanted at least 1)"
     assert words[1] == "circle (the closest is 1.5, wanted at most 1)"
     assert unreachable(constraints, [], -wide, wide) == []

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from casadi_engine.errors import OutputError, ResultError
 from casadi_engine.estimation.fit import Estimate, Optimum, Trace
-from casadi_engine.report import Simulated, plot
+from casadi_engine.report import Simulated, panels, plot
 from casadi_engine.report.envelope import envelope
 from casadi_engine.report.figures import drawn, figures, last_cycle
 
@@ -106,6 +106,31 @@ def test_the_waterfall_hides_nothing(factory):
     ax = plot(factory.fit(optima=STARTS), what="waterfall").axes[0]
     assert ax.get_title(loc="left") == "where the starts ended (1 without a finite cost are not shown)"
     assert ax.get_ylabel() == "cost above the lowest [1]"
+
+
+def test_the_waterfall_colours_the_optima_and_says_how_they_differ(factory):
+    optima = (
+        Optimum(1168.25, {}, 3, "converged"),
+        Optimum(1169.5, {}, 2, "converged", "K_el +30 %, J_load -12 %"),
+        Optimum(1200.0, {}, 1, "not converged: x"),
+        Optimum(1300.0, {}, 1, "not converged: x"),
+        *(Optimum(2000.0 + k, {}, 1, "converged", "C_el +5 %") for k in range(6)),
+    )
+    ax = plot(factory.fit(optima=optima), what="waterfall").axes[0]
+    points = ax.lines[1:]  # the first joins them
+    assert [line.get_xdata().tolist() for line in points] == [[1, 2, 3], [4, 5], *([k] for k in range(6, 14))]
+    assert [float(line.get_ydata()[0]) for line in points[:3]] == [0.0, 1.25, 31.75]
+    colours = [line.get_color() for line in points]
+    assert colours[0] == panels.SIMULATED
+    assert colours[1] == panels.PREDICTED
+    assert colours[2] == colours[3] == panels.MEASURED
+    assert len({*colours[:2], *colours[4:]}) == len(panels.OPTIMA)
+    assert [line.get_marker() for line in points[:4]] == ["o", "o", "x", "x"]
+    words = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert words[0] == "3 starts, the lowest"
+    assert words[1].replace("\n", " ") == "2 starts, +1.25: K_el +30 %, J_load -12 %"
+    assert words.count("not converged") == 1
+    assert ax.get_yscale() == "symlog"
 
 
 def test_hard_traces_are_drawn_too(factory):
