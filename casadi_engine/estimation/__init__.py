@@ -1,7 +1,23 @@
 """Estimation: the multiple-shooting problem, its solution, and the uncertainty of the answer."""
 
+from casadi_engine.estimation.batch import Task, fits
 from casadi_engine.estimation.estimate import estimate
 from casadi_engine.estimation.fit import Direction, Estimate, Fit, Optimum, Trace
+from casadi_engine.estimation.monte_carlo import MonteCarlo, monte_carlo
 from casadi_engine.estimation.simulate import simulate
+from casadi_engine.estimation.study import study
 
-__all__ = ["Direction", "Estimate", "Fit", "Optimum", "Trace", "estimate", "simulate"]
+__all__ = [
+    "Direction",
+    "Estimate",
+    "Fit",
+    "MonteCarlo",
+    "Optimum",
+    "Task",
+    "Trace",
+    "estimate",
+    "fits",
+    "monte_carlo",
+    "simulate",
+    "study",
+]
