@@ -98,32 +98,18 @@ def _equation(result: Repair) -> Section:
 
 
 def _effects(result: Repair) -> Section:
-    rows = []
+    rows, lines = [], []
     for one in result.effects:
-        first = True
+        lines.append(f"{one.sentence} ({one.name} at {one.at})")
+        frequency = "-" if one.selection_frequency is None else f"{100 * one.selection_frequency:.0f} %"
+        said = (f"{one.z:.1f}", _p(one.p_value), f"{100 * one.share_explained:.3g} %", frequency)
         for name, estimate in one.parameters.items():
-            size = f"{with_error(estimate.value, estimate.stderr)} {estimate.unit}"
-            if first:
-                frequency = (
-                    "-" if one.selection_frequency is None else f"{100 * one.selection_frequency:.0f} %"
-                )
-                share = f"{100 * one.share_explained:.3g} %"
-                rows.append((one.sentence, name, size, f"{one.z:.1f}", _p(one.p_value), share, frequency))
-            else:
-                rows.append(("", name, size, "", "", "", ""))
-            first = False
-    header = (
-        "effect",
-        "parameter",
-        "value ± standard error",
-        "z",
-        "p, whole library",
-        "of the gap",
-        "chosen in halves",
-    )
-    made = [table(header, rows, right=(3, 4, 5, 6), caption="Effects found")]
+            rows.append((name, f"{with_error(estimate.value, estimate.stderr)} {estimate.unit}", *said))
+            said = ("", "", "", "")
+    header = ("parameter", "value ± standard error", "z", "p, whole library", "of the gap", "first in halves")
+    made = [table(header, rows, right=(2, 3, 4, 5), caption="Effects found")]
     made += [_class_table(one) for one in result.effects if len(one.members) > 1]
-    return Section("effects", "The effects", tables=made, wanted=_latent_wanted(result))
+    return Section("effects", "The effects", lines=lines, tables=made, wanted=_latent_wanted(result))
 
 
 def _class_table(effect: FoundEffect) -> str:
@@ -231,7 +217,7 @@ def _test_table(result: Repair) -> str:
         if before is not None and after is not None:
             rows += _test_rows(before, after)
     header = ("record", "output", "p before", "p after")
-    return table(header, rows, right=(2, 3), caption="Whiteness of the residuals (Ljung-Box)")
+    return table(header, rows, right=(2, 3), caption="Whiteness of the residuals")
 
 
 def _test_rows(before: Side, after: Side) -> list[tuple[str, str, str, str]]:
@@ -264,34 +250,27 @@ def _parameter_table(result: Repair) -> str:
     for one in result.effects:
         for name, value in one.predicted_shift.items():
             shifts[name] = shifts.get(name, 0.0) + value
-    rows = []
+    rows, kept = [], []
     for name, new in result.fit.estimates.items():
         old = result.null_fit.estimates.get(name)
-        note = f"at its {new.at_bound} bound" if new.at_bound else "fixed" if new.fixed else ""
-        changed = "" if old is None or new.fixed else f"{new.value - old.value:+.3g}"
+        if new.fixed:
+            kept.append(f"{name} = {number(new.value)} {new.unit}")
+            continue
+        after = with_error(new.value, None if new.at_bound else new.stderr)
         rows.append(
             (
                 name,
-                "-" if old is None else with_error(old.value, old.stderr),
-                with_error(new.value, None if new.at_bound else new.stderr),
+                "-" if old is None else with_error(old.value, None if old.at_bound else old.stderr),
+                f"{after}, at its {new.at_bound} bound" if new.at_bound else after,
                 new.unit,
-                changed,
+                "" if old is None else f"{new.value - old.value:+.3g}",
                 f"{shifts[name]:+.3g}" if name in shifts else "",
-                note,
             )
         )
-    header = (
-        "parameter",
-        "before ± standard error",
-        "after ± standard error",
-        "unit",
-        "change",
-        "predicted",
-        "note",
-    )
-    return table(
-        header, rows, right=(4, 5), caption="Parameters; the change predicted by the score is a first step"
-    )
+    header = ("parameter", "before ± standard error", "after ± standard error", "unit", "change", "predicted")
+    caption = "Parameters; the change predicted by the score is a first step"
+    caption += f". Fixed: {', '.join(kept)}" if kept else ""
+    return table(header, rows, right=(4, 5), caption=caption)
 
 
 def _where(result: Repair) -> Section:

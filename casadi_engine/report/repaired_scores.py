@@ -93,7 +93,7 @@ def _bent_axis(ax: Axes, threshold: float, top: float) -> None:
     ax.set_xlim(0, 2.2 * top)
     decades = [a * 10.0**k for k in range(0, math.ceil(math.log10(top)) + 1) for a in (1, 2, 5)]
     axis: Any = ax.xaxis
-    axis.set_major_locator(FixedLocator([0, *(v for v in decades if 1.3 * threshold < v <= 2 * top)]))
+    axis.set_major_locator(FixedLocator([0, *(v for v in decades if 1.15 * threshold < v <= 2 * top)]))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_locator(NullLocator())
 

@@ -208,8 +208,9 @@ def test_a_gap_says_what_share_lies_inside_the_band(repaired):
     pair = pairs(repaired)[0]
     for which, residual in (("before", pair.before), ("after", pair.after)):
         share = 100 * inside_share(pair, residual)
-        assert f"{which}: {share:.1f} % inside ±2σ, σ = 0.1 rad/s (95.4 % expected)" in words
+        assert f"{which}: {share:.1f} % inside ±2σ (noise: 95.4 %)" in words
     assert "noise alone exceeds this at 1 % of orders" in words
+    assert "residual / σ of the noise [1], σ = 0.1 rad/s" in words
 
 
 def test_records_without_crank_angle_are_drawn_over_time(repaired, factory):
