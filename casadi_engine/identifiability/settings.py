@@ -32,7 +32,7 @@ class InputClass:
     @property
     def still(self) -> bool:
         """True if it does not change in time."""
-        return self.word in ("constant", "zero", "unknown constant")
+        return self.word in ("constant", "zero") or self.degree == 0
 
     def __str__(self) -> str:
         return (

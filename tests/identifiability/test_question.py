@@ -166,3 +166,28 @@ def test_the_answer_as_text_html_and_data(model):
     assert data["lost"] == list(found.lost)
     assert data["settings"][0]["inputs"]["T_1"] == "zero"
     assert "<table>" in found._repr_html_()
+
+
+def test_an_unknown_drive_of_a_form_leaves_more_than_an_arbitrary_one(model):
+    words = [
+        "generic",
+        "unknown constant",
+        "unknown polynomial 1",
+        "unknown polynomial 5",
+        "unknown arbitrary",
+    ]
+    told = [identifiability(model, inputs={"T_load": word}).directions for word in words]
+    assert told == sorted(told, reverse=True)
+    assert (told[0], told[-1]) == (5, 0)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 4])
+def test_decay_under_an_unknown_polynomial(degree):
+    """x' = -c x + g d(t): exp(-ct) is no polynomial, so c is told; the scale g of an unknown drive never is."""
+    b = ce.Blueprint("decay")
+    c, g, x, d = b.parameter("c", 1.0), b.parameter("g", 1.0), b.state("x"), b.input("d")
+    b.ode("x", -c * x + g * d)
+    b.output("x", x)
+    found = identifiability(b.model(), inputs=("unknown polynomial", degree))
+    assert found.lost == ("g",)
+    assert identifiability(b.model(), inputs="unknown arbitrary").lost == ("c", "g")
