@@ -28,7 +28,7 @@ from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters, compile
 from casadi_engine.problem.noise import Noise
-from casadi_engine.simulation.grid import lay_grid
+from casadi_engine.simulation.grid import Grid, lay_grid
 from casadi_engine.simulation.shared_core import Cores
 
 Array = NDArray[np.float64]
@@ -91,42 +91,11 @@ class Search:
         self.parameters = parameters
         nv = len(self.pmap.free)
         self.coordinates = Coordinates(self.pmap)
-        self.records: list[RecordTerm] = []
-        made: dict[int, Any] = {}
-        cores = Cores()
         self._tails: dict[str, Any] = {}
-        level: Array | None = None
-        for record in data:
-            physical, tail = self.pmap.physical[record.name], tails[record.name]
-            local = made.setdefault(id(physical), self.coordinates.substitute(physical))
-            own = self._tails[record.name] = self.coordinates.substitute(tail)
-            if self.predictor.kind == "process" and level is None:
-                start = self.coordinates.of(self.pmap.start)
-                level = self.predictor.reference(
-                    own, local, self.coordinates.symbol, start, grids[record.name]
-                )
-            self.records.append(
-                RecordTerm(
-                    model,
-                    record,
-                    self.coordinates.symbol,
-                    local,
-                    length=interval_length(interval, grids[record.name]),
-                    gain=self.predictor.plan(own, local, level),
-                    method=method,
-                    grid=grids[record.name],
-                    cores=cores,
-                )
-            )
+        self.records, level = self._terms(grids, tails, interval, method)
         priors: Any = Priors(self.pmap, self.coordinates)
         if level is not None:
-            if loss.robust:
-                raise EstimationError(
-                    "a robust loss does not go with noise covariances: outliers would pass for process noise",
-                    seen="process= and a robust loss",
-                    allowed='loss="square" with process=',
-                    cure='take Noise(omega="innovations"), whose gain is free, or mask the outliers',
-                )
+            self._check_loss()
             priors = SizedPriors(priors, self.records, level)
             noise = Noise(**dict(zip(self.predictor.outputs, level.tolist(), strict=True)))
         self.constraints = ParameterConstraints(model, self.pmap, self.coordinates, self._stable())
@@ -145,6 +114,44 @@ class Search:
             progress=self._report,
             interrupts=self._interrupts,
         )
+
+    def _terms(
+        self, grids: dict[str, Grid], tails: dict[str, Any], interval: Any, method: str
+    ) -> tuple[list[RecordTerm], Array | None]:
+        """The records' terms, and with noise covariances the levels (ny,) to which innovations are whitened."""
+        made: dict[int, Any] = {}
+        cores, records = Cores(), []
+        level: Array | None = None
+        for record in self.data:
+            grid, physical = grids[record.name], self.pmap.physical[record.name]
+            local = made.setdefault(id(physical), self.coordinates.substitute(physical))
+            own = self._tails[record.name] = self.coordinates.substitute(tails[record.name])
+            if self.predictor.kind == "process" and level is None:
+                start = self.coordinates.of(self.pmap.start)
+                level = self.predictor.reference(own, local, self.coordinates.symbol, start, grid)
+            term = RecordTerm(
+                self.model,
+                record,
+                self.coordinates.symbol,
+                local,
+                length=interval_length(interval, grid),
+                gain=self.predictor.plan(own, local, level),
+                method=method,
+                grid=grid,
+                cores=cores,
+            )
+            records.append(term)
+        return records, level
+
+    def _check_loss(self) -> None:
+        """Raise for a robust loss beside noise covariances."""
+        if self.loss.robust:
+            raise EstimationError(
+                "a robust loss does not go with noise covariances: outliers would pass for process noise",
+                seen="process= and a robust loss",
+                allowed='loss="square" with process=',
+                cure='take Noise(omega="innovations"), whose gain is free, or mask the outliers',
+            )
 
     def plain_gain(self, record: RecordTerm) -> Any:
         """The gain of a record whose innovations stay in the outputs' units."""
