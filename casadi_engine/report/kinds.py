@@ -9,7 +9,7 @@ from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
 
-KINDS = "a Fit, a Validation, a Simulated"
+KINDS = "a Fit, a Validation, a Simulated, a Repair"
 # What report and plot also take.
 READ_BACK = ", a loaded Result"
 # What can be drawn, but has no page.

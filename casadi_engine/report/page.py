@@ -60,7 +60,7 @@ def report(
 ) -> Path:
     """Write a result as one self-contained report.html (at most 3 MB), atomically, and return its path.
 
-    result : a Fit, a Validation, a Simulated, or a result that was loaded (what result.json holds: no traces)
+    result : a Fit, a Validation, a Simulated, a Repair, or a result that was loaded (what result.json holds: no traces)
     validation : the Validation of a Fit, for its section of residual tests
     arguments : what the command was given, for the section on how it was made
 

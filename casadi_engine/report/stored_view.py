@@ -17,6 +17,7 @@ from casadi_engine.experiment import read_experiment
 from casadi_engine.report import panels
 from casadi_engine.report.figures import Maker, each, figures
 from casadi_engine.report.page import Section
+from casadi_engine.report.repaired_stored import stored_sections, stored_verdict
 from casadi_engine.report.sections import Page, page_of
 from casadi_engine.report.stored import Result
 from casadi_engine.report.tables import table
@@ -184,13 +185,15 @@ def _file_figure(result: Result, name: str) -> Figure:
 @page_of.register
 def _(result: Result, _validation: Any, arguments: Mapping[str, Any]) -> Page:
     drawn = [(result, name, name) for name in _drawable(result) if name != "overview"]
-    verdict = [f"{result['command']}: {result['status']}."]
+    of_repair = result["command"] == "repair"
+    verdict = stored_verdict(result) if of_repair else [f"{result['command']}: {result['status']}."]
     checked = result if "passed" in result else result.get("validation", {})
     if "passed" in checked:
         verdict.append(f"Residual tests {'passed' if checked['passed'] else 'failed'}.")
     verdict += [f"Not determined by these data: {one['text']}." for one in result.get("undetermined", ())]
     verdict += list(result.get("messages", ()))
     sound = result["status"] in ("converged", "answered") and checked.get("passed", True)
+    sound = sound and result.get("verdict", "named") in ("named", "nothing missing")
     note = (
         "Traces are not stored in result.json; the page that the command wrote beside it has their figures."
     )
@@ -203,6 +206,8 @@ def _(result: Result, _validation: Any, arguments: Mapping[str, Any]) -> Page:
     if list(each(_percents(result))) or _p_values(result):
         tables = [_percent_table(result)] + ([_test_table(result)] if _p_values(result) else [])
         sections.append(Section("fit", "Fit and residual tests", tables=tables, wanted=_of(drawn, _FIT)))
+    if of_repair:
+        sections[1:1] = stored_sections(result)
     files = [entry for entry in drawn if entry[1].startswith("file ")]
     if files:
         sections.append(Section("simulation", "Simulation", wanted=files))

@@ -145,7 +145,7 @@ def test_what_cannot_be_a_result():
         ResultError, match=r"result\.json does not know this kind of result; seen: int"
     ) as error:
         result_of(3)
-    assert error.value.allowed == "a Fit, a Validation, a Simulated"
+    assert error.value.allowed == "a Fit, a Validation, a Simulated, a Repair"
     assert error.value.cure == "give what estimate, validate or simulate returned"
 
 
