@@ -191,3 +191,16 @@ def test_decay_under_an_unknown_polynomial(degree):
     found = identifiability(b.model(), inputs=("unknown polynomial", degree))
     assert found.lost == ("g",)
     assert identifiability(b.model(), inputs="unknown arbitrary").lost == ("c", "g")
+
+
+def test_the_geometry_of_the_crank_is_known_up_to_a_scale_of_length():
+    """Torque = pressure × area × radius: lengths times s, area over s, mass over s² leave no trace."""
+    model = ce.two_mass(reciprocating_speed="model")
+    parameters = model.parameters()
+    parameters.free("r", "L", "A_p", "m_eq", "p_crank")
+    found = identifiability(model, parameters=parameters, combinations=["r/L", "r*A_p", "m_eq*r**2"])
+    (symmetry,) = found.symmetries
+    assert dict(symmetry.exponents) == {"r": 1, "L": 1, "A_p": -1, "m_eq": -2}
+    assert all(found.combinations.values())
+    parameters.fix("r")
+    assert identifiability(model, parameters=parameters).passed
