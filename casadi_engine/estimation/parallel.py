@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import importlib
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from pickle import PicklingError
 from typing import Any
 
 from casadi_engine.errors import EstimationError, MissingDependencyError
 from casadi_engine.estimation.options import whole
+from casadi_engine.problem.load import MODULE_PREFIX
 
 
 def checked_jobs(jobs: Any) -> int | None:
@@ -30,12 +33,13 @@ def spread(
         yield from ((k, work(item)) for k, item in enumerate(items))
         return
     joblib = _joblib()
+    _send_problem_files()
     done = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered", pre_dispatch="2*n_jobs")(
         joblib.delayed(_numbered)(work, k, item) for k, item in enumerate(items)
     )
     try:
         yield from done
-    except (PicklingError, TypeError, AttributeError) as error:
+    except (PicklingError, TypeError, AttributeError, RuntimeError) as error:
         if not _is_about_sending(error):
             raise
         raise EstimationError(
@@ -59,13 +63,26 @@ def _numbered(work: Callable[[Any], Any], position: int, item: Any) -> tuple[int
 
 
 def _is_about_sending(error: BaseException) -> bool:
-    return isinstance(error, PicklingError) or "pickle" in str(error)
+    return isinstance(error, PicklingError) or "pickle" in str(error) or "un-serialize" in str(error)
 
 
 def _reason(error: BaseException) -> str:
-    """What could not be sent: the last line of what joblib was told."""
-    lines = str(error.__cause__ or error).strip().strip('"').splitlines()
+    """What could not be sent: the last line of what joblib was told, or its own words."""
+    told = error.__cause__ if isinstance(error, PicklingError) and error.__cause__ is not None else error
+    lines = str(told).strip().strip('"').splitlines()
     return next((line.strip() for line in reversed(lines) if line.strip()), str(error))
+
+
+def _send_problem_files() -> None:
+    """Send what problem files define (an effect) as code, for their modules cannot be imported elsewhere."""
+    files = [module for name, module in sys.modules.items() if name.startswith(MODULE_PREFIX)]
+    for name in ("joblib.externals.cloudpickle", "cloudpickle"):  # that of processes, that of clusters
+        try:
+            sender = importlib.import_module(name) if files else None
+        except ImportError:
+            continue
+        for module in files:
+            sender.register_pickle_by_value(module)  # type: ignore[union-attr]
 
 
 def _joblib() -> Any:

@@ -66,6 +66,10 @@ def _checked_path(path: Any) -> Path:
     return source
 
 
+# Names of the modules that problem files become; no other process can import them.
+MODULE_PREFIX = "_casadi_engine_problem_"
+
+
 class _Loader(importlib.machinery.SourceFileLoader):
     """Reads the source itself every time: no stale bytecode, and no __pycache__ in the user's folder."""
 
@@ -77,7 +81,7 @@ def _run(source: Path) -> ModuleType:
     # Dataclasses and annotations in the file look their module up, so it is registered, under a name that
     # no other module has; the hash tells files of one name in two folders apart.
     digest = hashlib.sha256(os.fsencode(source)).hexdigest()[:16]
-    name = f"_casadi_engine_problem_{digest}"
+    name = f"{MODULE_PREFIX}{digest}"
     spec = importlib.util.spec_from_file_location(name, source, loader=_Loader(name, str(source)))
     if spec is None or spec.loader is None:
         raise ProblemError(f"{shown(source)}: Python cannot load this file", cure="check the file")

@@ -1,5 +1,7 @@
 """Fits in several processes and on a cluster: the numbers of one process, in its order."""
 
+import importlib
+
 import numpy as np
 import pytest
 
@@ -165,6 +167,20 @@ def test_work_that_cannot_be_sent_is_named(refused):
         EstimationError, "cannot be sent to another process", seen="lock", allowed="imported", cure="jobs"
     ):
         study(lambda piece: lock.acquire() and piece, [1, 2, 3], jobs=2)
+
+
+def test_work_that_cannot_be_received_is_named(refused):
+    pytest.importorskip("joblib", reason="several processes need joblib")
+
+    class Lost:
+        def __reduce__(self):
+            return importlib.import_module, ("a_module_of_this_process_alone",)
+
+        def __call__(self, piece):
+            return piece
+
+    with refused(EstimationError, "cannot be sent to another process", seen="un-serialize", cure="a module"):
+        study(Lost(), [1, 2, 3], jobs=2)
 
 
 def _no_such_parameter(piece):
