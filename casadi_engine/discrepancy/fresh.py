@@ -29,7 +29,7 @@ Source = Literal["records", "cycles"]
 _HELD, _KEPT = 3, 3
 _PIECES = 10
 # A gain that the search foresaw at this many standard errors of the fresh data's, and that is not there, is refused.
-_FORESEEN, _WANTED = 4.0, 2.0
+_FORESEEN = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +218,7 @@ def judge(
         return Judgement(gain, None, why=gain.why)
     if gain.confirmed:
         return Judgement(gain, True)
-    worse = gain.mean < -_WANTED * gain.se
+    worse = gain.mean <= 0
     missed = foreseen > _FORESEEN * gain.se and gain.mean < 0.25 * foreseen
     if worse or missed:
         words = "the gap grows" if worse else f"a gain of {foreseen:.3g} per cycle was to be seen"

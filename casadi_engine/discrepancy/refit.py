@@ -23,14 +23,22 @@ from casadi_engine.problem.noise import Noise
 
 # Shares of the predicted amplitude at which it is held, one after the other, where a free start fails.
 _SHARES = (0.1, 0.3, 0.6, 1.0)
+_SMALL = 0.02
+# One step tells little of an effect whose predicted drop of chi-squared is larger.
+_LARGE = 400.0
+# Iterations of one try.
+_ITERATIONS = 60
+_ROUNDING = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Addition:
-    """An effect that is added: its candidate, and the amplitude from which the search starts."""
+    """An effect that is added: its candidate, the amplitude from which the search starts, and the predicted drop of
+    chi-squared."""
 
     candidate: Candidate
     start: float
+    drop: float = 0.0
 
     @property
     def label(self) -> str:
@@ -61,11 +69,11 @@ class Addition:
         return next(iter(self.candidate.direction))
 
 
-def addition(candidate: Candidate, amplitude: float) -> Addition:
+def addition(candidate: Candidate, amplitude: float, drop: float) -> Addition:
     """An effect to add, from its one-step amplitude; a candidate made at a size starts there."""
     start = candidate.size if candidate.size is not None else amplitude
     bounds = candidate.source.effect.amplitude
-    return Addition(candidate, float(np.clip(start, bounds.min, bounds.max)))
+    return Addition(candidate, float(np.clip(start, bounds.min, bounds.max)), drop)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,35 +99,45 @@ class Refitter:
     def __call__(self, base: Fit, effects: Sequence[Addition]) -> Fit:
         """The fit with these effects, from a fit with some of them.
 
-        Not converged where no start leads to an optimum. Tried are the base's optimum with the predicted amplitude; the
-        parameters' own start values where the base was driven to a bound or the first try fails; and the amplitude held
-        at growing shares of the prediction.
+        Not converged where no start leads to an optimum below the base's. Tried are the base's optimum with the
+        predicted amplitude; the parameters' own start values where the base was driven to a bound; the base's optimum
+        with a small amplitude; and the amplitude held at growing shares of the prediction.
         """
         model = self._extended(effects)
         pars = self._parameters(model, effects)
         new = [one for one in effects if one.amplitude not in base.parameters]
-        best = self._try(model, pars, _Start(base.values, base.initial, base.noise))
+        warm = _Start(base.values, base.initial, base.noise)
+        best = self._try(model, pars, warm)
         if best is None or not best.converged or _driven(base) or _driven(best):
             best = _better(best, self._try(model, pars, None))
-        if best is not None and (best.converged or not new):
-            return best
-        warm = _Start(base.values, base.initial, base.noise)
+        if not new:
+            return base if best is None else best
+        if not _nested(base, best):
+            best = _better(best, self._try(model, self._at(pars, new, _SMALL), warm))
+        if not _nested(base, best) and any(one.drop > _LARGE for one in new):
+            best = _better(best, self._continued(model, pars, new, warm))
+        if best is None or not _nested(base, best):
+            return replace(base, status="not converged: no start leads below the fit without the effect")
+        return best
+
+    def _continued(self, model: Model, pars: Parameters, new: Sequence[Addition], warm: _Start) -> Fit | None:
+        """The fit reached with the amplitude held at growing shares of the prediction."""
         for share in _SHARES:
-            held = pars.copy()
+            held = self._at(pars, new, share)
             for one in new:
-                held[one.amplitude].set(share * one.start)
                 held.fix(one.amplitude)
             step = self._try(model, held, warm)
             if step is None:
                 break
             warm = _Start(step.values, step.initial, step.noise, step.converged)
-        best = _better(best, self._try(model, pars, warm))
-        # a fit without the effect stands for a failed one: its search is then passed over
-        return (
-            replace(base, status="not converged: no start leads to a model that can be simulated")
-            if best is None
-            else best
-        )
+        return self._try(model, pars, warm)
+
+    @staticmethod
+    def _at(pars: Parameters, new: Sequence[Addition], share: float) -> Parameters:
+        moved = pars.copy()
+        for one in new:
+            moved[one.amplitude].set(share * one.start)
+        return moved
 
     def _extended(self, effects: Sequence[Addition]) -> Model:
         model = self.model
@@ -144,22 +162,29 @@ class Refitter:
 
     def _try(self, model: Model, pars: Parameters, warm: _Start | None) -> Fit | None:
         try:
-            return estimate(
-                model,
-                self.data,
-                parameters=pars,
-                noise=self.noise,
-                warm=warm,
-                progress=False,
-                **self.options,
-            )
-        except CasadiEngineError:  # the model fails at this start: as good as not converged
-            return None
+            with np.errstate(all="ignore"):
+                return estimate(
+                    model,
+                    self.data,
+                    parameters=pars,
+                    noise=self.noise,
+                    warm=warm,
+                    progress=False,
+                    **self.options
+                    | {"max_iterations": min(self.options.get("max_iterations", 200), _ITERATIONS)},
+                )
+        except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
+            return None  # the model fails at this start: as good as not converged
 
 
 def _driven(fit: Fit) -> bool:
     """True if an estimate is at a bound."""
     return any(fit.estimates[name].at_bound is not False for name in fit.free)
+
+
+def _nested(base: Fit, fit: Fit | None) -> bool:
+    """True for a converged fit that is no worse than the base, which it holds as a special case."""
+    return fit is not None and fit.converged and _merit(fit) <= _merit(base) + _ROUNDING
 
 
 def _better(one: Fit | None, other: Fit | None) -> Fit | None:

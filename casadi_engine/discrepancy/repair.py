@@ -15,7 +15,7 @@ from casadi_engine.discrepancy.repaired import Repair
 from casadi_engine.discrepancy.requests import read_request
 from casadi_engine.discrepancy.screening import Screened, screen
 from casadi_engine.discrepancy.search import Search
-from casadi_engine.errors import EstimationError
+from casadi_engine.errors import EstimationError, ExperimentError
 from casadi_engine.estimation import Fit, estimate
 from casadi_engine.estimation.estimate import _own, _records
 from casadi_engine.estimation.options import as_number, whole
@@ -23,6 +23,7 @@ from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
 from casadi_engine.problem.noise import Noise
+from casadi_engine.simulation.grid import lay_grid
 
 _STARTS, _MOST = 4, 4
 
@@ -90,6 +91,8 @@ def repair(
     others = () if fresh is None else _records(fresh)
     read_request(model, effects, at)
     _check(noise, alpha, holdout)
+    for record in others:
+        _check_fresh(model, record)
     most, starts, seed = whole("most", most, 1), whole("starts", starts, 1), whole("seed", seed, 0)
     tell = _teller(progress)
     portion = portions(model, records, others, share=holdout)
@@ -138,6 +141,19 @@ def _check(noise: Noise | None, alpha: Any, holdout: Any) -> None:
             allowed="a share of the cycles from 0 to 0.9",
             cure="give holdout=0.3, or fresh data",
         )
+
+
+def _check_fresh(model: Model, record: Experiment) -> None:
+    """Raise ExperimentError for a record without the model's channels, or without any of its outputs."""
+    measured = tuple(out.name for out in model.outputs if out.name in record)
+    if not measured:
+        raise ExperimentError(
+            f"{record.place} has nothing to confirm on",
+            seen=", ".join(record.names),
+            allowed=f"a record with {' or '.join(out.name for out in model.outputs)}",
+            cure="give another fresh record, or none",
+        )
+    lay_grid(model, record, outputs=measured)
 
 
 def _teller(progress: Any) -> Any:

@@ -85,7 +85,13 @@ class Search:
         begun = time.perf_counter()
         known = {one.label: one for one in here.effects}
         known |= {
-            (one := addition(screened.candidates[k], float(screened.scores.amplitude[k]))).label: one
+            (
+                one := addition(
+                    screened.candidates[k],
+                    float(screened.scores.amplitude[k]),
+                    float(screened.scores.drop[k]),
+                )
+            ).label: one
             for k in picked
         }
         offers = [
