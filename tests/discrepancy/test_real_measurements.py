@@ -1,0 +1,126 @@
+"""Missing effects of real machines: the dry friction of a servo drive, and an engine whose combustion is lost."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import casadi_engine as ce
+from casadi_engine.discrepancy.screening import screen
+
+ROOT = Path(__file__).resolve().parents[2]
+SHARED = ROOT.parent / "shared" / "data"
+EMPS, ENGINE = SHARED / "emps", SHARED / "engine_tue" / "E0FULLOAD4EngineOff.npz"
+# Janot, Gautier and Brunot 2019
+PUBLISHED = {"M": 95.1089, "Fv": 203.5034, "offset": -3.1648, "carriage.coulomb_friction.torque": 20.3935}
+
+
+def page(name):
+    """A problem file as a module."""
+    folder = str(ROOT / "problems")
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
+    return __import__(name)
+
+
+def best_of_each(screened):
+    """Effect -> its best candidate's number, the best effect first."""
+    found = {}
+    for k in screened.order:
+        found.setdefault(screened.candidates[k].effect, k)
+    return found
+
+
+@pytest.fixture(scope="module")
+def drive():
+    if not EMPS.exists():
+        pytest.skip("the EMPS records are not in ../shared/data/emps")
+    emps = page("emps")
+    records = [emps.read(EMPS / name) for name in ("DATA_EMPS.mat", "DATA_EMPS_PULSES.mat")]
+    model = emps.model()
+    noise = ce.Noise(v="estimate")
+    null = ce.estimate(model, records[0], parameters=emps.parameters(model), noise=noise, progress=False)
+    return model, records, noise, null
+
+
+def test_dry_friction_is_what_the_servo_drive_lacks(drive):
+    _, _, _, null = drive
+    assert null.converged
+    screened = screen(null, colour=False)
+    best = best_of_each(screened)
+    z = screened.scores.z
+    # friction that fades far above the speeds there are is dry friction: one class
+    assert set(list(best)[:2]) == {"coulomb_friction", "stribeck_friction"}
+    dry, lead = best["coulomb_friction"], next(iter(best.values()))
+    assert z[dry] > 0.99 * z[lead]
+    assert screened.scores.correlation[dry, lead] > 0.99
+    others = [screened.scores.statistic[k] for name, k in best.items() if "friction" not in name]
+    assert max(others) < 0.3 * z[dry]
+
+
+def test_with_dry_friction_the_servo_drive_has_its_published_values(drive):
+    model, (_, fresh), noise, null = drive
+    repaired = model.with_effect(ce.effects.CoulombFriction(), at="carriage", values={"torque": 10.0})
+    fit = ce.estimate(repaired, drive[1][0], noise=noise, progress=False)
+    assert fit.converged
+    for name, value in PUBLISHED.items():
+        assert fit.values[name] == pytest.approx(value, rel=0.13 if name == "offset" else 0.06), name
+    assert null.values["Fv"] > 2 * PUBLISHED["Fv"]  # what the viscous model made of it
+    assert held_out(fit, fresh) < 0.45 * held_out(null, fresh)
+
+
+def held_out(fit, record):
+    """RMSE [m/s] on a record, with the parameters held and the initial state free."""
+    pars = fit.model.parameters()
+    for name in pars.names:
+        pars[name].set(fit.values[name])
+        pars.fix(name)
+    again = ce.estimate(fit.model, record, parameters=pars, noise=ce.Noise(v="estimate"), progress=False)
+    return again.noise["v"][0]
+
+
+@pytest.fixture(scope="module")
+def engine():
+    if not ENGINE.exists():
+        pytest.skip("the engine's records are not in ../shared/data/engine_tue")
+    lost = page("lost_combustion")
+    model = lost.model()
+    assumed = lost.read(ENGINE)
+    null = ce.estimate(
+        model, assumed, parameters=lost.parameters(model), noise=ce.Noise(omega="estimate"), progress=False
+    )
+    assert null.converged
+    return lost, assumed, null
+
+
+@pytest.mark.parametrize("colour", [False, "auto"])
+def test_lost_combustion_is_found_and_dated_from_crank_speed_alone(engine, colour):
+    lost, assumed, null = engine
+    screened = screen(null, colour=colour)
+    lead = screened.candidates[screened.order[0]]
+    assert (lead.effect, lead.port) == ("misfire", "cylinder_1")
+    assert (lead.nuisance["first"], lead.nuisance["last"]) == lost_cycles(lost, assumed)
+    step = next(k for k in screened.order if screened.candidates[k].effect == "load_step")
+    assert screened.candidates[step].nuisance["time"] == pytest.approx(lost.LOST, abs=0.02)
+    assert screened.scores.z[screened.order[0]] > 5 * screened.threshold
+
+
+def lost_cycles(lost, assumed):
+    """First and last cycle whose withheld pressure did less than three quarters of the work of the assumed one."""
+    withheld = lost.measured(ENGINE)
+    theta = withheld["theta"].values
+    cycle = np.floor((theta + np.pi) / (4 * np.pi)).astype(int) + 1
+    volume = -np.cos(theta)  # nearly: the rod's share does not matter here
+    lever = np.gradient(volume, theta)
+    out = []
+    for number in np.unique(cycle):
+        inside = cycle == number
+        if np.ptp(theta[inside]) < 1.9 * np.pi:
+            continue
+        work, other = (
+            np.trapezoid((exp["p1"].values * lever)[inside], theta[inside]) for exp in (withheld, assumed)
+        )
+        if work < 0.75 * other:
+            out.append(int(number))
+    return out[0], out[-1]
