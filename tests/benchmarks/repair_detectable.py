@@ -35,6 +35,7 @@ class Place:
     most: float
     details: dict = field(default_factory=dict)
     sensors: int = 1
+    load: float = 57.0
 
     @property
     def name(self):
@@ -59,7 +60,7 @@ PLACES = (
     Place("constant_torque", "engine", 1.0, 40),
     Place("constant_torque", "load", 1.0, 40),
     Place("cubic_stiffness", "coupling", 2e4, 2e6),
-    Place("backlash", "coupling", 1e-3, 0.03),
+    Place("backlash", "coupling", 3e-4, 0.03, load=5.0),  # at 57 N m the coupling never unloads
     Place("misfire", "cylinder_2", 0.1, 1.0, {"cycles": (4,)}),
     Place("misfire", "cylinder_3", 0.1, 1.0, {"cycles": (7,)}),
     Place("cylinder_imbalance", "cylinder_1", 0.01, 0.5),
@@ -125,10 +126,10 @@ def slopes_of(base):
     return np.stack([(made[:, 2 * j] - made[:, 2 * j + 1]) / 2 for j in range(8)], axis=1)
 
 
-def clean_records(effects, *, seed=0):
+def clean_records(effects, load, *, seed=0):
     """Records without noise, with and without effects: one engine, ten cycles."""
     cases = [Case(tuple(e), seed, 0) for e in effects]
-    return simulate_hidden("two_mass", cases, rate=RATE, duration=1.0, sigma=0.0)
+    return simulate_hidden("two_mass", cases, rate=RATE, duration=1.0, sigma=0.0, load=load)
 
 
 def left_over(record, frame, sensors):
@@ -141,19 +142,22 @@ def left_over(record, frame, sensors):
 
 
 def detectable_sizes(sensors, *, rounds=4, places=PLACES):
-    """place name -> the size at which mu is ``WANTED``; None where it is larger than makes sense."""
-    chosen = [p for p in places if p.sensors <= sensors]
-    base = clean_records([()])[0]
-    slopes = slopes_of(base)[:sensors].transpose(0, 2, 1).reshape(-1, 8)
-    frame, _ = np.linalg.qr(slopes / np.linalg.norm(slopes, axis=0))
-    error = left_over(base, frame, sensors)
-    sizes = {p.name: p.start for p in chosen}
-    for _ in range(rounds):
-        made = clean_records([(p.hidden(sizes[p.name]),) for p in chosen])
-        for p, record in zip(chosen, made, strict=True):
-            mu = float(np.linalg.norm(left_over(record, frame, sensors) - error))
-            sizes[p.name] = min(sizes[p.name] * float(np.clip(WANTED / max(mu, 1e-9), 1e-2, 1e2)), p.most)
-    return {p.name: sizes[p.name] for p in chosen}, float(np.linalg.norm(error))
+    """place name -> the size at which mu is ``WANTED``, at most the place's ``most``; and the error of the method."""
+    sizes, errors = {}, []
+    for load in sorted({p.load for p in places}):
+        chosen = [p for p in places if p.sensors <= sensors and p.load == load]
+        base = clean_records([()], load)[0]
+        slopes = slopes_of(base)[:sensors].transpose(0, 2, 1).reshape(-1, 8)
+        frame, _ = np.linalg.qr(slopes / np.linalg.norm(slopes, axis=0))
+        error = left_over(base, frame, sensors)
+        errors.append(float(np.linalg.norm(error)))
+        sizes |= {p.name: p.start for p in chosen}
+        for _ in range(rounds):
+            made = clean_records([(p.hidden(sizes[p.name]),) for p in chosen], load)
+            for p, record in zip(chosen, made, strict=True):
+                mu = float(np.linalg.norm(left_over(record, frame, sensors) - error))
+                sizes[p.name] = min(sizes[p.name] * float(np.clip(WANTED / max(mu, 1e-9), 0.1, 10)), p.most)
+    return sizes, max(errors)
 
 
 if __name__ == "__main__":
