@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy import optimize
@@ -20,6 +20,7 @@ from casadi_engine.discrepancy.linear_algebra import Array, basis, coefficients,
 from casadi_engine.discrepancy.null_model import FOUR_STROKE, Index, NullModel, RecordNull
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
+from casadi_engine.model.combustion import combustion_torque, compresses, fit_motored
 from casadi_engine.simulation.candidate_sensitivities import Direction, torque_direction
 from casadi_engine.validation.whitening import Whitener
 
@@ -95,13 +96,13 @@ def combustion_scatter(
 ) -> Scatter:
     """One direction per cylinder port and cycle: the torque of that combustion times a relative amplitude.
 
-    The torque is the port's ``combustion_torque``, or ``gas_torque`` where the model knows no other.
+    The torque is that above the motored trace pegged on the record, as in the effects of combustion; where the record
+    holds no compression the port's ``combustion_torque``, or ``gas_torque`` where the model knows no other.
     Raises ModelError for an unknown port.
     """
     directions = []
     for name in cylinders:
-        signals = model.ports[name].signals
-        angle, torque = signals["angle"], signals.get("combustion_torque", signals["gas_torque"])
+        angle, torque = model.ports[name].signals["angle"], _burned(model, record, name)
         found = record.path.function([angle])(*record.path.at_samples().arguments)[0]
         first, last = (math.floor((float(a) + _BEFORE) / FOUR_STROKE) for a in (found.min(), found.max()))
         for number in range(first, last + 1):
@@ -109,6 +110,21 @@ def combustion_scatter(
             inside = (angle >= low) * (angle < low + FOUR_STROKE)
             directions.append(torque_direction(model, name, inside * torque, name=f"{kind} {name} {number}"))
     return Scatter(kind, record.name, tuple(directions))
+
+
+def _burned(model: Model, record: RecordNull, name: str) -> Any:
+    """The torque of combustion [N m] at a cylinder port."""
+    signals = model.ports[name].signals
+    if {"pressure", "lever", "rod_ratio"} <= set(signals):
+        wanted = [signals["angle"], signals["pressure"], signals["rod_ratio"]]
+        found = record.path.function(wanted)(*record.path.at_samples().arguments)[0]
+        angle, pressure, ratio = np.broadcast_to(found, (3, record.path.grid.samples))
+        if compresses(angle):
+            motored = fit_motored(angle, pressure, ratio=float(ratio[0]))
+            return combustion_torque(
+                signals["angle"], signals["pressure"], signals["lever"], signals["rod_ratio"], motored
+            )
+    return signals.get("combustion_torque", signals["gas_torque"])
 
 
 def assumed_cylinders(record: Experiment) -> tuple[str, ...]:

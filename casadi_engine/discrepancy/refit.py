@@ -161,18 +161,11 @@ class Refitter:
         return pars
 
     def _try(self, model: Model, pars: Parameters, warm: _Start | None) -> Fit | None:
+        most = min(int(self.options.get("max_iterations", _ITERATIONS)), _ITERATIONS)
+        options = dict(self.options) | {"max_iterations": most, "progress": False}
         try:
             with np.errstate(all="ignore"):
-                return estimate(
-                    model,
-                    self.data,
-                    parameters=pars,
-                    noise=self.noise,
-                    warm=warm,
-                    progress=False,
-                    **self.options
-                    | {"max_iterations": min(self.options.get("max_iterations", 200), _ITERATIONS)},
-                )
+                return estimate(model, self.data, parameters=pars, noise=self.noise, warm=warm, **options)
         except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
             return None  # the model fails at this start: as good as not converged
 
@@ -184,16 +177,16 @@ def _driven(fit: Fit) -> bool:
 
 def _nested(base: Fit, fit: Fit | None) -> bool:
     """True for a converged fit that is no worse than the base, which it holds as a special case."""
-    return fit is not None and fit.converged and _merit(fit) <= _merit(base) + _ROUNDING
+    return fit is not None and fit.converged and merit(fit) <= merit(base) + _ROUNDING
 
 
 def _better(one: Fit | None, other: Fit | None) -> Fit | None:
     """The better of two fits of the same data: a converged one, then the lower cost at the same noise."""
     found = [fit for fit in (one, other) if fit is not None]
-    return min(found, key=lambda fit: (not fit.converged, _merit(fit)), default=None)
+    return min(found, key=lambda fit: (not fit.converged, merit(fit)), default=None)
 
 
-def _merit(fit: Fit) -> float:
+def merit(fit: Fit) -> float:
     """-2 log likelihood but for a constant, samples of all outputs alike."""
     levels = [math.log(sigma) for sigma, _ in fit.noise.values()]
     return fit.cost + 2 * fit.n / max(len(levels), 1) * sum(levels)

@@ -112,9 +112,18 @@ def repair(
         return screen(fit, effects, at=at, alpha=alpha, colour=colour, scatter=scatter, seed=seed)
 
     search = Search(Refitter(model, pars, portion.data, noise, options), scores, most, tell)
-    search.run(null_fit)
-    timing |= search.timing
-    return Answer(search, portion, alpha, asked, timing, begun, tell).made()
+    try:
+        search.run(null_fit)
+        timing |= search.timing
+        return Answer(search, portion, alpha, asked, timing, begun, tell).made()
+    except KeyboardInterrupt:
+        best = search.stations[-1].fit if search.stations else null_fit
+        timing["total"] = time.perf_counter() - begun
+        why = "interrupted before the search was at its end: the best model so far has no verdict"
+        return Repair(
+            "interrupted", None, None, null_fit, best, alpha, data=portion.data, fresh=portion.fresh, timing=timing,
+            options=asked, messages=(why,),
+        )  # fmt: skip
 
 
 def _check(noise: Noise | None, alpha: Any, holdout: Any) -> None:

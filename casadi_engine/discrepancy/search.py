@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from casadi_engine.discrepancy.classes import clusters, confusable
-from casadi_engine.discrepancy.refit import Addition, Refitter, addition, freedom, whitened_cost
+from casadi_engine.discrepancy.refit import Addition, Refitter, addition, freedom, merit, whitened_cost
 from casadi_engine.discrepancy.repaired import Member, Round
 from casadi_engine.discrepancy.screening import Screened
 from casadi_engine.discrepancy.selection import (
@@ -109,7 +110,7 @@ class Search:
             assert base.state is not None
             self.tell(f"refit with {', '.join(names) or 'no effects'}")
             fit = self.refitter(base.state, [known[name] for name in names])
-            if not fit.converged:
+            if not fit.converged or not _worth(base.state, fit, screened):
                 return Refit(names, np.inf, freedom(fit), converged=False, state=fit)
             return Refit(names, whitened_cost(fit, screened.choice), freedom(fit), state=fit)
 
@@ -204,6 +205,16 @@ def members_of(screened: Screened, lead: int, gains: Mapping[int, float]) -> tup
     found.sort(key=lambda m: ((m.name, m.at) != key, -m.probability))
     total = sum(m.probability for m in found)
     return tuple(Member(m.name, m.at, m.rho, m.probability / total) for m in found)
+
+
+def _worth(base: Fit, fit: Fit, screened: Screened) -> bool:
+    """False for an addition that coloured noise makes significant and that closes nothing of the gap itself: the plain
+    sum of squares then falls by less than one more number is worth."""
+    if not screened.noise.colour or len(fit.free) <= len(base.free):
+        return True
+    library = max(float(screened.scores.testable.sum()), 1.0)
+    gained = (merit(base) - merit(fit)) / max(base.cost / base.n, 1.0)
+    return gained > math.log(max(fit.n, 2)) + math.log(library)
 
 
 def _freed(screened: Screened, k: int) -> int:

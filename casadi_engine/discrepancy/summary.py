@@ -17,7 +17,7 @@ _SHIFTS, _MISSED, _TERMS, _NOTES = 6, 6, 4, 3
 
 def summary(repair: Repair) -> str:
     """Return a repair as text of at most 45 lines and 100 columns, the next step last."""
-    lines = [f"Repair of {repair.model.name}: {headline(repair)}", *_tested(repair)]
+    lines = [*wrapped(f"Repair of {repair.model.name}: {headline(repair)}", "  "), *_tested(repair)]
     if repair.verdict is not None:
         lines += [*_found(repair), *_where(repair), *_unknown(repair), *_gap(repair)]
         lines += [*_shifts(repair), *_equation(repair), *_not_found(repair)]
@@ -80,9 +80,8 @@ def _effect(one: FoundEffect) -> list[str]:
         else f", first in {100 * one.selection_frequency:.0f} % of halves"
     )
     chance = "p < 1e-300" if one.p_value < 1e-300 else f"p = {one.p_value:.2g}"
-    lines = [
-        f"  {one.sentence}: z = {one.z:.1f}, {chance}, explains {100 * one.share_explained:.0f} % of the gap{often}"
-    ]
+    share = f"explains {100 * one.share_explained:.0f} % of the gap"
+    lines = wrapped(f"  {one.sentence}: z = {one.z:.1f}, {chance}, {share}{often}", "    ")
     lines += [f"    {name} = {with_error(e.value, e.stderr)} {e.unit}" for name, e in one.parameters.items()]
     lines += [f"    {one.key}.{name} = {value:.6g}" for name, value in one.constants.items()]
     if len(one.members) > 1:

@@ -1,0 +1,215 @@
+"""repair and screen asked for particular effects and ports, on few data, and with input that cannot be used."""
+
+import numpy as np
+import pytest
+
+import casadi_engine as ce
+from casadi_engine.discrepancy import screen
+from casadi_engine.errors import EffectError, EstimationError, ExperimentError
+
+FEW = ["coulomb_friction", "cubic_stiffness", "load_step"]
+NOISE = ce.Noise(omega=0.05, omega_load=0.1)
+
+
+class FanTorque(ce.Effect):
+    name, attaches, kin = "fan_torque", ("inertia",), ("quadratic_drag", "coulomb_friction")
+    sentence = "a fan on {port} that engages above a speed"
+    amplitude = ce.effects.Amplitude("coefficient", unit="N m s2/rad2", min=0)  # one-sided
+    nuisance = {"engage": ce.effects.Grid(80, 180, steps=11, unit="rad/s")}  # noqa: RUF012
+
+    def law(self, port, p, math):
+        on = math.step(port.speed - p.engage, width=2.0)
+        return -p.coefficient * on * port.speed**2
+
+
+@pytest.fixture(scope="module")
+def friction(shaft):
+    return shaft.data(hidden=lambda t, x: 0.8 * np.sign(x[1] - x[0]) * np.array([1, -1]), n=600)
+
+
+@pytest.fixture(scope="module")
+def repaired(shaft, friction):
+    return ce.repair(shaft.model, friction, effects=FEW, noise=NOISE, starts=1, progress=False)
+
+
+def test_an_effect_of_ones_own_is_found_beside_the_library():
+    """A fan that engages at 104 rad/s, sharp, on an inertia that runs up and down several times."""
+    size, engage = 5e-5, 104.0
+    time = np.arange(1200) * 0.01
+    torque = 55 + 45 * np.sin(2.2 * time)
+    model = ce.one_inertia()
+    drive = ce.Experiment.from_arrays("fan", time=time, units={"T": "N m"}, T=torque)
+    plant = model.with_effect(
+        FanTorque(), at="engine", values={"coefficient": size, "engage": engage}, sharp=True
+    )
+    run = ce.simulate(plant, drive, initial={"omega_eng": 60.0})["omega"].values
+    noisy = run + 0.1 * np.random.default_rng(0).standard_normal(len(time))
+    units = {"T": "N m", "omega": "rad/s"}
+    data = ce.Experiment.from_arrays("fan", time=time, units=units, T=torque, omega=noisy)
+    effects = [*ce.effects.library(), FanTorque()]
+    found = ce.repair(model, data, effects=effects, noise=ce.Noise(omega=0.1), starts=1, progress=False)
+    one = found.effects[0]
+    assert one.key == "engine.fan_torque"
+    assert one.sentence == "a fan on engine that engages above a speed"
+    from_speed = one.parameters["engine.fan_torque.engage"]
+    assert abs(from_speed.value - engage) < 3 * from_speed.stderr < 15
+    assert one.amplitude.value == pytest.approx(size, rel=0.1)
+
+
+def test_effects_are_asked_for_by_name_and_port(shaft, friction):
+    request = [("coulomb_friction", "coupling"), ("coulomb_friction", "load"), "load_step"]
+    found = ce.repair(shaft.model, friction, effects=request, noise=NOISE, starts=1, progress=False)
+    assert {(row.effect, row.at) for row in found.scores} == {
+        ("coulomb_friction", "coupling"),
+        ("coulomb_friction", "load"),
+        ("load_step", "engine"),
+        ("load_step", "load"),
+    }
+    assert found.effects[0].key == "coupling.coulomb_friction"
+    held = ce.repair(shaft.model, friction, effects=FEW, at="load", noise=NOISE, starts=1, progress=False)
+    assert {row.at for row in held.scores} == {"load"}
+
+
+def test_the_answer_is_the_same_every_time(shaft, friction, repaired):
+    again = ce.repair(shaft.model, friction, effects=FEW, noise=NOISE, starts=1, progress=False)
+    assert again.fit.values == repaired.fit.values
+    assert again.threshold == repaired.threshold
+    assert [row.z for row in again.scores] == [row.z for row in repaired.scores]
+    assert str(again).split("; ")[0] == str(repaired).split("; ")[0]
+
+
+def test_pieces_stand_for_cycles_where_there_is_no_crank_angle(repaired):
+    assert repaired.effects[0].key == "coupling.coulomb_friction"
+    assert repaired.gaps.source == "cycles"
+    assert repaired.gaps.gain_per_cycle.mean > 0
+    assert repaired.options["alpha"] == 0.01
+    assert repaired.timing["total"] > 0
+
+
+def test_what_the_user_gives_is_not_changed(shaft, friction):
+    pars = shaft.model.parameters()
+    before = pars.to_dict()
+    ce.repair(shaft.model, friction, parameters=pars, effects=FEW[:1], noise=NOISE, starts=1, progress=False)
+    assert pars.to_dict() == before
+
+
+def test_nothing_held_out_leaves_the_claim_unconfirmed(shaft, friction):
+    found = ce.repair(
+        shaft.model, friction, effects=FEW[:1], noise=NOISE, holdout=0, starts=1, progress=False
+    )
+    assert found.effects
+    assert found.confirmed is None
+    assert found.gaps.validation_after is None
+    assert "no fresh data and nothing held out: nothing confirms what was found" in found.messages
+    assert "fresh=other_record" in str(found)
+
+
+def test_a_fit_that_does_not_converge_stops_the_search(shaft, friction):
+    found = ce.repair(shaft.model, friction, noise=NOISE, starts=1, max_iterations=1, progress=False)
+    assert found.verdict is None
+    assert found.status.startswith("the fit without effects has not converged: ")
+    assert found.effects == ()
+    assert found.scores == ()
+    assert "mend the fit without effects first" in str(found)
+    assert "a wrong optimum looks like missing physics" in found.messages[0]
+
+
+def test_progress_is_told_in_words(shaft, friction):
+    said = []
+    ce.repair(shaft.model, friction, effects=FEW[:1], noise=NOISE, starts=1, progress=said.append)
+    assert said[0] == "fit without effects, 1 starts"
+    assert "refit with coulomb_friction at coupling" in said
+
+
+def test_screening_alone_scores_without_refits(shaft, friction):
+    fit = ce.estimate(shaft.model, friction, noise=NOISE, progress=False)
+    screened = screen(fit, FEW)
+    assert screened.candidates[screened.order[0]].label == "coulomb_friction at coupling"
+    assert screened.alarm
+    assert screened.significant[0] == screened.order[0]
+    assert screened.pooled(screened.order[0]) < 1e-6
+    assert screened.noise.source == "known"
+    free = screen(ce.estimate(shaft.model, friction, progress=False), FEW)
+    assert free.noise.source == "estimated"
+    assert free.noise.sigma["omega"] == pytest.approx(0.05, rel=0.1)
+
+
+def test_a_stated_noise_that_is_too_small_is_not_believed(shaft):
+    fit = ce.estimate(shaft.model, shaft.data(), noise=ce.Noise(omega=0.02, omega_load=0.1), progress=False)
+    screened = screen(fit, FEW)
+    assert screened.noise.sigma["omega"] == pytest.approx(0.05, rel=0.1)
+    assert "the noise of omega is larger than stated" in screened.choice.messages[0]
+    assert not screened.significant
+
+
+MESSAGES = [
+    (
+        {"effects": [("backlash", "engine")]},
+        EffectError,
+        "backlash cannot act at the port engine; seen: a port of the kind inertia; allowed: coupling; "
+        "do: choose one of these ports (coupling)",
+    ),
+    (
+        {"effects": [("coulomb_friction", "gearbox")]},
+        EffectError,
+        "coulomb_friction is to act at a port that the model shaft does not have; seen: 'gearbox'; "
+        "allowed: engine, load, coupling; do: print(model.ports) lists all ports",
+    ),
+    (
+        {"at": "gearbox"},
+        EffectError,
+        "effects are to be looked for at a port that the model shaft does not have; seen: 'gearbox'",
+    ),
+    (
+        {"effects": ["misfire"]},
+        EffectError,
+        "none of these effects can act anywhere in the model shaft; seen: misfire",
+    ),
+    (
+        {"effects": []},
+        EffectError,
+        "none of these effects can act anywhere in the model shaft; seen: no effects",
+    ),
+    (
+        {"effects": ["coulomb_friction", "coulomb_friction"]},
+        EffectError,
+        "two effects have the same name; seen: coulomb_friction; allowed: each effect once",
+    ),
+    ({"effects": [FanTorque]}, EffectError, "an effect is needed, not its class; seen: FanTorque"),
+    ({"effects": ["magic"]}, EffectError, "the library has no such effect; seen: 'magic'"),
+    (
+        {"alpha": 1.5},
+        EstimationError,
+        "alpha is not acceptable; seen: 1.5; allowed: a number between 0 and 1",
+    ),
+    ({"holdout": 1}, EstimationError, "holdout is not acceptable; seen: 1; allowed: a share of the cycles"),
+    ({"most": 0}, EstimationError, "most is not acceptable; seen: 0; allowed: a whole number >= 1"),
+    ({"progress": "loud"}, EstimationError, "progress is not acceptable; seen: 'loud'"),
+    (
+        {"noise": ce.Noise(omega="innovations")},
+        EstimationError,
+        "effects are looked for in simulations, and this noise asks for a one-step predictor",
+    ),
+]
+
+
+@pytest.mark.parametrize(("options", "error", "message"), MESSAGES, ids=[str(list(m[0])) for m in MESSAGES])
+def test_input_that_cannot_be_used_is_refused_before_any_fit(shaft, friction, options, error, message):
+    with pytest.raises(error) as caught:
+        ce.repair(shaft.model, friction, **options)
+    assert str(caught.value).startswith(message)
+
+
+def test_a_screen_has_a_rate_of_false_alarms_too(shaft, friction):
+    fit = ce.estimate(shaft.model, friction, noise=NOISE, progress=False)
+    with pytest.raises(EstimationError, match="alpha is not acceptable"):
+        screen(fit, FEW, alpha=0.0)
+
+
+def test_fresh_data_must_suit_the_model(shaft, friction):
+    with pytest.raises(ExperimentError, match="T_load"):
+        ce.repair(shaft.model, friction, fresh=friction.only("T", "omega"), effects=FEW[:1], noise=NOISE)
+    with pytest.raises(
+        ExperimentError, match="has nothing to confirm on; seen: T, T_load; allowed: a record with"
+    ):
+        ce.repair(shaft.model, friction, fresh=friction.only("T", "T_load"), effects=FEW[:1], noise=NOISE)
