@@ -207,3 +207,16 @@ def test_the_summary_fits_one_screen(repaired):
     assert "coupling.coulomb_friction.torque = " in text
     assert "gain of chi2 per fresh cycle" in text
     assert "nothing is missing that these data could show" in str(repaired("nothing"))
+
+
+def test_one_cycle_says_what_it_cannot_tell(records, drive):
+    model, pars = drive
+    record = records["nothing"][0].cycles(2, 2)
+    noise = ce.Noise(omega=0.1, omega_load=0.1)
+    found = ce.repair(model, record, parameters=pars, noise=noise, starts=1, progress=False)
+    assert found.verdict == "nothing missing"
+    assert found.confirmed is None
+    assert found.gaps.validation_after is None
+    said = " ".join(found.messages)
+    assert "no fresh data, and 1 engine cycle: too few to hold 3 out, so nothing is confirmed" in said
+    assert "one engine cycle: in which cycles an effect acts" in said
