@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import importlib
 import io
 import json
 from types import SimpleNamespace
@@ -221,6 +222,24 @@ def test_a_search_that_finds_no_point_is_written(folder, monkeypatch, capsys):
     assert result["why"]["threshold"] == "the fit without effects found no point"
     load_result(folder / "nothing")
     assert not (folder / "nothing" / "report.html").exists()
+
+
+def test_ctrl_c_in_the_search_keeps_the_fit(folder, quick_report, monkeypatch, capsys):
+    def screen(*arguments, **options):
+        raise KeyboardInterrupt
+
+    # By the import system: the attribute `repair` of the package is the function of that name.
+    monkeypatch.setattr(importlib.import_module("casadi_engine.discrepancy.repair"), "screen", screen)
+    code, result = run(folder, out="stopped")
+    assert (code, result["status"], result["verdict"]) == (130, "interrupted", None)
+    assert result["null_fit"]["status"] == "converged"
+    assert result["parameters"]["J_eng"]["value"] == pytest.approx(0.4, rel=0.01)
+    assert "interrupted before the search was at its end" in result["messages"][0]
+    told = capsys.readouterr().err
+    assert (
+        told == f"casadi-engine repair: no answer: interrupted; what there is lies in {folder / 'stopped'}\n"
+    )
+    load_result(folder / "stopped")
 
 
 @pytest.mark.parametrize(
