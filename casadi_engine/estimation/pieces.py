@@ -207,16 +207,24 @@ def approach(
     record's pieces begins; sigma : (ny,) weights; stop : looked at before every step
     """
     ladders = [lengths(record) for record in records]
-    best = candidates[0]
-    for stage in range(max(map(len, ladders))):
-        pieces = Pieces(records, [ladder[min(stage, len(ladder) - 1)] for ladder in ladders], nodes, sigma)
-        if stage == 0 and len(candidates) > 1:
-            costs = np.array([np.inf if stop() else pieces.cost(v) for v in candidates[1:]])
-            chosen = [
-                best,
-                *(candidates[1 + k] for k in np.argsort(costs)[:FOLLOWED] if np.isfinite(costs[k])),
-            ]
-            ends = [pieces.descend(v, bounds, coordinates.log, _STEPS, stop) for v in chosen]
-            best = min(ends, key=lambda end: end[1])[0]
-        best = pieces.descend(best, bounds, coordinates.log, _MORE, stop)[0]
-    return best
+    stages = [
+        Pieces(records, [ladder[min(stage, len(ladder) - 1)] for ladder in ladders], nodes, sigma)
+        for stage in range(max(map(len, ladders)))
+    ]
+
+    def climb(stages: Sequence[Pieces]) -> tuple[Array, float]:
+        """The best candidate on the first pieces, fitted to these and to all longer ones, and its cost there."""
+        first, log = stages[0], coordinates.log
+        costs = np.array([np.inf if stop() else first.cost(v) for v in candidates[1:]])
+        chosen = [
+            candidates[0],
+            *(candidates[1 + k] for k in np.argsort(costs)[:FOLLOWED] if np.isfinite(costs[k])),
+        ]
+        ends = [first.descend(v, bounds, log, _STEPS, stop) for v in chosen]
+        best = min(ends, key=lambda end: end[1])
+        for pieces in stages:
+            best = pieces.descend(best[0], bounds, log, _MORE, stop)
+        return best
+
+    # A piece that is short beside the slowest motion says little of it, a long one has narrow valleys: both are tried.
+    return min((climb(stages[begin:]) for begin in range(min(2, len(stages)))), key=lambda end: end[1])[0]
