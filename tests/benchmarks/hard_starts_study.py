@@ -60,7 +60,7 @@ def attempt(way, model, data, pars, level):
 
 
 def study(starts, ranges=RANGES):
-    """Rows (range, way, arrived, median CPU, largest CPU)."""
+    """Rows (range, way, arrived, starts, median CPU, largest CPU)."""
     model, data = two_masses(), experiment(source.run(0, process=0.0))
     truth = model.parameters()
     for name in NAMES:
@@ -74,9 +74,29 @@ def study(starts, ranges=RANGES):
                 for seed in range(starts)
             ]
             good, spent = zip(*found, strict=True)
-            rows.append((f"{low:g} .. {high:g}", words, sum(good), np.median(spent), max(spent)))
+            rows.append(
+                (f"{low:g} .. {high:g}", words, sum(good), starts, float(np.median(spent)), max(spent))
+            )
             print(rows[-1], flush=True)
     return rows
+
+
+def table(rows):
+    """The study as Markdown."""
+    lines = [
+        f"# Hard starts, {datetime.date.today():%Y-%m-%d}",
+        "",
+        f"By `python tests/benchmarks/hard_starts_study.py --write`: two masses, 3600 samples at {source.RATE:g} Hz,",
+        "five parameters and three initial states, one thread. Compare ratios.",
+        "",
+        "| factors on the truth | way | arrived | median CPU of a start [s] | largest [s] |",
+        "|---|---|---|---|---|",
+        *(
+            f"| {at} | {way} | {good}/{starts} | {cpu:.2f} | {most:.2f} |"
+            for at, way, good, starts, cpu, most in rows
+        ),
+    ]
+    return "\n".join(lines) + "\n"
 
 
 def main():
@@ -84,22 +104,9 @@ def main():
     parser.add_argument("--starts", type=int, default=24)
     parser.add_argument("--write", action="store_true")
     chosen = parser.parse_args()
-    rows = study(chosen.starts)
-    lines = [
-        f"# Hard starts, {datetime.date.today():%Y-%m-%d}",
-        "",
-        f"By `python tests/benchmarks/hard_starts_study.py --write`: two masses, 3600 samples at {source.RATE:g} Hz,",
-        f"five parameters and three initial states, {chosen.starts} starts each, one thread. Compare ratios.",
-        "",
-        "| factors on the truth | way | arrived | median CPU of a start [s] | largest [s] |",
-        "|---|---|---|---|---|",
-        *(
-            f"| {at} | {way} | {good}/{chosen.starts} | {cpu:.2f} | {most:.2f} |"
-            for at, way, good, cpu, most in rows
-        ),
-    ]
+    text = table(study(chosen.starts))
     if chosen.write:
-        Path(__file__).with_name("HARD_STARTS.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        Path(__file__).with_name("HARD_STARTS.md").write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":
