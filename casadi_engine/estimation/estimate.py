@@ -134,7 +134,8 @@ def estimate(
             "max_iterations": max_iterations,
             "tolerance": tolerance,
         }
-        fit = make_fit(search, best, optima, options, timing, begun, stopped=interrupted(attempts))
+        stopped = interrupted(attempts) or interrupts.stopped
+        fit = make_fit(search, best, optima, options, timing, begun, stopped=stopped)
         return replace(fit, status="interrupted") if interrupts.stopped else fit
 
 

@@ -66,11 +66,17 @@ VARIANTS: dict[str, Variant] = {
     "estimated": Variant("two masses, noise level estimated", **_TWO),  # type: ignore[arg-type]
     "tied": Variant("two masses, J2 tied to J1", **_TWO),  # type: ignore[arg-type]
     "prior": Variant("two masses, priors on both dampers, truth drawn from them", **_TWO),  # type: ignore[arg-type]
-    "bound": Variant("two masses, C1 = 0 on its bound", **_TWO, one_sided="C1"),  # type: ignore[arg-type]
+    # On a bound the other estimates are better than the bound, which knows nothing of it.
+    "bound": Variant(
+        "two masses, C1 = 0 on its bound", **_TWO | {"ratio": (0.0, 1.08)}, one_sided="C1"  # type: ignore[arg-type]
+    ),
     "missing": Variant("two masses, 10 % of the samples missing", **_TWO),  # type: ignore[arg-type]
     "crankshaft": Variant("crankshaft, six records", **_SIX, neighbours=1),  # type: ignore[arg-type]
     "crankshaft_quiet": Variant(
         "crankshaft, six records, a tenth of the noise", **_SIX, sigma=0.01  # type: ignore[arg-type]
+    ),
+    "crankshaft_still": Variant(
+        "crankshaft, six records, a thirtieth of the noise", **_SIX, sigma=1 / 300  # type: ignore[arg-type]
     ),
 }  # fmt: skip
 
@@ -280,7 +286,8 @@ def _free_responses(shape: Shape, truth: tuple[float, ...], samples: int) -> Arr
 @cache
 def bound_of(name: str) -> dict[str, float]:
     """The Cramér-Rao bound (standard deviation) of every reported parameter; with priors that of the posterior."""
-    draws = range(100_000, 100_008) if name == "prior" else (100_000,)
+    # The noise drives the engine too, by the measured speed in the reciprocating torque: a mean over records.
+    draws = range(100_000, 100_008 if name == "prior" else 100_003)
     total = np.mean([_covariance(name, seed) for seed in draws], axis=0)
     return dict(zip(VARIANTS[name].reported, np.sqrt(np.diag(total)).tolist(), strict=True))
 
