@@ -28,6 +28,8 @@ _SETTLED, _LONG = 3e-2, 25
 _FALL, _ROUNDING, _CLOSED = 1e-9, 1e-13, 1e-9
 # Longest step of a scaled parameter or of a logarithm: beyond it the linearised problem says nothing.
 _LONGEST = 1.0
+# A valley is flat if so many exact steps lower chi-squared by less than this: its points explain the data alike.
+_VALLEY, _FLAT = 8, 0.1
 # Halvings of a Gauss-Newton step that raises both the objective and the gaps; rejections of an exact one.
 _HALVINGS, _REJECTIONS = 5, 12
 # Share of the foretold closing of the gaps that a Gauss-Newton step must bring if the objective rises.
@@ -38,12 +40,13 @@ _RADIUS, _SHARE = 0.5, 1e-3
 
 @dataclass
 class Descent:
-    """Where the first phase ended: x (size,), steps done; ``settled`` at an optimum."""
+    """Where the first phase ended: x (size,), steps done; ``settled`` at an optimum, or ``flat`` in a flat valley."""
 
     x: Array
     steps: int
     settled: bool
     stopped: bool = False
+    flat: bool = False
 
 
 @dataclass(frozen=True)
@@ -79,11 +82,15 @@ class Descender:
         if point is None:
             return Descent(start, 0, settled=False)
         history: list[float] = []
+        bent = 0
         for count in range(limit):
             history.append(point.objective)
             if watch(point):
                 return Descent(point.x, count, settled=False, stopped=True)
             problem.exact = problem.exact or self._settled(history, point)
+            bent += problem.exact
+            if bent > _VALLEY and self._flat(history, point):
+                return Descent(point.x, count, settled=False, flat=True)
             found = self._newton(point) if problem.exact else self._gauss_newton(point)
             if found is None:
                 return Descent(point.x, count, settled=False)
@@ -97,6 +104,12 @@ class Descender:
             return len(history) > _LONG
         change = abs(history[-2] - history[-1])
         return gap_of(point, self.problem.user.count) < 1e-2 and change < _SETTLED * abs(history[-1])
+
+    def _flat(self, history: list[float], point: Point) -> bool:
+        closed = gap_of(point, self.problem.user.count) < _CLOSED**0.5
+        return (
+            closed and 2 * self.problem.samples * (min(history[:-_VALLEY]) - min(history[-_VALLEY:])) < _FLAT
+        )
 
     def _evaluate(self, x: Array) -> Point | None:
         """The point at x, or None where the model cannot be evaluated."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -20,6 +20,8 @@ from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.shooting import Point, ShootingProblem
 
 Array = NDArray[np.float64]
+# What IPOPT starts from: any point, an optimum that was found before, or a point of a flat valley.
+Where = Literal["anywhere", "optimum", "valley"]
 Progress = Callable[[int, float], bool]
 
 # Share of the Gauss-Newton diagonal that is added to it. Of the 32 starts at +-40 % of the two-mass problem a tenth
@@ -57,6 +59,10 @@ _NEAR = {
     "bound_frac": 1e-12,
     "bound_mult_init_method": "mu-based",
 }
+
+# And in a flat valley: it may stop after some iterations that change chi-squared by less than this, a tenth of what a
+# standard error changes it by.
+_FLAT_CHANGE, _FLAT_ITERATIONS = 0.1, 4
 
 _WORDS = {
     "Infeasible_Problem_Detected": "the constraints cannot be met together",
@@ -191,11 +197,11 @@ class Solver:
         self._kept = [*_functions(problem), self._watcher()]
         self._ipopt = {**_OPTIONS, "max_iter": max_iterations, "tol": tolerance}
         self._most = max_iterations
-        self._made: dict[bool, Any] = {}
+        self._made: dict[str, Any] = {}
 
-    def _solver(self, near: bool) -> Any:
-        """nlpsol for a start anywhere, or for one near the optimum; made when first wanted."""
-        if near not in self._made:
+    def _solver(self, where: Where) -> Any:
+        """nlpsol for a start of this kind; made when first wanted."""
+        if where not in self._made:
             options: dict[str, Any] = {
                 "grad_f": self._kept[1],
                 "jac_g": self._kept[2],
@@ -206,10 +212,17 @@ class Solver:
                 "print_time": False,
                 "error_on_fail": False,
                 "show_eval_warnings": False,
-                "ipopt": {**self._ipopt, **(_NEAR if near else {})},
+                "ipopt": {**self._ipopt, **({} if where == "anywhere" else _NEAR)},
             }
-            self._made[near] = ca.nlpsol("fit", "ipopt", self._kept[0], options)
-        return self._made[near]
+            if where == "valley":
+                change = _FLAT_CHANGE / (2 * self.problem.samples)
+                options["ipopt"] |= {
+                    "acceptable_tol": 1.0,
+                    "acceptable_obj_change_tol": change,
+                    "acceptable_iter": _FLAT_ITERATIONS,
+                }
+            self._made[where] = ca.nlpsol("fit", "ipopt", self._kept[0], options)
+        return self._made[where]
 
     def _watcher(self) -> _Supplied:
         """Called once an iteration: shows progress, keeps the best point, switches the Hessian, stops on Ctrl-C."""
@@ -252,13 +265,13 @@ class Solver:
         if not problem.user.count:
             first = self._descend(start, lower, upper, exact)
             done = first.steps
-            if first.stopped or (done >= self._most and not first.settled):
+            if first.stopped or (done >= self._most and not (first.settled or first.flat)):
                 words = "interrupted" if first.stopped else "Maximum_Iterations_Exceeded"
                 status = words if first.stopped else f"not converged: {_WORDS[words]}"
                 x = self._best[1] if first.stopped and self._best is not None else first.x
                 return Solution(x, np.zeros(problem.rows), np.zeros(problem.size), status, done, words)
-            if first.settled:
-                last = self._ipopt_from(first.x, lower, upper, near=True)
+            if first.settled or first.flat:
+                last = self._ipopt_from(first.x, lower, upper, where="valley" if first.flat else "optimum")
                 if last.status in ("converged", "interrupted"):
                     return replace(last, iterations=done + last.iterations)
             self._history = []
@@ -275,19 +288,19 @@ class Solver:
 
         return Descender(problem, lower, upper).run(start, watch, min(_FIRST, self._most), exact=exact)
 
-    def _ipopt_from(self, start: Array, lower: Array, upper: Array, *, near: bool = False) -> Solution:
-        """IPOPT from ``start``; ``near`` where the start is an optimum already."""
+    def _ipopt_from(self, start: Array, lower: Array, upper: Array, where: Where = "anywhere") -> Solution:
+        """IPOPT from ``start``, which may be an optimum already, or lie in a flat valley."""
         problem = self.problem
         joints = problem.rows - problem.user.count
         low = np.concatenate([problem.user.lower, np.zeros(joints)])
         high = np.concatenate([problem.user.upper, np.zeros(joints)])
-        problem.exact = problem.exact or near
-        answer = self._solver(near)(x0=start, lbx=lower, ubx=upper, lbg=low, ubg=high)
+        problem.exact = problem.exact or where != "anywhere"
+        answer = self._solver(where)(x0=start, lbx=lower, ubx=upper, lbg=low, ubg=high)
         for function in self._kept:
             if function.failure is not None:
                 failure, function.failure = function.failure, None
                 raise failure
-        stats = self._solver(near).stats()
+        stats = self._solver(where).stats()
         words = str(stats["return_status"])
         x = np.asarray(answer["x"], dtype=float).ravel()
         if self._interrupted:

@@ -1,6 +1,7 @@
 """The first phase of a search: condensed steps against IPOPT alone, their number and their last convergence."""
 
 import itertools
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,8 @@ import casadi_engine as ce
 from casadi_engine.estimation.descent import Descender, Descent, gap_of
 from casadi_engine.estimation.loss import Loss
 from casadi_engine.estimation.search import Search
+
+DATA = Path(__file__).parents[2] / "data"
 
 NAMES = ("J_eng", "J_load", "K_el", "C_el", "C_eng")
 SIGNS = list(itertools.product((0.6, 1.4), repeat=5))
@@ -188,3 +191,17 @@ def test_a_stop_and_a_limit_are_kept(shaft, shaft_model):
     assert (end.stopped, end.steps, len(seen)) == (True, 2, 3)
     end = descender.run(start, lambda point: False, 2)
     assert (end.stopped, end.settled, end.steps) == (False, False, 2)
+
+
+def test_a_curved_valley_that_the_data_do_not_determine_is_named_in_time():
+    """Geometry, masses and stiffnesses scale together: the search ends in the valley and says which way it runs."""
+    model = ce.two_mass()
+    data = ce.read_experiment(DATA / "normal_1200rpm.csv.gz", optional=("omega_load",)).between(0, 0.15)
+    pars = model.parameters()
+    for name in ("r", "L", "A_p", "m_eq", "p_crank"):
+        pars[name].set(vary=True)
+    fit = ce.estimate(model, data, parameters=pars, progress=False)
+    assert fit.status == "converged"
+    assert fit.iterations <= 100  # IPOPT alone takes above 200
+    assert any("r" in direction.text and "m_eq" in direction.text for direction in fit.undetermined)
+    assert fit.stderr["r"] is None
