@@ -18,7 +18,8 @@ _HALVINGS = 12
 
 def chi_squared(null: NullModel, sigma: Mapping[str, float]) -> float:
     """Sum of ((y - y_hat)/sigma)^2 and of the priors."""
-    return _cost(null, _rows(null, NoiseModel(sigma), ()))
+    noise = NoiseModel(sigma)
+    return _cost(null, _rows(null, noise, _random(null, noise, ())))
 
 
 def settle(
@@ -52,7 +53,8 @@ def settle(
         return null_at(model, data, parameters, z, first, held_parameters=held, held_starts=held_starts)
 
     here = at(z, first)
-    rows = _rows(here, known, scatter)
+    random = _random(here, known, scatter)
+    rows = _rows(here, known, random)
     cost = _cost(here, rows)
     for _ in range(iterations):
         step, moves, promised = _step(here, rows)
@@ -66,36 +68,47 @@ def settle(
             except FloatingPointError:
                 share /= 2
                 continue
-            seen = _rows(there, known, scatter)
-            new = _cost(there, seen)
+            # with the scatter's shapes as they were: a step does not answer for how it changes them
+            new = _cost(there, _rows(there, known, random))
             if np.isfinite(new) and new <= cost:
-                found = (there, z + share * step, trial, new, seen)
+                found = (there, z + share * step, trial)
                 break
             share /= 2
         if found is None:
             break
-        here, z, first, cost, rows = found
+        here, z, first = found
+        random = _random(here, known, scatter)
+        rows = _rows(here, known, random)
+        cost = _cost(here, rows)
     return here, first, cost
 
 
-def _rows(null: NullModel, noise: NoiseModel, scatter: Sequence[Scatter]) -> list[Array]:
-    """For each record the whitened rows [slopes | e], free of what its scatter explains at the cost of its prior."""
+def _random(null: NullModel, noise: NoiseModel, scatter: Sequence[Scatter]) -> list[dict[str, Array]]:
+    """For each record output -> (N, g) its random amplitudes' columns, per standard deviation."""
     found = []
     for record in null.records:
         own = [s for s in scatter if s.record == record.name and noise.scatter.get(s.kind, 0.0) > 0]
-        random = record.columns([direction for s in own for direction in s.directions])
+        columns = record.columns([direction for s in own for direction in s.directions])
         size = np.array([noise.scatter[s.kind] for s in own for _ in s.directions])
+        found.append({name: values * size for name, values in columns.items()})
+    return found
+
+
+def _rows(null: NullModel, noise: NoiseModel, random: Sequence[Mapping[str, Array]]) -> list[Array]:
+    """For each record the whitened rows [slopes | e], free of what its scatter explains at the cost of its prior."""
+    found = []
+    for record, drawn in zip(null.records, random, strict=True):
+        count = next(iter(drawn.values())).shape[1] if drawn else 0
         parts = []
         for name, e in record.residual.items():
-            columns = [random[name] * size, record.slopes[name], e[:, None]]
+            columns = [drawn[name], record.slopes[name], e[:, None]]
             parts.append(noise.whiten(record, name, np.concatenate(columns, axis=1)))
         rows = np.concatenate(parts)
-        if len(size):
+        if count:
             # an amplitude of unit variance: its prior is one more row
-            prior = np.zeros((len(size), rows.shape[1]))
-            prior[:, : len(size)] = np.eye(len(size))
+            prior = np.eye(count, rows.shape[1])
             rows = np.concatenate([rows, prior])
-            rows = without(np.linalg.qr(rows[:, : len(size)])[0], rows[:, len(size) :])
+            rows = without(np.linalg.qr(rows[:, :count])[0], rows[:, count:])
         found.append(rows)
     return found
 

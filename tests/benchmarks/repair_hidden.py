@@ -27,6 +27,7 @@ from casadi_engine.discrepancy.score import score
 
 TIMES = (4, 10)
 PIECE = 2
+SHARES = (1.0, 0.3, 0.1)  # of the predicted amplitude, to start a refit from
 KEEP = 2.326**2
 NEAR, REFITS = (
     0.08,
@@ -123,20 +124,22 @@ def refit_gains(fitted, scores, order, noise):
 def refit(fitted, scores, k, noise):
     """Drop of chi-squared, amplitude and its standard error of one candidate added to the model."""
     c = scores.candidates[k]
-    start = float(scores.amplitude[k]) if c.size is None else float(c.size)
-    extended = c.source.extended(psi=start)
-    z = np.append(fitted.null.values + scores.shift[:, k], start)
-    z = np.append(z, [v for name, v in c.nuisance.items() if not c.source.effect.nuisance[name].whole])
-    null, _, cost = settle(
-        extended,
-        [fitted.data],
-        extended.parameters(),
-        z,
-        dict(fitted.first),
-        noise=noise,
-        iterations=15,
-        tolerance=0.03,
-    )
+    whole = float(scores.amplitude[k]) if c.size is None else float(c.size)
+    freed = [v for name, v in c.nuisance.items() if not c.source.effect.nuisance[name].whole]
+    for share in SHARES:
+        start = share * whole
+        extended = c.source.extended(psi=start)
+        z = np.concatenate([fitted.null.values + share * scores.shift[:, k], [start], freed])
+        try:
+            null, _, cost = settle(
+                extended, [fitted.data], extended.parameters(), z, dict(fitted.first),
+                noise=noise, iterations=15, tolerance=0.03,
+            )  # fmt: skip
+            break
+        except (FloatingPointError, np.linalg.LinAlgError):  # the model fails there: a smaller start
+            continue
+    else:
+        return -np.inf, np.nan, np.nan
     record = null.records[0]
     columns = np.concatenate([record.slopes[o] / noise.sigma[o] for o in record.outputs])
     size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
@@ -144,9 +147,8 @@ def refit(fitted, scores, k, noise):
     n = null.turn.shape[1]
     error = null.turn @ (inverse / np.outer(size, size))[:n, :n] @ null.turn.T
     at = len(fitted.null.values)
-    freed = len(z) - at - 1
     # an estimated nuisance fits some noise: one unit of chi-squared each
-    return float(fitted.cost - cost) - freed, float(null.values[at]), float(np.sqrt(error[at, at]))
+    return float(fitted.cost - cost) - len(freed), float(null.values[at]), float(np.sqrt(error[at, at]))
 
 
 def class_of(scores, order, gains):

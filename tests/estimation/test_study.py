@@ -72,8 +72,8 @@ def test_a_killed_study_goes_on_and_ends_with_the_same_table(tmp_path):
     except ImportError:
         jobs = 1
     whole = begin(tmp_path, "whole")
-    first = begin(tmp_path, "killed", pause=0.15, jobs=jobs)
-    path, limit = tmp_path / "killed.jsonl", time.monotonic() + 60
+    first = begin(tmp_path, "killed", pause=0.8, jobs=jobs)
+    path, limit = tmp_path / "killed.jsonl", time.monotonic() + 180
     while len(finished(path)) < 3 and time.monotonic() < limit:
         time.sleep(0.01)
     os.killpg(first.pid, signal.SIGKILL)  # with the workers that it started
@@ -82,9 +82,9 @@ def test_a_killed_study_goes_on_and_ends_with_the_same_table(tmp_path):
     done, begun = finished(path), log(tmp_path, "killed")
     assert 3 <= len(done) < 9
     second = begin(tmp_path, "killed")  # in one process what several began
-    again = second.communicate(timeout=90)[0]
+    again = second.communicate(timeout=240)[0]
     assert second.returncode == 0
-    expected = whole.communicate(timeout=90)[0]
+    expected = whole.communicate(timeout=240)[0]
     assert len(json.loads(expected)) == 9
     for row, twin in zip(json.loads(again), json.loads(expected), strict=True):
         assert row["values"] == pytest.approx(twin["values"], rel=1e-9)
