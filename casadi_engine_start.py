@@ -10,9 +10,15 @@ import signal
 import sys
 from typing import Any
 
+# Matrices of a fit are small: a second thread of the BLAS libraries spins more than it works, and takes a core from
+# --jobs. They read their environment when they are loaded; what the user has set stands.
+_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
 
 def main() -> int:
     """Import the package and run its command line; return the exit code, 130 if interrupted before it could begin."""
+    for name in _THREADS:
+        os.environ.setdefault(name, "1")
     # A job in the background may have Ctrl-C ignored: then it stays so.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _stop)

@@ -139,9 +139,7 @@ sys.exit(main())
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-@pytest.mark.parametrize(
-    "module", ["casadi_engine", "scipy.stats", "typer"]
-)
+@pytest.mark.parametrize("module", ["casadi_engine", "scipy.stats", "typer"])
 def test_ctrl_c_while_the_program_is_loaded(module, here):
     done = run(module, cwd=here, code=INTERRUPTED_IMPORT)
     assert (done.returncode, done.stdout) == (130, "")
@@ -186,3 +184,19 @@ def test_a_terminal_without_unicode(here):
     done = run("fit", "problem.py", "--out", "out", cwd=here, code=QUICK, env=ascii_only)
     assert (done.returncode, done.stderr) == (0, "")  # no progress line in a pipe either
     assert "J_eng" in done.stdout
+
+
+@pytest.mark.parametrize("set_by_user", [None, "2"])
+def test_the_command_takes_one_blas_thread_unless_told_otherwise(set_by_user, monkeypatch):
+    """Run beside a command line that does nothing, for this process has loaded its libraries already."""
+    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+    for name in names:
+        monkeypatch.setenv(name, "unset")  # so that the end of the test takes back what the command sets
+        monkeypatch.delenv(name)
+    if set_by_user:
+        monkeypatch.setenv(names[0], set_by_user)
+    import casadi_engine_start
+
+    monkeypatch.setattr("casadi_engine.cli.main", lambda begin: 0)
+    assert casadi_engine_start.main() == 0
+    assert [os.environ[name] for name in names] == [set_by_user or "1", "1", "1"]
