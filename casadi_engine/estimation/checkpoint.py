@@ -33,23 +33,22 @@ class Checkpoint:
     """
 
     def __init__(self, path: Path | str, study: str, setting: Any = None) -> None:
-        self.path = Path(path)
+        self.path = _path(path)
         self.rows: dict[str, Any] = {}
+        _text(study, "the name of the study")
         head = {"checkpoint": _FORMAT, "study": study, "setting": key_of(setting)}
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
-        except OSError as error:
-            raise StudyError(
-                f"the checkpoint {self.path} cannot be opened",
-                seen=error.strerror,
-                allowed="a file that can be read and written",
-                cure="name another file",
-            ) from None
+        except (OSError, ValueError) as error:
+            raise self._unusable(error) from None
         try:
             self._lock()
             if not self._read(head):
                 self._append(head)
+        except OSError as error:  # a device, or a disk that is full
+            os.close(self._file)
+            raise self._unusable(error) from None
         except BaseException:
             os.close(self._file)
             raise
@@ -87,9 +86,17 @@ class Checkpoint:
                 cure="wait for that process, or name another file",
             ) from None
 
+    def _unusable(self, error: OSError | ValueError) -> StudyError:
+        return StudyError(
+            f"the checkpoint {self.path} cannot be opened",
+            seen=(error.strerror if isinstance(error, OSError) else None) or str(error),
+            allowed="a file that can be read and written",
+            cure="name another file",
+        )
+
     def _append(self, entry: Mapping[str, Any]) -> None:
         """One line in one write, on the disk before anything else is done."""
-        line = (json.dumps(entry, allow_nan=True) + "\n").encode()
+        line = _line(entry)
         while line:
             line = line[os.write(self._file, line) :]
         os.fsync(self._file)
@@ -98,19 +105,21 @@ class Checkpoint:
         """Read what is finished, cut off a line that is not; False for a new file."""
         whole = self.path.read_bytes()
         end = whole.rfind(b"\n") + 1
-        if end < len(whole):
-            os.ftruncate(self._file, end)
         lines = whole[:end].splitlines()
-        if not lines:
-            return False
+        if not lines and not _line(head).startswith(whole):
+            raise self._damaged(whole, 1)  # some other file: not ours to cut
         entries = [self._entry(line, number) for number, line in enumerate(lines, 1)]
-        if entries[0] != head:
+        if entries and entries[0] != head:
             raise StudyError(
                 f"the checkpoint {self.path} belongs to another study",
                 seen=", ".join(f"{key} {value}" for key, value in entries[0].items()),
                 allowed=", ".join(f"{key} {value}" for key, value in head.items()),
                 cure="name another file, or delete this one to begin again",
             )
+        if end < len(whole):
+            os.ftruncate(self._file, end)
+        if not entries:
+            return False
         self.rows = {entry["key"]: entry["row"] for entry in entries[1:]}
         return True
 
@@ -118,22 +127,42 @@ class Checkpoint:
         wanted = {"checkpoint", "study", "setting"} if number == 1 else {"key", "piece", "row"}
         try:
             entry = json.loads(line)
-        except ValueError:
+        except (ValueError, RecursionError):
             entry = None
-        if isinstance(entry, dict) and set(entry) == wanted:
+        whole = isinstance(entry, dict) and set(entry) == wanted
+        if whole and (number == 1 or entry["key"] == key_of(entry["piece"])):
             return entry
-        raise StudyError(
+        raise self._damaged(line, number)
+
+    def _damaged(self, line: bytes, number: int) -> StudyError:
+        cure = "name another file, or delete the file if it is a checkpoint of no more use"
+        return StudyError(
             f"the checkpoint {self.path} is damaged",
             seen=f"line {number}: {line[:60].decode(errors='replace')}",
             allowed="lines that a study has written",
-            cure=f"delete line {number}, whose piece is then done again" if number > 1 else "delete the file",
+            cure=f"delete line {number}, whose piece is then done again" if number > 1 else cure,
         )
+
+
+def _line(entry: Mapping[str, Any]) -> bytes:
+    return (json.dumps(entry, allow_nan=True) + "\n").encode()
+
+
+def _path(path: Any) -> Path:
+    if isinstance(path, (str, os.PathLike)) and str(path):
+        return Path(path)
+    raise StudyError(
+        "the checkpoint is not the path of a file",
+        seen=repr(path),
+        allowed="text or a pathlib.Path",
+        cure='give a path such as "study.jsonl", or leave it out',
+    )
 
 
 def _text(value: Any, what: str) -> str:
     try:
         return json.dumps(value, sort_keys=True)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, RecursionError) as error:
         raise StudyError(
             f"{what} cannot be written as JSON",
             seen=str(error),

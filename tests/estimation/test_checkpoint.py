@@ -1,6 +1,7 @@
 """Checkpoints: what is finished is kept whole, what is not is done again, and a wrong file is refused."""
 
 import json
+import os
 
 import pytest
 
@@ -77,6 +78,60 @@ def test_another_file_is_not_taken_for_a_checkpoint(tmp_path, refused):
     with refused(StudyError, "is damaged", seen="line 1: a,b", cure="delete the file"):
         Checkpoint(path, "squares")
     assert path.read_text() == "a,b\n1,2\n"
+
+
+def test_a_file_that_is_no_checkpoint_is_left_as_it_is(tmp_path, refused):
+    path = tmp_path / "notes.txt"
+    for content in (b"a note without a line's end", b"a,b\n1,2\n3,4", b'{"checkpoint": 1, "study": "cubes"'):
+        path.write_bytes(content)
+        with refused(StudyError, "is damaged", seen="line 1: ", cure="name another file"):
+            Checkpoint(path, "squares")
+        assert path.read_bytes() == content
+    Checkpoint(tmp_path / "cubes.jsonl", "cubes").close()
+    content = (tmp_path / "cubes.jsonl").read_bytes() + b'{"key": '
+    path.write_bytes(content)
+    with refused(
+        StudyError, "belongs to another study", seen="cubes", allowed="squares", cure="another file"
+    ):
+        Checkpoint(path, "squares")
+    assert path.read_bytes() == content
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        '{"key": [1], "piece": 2, "row": 3}',
+        '{"key": "abc", "piece": {"x": 2}, "row": 77}',
+        json.dumps({"key": key_of({"x": 2}), "piece": {"x": 3}, "row": 4}),
+        "[" * 100_000,
+    ],
+)
+def test_a_row_that_is_not_its_pieces_is_refused(tmp_path, refused, line):
+    path = tmp_path / "study.jsonl"
+    Checkpoint(path, "squares").close()
+    path.write_text(path.read_text() + line + "\n")
+    with refused(StudyError, "is damaged", seen="line 2: " + line[:20], cure="delete line 2"):
+        Checkpoint(path, "squares")
+
+
+@pytest.mark.parametrize("path", [3, None, "", ["a"]])
+def test_what_is_no_path_is_refused(refused, path):
+    with refused(StudyError, "not the path of a file", seen=repr(path), allowed="text", cure="study.jsonl"):
+        Checkpoint(path, "squares")
+
+
+def test_names_of_files_and_studies_that_cannot_be_are_refused(tmp_path, refused):
+    with refused(StudyError, "cannot be opened", seen="null", allowed="read and written", cure="another"):
+        Checkpoint("a\0b", "squares")
+    with refused(StudyError, "the name of the study", seen="set", allowed="texts", cure="float(...)"):
+        Checkpoint(tmp_path / "study.jsonl", {1})  # type: ignore[arg-type]
+
+
+def test_a_device_is_refused(refused):
+    if not os.path.exists("/dev/null"):
+        pytest.skip("this system has no such device")
+    with refused(StudyError, "cannot be opened", seen="", allowed="read and written", cure="another file"):
+        Checkpoint("/dev/null", "squares")
 
 
 def test_a_file_in_use_is_refused(tmp_path, refused):
