@@ -7,7 +7,7 @@ start is the motion that repeats from one engine cycle to the next (or the equil
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 _CYCLE = 4 * math.pi
 # A start is found when the next step is this small, in scaled states; a linear model takes one step.
 _SETTLED, _STEPS = 1e-9, 30
+# A step into states where the equations are not finite is shortened, but not below this length.
+_SHORTEST = 1e-4
 # Over this last share of a cycle the inputs are led back to those at its start.
 _SEAM = 0.25
 # A mode of the start is moved where that explains this many standard errors.
@@ -175,6 +177,7 @@ class OperatingRecord:
         self._linear = model.linear is not None and not model.has_slot_laws
         self._weights = np.array([1 / out.scale for out in model.outputs])
         self._rate_function: ca.Function | None = None
+        self._output_function: ca.Function | None = None
         self._last: Array | None = None  # the start that was found before, from which the next one is not far
 
     @property
@@ -257,18 +260,30 @@ class OperatingRecord:
 
     def _fitted(self, v: Array, start: Array, free: NDArray[np.bool_], *, closest: bool) -> Array:
         """The start that explains the measured samples best, or the given one moved only as far as they demand."""
-        modes = None if closest else _slow_first(self._rates(start, v)[1][np.ix_(free, free)])
+        slope = self._rates(start, v)[1][np.ix_(free, free)]
+        modes = None if closest or not np.isfinite(slope).all() else _slow_first(slope)
+        last = start
         for _ in range(_STEPS):
-            here = self._evaluate(v, start)
+            start, here = self._finite(v, start, last)
             real = here.was_measured
             weight = self._weights[here.column[real]]
             slope, rest = here.in_start[real][:, free] * weight[:, None], here.residual[real] * weight
             step = _least_squares(slope, rest) if modes is None else _demanded(slope, rest, modes)
-            start = start.copy()
+            last, start = start, start.copy()
             start[free] -= step
             if self._linear or np.abs(step).max() < _SETTLED * max(1.0, float(np.abs(start).max())):
                 break
         return start
+
+    def _finite(self, v: Array, start: Array, last: Array) -> tuple[Array, Sensitivity]:
+        """The start, drawn back to the last one until the simulation is finite (a tank's level stays above 0)."""
+        while True:
+            try:
+                return start, self._evaluate(v, start)
+            except SimulationError:
+                if np.abs(start - last).max() <= _SHORTEST * max(1.0, float(np.abs(last).max())):
+                    raise
+                start = 0.5 * (start + last)
 
     def _settled(self, v: Array) -> Array:
         """The start of a motion that repeats in the first engine cycle but for an even change of all speeds.
@@ -337,17 +352,51 @@ class OperatingRecord:
         return speed, self.names.index("omega") if "omega" in self.names else None
 
     def _equilibrium(self, v: Array) -> Array:
-        """The scaled state that stays with the first inputs held; the least one where several do."""
-        state = np.zeros(len(self.scale))
+        """The scaled state that stays with the first inputs held; the least one where several do.
+
+        Where the equations have no finite slope at zero (the root of a tank's level) the search begins away from it,
+        and ends where the first samples are explained.
+        """
+        zero = np.zeros(len(self.scale))
+        if self._is_regular(zero, v):
+            return self._newton(zero, v, self._rates)
+        if not self._is_regular(zero + 1.0, v):
+            return zero
+        found = self._newton(zero + 1.0, v, self._rates)
+        return self._newton(found, v, self._first_errors) if self.measured_there else found
+
+    def _is_regular(self, state: Array, v: Array) -> bool:
+        return all(np.isfinite(part).all() for part in self._rates(state, v))
+
+    def _newton(self, state: Array, v: Array, errors: Callable[[Array, Array], tuple[Array, Array]]) -> Array:
+        """A root of errors(state, v) -> (values, slope), by steps that keep the equations finite."""
         for _ in range(_STEPS):
-            rate, slope = self._rates(state, v)
+            rate, slope = errors(state, v)
             if not (np.isfinite(rate).all() and np.isfinite(slope).all()):
-                return np.zeros(len(self.scale))
+                break
             step = _least_squares(slope, rate)
+            while not self._is_regular(state - step, v) and np.abs(step).max() > _SETTLED:
+                step = 0.5 * step
+            if not self._is_regular(state - step, v):
+                break
             state = state - step
             if np.abs(step).max() < _SETTLED * max(1.0, float(np.abs(state).max())):
                 break
         return state
+
+    def _first_errors(self, state: Array, v: Array) -> tuple[Array, Array]:
+        """Outputs less their first measured samples (ny,), weighted, and the slope (ny, n) to the scaled state."""
+        model, rows = self.model, [self.names.index(name) for name in self.measured_there]
+        first = np.array([self.grid.measured[name].values[0] for name in self.measured_there])
+        if self._output_function is None:
+            x = ca.SX.sym("x", len(self.scale))
+            of = ca.Function("y", [model.x, model.u, model.t, model.p], [model.closed_outputs])
+            y: Any = of(x * ca.DM(self.scale), self.grid.channels[:, 0], self.grid.start, self.physical)
+            parts = [y, ca.densify(ca.jacobian(y, x))]
+            self._output_function = ca.Function("first", [x, self.v], parts)
+        y, slope = (np.asarray(part, dtype=float) for part in self._output_function(state, v))
+        weight = self._weights[rows]
+        return (y.reshape(-1)[rows] - first) * weight, slope.reshape(-1, len(state))[rows] * weight[:, None]
 
     def _rates(self, state: Array, v: Array) -> tuple[Array, Array]:
         """Rates (n,) of the scaled states at the first inputs, and their Jacobian (n, n)."""

@@ -3,6 +3,7 @@
 import math
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -59,6 +60,34 @@ def test_without_a_crank_angle_the_start_is_the_equilibrium():
     pars = model.parameters()
     pars["C_eng"].set(0.5)
     assert start_of(model, PlannedExperiment(data), pars)["omega_eng"] == pytest.approx(6.0)
+
+
+def tank(level):
+    """A tank whose outflow is the root of its level, filled from ``level`` [m] by two steps of its inflow."""
+    b = ce.Blueprint("tank")
+    area, outflow = b.parameter("A", 1.0, unit="m2", min=0.1), b.parameter("k", 0.5, min=0.01)
+    h, inflow = b.state("h", unit="m"), b.input("u", unit="m3/s")
+    b.ode("h", (inflow - outflow * ca.sqrt(h)) / area)
+    b.output("h", h, unit="m")
+    model, time = b.model(), np.arange(200) * 0.1
+    channels = {"u": 0.5 + 0.3 * (time % 8 >= 4)}
+    plain = ce.Experiment.from_arrays("t", time=time, units={"u": "m3/s"}, **channels)
+    h = ce.simulate(model, plain, initial={"h": level})["h"].values
+    noisy = h + 0.005 * np.random.default_rng(0).standard_normal(200)
+    return model, ce.Experiment.from_arrays(
+        "t", time=time, units={"u": "m3/s", "h": "m"}, h=noisy, **channels
+    )
+
+
+@pytest.mark.parametrize("level", [0.02, 1.0, 30.0])
+def test_a_start_is_found_where_the_equations_have_no_slope_at_zero(level):
+    model, record = tank(level)
+    assert start_of(model, PlannedExperiment(record))["h"] == pytest.approx(level, abs=0.02)
+    assert start_of(model, PlannedExperiment(record.without("h")))["h"] == pytest.approx(1.0)
+    foreseen = fisher(model, record, noise=ce.Noise(h=0.005))
+    fit = ce.estimate(model, record, noise=ce.Noise(h=0.005), progress=False)
+    for name in ("A", "k"):
+        assert foreseen.errors[name].stderr == pytest.approx(fit.stderr[name], rel=0.1)
 
 
 def test_noise_of_a_measured_start_promises_nothing():
