@@ -26,8 +26,8 @@ _NOTHING = 1e-12
 class Covariance:
     """Errors over the N entries of [v; initial states of the records].
 
-    matrix : (N, N); rank : number of directions that the data determine; directions : unit vectors (N,) in
-    scaled units that they do not
+    matrix : (N, N); rank : number of directions that the data determine; directions : orthonormal
+    vectors (N,) in scaled units that they do not
     """
 
     matrix: Array
@@ -68,11 +68,12 @@ def invert(information: Array, closed: NDArray[np.bool_], active_rows: Array) ->
     lost = values < _NOTHING * max(1.0, values[-1] if len(values) else 1.0)
     seen = vectors[:, ~lost] / spread[:, None]
     matrix = basis @ (seen / values[~lost]) @ seen.T @ basis.T
-    directions = []
-    for vector in (vectors[:, lost] / spread[:, None]).T:
-        whole = basis @ vector
-        directions.append(whole / np.linalg.norm(whole))
-    return Covariance(matrix, int(np.sum(~lost)), directions)
+    # Orthonormal, or all would lie along the entry that leaves the least trace and hide what they say of the others;
+    # as what is at right angles to all that is seen, which rounding spoils least.
+    told = vectors[:, ~lost].T * spread
+    told /= np.linalg.norm(told, axis=1, keepdims=True)
+    directions = basis @ np.linalg.svd(told)[2][len(told) :].T
+    return Covariance(matrix, int(np.sum(~lost)), list(directions.T))
 
 
 def in_words(vector: Array, names: list[str], most: int = 4) -> tuple[str, dict[str, float]]:

@@ -217,6 +217,17 @@ def test_covariance_names_what_is_not_determined_whatever_the_scales():
     assert not nothing.matrix.any()
 
 
+def test_an_entry_that_leaves_no_trace_does_not_hide_that_others_are_open():
+    rng = np.random.default_rng(4)
+    root = rng.standard_normal((2, 5)) * np.array([1, 1, 1, 1, 1e-9])
+    found = invert(root.T @ root, np.zeros(5, dtype=bool), np.zeros((0, 5)))
+    directions = np.array(found.directions)
+    assert (found.rank, len(directions)) == (2, 3)
+    np.testing.assert_allclose(directions @ directions.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(root @ directions.T, 0.0, atol=1e-12)
+    assert (np.linalg.norm(directions, axis=0) > 0.3).all()  # two samples tell none of five unknowns
+
+
 def test_nearly_singular_is_not_singular():
     rng = np.random.default_rng(3)
     root = rng.standard_normal((50, 2))
