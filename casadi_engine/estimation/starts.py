@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 _SMOOTH = 4
 # Weight of the measured outputs against the wish for a quasi-steady state.
 _TRUST = 1e3
+# A step to a state whose outputs are not finite is halved this often at most.
+_HALVINGS = 10
 # A start is drawn within this factor of the given one where the bounds leave more room.
 _REACH = 3.0
 
@@ -35,14 +37,28 @@ def nodes_from_measurement(record: RecordTerm, physical: Array) -> Array:
     observed = _measured_at_nodes(record)
     weights = np.array([variable.scale for variable in model.outputs])
     middle = np.nanmean(observed, axis=1)
+
+    def parts(state: Array) -> list[Array]:
+        return [np.asarray(part, dtype=float) for part in function(state, mean, 0.0, physical)]
+
+    if not _is_finite(parts(guess)[1::2]):  # an output with a root in it has no slope at zero
+        guess = scale.copy()
     for _ in range(3):  # a nonlinear model needs a few steps; a linear one is done after the first
-        a, c, f, g = (np.asarray(part, dtype=float) for part in function(guess, mean, 0.0, physical))
-        if not (np.isfinite(a).all() and np.isfinite(f).all()):
+        a, c, f, g = parts(guess)
+        if not _is_finite([a, f]):
             a, f = np.zeros_like(a), np.zeros_like(f)
-        guess = guess + _balanced(a, c, f.ravel(), middle - g.ravel(), scale, weights)
+        if not _is_finite([c, g]):
+            c, g = np.zeros_like(c), np.where(np.isfinite(middle), middle, 0.0)
+        step = _balanced(a, c, f.ravel(), middle - g.ravel(), scale, weights)
+        shorter = (step * 0.5**k for k in range(_HALVINGS))
+        guess = guess + next((one for one in shorter if _is_finite(parts(guess + one)[1::2])), step)
     offset = observed - middle[:, None]
     shift = _balanced(a, c, np.zeros(len(scale)), offset, scale, weights)
     return np.ascontiguousarray(((guess[:, None] + shift) / scale[:, None]).T)
+
+
+def _is_finite(parts: list[Array]) -> bool:
+    return all(np.isfinite(part).all() for part in parts)
 
 
 def _balanced(a: Array, c: Array, f: Array, y: Array, scale: Array, weights: Array) -> Array:

@@ -103,6 +103,20 @@ def test_a_general_model_is_fitted_within_its_errors(name, interval):
     assert not any("integration" in message for message in fit.messages)
 
 
+def test_an_output_without_a_slope_at_zero_has_its_start_found():
+    """A late sensor of the tank's level shows the root of the level, which has no slope at zero."""
+    _, truth, slope, start = SYSTEMS["tank"]
+    late = tank().with_effect(ce.effects.SensorDelay(), at="sensor_y")
+    u = forcing(1201)
+    y = solved(slope, start, 1201, u)[0]
+    y = np.interp(STEP * np.arange(1201) - 0.05, STEP * np.arange(1201), y, left=y[0])
+    data = record(y, u).between(0.5, 6.0)
+    fit = ce.estimate(late, data, noise=ce.Noise(y=SIGMA), progress=False)
+    assert fit.converged
+    assert fit.values["sensor_y.sensor_delay.delay"] == pytest.approx(0.05, abs=0.03)
+    assert all(fit.values[key] == pytest.approx(truth[key], rel=0.1) for key in truth)
+
+
 def test_a_record_that_is_too_coarse_is_said():
     make, truth, slope, start = SYSTEMS["duffing"]
     fine = solved(slope, start, 2401, np.zeros(2401))[0]
