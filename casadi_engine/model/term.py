@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from casadi_engine.errors import EffectError
+from casadi_engine.errors import CasadiEngineError, EffectError
 from casadi_engine.model.declarations import PORT_KINDS, ParameterDeclaration, Port
 from casadi_engine.model.effect import Grid, Law, check_effect
 from casadi_engine.model.effect_math import Sharp, Smooth
@@ -134,7 +134,17 @@ def read_term(
     symbols = tuple(ca.SX.sym(declared.name) for declared in declarations)
     known = dict(zip(_estimated(effect), symbols, strict=True))
     constants = {name: given[name] for name, grid in effect.nuisance.items() if grid.whole}
-    law = effect.law(view, Values(effect.name, known | constants), Sharp if sharp else Smooth)
+    try:
+        law = effect.law(view, Values(effect.name, known | constants), Sharp if sharp else Smooth)
+    except CasadiEngineError:
+        raise
+    except Exception as fault:
+        raise EffectError(
+            f"the law of {effect.name} at {port.name} fails",
+            seen=f"{type(fault).__name__}: {fault}",
+            allowed="an expression of the port's signals, p and math",
+            cure="correct the method law of the effect",
+        ) from fault
     value, states = _read_law(effect, port, view, law)
     term = Term(effect, port, value, states, declarations, symbols, constants, sharp)
     _check_symbols(model, term)

@@ -178,6 +178,17 @@ def test_laws_that_do_not_fit_are_refused(law, message):
         two_mass().with_effect(with_law(law), at="load")
 
 
+def test_a_law_that_fails_is_an_effect_error_that_tells_why():
+    class Fails(FanTorque):
+        def law(self, port, p, math):
+            return p.coefficient * math.sgn(port.speed)
+
+    with pytest.raises(
+        EffectError, match=r"the law of fan_torque at load fails; seen: AttributeError: .*sgn"
+    ):
+        two_mass().with_effect(Fails(), at="load")
+
+
 def test_the_base_class_has_no_law():
     with pytest.raises(NotImplementedError):
         Effect().law(None, None, None)
