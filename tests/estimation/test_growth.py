@@ -62,3 +62,12 @@ def test_a_little_instability_is_no_error(run_up):
     fit = ce.estimate(ce.one_inertia(), run_up(n=100), noise=noise, progress=False)
     assert fit.innovations.radius > 1
     assert np.isfinite(fit.cost)
+
+
+def test_one_gain_for_records_of_different_rates_is_pointed_out(run_up):
+    noise = ce.Noise(omega=0.05, gain=[[0.1]])
+    alike = [run_up("a", n=60), run_up("b", n=60, seed=1)]
+    other = [alike[0], run_up("b", n=60, step=0.04, seed=1)]
+    told = [ce.estimate(ce.one_inertia(), d, noise=noise, progress=False).messages for d in (alike, other)]
+    said = [any("sampled every 0.02, 0.04 s" in m for m in messages) for messages in told]
+    assert said == [False, True]
