@@ -165,6 +165,13 @@ def _estimated(effect: Any) -> list[str]:
 
 def _checked_values(effect: Any, values: Mapping[str, float]) -> dict[str, float]:
     names = [effect.amplitude.name, *effect.nuisance]
+    if not isinstance(values, Mapping):
+        raise EffectError(
+            f"the values of the effect {effect.name} are not a mapping",
+            seen=repr(values),
+            allowed=f"{', '.join(names)} -> number",
+            cure=f'give values={{"{names[0]}": 1.0}}, for instance',
+        )
     for name, value in values.items():
         if name not in names:
             raise EffectError(
@@ -243,6 +250,13 @@ def _range(grid: Grid, view: PortView) -> tuple[float, float, float]:
 
 def _read_law(effect: Any, port: Port, view: PortView, law: Any) -> tuple[Any, tuple[OwnState, ...]]:
     given = law if isinstance(law, Law) else Law(law)
+    if not isinstance(given.states, Mapping) or not all(map(_is_state, given.states.values())):
+        raise EffectError(
+            f"the states of the law of {effect.name} are not acceptable",
+            seen=repr(given.states),
+            allowed="name -> (start, rate), the start a finite number, the rate a scalar expression",
+            cure='return Law(value, states={"stretch": (0.0, rate)}), for instance',
+        )
     if set(given.states) != set(view.states):
         raise EffectError(
             f"the states of the law of {effect.name} do not fit those that it uses",
@@ -261,6 +275,11 @@ def _read_law(effect: Any, port: Port, view: PortView, law: Any) -> tuple[Any, t
             )
         )
     return _scalar(f"the law of {effect.name} at {port.name}", given.value), tuple(states)
+
+
+def _is_state(pair: Any) -> bool:
+    number = isinstance(pair, tuple | list) and len(pair) == 2 and isinstance(pair[0], Real)
+    return number and not isinstance(pair[0], bool) and math.isfinite(pair[0])
 
 
 def _scalar(what: str, value: Any) -> Any:
