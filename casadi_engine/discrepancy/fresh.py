@@ -17,7 +17,7 @@ from casadi_engine.discrepancy.noise_model import NoiseModel, left_over
 from casadi_engine.discrepancy.null_model import FOUR_STROKE, Index, NullModel, null_model
 from casadi_engine.discrepancy.refit import Addition
 from casadi_engine.discrepancy.repaired import Side
-from casadi_engine.errors import CasadiEngineError
+from casadi_engine.errors import CasadiEngineError, ExperimentError
 from casadi_engine.estimation import Fit, estimate
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
@@ -46,7 +46,16 @@ def portions(
     model: Model, data: tuple[Experiment, ...], fresh: tuple[Experiment, ...], *, share: float
 ) -> Portions:
     """Fresh records as they are; without them the last ``share`` of every record's cycles is held out, at least three
-    cycles together, if three are left to search in."""
+    cycles together, if three are left to search in. Raises ExperimentError for a fresh record that is searched in."""
+    for record in fresh:
+        twin = next((one for one in data if _same(model, one, record)), None)
+        if twin is not None:
+            raise ExperimentError(
+                f"{record.place} is to confirm what is found in the same data",
+                seen=f"the measurements of {twin.place}, sample by sample",
+                allowed="a record that the search does not see",
+                cure="give another fresh record, or none: then the last cycles are held out",
+            )
     if fresh:
         return Portions(data, fresh, "records")
     if share <= 0:
@@ -72,6 +81,16 @@ def portions(
         kept.append(record.between(float(time[0]), float(time[stop - 1]), inputs=inputs))
         held.append(record.between(float(time[stop]), float(time[-1]), inputs=inputs))
     return Portions(tuple(kept), tuple(held), "cycles")
+
+
+def _same(model: Model, one: Experiment, other: Experiment) -> bool:
+    """True if all outputs that both records hold have the same samples."""
+    both = [out.name for out in model.outputs if out.name in one and out.name in other]
+    pairs = [(one[name], other[name]) for name in both]
+    return bool(pairs) and all(
+        np.array_equal(a.time, b.time) and np.array_equal(a.values, b.values, equal_nan=True)
+        for a, b in pairs
+    )
 
 
 def _turns(model: Model, record: Experiment) -> bool:

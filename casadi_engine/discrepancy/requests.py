@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,8 +35,15 @@ def read_request(model: Model, effects: Any, at: Sequence[str] | str | None = No
     Raises EffectError for an effect that does not follow the protocol, for one that is there twice, for a port that
     does not exist or that no effect fits, and where nothing is left to be tested.
     """
+    if effects is not None and not isinstance(effects, (Effect, str, Iterable)):
+        raise EffectError(
+            "what is to be looked for is not acceptable",
+            seen=repr(effects),
+            allowed="effects, names of the library, or pairs of one with a port",
+            cure="leave effects out for the whole library",
+        )
     given = library() if effects is None else (effects,) if isinstance(effects, (Effect, str)) else effects
-    held = None if at is None else _held(model, (at,) if isinstance(at, str) else tuple(at))
+    held = None if at is None else _held(model, (at,) if isinstance(at, str) else at)
     found: dict[str, Effect] = {}
     where: dict[str, tuple[str, ...] | None] = {}
     for item in given:
@@ -68,8 +75,15 @@ def read_request(model: Model, effects: Any, at: Sequence[str] | str | None = No
     return Request(tuple(found.values()), where)
 
 
-def _held(model: Model, ports: tuple[str, ...]) -> tuple[str, ...]:
-    for name in ports:
+def _held(model: Model, ports: Any) -> tuple[str, ...]:
+    if not isinstance(ports, Iterable) or not (names := tuple(ports)):
+        raise EffectError(
+            "the ports at which effects are to be looked for are not acceptable",
+            seen=repr(ports),
+            allowed=", ".join(model.ports.names),
+            cure="give one name or a sequence of names; leave it out for all ports",
+        )
+    for name in names:
         if name not in model.ports.names:
             raise EffectError(
                 f"effects are to be looked for at a port that the model {model.name} does not have",
@@ -77,4 +91,4 @@ def _held(model: Model, ports: tuple[str, ...]) -> tuple[str, ...]:
                 allowed=", ".join(model.ports.names),
                 cure="print(model.ports) lists all ports",
             )
-    return ports
+    return names

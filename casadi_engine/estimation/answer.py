@@ -13,6 +13,7 @@ from scipy.special import chdtri
 from casadi_engine.estimation.fit import Estimate, Fit, Innovations, Optimum, Trace
 from casadi_engine.estimation.fit_percent import fit_measures
 from casadi_engine.estimation.innovations import SizedPriors, loop_of
+from casadi_engine.estimation.predictor import output_stride
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty, uncertainty
@@ -239,6 +240,7 @@ def _messages(
     violated = search.constraints.violated(errors.v)
     if violated:
         found.append(f"not met: {', '.join(violated)}")
+    found += _rates(search)
     found += _coloured(search, best)
     found += _rivals(best, optima)
     if stopped:
@@ -246,6 +248,19 @@ def _messages(
         what = f"the best of {done} optima so far" if done else "the best point so far, not an optimum"
         found.append(f"stopped by the user: this is {what}")
     return tuple(found)
+
+
+def _rates(search: Search) -> list[str]:
+    """One gain for records whose outputs were sampled at different rates suits none of them."""
+    if search.predictor.kind not in ("stated", "innovations"):
+        return []
+    steps = {float(f"{r.grid.step * output_stride(r.grid):.3g}") for r in search.records}
+    if len(steps) < 2:
+        return []
+    return [
+        f"one gain corrects records that were sampled every {', '.join(f'{s:g}' for s in sorted(steps))} s: what suits "
+        "one rate does not suit another; resample them alike, or fit them one by one"
+    ]
 
 
 def _rivals(best: Attempt, optima: tuple[Optimum, ...]) -> list[str]:

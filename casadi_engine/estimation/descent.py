@@ -91,7 +91,10 @@ class Descender:
             bent += problem.exact
             if bent > _VALLEY and self._flat(history, point):
                 return Descent(point.x, count, settled=False, flat=True)
-            found = self._newton(point) if problem.exact else self._gauss_newton(point)
+            try:
+                found = self._newton(point) if problem.exact else self._gauss_newton(point)
+            except np.linalg.LinAlgError:  # the states grow beyond floating point over the record
+                found = None
             if found is None:
                 return Descent(point.x, count, settled=False)
             point, settled = found

@@ -12,12 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.errors import EstimationError, SimulationError
+from casadi_engine.estimation.batch import check_options
 from casadi_engine.estimation.estimate import estimate
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.options import whole
 from casadi_engine.estimation.simulate import simulate
 from casadi_engine.estimation.study import study
 from casadi_engine.experiment import Experiment
+from casadi_engine.parameters import Parameters
 from casadi_engine.problem.noise import Noise
 
 Array = NDArray[np.float64]
@@ -102,12 +104,14 @@ def monte_carlo(
     """
     count, seed = whole("count", count, 1), whole("seed", seed, 0)
     _check(fit)
+    check_options(options, without=("jobs",))
     pieces = [{"seed": seed, "draw": k} for k in range(count)]
     setting = {
         "values": fit.values,
         "noise": {name: list(level) for name, level in fit.noise.items()},
         "records": [[record.name, record.samples] for record in fit.data],
-        "options": {key: repr(value) for key, value in {**fit.options, **options}.items()},
+        "parameters": fit.parameters.to_dict(),
+        "options": {key: _said(value) for key, value in {**fit.options, **options}.items()},
     }
     rows = study(
         partial(_refit, fit, options),
@@ -130,6 +134,11 @@ def monte_carlo(
 def redrawn(fit: Fit, rng: np.random.Generator) -> list[Experiment]:
     """The fit's records with simulated outputs and fresh noise at the fit's levels."""
     return [_redrawn(fit, record, rng) for record in fit.data]
+
+
+def _said(value: Any) -> Any:
+    """What an option is, for the checkpoint: the text of a parameter set does not tell its bounds and priors."""
+    return value.to_dict() if isinstance(value, Parameters) else repr(value)
 
 
 def _refit(fit: Fit, options: Mapping[str, Any], piece: Mapping[str, int]) -> dict[str, Any]:
@@ -159,6 +168,13 @@ def _refit(fit: Fit, options: Mapping[str, Any], piece: Mapping[str, int]) -> di
 
 
 def _check(fit: Fit) -> None:
+    if not isinstance(fit, Fit):
+        raise EstimationError(
+            "Monte Carlo needs a fit",
+            seen=repr(fit),
+            allowed="a Fit",
+            cure="give what ce.estimate returned",
+        )
     if not fit.converged:
         raise EstimationError(
             "Monte Carlo needs a fit that converged",

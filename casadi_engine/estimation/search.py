@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.constraints import ParameterConstraints, Priors
 from casadi_engine.estimation.coordinates import Coordinates
+from casadi_engine.estimation.growth import check_growth
 from casadi_engine.estimation.innovations import SizedPriors, StableLoop
 from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.ipopt import Solution, Solver
@@ -248,6 +249,7 @@ class Search:
                 allowed="values for which the equations give finite numbers",
                 cure="change the start values or the bounds",
             )
+        check_growth(self.records, self.problem.at(x).records)
         known = {record.experiment.name for record in self.records} <= set(getattr(self.warm, "initial", ()))
         near = first and known and bool(getattr(self.warm, "converged", False))
         solution = self.solver.solve(x, self.lower, self.upper, exact=near)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.estimation.fit import AtBound, Direction, Estimate
+from casadi_engine.estimation.growth import check_growth
 from casadi_engine.estimation.loss import Loss
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
@@ -137,6 +138,7 @@ def _information(search: Search, best: Attempt) -> Array:
     """The information matrix over [v; initial states]."""
     problem, x = search.problem, best.solution.x
     point = problem.at(x)
+    check_growth(search.records, point.records)
     size = problem.nv + sum(record.n for record in search.records)
     information = np.zeros((size, size))
     information[: problem.nv, : problem.nv] = problem.priors.evaluate(x[: problem.nv])[3]

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
+from casadi_engine.errors import StudyError
 from casadi_engine.estimation.checkpoint import Checkpoint, key_of
 from casadi_engine.estimation.parallel import spread
 
@@ -39,6 +40,21 @@ def study(
     >>> study(lambda piece: piece["seed"] ** 2, [{"seed": 2}, {"seed": 3}])
     [4, 9]
     """
+    if not callable(work) or not (watch is None or callable(watch)):
+        raise StudyError(
+            f"the {'watch' if callable(work) else 'work'} of a study is not a function",
+            seen=repr(watch if callable(work) else work),
+            allowed="work(piece) -> row; watch(pieces done, pieces in all), or none",
+            cure="give a function",
+        )
+    if isinstance(pieces, (str, Mapping)) or not isinstance(pieces, Iterable):
+        raise StudyError(
+            "the pieces of a study are not a sequence",
+            seen=repr(pieces),
+            allowed="a sequence of data that JSON can hold",
+            cure='give a list such as [{"seed": 0}, {"seed": 1}]',
+        )
+    pieces = list(pieces)
     keys = [key_of(piece) for piece in pieces]
     with nullcontext() if checkpoint is None else Checkpoint(checkpoint, name, setting) as kept:
         rows: dict[str, Row] = {} if kept is None else dict(kept.rows)

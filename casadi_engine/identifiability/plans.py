@@ -8,8 +8,9 @@ stays, and the combustion is scaled so that the torque balances load, friction a
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 import casadi as ca
@@ -89,17 +90,30 @@ def plan(
     Returns a PlannedExperiment whose start is the motion that repeats in its first cycle.
     Raises ExperimentError for a model without these channels, or options that do not go together.
     """
+    _check_kinds(model, record, parameters, {"speed": speed, "load": load, "duration": duration})
     engine = _Engine(model, record, parameters)
-    first, last = run_up if run_up is not None else (speed or engine.speed, speed or engine.speed)
-    _check(engine, speed, run_up, load_step, duration, misfire, first, last)
+    if run_up is None:
+        first = last = engine.speed if speed is None else float(speed)
+    else:
+        first, last = _pair("the run-up", run_up, "(first, last) speed in rad/s")
+    if load_step is not None:
+        load_step = _pair("the load step", load_step, "(time [s], change [N m])")
+    _check(engine, speed, run_up, duration, misfire, first, last)
     length = record.duration if duration is None else duration
     time = np.arange(round(length * engine.rate) + 1) / engine.rate
+    if load_step is not None and not 0 <= load_step[0] <= time[-1]:
+        raise _refused(
+            "the load step is not within the plan",
+            f"{load_step[0]:g} s",
+            f"give a time of 0 to {time[-1]:g} s, or a longer duration",
+        )
     omega = first + (last - first) * time / time[-1]
     theta = first * time + 0.5 * (last - first) / time[-1] * time**2
     braking = np.full(len(time), engine.load if load is None else float(load))
     wanted = engine.wanted(omega, (last - first) / time[-1], braking)
     if load_step is not None:
         braking = braking + np.where(time >= load_step[0], load_step[1], 0.0)
+    _check_cycles(engine, theta, misfire or {})
     pressures = engine.pressures(theta, wanted, misfire or {})
     channels = {"theta": theta, **pressures, "T_load": braking, "omega": omega}
     units = {"theta": "rad", "T_load": "N m", "omega": "rad/s"} | dict.fromkeys(pressures, "Pa")
@@ -112,7 +126,7 @@ def plan(
         inputs=names,
         **{name: channels[name] for name in names},
     )
-    chosen = tuple(variable.name for variable in model.outputs) if outputs is None else tuple(outputs)
+    chosen = _chosen(model, outputs)
     # The linear form takes the speed as an input; that column must not count as measured.
     return PlannedExperiment(experiment, label, chosen)
 
@@ -241,15 +255,54 @@ def _needs(model: Model, record: Experiment) -> None:
             _ = record[name]
 
 
+def _check_kinds(model: Any, record: Any, parameters: Any, numbers: Mapping[str, Any]) -> None:
+    for what, value, kind in (("model", model, Model), ("record", record, Experiment)):
+        if not isinstance(value, kind):
+            raise _refused(
+                f"the {what} of a plan is not acceptable",
+                repr(value),
+                f"give plan(model, record): a {kind.__name__}",
+            )
+    if parameters is not None and not isinstance(parameters, Parameters):
+        raise _refused(
+            "the parameters are not a parameter set",
+            type(parameters).__name__,
+            "start from model.parameters()",
+        )
+    for name, value in numbers.items():
+        if value is not None and not _is_number(value):
+            raise _refused(
+                f"the {name} of a plan is not a number", repr(value), f"give {name}=100.0, or leave it out"
+            )
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool) and not math.isnan(value)
+
+
+def _pair(what: str, given: Any, wanted: str) -> tuple[float, float]:
+    values = tuple(given) if isinstance(given, Sequence | np.ndarray) and not isinstance(given, str) else ()
+    if len(values) != 2 or not all(_is_number(value) and math.isfinite(value) for value in values):
+        raise _refused(f"{what} is not acceptable", repr(given), f"give {wanted}")
+    return float(values[0]), float(values[1])
+
+
+def _chosen(model: Model, outputs: Any) -> tuple[str, ...]:
+    known = tuple(variable.name for variable in model.outputs)
+    if outputs is None:
+        return known
+    names = tuple(outputs) if isinstance(outputs, Collection) and not isinstance(outputs, str) else ()
+    if not names or not set(map(repr, names)) <= set(map(repr, known)):
+        raise _refused(
+            "the outputs of a plan are not acceptable",
+            repr(outputs),
+            f"give one or more of {', '.join(known)}, such as outputs={known[:1]!r}",
+        )
+    return names
+
+
 def _check(
-    engine: _Engine,
-    speed: Any,
-    run_up: Any,
-    load_step: Any,
-    duration: Any,
-    misfire: Any,
-    first: float,
-    last: float,
+    engine: _Engine, speed: Any, run_up: Any, duration: Any, misfire: Any, first: float, last: float
 ) -> None:
     if speed is not None and run_up is not None:
         raise _refused("a plan has either a speed or a run-up", "both", "leave one of them out")
@@ -259,15 +312,26 @@ def _check(
         )
     if duration is not None and not 2 * _CYCLE / min(first, last) < duration < math.inf:
         raise _refused("the duration is not acceptable", f"{duration} s", "give two engine cycles or more")
-    if load_step is not None and len(tuple(load_step)) != 2:
-        raise _refused("the load step is not acceptable", repr(load_step), "give (time [s], change [N m])")
     numbers = engine._numbers()
+    wanted = f'give cylinders 1 to {len(numbers)} with "all" or the numbers of cycles'
+    if misfire is not None and not isinstance(misfire, Mapping):
+        raise _refused("the misfire is not acceptable", repr(misfire), wanted)
     for cylinder, which in (misfire or {}).items():
-        if cylinder not in numbers or (isinstance(which, str) and which != "all"):
+        cycles = [] if isinstance(which, str) or not isinstance(which, Collection) else list(which)
+        whole = bool(cycles) and all(_is_number(one) and one == int(one) for one in cycles)
+        if cylinder not in numbers or not (which == "all" if isinstance(which, str) else whole):
+            raise _refused("the misfire is not acceptable", f"{cylinder!r}: {which!r}", wanted)
+
+
+def _check_cycles(engine: _Engine, theta: Array, misfire: Mapping[int, str | Sequence[int]]) -> None:
+    """A cycle that the plan does not hold would leave the engine as it is, in silence."""
+    for number, silent in misfire.items():
+        there = engine.cylinders[number - 1].number(theta)
+        if not isinstance(silent, str) and not set(silent) <= set(there.tolist()):
             raise _refused(
-                "the misfire is not acceptable",
-                f"{cylinder!r}: {which!r}",
-                f'give cylinders 1 to {len(numbers)} with "all" or the numbers of cycles',
+                "the misfire is of a cycle that the plan does not hold",
+                f"{number}: {list(silent)}",
+                f"give cycles {there.min()} to {there.max()} of cylinder {number}, or a longer duration",
             )
 
 

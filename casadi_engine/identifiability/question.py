@@ -116,6 +116,13 @@ def read_question(
             allowed="a Model",
             cure="call a builder such as ce.two_mass() or Blueprint.model()",
         )
+    if not (parameters is None or isinstance(parameters, Parameters)):
+        raise IdentifiabilityError(
+            "the parameters are not a parameter set",
+            seen=type(parameters).__name__,
+            allowed="a Parameters object",
+            cure="start from model.parameters()",
+        )
     given = (model.parameters() if parameters is None else parameters).frozen()
     asked = _experiments(experiments, {"inputs": inputs, "start": start, "outputs": outputs})
     names = tuple(one["name"] for one in asked)
@@ -129,7 +136,7 @@ def read_question(
 def _experiments(experiments: Any, default: Mapping[str, Any]) -> list[dict[str, Any]]:
     if experiments is None:
         return [{"name": "", **default}]
-    good = not isinstance(experiments, str | Mapping) and len(list(experiments)) > 0
+    good = isinstance(experiments, Sequence) and not isinstance(experiments, str) and len(experiments) > 0
     if not good or not all(isinstance(one, Mapping) for one in experiments):
         raise IdentifiabilityError(
             "the experiments are not acceptable",
@@ -149,6 +156,14 @@ def _experiments(experiments: Any, default: Mapping[str, Any]) -> list[dict[str,
                 )
         made.append({"name": str(number), **default, **one})
     names = [one["name"] for one in made]
+    for name in names:
+        if not isinstance(name, str):
+            raise IdentifiabilityError(
+                "the name of an experiment is not text",
+                seen=repr(name),
+                allowed='text such as "run-up", each name once',
+                cure="put it in quotes, or leave it out",
+            )
     if len(set(names)) < len(names):
         raise IdentifiabilityError(
             "two experiments have one name", seen=", ".join(names), allowed="each its own", cure="rename one"

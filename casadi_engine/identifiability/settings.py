@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from numbers import Real
@@ -192,7 +192,7 @@ def _outputs(equations: Equations, outputs: Sequence[str] | None) -> tuple[str, 
     measured = tuple(variable.name for variable in equations.model.outputs)
     if outputs is None:
         chosen = measured
-    elif isinstance(outputs, str) or not all(isinstance(one, str) for one in outputs) or not len(outputs):
+    elif not _are_names(outputs):
         raise IdentifiabilityError(
             "the outputs are not acceptable",
             seen=repr(outputs),
@@ -207,3 +207,8 @@ def _outputs(equations: Equations, outputs: Sequence[str] | None) -> tuple[str, 
                 "the model has no such output or state", name, equations.sensors, "name what is measured"
             )
     return chosen
+
+
+def _are_names(outputs: Any) -> bool:
+    names = list(outputs) if isinstance(outputs, Collection) and not isinstance(outputs, str) else []
+    return len(names) > 0 and all(isinstance(one, str) for one in names)

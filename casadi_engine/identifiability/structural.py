@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
@@ -195,7 +195,7 @@ def identifiability(
         model, parameters=parameters, inputs=inputs, start=start, outputs=outputs, experiments=experiments
     )
     texts = _texts(combinations)
-    drawings = _agreed(question, _seeds(seeds), seed)
+    drawings = _agreed(question, _seeds(seeds), _first_seed(seed))
     told = dict.fromkeys(texts, True)
     for drawn in drawings:
         for text, good in zip(texts, _combinations(question, drawn, texts), strict=True):
@@ -261,7 +261,7 @@ def _combinations(question: Question, drawn: Drawn, texts: Sequence[str]) -> lis
 def _texts(combinations: Any) -> tuple[str, ...]:
     if isinstance(combinations, str):
         return (combinations,)
-    made = tuple(combinations)
+    made = tuple(combinations) if isinstance(combinations, Iterable) else (combinations,)
     for one in made:
         if not isinstance(one, str):
             raise IdentifiabilityError(
@@ -282,3 +282,14 @@ def _seeds(seeds: Any) -> int:
             cure="two are enough: the chance of an error is multiplied with each",
         )
     return seeds
+
+
+def _first_seed(seed: Any) -> int:
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise IdentifiabilityError(
+            "the first seed is not acceptable",
+            seen=repr(seed),
+            allowed="a whole number >= 0",
+            cure="leave seed out",
+        )
+    return int(seed)

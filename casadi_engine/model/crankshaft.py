@@ -131,6 +131,8 @@ def thesis_ties(parameters: Parameters) -> Parameters:
     >>> [name for name in pars if pars[name].vary and not pars[name].tie]
     ['J1', 'J2', 'J6', 'K21', 'K32', 'K65']
     """
+    if not isinstance(parameters, Parameters):
+        raise _not_tied(type(parameters).__name__)
     made = parameters.copy()
     count = 0
     while f"C{count + 2}" in made and f"J{count + 2}" in made:
@@ -138,12 +140,7 @@ def thesis_ties(parameters: Parameters) -> Parameters:
     needed = ["J1", "K21", "C21", f"J{count + 2}", f"K{count + 2}{count + 1}", "m_eq"]
     missing = [each for each in needed if each not in made]
     if missing or not count or "C_eng" in made:
-        raise ModelError(
-            "these are not the parameters of a crankshaft, or they have its ties already",
-            seen=", ".join(made.names[:8]) + (", C_eng" if "C_eng" in made else ""),
-            allowed="J1, J2, K21, C21, C2 and so on, without C_eng",
-            cure="give crankshaft(...).parameters()",
-        )
+        raise _not_tied(", ".join(made.names[:8]) + (", C_eng" if "C_eng" in made else ""))
     total = sum(made[f"C{i}"].value for i in range(2, count + 2))
     made.add("C_eng", total, unit="N m s/rad", min=0, max=1e6, vary=False, description="all absolute damping")
     for i in range(2, count + 2):
@@ -320,4 +317,13 @@ def _not_driven(seen: object) -> ModelError:
         seen=repr(seen),
         allowed="a sequence of Driven or of mappings of its fields",
         cure="give driven=(Driven(inertia=0.18, stiffness=1992, damping=2.5),), or () for none",
+    )
+
+
+def _not_tied(seen: str) -> ModelError:
+    return ModelError(
+        "these are not the parameters of a crankshaft, or they have its ties already",
+        seen=seen,
+        allowed="J1, J2, K21, C21, C2 and so on, without C_eng",
+        cure="give crankshaft(...).parameters()",
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -71,7 +72,7 @@ class Model:
 
         parameters : a set that holds all of the model's names; or a mapping with numbers for some of them,
             the others at their defaults; or None for all defaults.
-        Raises ModelError for a missing or unknown name.
+        Raises ModelError for a missing or unknown name, and for a value that is no finite number.
         """
         values = {declaration.name: declaration.value for declaration in self.declarations}
         if isinstance(parameters, Parameters):
@@ -86,6 +87,13 @@ class Model:
                 )
             values = {name: given[name] for name in values}
         elif parameters is not None:
+            if not isinstance(parameters, Mapping):
+                raise ModelError(
+                    "the parameters are of the wrong kind",
+                    seen=type(parameters).__name__,
+                    allowed="Parameters, a mapping of names to numbers, or None",
+                    cure='write {"' + next(iter(values), "J") + '": 0.4}, for instance',
+                )
             for name, value in parameters.items():
                 if name not in values:
                     raise ModelError(
@@ -94,7 +102,7 @@ class Model:
                         allowed=near_matches(name, values),
                         cure="print(model.table()) lists them",
                     )
-                values[name] = float(value)
+                values[name] = _finite(name, value)
         return np.array(list(values.values()), dtype=float)
 
     # ---- equations
@@ -216,3 +224,18 @@ class Model:
 
     def _repr_latex_(self) -> str:
         return f"$$\n{self.latex()}\n$$"
+
+
+def _finite(name: str, value: Any) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise ModelError(
+            f"the value of the parameter {name} is not acceptable",
+            seen=repr(value),
+            allowed="a finite number",
+            cure="give one number, in the parameter's SI unit",
+        )
+    return number

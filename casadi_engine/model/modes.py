@@ -263,10 +263,11 @@ def _vector_derivatives(
 
 
 def _checked_mode(number: int, available: int) -> int:
-    if isinstance(number, bool) or number != int(number) or not 1 <= number <= available:
+    real = isinstance(number, Real) and not isinstance(number, bool) and math.isfinite(number)
+    if not real or number != int(number) or not 1 <= number <= available:
         raise ModelError(
             "there is no such oscillatory mode",
-            seen=number,
+            seen=repr(number),
             allowed=f"1 to {available}" if available else "none: all modes are aperiodic",
             cure="print(model.modes()) lists them; the rigid body mode and overdamped ones have no number",
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from numbers import Integral, Real
 from typing import Any
@@ -344,6 +344,13 @@ def _checked(
             seen=repr(dof),
             allowed=f"a whole number from 1 to {count}",
             cure="give dof=2, for instance" if count > 1 else "there is nothing to lump",
+        )
+    if isinstance(rigid, str) or not isinstance(rigid, Iterable | None):
+        raise ModelError(
+            "the rigid couplings are not a sequence of names",
+            seen=repr(rigid),
+            allowed=near_matches(str(rigid), bones.couplings),
+            cure=f'give rigid=("{bones.couplings[0]}",), for instance' if bones.couplings else "leave it out",
         )
     for name in rigid or ():
         if name not in bones.couplings:

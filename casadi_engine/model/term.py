@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from casadi_engine.errors import EffectError
+from casadi_engine.errors import CasadiEngineError, EffectError
 from casadi_engine.model.declarations import PORT_KINDS, ParameterDeclaration, Port
 from casadi_engine.model.effect import Grid, Law, check_effect
 from casadi_engine.model.effect_math import Sharp, Smooth
@@ -134,7 +134,17 @@ def read_term(
     symbols = tuple(ca.SX.sym(declared.name) for declared in declarations)
     known = dict(zip(_estimated(effect), symbols, strict=True))
     constants = {name: given[name] for name, grid in effect.nuisance.items() if grid.whole}
-    law = effect.law(view, Values(effect.name, known | constants), Sharp if sharp else Smooth)
+    try:
+        law = effect.law(view, Values(effect.name, known | constants), Sharp if sharp else Smooth)
+    except CasadiEngineError:
+        raise
+    except Exception as fault:
+        raise EffectError(
+            f"the law of {effect.name} at {port.name} fails",
+            seen=f"{type(fault).__name__}: {fault}",
+            allowed="an expression of the port's signals, p and math",
+            cure="correct the method law of the effect",
+        ) from fault
     value, states = _read_law(effect, port, view, law)
     term = Term(effect, port, value, states, declarations, symbols, constants, sharp)
     _check_symbols(model, term)
@@ -155,6 +165,13 @@ def _estimated(effect: Any) -> list[str]:
 
 def _checked_values(effect: Any, values: Mapping[str, float]) -> dict[str, float]:
     names = [effect.amplitude.name, *effect.nuisance]
+    if not isinstance(values, Mapping):
+        raise EffectError(
+            f"the values of the effect {effect.name} are not a mapping",
+            seen=repr(values),
+            allowed=f"{', '.join(names)} -> number",
+            cure=f'give values={{"{names[0]}": 1.0}}, for instance',
+        )
     for name, value in values.items():
         if name not in names:
             raise EffectError(
@@ -233,6 +250,13 @@ def _range(grid: Grid, view: PortView) -> tuple[float, float, float]:
 
 def _read_law(effect: Any, port: Port, view: PortView, law: Any) -> tuple[Any, tuple[OwnState, ...]]:
     given = law if isinstance(law, Law) else Law(law)
+    if not isinstance(given.states, Mapping) or not all(map(_is_state, given.states.values())):
+        raise EffectError(
+            f"the states of the law of {effect.name} are not acceptable",
+            seen=repr(given.states),
+            allowed="name -> (start, rate), the start a finite number, the rate a scalar expression",
+            cure='return Law(value, states={"stretch": (0.0, rate)}), for instance',
+        )
     if set(given.states) != set(view.states):
         raise EffectError(
             f"the states of the law of {effect.name} do not fit those that it uses",
@@ -251,6 +275,11 @@ def _read_law(effect: Any, port: Port, view: PortView, law: Any) -> tuple[Any, t
             )
         )
     return _scalar(f"the law of {effect.name} at {port.name}", given.value), tuple(states)
+
+
+def _is_state(pair: Any) -> bool:
+    number = isinstance(pair, tuple | list) and len(pair) == 2 and isinstance(pair[0], Real)
+    return number and not isinstance(pair[0], bool) and math.isfinite(pair[0])
 
 
 def _scalar(what: str, value: Any) -> Any:

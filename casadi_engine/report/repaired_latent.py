@@ -139,7 +139,9 @@ def binned(signal: Array, value: Array, band: Array) -> tuple[Array, Array, Arra
     def mean(of: Array) -> Array:
         return np.asarray((np.bincount(piece, of, minlength=_BINS) / safe)[used])
 
-    spread = np.sqrt(mean(value**2) - mean(value) ** 2 + 1e-300)
+    inside = np.zeros(_BINS)
+    inside[used] = mean(value)
+    spread = np.sqrt(mean((value - inside[piece]) ** 2))  # the difference of squares can fall below 0
     error = np.maximum(spread, mean(band)) / np.sqrt(count[used])
     return mean(signal), mean(value), error
 

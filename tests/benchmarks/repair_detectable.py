@@ -132,30 +132,34 @@ def clean_records(effects, load, *, seed=0):
     return simulate_hidden("two_mass", cases, rate=RATE, duration=1.0, sigma=0.0, load=load)
 
 
-def left_over(record, frame, sensors):
-    """What remains of (measured - null plant) after the refit, in units of the noise."""
+def left_over(record, frame, sensors, every=1):
+    """What remains of (measured - null plant) after the refit, in units of the noise; every : as below."""
     keys = ("omega_true", "omega_load_true")[:sensors]
     made = driven(record, TRUTH[:, None], start_of(record)[:, None])[:sensors, 0]
-    gap = np.concatenate([record[key][::2][: made.shape[1]] for key in keys]) - made.ravel()
+    gap = [record[key][::2][: made.shape[1]][::every] for key in keys]
+    gap = np.concatenate(gap) - made[:, ::every].ravel()
     gap = gap - frame @ (frame.T @ gap)
     return (gap - frame @ (frame.T @ gap)) / SIGMA
 
 
-def detectable_sizes(sensors, *, rounds=4, places=PLACES):
-    """place name -> the size at which mu is ``WANTED``, at most the place's ``most``; and the error of the method."""
+def detectable_sizes(sensors, *, rounds=4, places=PLACES, every=1):
+    """place name -> the size at which mu is ``WANTED``, at most the place's ``most``; and the error of the method.
+
+    every : of the samples at ``SAMPLED`` so many are one measured value
+    """
     sizes, errors = {}, []
     for load in sorted({p.load for p in places}):
         chosen = [p for p in places if p.sensors <= sensors and p.load == load]
         base = clean_records([()], load)[0]
-        slopes = slopes_of(base)[:sensors].transpose(0, 2, 1).reshape(-1, 8)
+        slopes = slopes_of(base)[:sensors, :, ::every].transpose(0, 2, 1).reshape(-1, 8)
         frame, _ = np.linalg.qr(slopes / np.linalg.norm(slopes, axis=0))
-        error = left_over(base, frame, sensors)
+        error = left_over(base, frame, sensors, every)
         errors.append(float(np.linalg.norm(error)))
         sizes |= {p.name: p.start for p in chosen}
         for _ in range(rounds):
             made = clean_records([(p.hidden(sizes[p.name]),) for p in chosen], load)
             for p, record in zip(chosen, made, strict=True):
-                mu = float(np.linalg.norm(left_over(record, frame, sensors) - error))
+                mu = float(np.linalg.norm(left_over(record, frame, sensors, every) - error))
                 sizes[p.name] = min(sizes[p.name] * float(np.clip(WANTED / max(mu, 1e-9), 0.1, 10)), p.most)
     return sizes, max(errors)
 

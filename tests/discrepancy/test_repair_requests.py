@@ -213,3 +213,22 @@ def test_fresh_data_must_suit_the_model(shaft, friction):
         ExperimentError, match="has nothing to confirm on; seen: T, T_load; allowed: a record with"
     ):
         ce.repair(shaft.model, friction, fresh=friction.only("T", "T_load"), effects=FEW[:1], noise=NOISE)
+
+
+@pytest.mark.parametrize("at", [3, []])
+def test_ports_that_are_no_names_are_refused(shaft, friction, at):
+    with pytest.raises(
+        EffectError, match=r"ports at which effects are to be looked for are not acceptable"
+    ) as e:
+        ce.repair(shaft.model, friction, effects=FEW, at=at, progress=False)
+    assert "coupling" in str(e.value)
+
+
+def test_effects_that_are_no_sequence_are_refused(shaft, friction):
+    with pytest.raises(EffectError, match=r"what is to be looked for is not acceptable; seen: 7"):
+        ce.repair(shaft.model, friction, effects=7, progress=False)
+
+
+def test_data_cannot_confirm_what_is_found_in_them(shaft, friction):
+    with pytest.raises(ExperimentError, match=r"is to confirm what is found in the same data"):
+        ce.repair(shaft.model, friction, fresh=friction, effects=FEW, progress=False)

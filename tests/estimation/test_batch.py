@@ -185,3 +185,22 @@ def test_work_that_cannot_be_received_is_named(refused):
 
 def _no_such_parameter(piece):
     return ce.one_inertia().parameters()["J_engine"].value
+
+
+@pytest.mark.parametrize("tasks", [3, [3], "ab"])
+def test_what_is_no_task_is_refused(refused, tasks):
+    with refused(
+        EstimationError, "a task of a batch", seen="3" if tasks != "ab" else "'a'", cure="Task(model"
+    ):
+        fits(tasks)
+
+
+def test_options_that_estimate_does_not_have_are_the_tasks_error(run_up):
+    model, data = ce.one_inertia(), run_up(seed=0)
+    strange, none, good = fits([Task(model, data, {"nois": 1}), Task(model, data, 3), Task(model, data)])
+    assert isinstance(strange, EstimationError)
+    assert "estimate has no such option; seen: 'nois'" in str(strange)
+    assert "noise" in strange.allowed
+    assert isinstance(none, EstimationError)
+    assert "the options of a fit are not a mapping; seen: 3" in str(none)
+    assert good.converged

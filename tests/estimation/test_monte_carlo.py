@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import casadi_engine as ce
-from casadi_engine.errors import EstimationError, SimulationError
+from casadi_engine.errors import EstimationError, SimulationError, StudyError
 from casadi_engine.estimation.monte_carlo import monte_carlo, redrawn
 
 
@@ -96,3 +96,20 @@ def test_a_loop_that_does_not_settle_is_named(refused):
     fit = ce.estimate(b.model(), data, noise=ce.Noise(y=0.05), progress=False)
     with refused(SimulationError, "do not settle", seen="rounds", allowed="weakly", cure="another"):
         redrawn(fit, np.random.default_rng(0))
+
+
+def test_what_monte_carlo_cannot_do_is_refused(run_up, refused):
+    with refused(EstimationError, "Monte Carlo needs a fit", seen="3", allowed="a Fit", cure="ce.estimate"):
+        monte_carlo(3, count=2)
+    fit = ce.estimate(ce.one_inertia(), run_up(), noise=ce.Noise(omega=0.05), progress=False)
+    with refused(EstimationError, "estimate has no such option", seen="'nois'", allowed="noise", cure="help"):
+        monte_carlo(fit, count=2, nois=3)
+
+
+def test_rows_made_with_other_priors_are_not_taken_up(run_up, refused, tmp_path):
+    fit = ce.estimate(ce.one_inertia(), run_up(), noise=ce.Noise(omega=0.05), progress=False)
+    pars = fit.parameters.copy()
+    monte_carlo(fit, count=1, parameters=pars, checkpoint=tmp_path / "draws")
+    pars["J_eng"].set(prior=(fit.values["J_eng"], 1e-6))
+    with refused(StudyError, "belongs to another study", seen="", allowed="", cure="name another file"):
+        monte_carlo(fit, count=1, parameters=pars, checkpoint=tmp_path / "draws")

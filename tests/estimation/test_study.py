@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from casadi_engine.errors import MissingDependencyError
+from casadi_engine.errors import MissingDependencyError, StudyError
 from casadi_engine.estimation.study import study
 
 SCRIPT = """
@@ -141,3 +141,22 @@ def test_several_processes_need_joblib(monkeypatch, refused):
         study(abs, [-1, 2], jobs=2)
     assert study(abs, [-1, 2]) == [1, 2]
     assert study(abs, [], jobs=2) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "problem", "seen"),
+    [
+        ({"work": None}, "the work of a study is not a function", "None"),
+        ({"watch": 3}, "the watch of a study is not a function", "3"),
+        ({"pieces": 3}, "the pieces of a study are not a sequence", "3"),
+        ({"pieces": {"seed": 1}}, "the pieces of a study are not a sequence", "{'seed': 1}"),
+        ({"pieces": "ab"}, "the pieces of a study are not a sequence", "'ab'"),
+    ],
+)
+def test_what_is_no_study_is_refused(refused, words, problem, seen):
+    with refused(StudyError, problem, seen=seen, allowed="", cure="give a"):
+        study(**({"work": str, "pieces": [1, 2]} | words))
+
+
+def test_pieces_may_come_one_by_one():
+    assert study(lambda piece: piece + 1, (k for k in range(3))) == [1, 2, 3]

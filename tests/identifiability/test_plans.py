@@ -127,3 +127,43 @@ def test_messages(model, normal):
         plan(model, normal.between(0, 0.09))
     with pytest.raises(ExperimentError, match="has no channel 'p3'"):
         plan(model, normal.without("p3"))
+
+
+@pytest.mark.parametrize(
+    ("options", "problem", "seen"),
+    [
+        ({"speed": 0}, "a crank speed is not acceptable", "0.0 to 0.0"),
+        ({"speed": "fast"}, "the speed of a plan is not a number", "'fast'"),
+        ({"load": "much"}, "the load of a plan is not a number", "'much'"),
+        ({"duration": "long"}, "the duration of a plan is not a number", "'long'"),
+        ({"run_up": 3}, "the run-up is not acceptable", "3"),
+        ({"run_up": (100.0,)}, "the run-up is not acceptable", "(100.0,)"),
+        ({"run_up": ("a", "b")}, "the run-up is not acceptable", "('a', 'b')"),
+        ({"load_step": 3}, "the load step is not acceptable", "3"),
+        ({"load_step": (0.1, math.nan)}, "the load step is not acceptable", "(0.1, nan)"),
+        ({"load_step": (99.0, 3.0)}, "the load step is not within the plan", "99 s"),
+        ({"misfire": 3}, "the misfire is not acceptable", "3"),
+        ({"misfire": {2: 3}}, "the misfire is not acceptable", "2: 3"),
+        ({"misfire": {2: []}}, "the misfire is not acceptable", "2: []"),
+        ({"misfire": {2: [1.5]}}, "the misfire is not acceptable", "2: [1.5]"),
+        ({"misfire": {2: [99]}}, "the misfire is of a cycle that the plan does not hold", "2: [99]"),
+        ({"outputs": 3}, "the outputs of a plan are not acceptable", "3"),
+        ({"outputs": []}, "the outputs of a plan are not acceptable", "[]"),
+        ({"outputs": "omega"}, "the outputs of a plan are not acceptable", "'omega'"),
+        ({"outputs": ["twist"]}, "the outputs of a plan are not acceptable", "['twist']"),
+        ({"parameters": 3}, "the parameters are not a parameter set", "int"),
+    ],
+)
+def test_a_plan_that_cannot_be_is_refused(model, normal, options, problem, seen):
+    with pytest.raises(ExperimentError) as caught:
+        plan(model, normal.between(0, 0.4), **options)
+    assert problem in str(caught.value)
+    assert caught.value.seen.startswith(seen)
+    assert caught.value.cure
+
+
+def test_a_plan_of_something_else_is_refused(model, normal):
+    with pytest.raises(ExperimentError, match="the model of a plan is not acceptable; seen: 3"):
+        plan(3, normal)
+    with pytest.raises(ExperimentError, match="the record of a plan is not acceptable; seen: 3"):
+        plan(model, 3)

@@ -88,6 +88,16 @@ def test_a_start_may_be_an_expression_of_parameters():
         ({"combinations": [3]}, "a combination is not text", "3"),
         ({"seeds": 0}, "the number of seeds is not acceptable", "0"),
         ({"seeds": True}, "the number of seeds is not acceptable", "True"),
+        ({"seed": "a"}, "the first seed is not acceptable", "'a'"),
+        ({"seed": -1}, "the first seed is not acceptable", "-1"),
+        ({"seed": None}, "the first seed is not acceptable", "None"),
+        ({"outputs": 3}, "the outputs are not acceptable", "3"),
+        ({"experiments": 3}, "the experiments are not acceptable", "3"),
+        ({"experiments": [{"name": 3}]}, "the name of an experiment is not text", "3"),
+        ({"experiments": [{"name": ["a"]}]}, "the name of an experiment is not text", "['a']"),
+        ({"combinations": 3}, "a combination is not text", "3"),
+        ({"combinations": None}, "a combination is not text", "None"),
+        ({"parameters": 3}, "the parameters are not a parameter set", "int"),
     ],
 )
 def test_what_cannot_be_asked_is_named(model, words, problem, named):

@@ -462,7 +462,8 @@ def test_ties_with_branches_fix_all_that_is_driven():
 
 def test_ties_are_for_crankshafts(linear_form):
     tied = thesis_ties(linear_form.parameters())
-    for other, seen in ((ce.two_mass().parameters(), "seen: J_eng, J_load,"), (tied, "K21, C_eng; ")):
+    others = ((ce.two_mass().parameters(), "seen: J_eng, J_load,"), (tied, "K21, C_eng; "))
+    for other, seen in (*others, (linear_form, "seen: Model; "), (None, "seen: NoneType; ")):
         with pytest.raises(ModelError, match="these are not the parameters of a crankshaft") as caught:
             thesis_ties(other)
         assert seen in str(caught.value)

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+import casadi_engine as ce
 from casadi_engine.errors import EffectError
 from casadi_engine.model import Blueprint, two_mass
 from casadi_engine.model.effect import Amplitude, Effect, Grid, Law, check_effect
@@ -178,6 +179,17 @@ def test_laws_that_do_not_fit_are_refused(law, message):
         two_mass().with_effect(with_law(law), at="load")
 
 
+def test_a_law_that_fails_is_an_effect_error_that_tells_why():
+    class Fails(FanTorque):
+        def law(self, port, p, math):
+            return p.coefficient * math.sgn(port.speed)
+
+    with pytest.raises(
+        EffectError, match=r"the law of fan_torque at load fails; seen: AttributeError: .*sgn"
+    ):
+        two_mass().with_effect(Fails(), at="load")
+
+
 def test_the_base_class_has_no_law():
     with pytest.raises(NotImplementedError):
         Effect().law(None, None, None)
@@ -232,3 +244,20 @@ def test_an_effect_may_have_states_of_its_own_and_the_core_stays_linear():
     at_null = ode(x, u, 0.0, model.parameter_vector({"coupling.hysteresis.sharpness": 50.0})).full().ravel()
     torque = (found - at_null)[:2] * [1 / 2.557, 1 / 5.646]
     np.testing.assert_allclose(torque, [3.0 * 0.4, -3.0 * 0.4], rtol=1e-9)
+
+
+@pytest.mark.parametrize("states", [3, {"q": 3}, {"q": ("a", 0)}, {"q": (float("nan"), 0)}, {"q": (True, 0)}])
+def test_states_of_a_law_that_cannot_be_are_refused(states):
+    class Strange(ce.effects.CoulombFriction):
+        def law(self, port, p, math):
+            return ce.effects.Law(p.torque * port.state("q"), states)
+
+    with pytest.raises(EffectError, match="the states of the law of coulomb_friction are not acceptable"):
+        ce.two_mass().with_effect(Strange(), at="coupling")
+
+
+def test_values_that_are_no_mapping_are_refused():
+    with pytest.raises(
+        EffectError, match="the values of the effect coulomb_friction are not a mapping; seen: 3"
+    ):
+        ce.two_mass().with_effect(ce.effects.CoulombFriction(), at="coupling", values=3)

@@ -70,11 +70,36 @@ def test_overdamped_oscillator_has_no_numbered_mode():
     assert "allowed: none: all modes are aperiodic" in str(caught.value)
 
 
-@pytest.mark.parametrize("number", [0, 2, -1, 1.5, True])
+@pytest.mark.parametrize("number", [0, 2, -1, 1.5, True, None, "1", math.nan])
 def test_modes_are_numbered_from_one(number):
     with pytest.raises(ModelError, match="there is no such oscillatory mode") as caught:
         two_mass().natural_frequency(number)
-    assert f"seen: {number}; allowed: 1 to 1; do: print(model.modes()) lists them" in str(caught.value)
+    assert f"seen: {number!r}; allowed: 1 to 1; do: print(model.modes()) lists them" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("given", "texts"),
+    [
+        (
+            5,
+            (
+                "the parameters are of the wrong kind",
+                "seen: int",
+                "Parameters, a mapping of names to numbers",
+            ),
+        ),
+        (
+            {"J_eng": math.nan},
+            ("the value of the parameter J_eng", "seen: nan", "a finite number", "SI unit"),
+        ),
+        ({"J_eng": "heavy"}, ("the value of the parameter J_eng", "seen: 'heavy'")),
+    ],
+)
+def test_modes_refuse_what_are_no_parameters(given, texts):
+    with pytest.raises(ModelError) as caught:
+        two_mass().modes(given)
+    for text in texts:
+        assert text in str(caught.value)
 
 
 def test_shapes_are_eigenvectors_and_largest_deformation_is_one():

@@ -382,6 +382,8 @@ def test_small_models():
         ({"dof": 2.5}, ("the number of degrees of freedom is not acceptable", "seen: 2.5")),
         ({"up_to_hz": -1.0}, ("the option up_to_hz is not acceptable", "a frequency > 0, in Hz", "up_to_hz=100")),
         ({"dof": 2, "within": 1.0}, ("the option within is not acceptable", "between 0 and 1", "within=0.1 for 10 %")),
+        ({"rigid": "coupling_21"}, ("are not a sequence of names", "nearest: coupling_21", 'rigid=("coupling_21",)')),
+        ({"rigid": 5}, ("the rigid couplings are not a sequence of names", "seen: 5")),
         ({"rigid": ["coupling_12"]}, ("there is no such coupling", "(nearest: coupling_32", "print(model.ports)")),
     ],
 )  # fmt: skip

@@ -270,3 +270,14 @@ def test_a_figure_that_is_not_there(repaired):
 
 def test_bands_and_colours_are_those_of_the_other_figures():
     assert repaired_gap.AFTER == repaired_scores.FOUND
+
+
+def test_a_course_that_hardly_spreads_has_errors_that_are_numbers():
+    # equal but for rounding: the difference of squares would be below zero
+    x, value = np.repeat([0.0, 1.0], 7), np.full(14, 0.1) * (1 + 1e-16)
+    _, mean, error = repaired_latent.binned(x, 1e8 * value, np.zeros(14))
+    assert mean == pytest.approx([1e7, 1e7])
+    assert np.isfinite(error).all()
+    spread = np.array([1.0, 2.0, 3.0, 6.0])
+    _, _, error = repaired_latent.binned(np.zeros(4), spread, np.zeros(4))
+    assert error == pytest.approx([spread.std() / 2])
