@@ -188,6 +188,7 @@ class Descender:
                 if lower or gap_of(found, users) < max((1 - _CLOSING * share) * gap, _CLOSED):
                     return found, False
             share *= 0.5
+            del found  # before the next is made: a point of a long record is large
         return None
 
     def _newton(self, point: Point) -> tuple[Point, bool] | None:
@@ -225,4 +226,5 @@ class Descender:
                         self._radius = max(0.5 * length, 1e-12)
                     return after, False
             self._radius = 0.25 * min(length, self._radius)
+            del after  # as above
         return None

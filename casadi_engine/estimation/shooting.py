@@ -71,6 +71,7 @@ class ShootingProblem:
         """Evaluate at x, once for all that is asked of the same x."""
         if self._point is not None and np.array_equal(self._point.x, x):
             return self._point
+        self._point = None  # a point of a long record is large: the last one goes before the next is made
         v = x[: self.nv]
         gradient = np.zeros(self.size)
         cost, prior_gradient, _, _ = self.priors.evaluate(v)
