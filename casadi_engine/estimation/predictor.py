@@ -75,6 +75,8 @@ class Predictor:
         self.every = output_stride(grids[0]) if self.kind != "none" else 1
         if self.kind in ("innovations", "process"):
             self._check_model()
+            if self.kind == "process":
+                _check_strides(grids)
             self.process = self._process_levels()
             self.start = self._start(grids)
             self.names = self._add(parameters, grids[0])
@@ -300,3 +302,15 @@ def scatter(grids: list[Grid], output: str) -> float:
     size = max((float(np.abs(s).max(initial=0.0)) for s in series), default=1.0)
     level = float(np.sqrt(np.mean(steps**2) / 6)) if len(steps) else size
     return max(level, 1e-5 * size, 1e-300)
+
+
+def _check_strides(grids: list[Grid]) -> None:
+    """Raise EstimationError where outputs of records come at different strides: a stationary gain is that of one."""
+    strides = [output_stride(grid) for grid in grids]
+    if len(set(strides)) > 1:
+        raise EstimationError(
+            "a gain from noise covariances is that of one distance between samples, and these records have several",
+            seen=f"an output at every {', '.join(f'{n}.' for n in strides)} step of the inputs",
+            allowed="records whose outputs come at the same stride",
+            cure="resample them alike, record.resample(omega=2), or fit them apart",
+        )

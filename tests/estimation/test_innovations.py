@@ -400,3 +400,15 @@ def test_a_model_whose_mode_is_not_seen_has_no_stable_gain(refused):
         with refused(EstimationError, "no stable gain at the start values", seen="p=1",
                      allowed="a model whose outputs show every mode", cure="measure one more output"):  # fmt: skip
             ce.estimate(model, data, noise=noise, progress=False)
+
+
+def test_covariances_go_with_one_stride_of_the_outputs(shaft_model):
+    model = shaft_model(two=False)
+    records = [record(n=300).data, record(1, n=300, stride=3, name="slow").data]
+    with pytest.raises(EstimationError) as caught:
+        ce.estimate(
+            model, records, parameters=parameters(model), noise=ce.Noise(process="estimate"), progress=False
+        )
+    assert "one distance between samples, and these records have several" in str(caught.value)
+    assert "an output at every 1., 3. step of the inputs" in str(caught.value)
+    assert "resample them alike" in str(caught.value)
