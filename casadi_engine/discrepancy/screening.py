@@ -179,13 +179,39 @@ def screen(
     else:
         random = scatter_of(null, fit.data, scatter) if noise.scatter else ()
         choice = NoiseChoice(noise, random, scatter)
+    return _scored(null, tuple(candidates), columns, choice, alpha, seed)
+
+
+def rescored(screened: Screened, choice: NoiseChoice) -> Screened:
+    """The same scores with another noise."""
+    one = screened
+    return _scored(one.null, one.candidates, one.columns, choice, one.alpha, one.seed)
+
+
+def whitely(screened: Screened, fit: Fit) -> Screened:
+    """The same scores with noise counted as white, however it is coloured; fit : the one that was screened."""
+    one = screened
+    choice = choose_noise(
+        one.null, one.candidates, one.columns, fit.noise, data=fit.data, cylinders=one.choice.cylinders, colour=False
+    )  # fmt: skip
+    return rescored(one, choice)
+
+
+def _scored(
+    null: NullModel,
+    candidates: tuple[Candidate, ...],
+    columns: Mapping[str, Mapping[str, Array]],
+    choice: NoiseChoice,
+    alpha: float,
+    seed: int,
+) -> Screened:
     compressed = compress(null, candidates, choice.noise, scatter=choice.scatter, columns=columns)
     scores = score(compressed)
     share, _ = split_alpha(alpha)
     law = NullDistribution(library_rows(scores), seed=seed)
     return Screened(
         null,
-        tuple(candidates),
+        candidates,
         columns,
         choice,
         compressed,

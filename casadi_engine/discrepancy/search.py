@@ -5,15 +5,18 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
 from casadi_engine.discrepancy.classes import clusters, confusable
+from casadi_engine.discrepancy.long_run import long_run_noise
+from casadi_engine.discrepancy.null_model import null_model
 from casadi_engine.discrepancy.refit import Addition, Refitter, addition, freedom, merit, whitened_cost
 from casadi_engine.discrepancy.repaired import Member, Round
-from casadi_engine.discrepancy.screening import Screened
+from casadi_engine.discrepancy.screening import Screened, rescored, whitely
 from casadi_engine.discrepancy.selection import (
     Proposal,
     Refit,
@@ -28,6 +31,9 @@ from casadi_engine.estimation import Fit
 _SHARE, _MOST = 0.5, 5
 # A member leaves the class when the lead beats it by so much, squared: see ``classes``.
 _KEEP = 2.326**2
+# Share of the library's false-alarm rate that is added for decisions with equal weights.
+_ADDED = 0.1
+_LONG = "the residual is coloured: a large effect was decided with equal weights and the colour that its refit leaves"
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,20 +64,78 @@ class Search:
     stations: list[Station] = field(default_factory=list)
     rounds: list[Round] = field(default_factory=list)
     timing: dict[str, float] = field(default_factory=dict)
+    _equal: bool = field(default=False, repr=False)
+    _ended: bool = field(default=False, repr=False)
+    # by identity, with what is identified, so that it stays alive
+    _screens: dict[int, tuple[Fit, Screened]] = field(default_factory=dict, repr=False)
+    _fits: dict[tuple[int, tuple[int, ...]], tuple[Fit, Fit]] = field(default_factory=dict, repr=False)
 
     def run(self, null_fit: Fit) -> None:
         """Add effects one by one until none is significant."""
-        self.stations = [Station(null_fit, (), self._screen(null_fit))]
-        while len(self.stations[-1].effects) < self.most and len(self.rounds) < 2 * self.most:
+        self.stations = [Station(null_fit, (), self._screen(null_fit, ()))]
+        while (
+            not self._ended
+            and len(self.stations[-1].effects) < self.most
+            and len(self.rounds) < 2 * self.most
+        ):
             if not self._round():
                 return
 
-    def _screen(self, fit: Fit) -> Screened:
-        begun = time.perf_counter()
-        self.tell("scores of all effects at all ports")
-        found = self.screen(fit)
-        self._spent("score", begun)
+    def _screen(self, fit: Fit, effects: tuple[Addition, ...]) -> Screened:
+        """The scores against a fit; those with white noise where the best of them stands by the colour it leaves.
+
+        A large effect colours the residual of the model that lacks it, and counted as noise it hides itself. So where
+        the noise is coloured the best candidates by white noise are proposed; the first is refitted; what its fit
+        leaves is the noise, its colour counted along the proposals' directions, and that decides. The decision is at a
+        small part of the false-alarm rate for all candidates together, which is added to the library's. A search that
+        has decided so goes on so, or ends: weights by the colour may well drop what it found.
+        """
+        found = self._scored(fit)
+        if found.noise.colour and not found.choice.scatter and len(effects) < self.most:
+            decided = self._decided(fit, effects, found)
+            self._ended = self._equal and decided is None
+            self._equal = self._equal or decided is not None
+            return decided or found
         return found
+
+    def _decided(self, fit: Fit, effects: tuple[Addition, ...], found: Screened) -> Screened | None:
+        """The scores with equal weights, if they decide."""
+        begun = time.perf_counter()
+        white = whitely(found, fit)
+        picked = proposals(white)
+        self._spent("score", begun)
+        if not picked:
+            return None
+        begun = time.perf_counter()
+        trial = self._refitted(fit, (*effects, _addition_of(white, picked[0])))
+        self._spent("refit", begun)
+        if not trial.converged:
+            return None
+        noise, count = long_run_noise(white, picked, null_model(trial), freedom(trial))
+        if count < 1:
+            return None
+        decided = rescored(white, replace(white.choice, noise=noise, messages=(_LONG,)))
+        tests = int(decided.scores.testable.sum())
+        z = float(decided.scores.statistic[picked[0]])
+        sure = 2 * tests * float(stats.t.sf(z, count)) <= _ADDED * decided.share
+        return decided if sure and decided.significant else None
+
+    def _scored(self, fit: Fit) -> Screened:
+        """The scores of the library against a fit, once."""
+        if id(fit) not in self._screens:
+            begun = time.perf_counter()
+            self.tell("scores of all effects at all ports")
+            self._screens[id(fit)] = (fit, self.screen(fit))
+            self._spent("score", begun)
+        return self._screens[id(fit)][1]
+
+    def _refitted(self, base: Fit, effects: Sequence[Addition]) -> Fit:
+        """The fit with these effects from another fit, once for the same candidates."""
+        key = (id(base), tuple(id(one.candidate) for one in effects))
+        if key not in self._fits:
+            self.tell(f"refit with {', '.join(one.label for one in effects) or 'no effects'}")
+            self._fits[key] = (base, self.refitter(base, effects))
+        return self._fits[key][1]
 
     def _spent(self, what: str, begun: float) -> None:
         self.timing[what] = self.timing.get(what, 0.0) + time.perf_counter() - begun
@@ -85,16 +149,7 @@ class Search:
             return False
         begun = time.perf_counter()
         known = {one.label: one for one in here.effects}
-        known |= {
-            (
-                one := addition(
-                    screened.candidates[k],
-                    float(screened.scores.amplitude[k]),
-                    float(screened.scores.drop[k]),
-                )
-            ).label: one
-            for k in picked
-        }
+        known |= {(one := _addition_of(screened, k)).label: one for k in picked}
         offers = [
             Proposal(screened.candidates[k].label, screened.pooled(k), float(screened.scores.drop[k]))
             for k in picked
@@ -108,8 +163,7 @@ class Search:
 
         def refit(base: Refit[Fit], names: tuple[str, ...]) -> Refit[Fit]:
             assert base.state is not None
-            self.tell(f"refit with {', '.join(names) or 'no effects'}")
-            fit = self.refitter(base.state, [known[name] for name in names])
+            fit = self._refitted(base.state, [known[name] for name in names])
             if not fit.converged or not _worth(base.state, fit, screened):
                 return Refit(names, np.inf, freedom(fit), converged=False, state=fit)
             return Refit(names, whitened_cost(fit, screened.choice), freedom(fit), state=fit)
@@ -140,19 +194,26 @@ class Search:
         assert kept.state is not None
         screened = here.screened
         lead = next(k for k in picked if screened.candidates[k].label == kept.effects[-1])
-        after = self._screen(kept.state)
+        effects = tuple(known[name] for name in kept.effects)
+        after = self._screen(kept.state, effects)
         begun = time.perf_counter()
         # with the effect in the model its noise is known better: a large effect leaves more than one step explains
-        before = whitened_cost(here.fit, after.choice)
+        choice = after.choice if screened.noise.colour or not after.noise.colour else screened.choice
+        before = whitened_cost(here.fit, choice)
         gains: dict[int, float] = {}
         for one in (*step.tried, kept):
             if one.converged and one.state is not None:
                 k = next(k for k in picked if screened.candidates[k].label == one.effects[-1])
-                gains[k] = max(gains.get(k, 0.0), before - whitened_cost(one.state, after.choice))
-        effects = tuple(known[name] for name in kept.effects)
+                gains[k] = max(gains.get(k, 0.0), before - whitened_cost(one.state, choice))
         members, frequency = members_of(screened, lead, gains), _frequency(screened, lead)
         self._spent("certificate", begun)
         self.stations.append(Station(kept.state, effects, after, lead, members, gains[lead], frequency))
+
+
+def _addition_of(screened: Screened, k: int) -> Addition:
+    """A candidate to be added, from its score."""
+    scores = screened.scores
+    return addition(screened.candidates[k], float(scores.amplitude[k]), float(scores.drop[k]))
 
 
 def proposals(screened: Screened) -> list[int]:

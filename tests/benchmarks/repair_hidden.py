@@ -11,7 +11,6 @@ class. It is compared with the class that theory allows at that size, from R at 
 import argparse
 import sys
 import time
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +38,7 @@ PIECE = 1
 RATE, EVERY = 1440.2, 2  # every second sample of those that the detectable sizes are worked out for
 STARTS = 4
 OPTIONS = {"interval": "auto", "initial": None, "method": "exact", "max_iterations": 200}
+_AT_THE_TRUTH = {}
 
 
 def sizes_of(folder, sensors):
@@ -116,9 +116,14 @@ def noise_of(sensors):
     return ce.Noise(**dict.fromkeys(engine.SENSORS[sensors], engine.SIGMA))
 
 
-@cache
 def at_the_truth(load, sensors):
     """Scores of the library on a record without effects at the true parameters: the theory's rows."""
+    if (load, sensors) not in _AT_THE_TRUTH:
+        _AT_THE_TRUTH[load, sensors] = _at_the_truth(load, sensors)
+    return _AT_THE_TRUTH[load, sensors]
+
+
+def _at_the_truth(load, sensors):
     (record,) = engine.simulated([Case((), 1, 2)], load=load, rate=RATE)
     made = engine.model(sensors)
     data, start = engine.experiment(record, sensors=sensors), engine.first_state(record)

@@ -70,6 +70,23 @@ def test_with_dry_friction_the_servo_drive_has_its_published_values(drive):
     assert held_out(fit, fresh) < 0.45 * held_out(null, fresh)
 
 
+def test_repair_names_the_dry_friction_of_the_servo_drive_in_its_default_settings(drive):
+    """The residual of the viscous model is coloured by the very friction that it lacks."""
+    model, (data, fresh), noise, _ = drive
+    found = ce.repair(
+        model, data, parameters=page("emps").parameters(model), noise=noise, fresh=fresh, progress=False
+    )
+    (one,) = found.effects
+    assert one.at == "carriage"
+    # friction that fades with speed is dry friction with one number more, and fits better on both records
+    assert {m.name for m in one.members} <= {"coulomb_friction", "stribeck_friction"}
+    assert one.amplitude.value == pytest.approx(PUBLISHED["carriage.coulomb_friction.torque"], rel=0.06)
+    assert found.confirmed is True
+    assert found.withdrawn == ()
+    assert found.gaps.validation_after.gap.rmse["v"] < 0.45 * found.gaps.validation_before.gap.rmse["v"]
+    assert found.gaps.estimation_after.gap.rmse["v"] < 0.35 * found.gaps.estimation_before.gap.rmse["v"]
+
+
 def held_out(fit, record):
     """RMSE [m/s] on a record, with the parameters held and the initial state free."""
     pars = fit.model.parameters()
