@@ -131,7 +131,7 @@ class Answer:
         self.tell("fresh data")
         null = stations[0]
         noise = stations[-1].screened.noise
-        before = fresh_sides(null.fit, (), self.portion, noise)
+        before = fresh_sides(null.fit, (), self.portion, noise, self.search.refitter)
         if before is None:
             self.messages.append("the model without effects cannot be simulated on the fresh data")
             return Confirmation(tuple(stations), (), None)
@@ -141,7 +141,9 @@ class Answer:
             here, base = kept[-1], kept[-2]
             for number, station in ((len(kept) - 1, here), (len(kept) - 2, base)):
                 if number not in sides:
-                    sides[number] = fresh_sides(station.fit, station.effects, self.portion, noise)
+                    sides[number] = fresh_sides(
+                        station.fit, station.effects, self.portion, noise, self.search.refitter
+                    )
             judged = self._judged(sides[len(kept) - 2], sides[len(kept) - 1], base, here)
             if not judged.refused:
                 break

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -15,12 +15,14 @@ from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.noise_choice import NoiseChoice, scatter_of, white_p
 from casadi_engine.discrepancy.noise_model import NoiseModel, left_over
 from casadi_engine.discrepancy.null_model import FOUR_STROKE, Index, NullModel, null_model
-from casadi_engine.discrepancy.refit import Addition
+from casadi_engine.discrepancy.refit import Addition, Refitter
 from casadi_engine.discrepancy.repaired import Side
+from casadi_engine.effects.candidate import cycles_of
 from casadi_engine.errors import CasadiEngineError, ExperimentError
 from casadi_engine.estimation import Fit, estimate
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
+from casadi_engine.model.port_view import PortView
 from casadi_engine.problem.noise import Noise
 
 Source = Literal["records", "cycles"]
@@ -116,12 +118,16 @@ def _cycles(model: Model, record: Experiment) -> tuple[Array, Array]:
 # ---- parameters held, initial states found ------------------------------------------------------------
 
 
-def held_fit(fit: Fit, record: Experiment, *, noise: NoiseModel, idle: Sequence[str] = ()) -> Fit:
-    """The fit's parameters held on one record, initial states found; idle : amplitudes that are zero there.
+def held_fit(
+    fit: Fit, record: Experiment, *, noise: NoiseModel, idle: Sequence[str] = (), model: Model | None = None
+) -> Fit:
+    """The fit's parameters held on one record, initial states found; idle : amplitudes that are zero there; model : in
+    place of the fit's, with the same parameters.
 
     Raises EstimationError where the model fails.
     """
-    held = fit.model.parameters()
+    model = fit.model if model is None else model
+    held = model.parameters()
     for name in held.names:
         value = fit.values.get(f"{name}@{record.name}", fit.values.get(name, 0.0))
         value = 0.0 if name in idle else value
@@ -132,25 +138,63 @@ def held_fit(fit: Fit, record: Experiment, *, noise: NoiseModel, idle: Sequence[
         out.name: noise.sigma[out.name] for out in fit.model.outputs if out.name in noise.sigma
     }
     method = str(fit.options.get("method", "exact"))
-    return estimate(fit.model, record, parameters=held, noise=Noise(**levels), method=method, progress=False)
+    return estimate(model, record, parameters=held, noise=Noise(**levels), method=method, progress=False)
 
 
 def fresh_sides(
-    fit: Fit, effects: Sequence[Addition], portion: Portions, noise: NoiseModel
+    fit: Fit, effects: Sequence[Addition], portion: Portions, noise: NoiseModel, refitter: Refitter
 ) -> list[tuple[Fit, NullModel]] | None:
     """The fit on all fresh records, parameters held; None where a simulation fails.
 
-    Events of one record do not act in other ones.
+    Events of one record do not act in other ones. Those that last to the end of the data searched go on in the cycles
+    held out; of a single cycle at the end nobody knows, so that it stops or goes on, whichever fits.
     """
     found = []
     for record in portion.fresh:
         idle = [e.amplitude for e in effects if e.placed and not _goes_on(e, record, portion)]
         try:
-            held = held_fit(fit, record, noise=noise, idle=idle)
+            fits = [
+                held_fit(fit, record, noise=noise, idle=idle, model=model)
+                for model in _continued(fit, effects, record, portion, refitter)
+            ]
+            held = min(fits, key=lambda one: one.cost)
             found.append((held, null_model(held)))
         except (CasadiEngineError, FloatingPointError):
             return None
     return found
+
+
+def _continued(
+    fit: Fit, effects: Sequence[Addition], record: Experiment, portion: Portions, refitter: Refitter
+) -> list[Model]:
+    """The models to be held on a record: events that last to the end of the data searched go on in it."""
+    lasting = [e for e in effects if _goes_on(e, record, portion) and _lasts(e, fit, record, portion)]
+    if not lasting:
+        return [fit.model]
+    values = record["theta"].values
+    end = float(np.ceil(values.max() / FOUR_STROKE)) + 1
+    longer = refitter.extended([_until(e, end) if e in lasting else e for e in effects])
+    one = all(e.candidate.nuisance["first"] < e.candidate.nuisance["last"] for e in lasting)
+    return [longer] if one else [fit.model, longer]
+
+
+def _lasts(effect: Addition, fit: Fit, record: Experiment, portion: Portions) -> bool:
+    """True for an event in cycles whose last one is the last of the data searched."""
+    made = effect.candidate.source
+    grid = made.effect.nuisance.get("last")
+    searched = [one for one in portion.data if one.name == record.name]
+    if grid is None or grid.over != "cycle" or "theta" not in record or not searched:
+        return False
+    view = PortView(made.model, made.model.ports[effect.candidate.port])
+    numbers = {name: fit.values[name] for name in made.model.parameter_names if name in fit.values}
+    return bool(made.values["last"] >= cycles_of(view, searched[0], numbers)[-1])
+
+
+def _until(effect: Addition, last: float) -> Addition:
+    """The event with another last cycle."""
+    source = effect.candidate.source
+    source = replace(source, values=dict(source.values) | {"last": last})
+    return replace(effect, candidate=replace(effect.candidate, source=source))
 
 
 def _goes_on(effect: Addition, record: Experiment, portion: Portions) -> bool:

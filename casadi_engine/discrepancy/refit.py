@@ -103,7 +103,7 @@ class Refitter:
         predicted amplitude; the parameters' own start values where the base was driven to a bound; the base's optimum
         with a small amplitude; and the amplitude held at growing shares of the prediction.
         """
-        model = self._extended(effects)
+        model = self.extended(effects)
         pars = self._parameters(model, effects)
         new = [one for one in effects if one.amplitude not in base.parameters]
         warm = _Start(base.values, base.initial, base.noise)
@@ -139,7 +139,8 @@ class Refitter:
             moved[one.amplitude].set(share * one.start)
         return moved
 
-    def _extended(self, effects: Sequence[Addition]) -> Model:
+    def extended(self, effects: Sequence[Addition]) -> Model:
+        """The null fit's model with these effects."""
         model = self.model
         for one in effects:
             made = one.candidate.source

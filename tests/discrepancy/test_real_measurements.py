@@ -123,6 +123,24 @@ def test_lost_combustion_is_found_and_dated_from_crank_speed_alone(engine, colou
     assert screened.scores.z[screened.order[0]] > 5 * screened.threshold
 
 
+def test_a_loss_that_lasts_to_the_end_of_the_data_searched_goes_on_in_the_cycles_held_out(engine):
+    lost, assumed, _ = engine
+    model = lost.model()
+    found = ce.repair(
+        model, assumed, parameters=lost.parameters(model), noise=ce.Noise(omega="estimate"),
+        effects=["misfire"], starts=1, most=1, progress=False,
+    )  # fmt: skip
+    assert found.gaps.source == "cycles"
+    (one,) = found.effects
+    assert one.key == "cylinder_1.misfire"
+    assert one.constants["first"] == lost_cycles(lost, assumed)[0]
+    assert found.confirmed is True
+    assert found.withdrawn == ()
+    assert (
+        found.gaps.validation_after.gap.rmse["omega"] < 0.5 * found.gaps.validation_before.gap.rmse["omega"]
+    )
+
+
 def lost_cycles(lost, assumed):
     """First and last cycle whose withheld pressure did less than three quarters of the work of the assumed one."""
     withheld = lost.measured(ENGINE)
