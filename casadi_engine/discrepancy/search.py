@@ -247,7 +247,8 @@ def members_of(screened: Screened, lead: int, gains: Mapping[int, float]) -> tup
     """
     scores, drop = screened.scores, screened.scores.drop
     ratio = gains[lead] / drop[lead] if drop[lead] > 0 else 1.0
-    gain = {k: float(ratio * drop[k]) for k in range(len(drop))}
+    # what no refit has shown, or whose refit failed, does not put the lead out of its own class
+    gain = {k: min(float(ratio * drop[k]), gains[lead]) for k in range(len(drop))}
     for tried, value in gains.items():
         # an estimated nuisance fits some noise: one unit of chi-squared each
         own = value - _freed(screened, tried)
