@@ -41,13 +41,24 @@ def same(found, expected):
 def cluster():
     """A dask cluster of two processes on this machine."""
     distributed = pytest.importorskip("distributed", reason="the cluster needs the extra cluster")
-    with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, memory_limit=None
-        ) as made,
-        distributed.Client(made),
-    ):
+    import dask
+
+    patience = {"distributed.comm.timeouts.connect": "120s", "distributed.comm.timeouts.tcp": "120s"}
+    with dask.config.set(patience), _started(distributed) as made, distributed.Client(made, timeout=120):
         yield made
+
+
+def _started(distributed, attempts=3):
+    """The cluster; on a busy machine its processes may come too late at first."""
+    while True:
+        attempts -= 1
+        try:
+            return distributed.LocalCluster(
+                n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, memory_limit=None
+            )
+        except (RuntimeError, TimeoutError):
+            if not attempts:
+                raise
 
 
 def drawn(piece):
