@@ -128,6 +128,7 @@ def test_ctrl_c_in_a_fit(here):
 # Sends Ctrl-C at the moment at which a module is about to be imported.
 INTERRUPTED_IMPORT = """
 import importlib.abc, os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background would ignore it
 class Interrupt(importlib.abc.MetaPathFinder):
     def find_spec(self, name, path, target=None):
         if name == sys.argv[1]:
