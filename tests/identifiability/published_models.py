@@ -4,6 +4,10 @@ Ranks count free initial states and parameters together. The equations are those
 lists what can be told as functions (Barreiro & Villaverde 2023, the list that Dong, Goodbrake, Harrington & Pogudin
 2023 publish with their benchmarks), the parameters among them are `told` and the functions of parameters alone are
 `combinations`.
+
+Equations and several lists are those that the authors of the methods published with their code. The lists of NFkB and
+of Raia's JAK-STAT, and the verdicts of the tanks, of Bertalanffy's exponent and of Goodwin's power form, were written
+from memory or worked out by hand: they were not compared with the papers' pages.
 """
 
 from __future__ import annotations
