@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
 
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.null_model import NullModel
@@ -14,6 +17,7 @@ from casadi_engine.effects import Effect, candidates
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.simulation.candidate_sensitivities import Direction, slot_direction
+from casadi_engine.simulation.null_path import NullPath
 
 
 def library_candidates(
@@ -28,7 +32,9 @@ def library_candidates(
     found: dict[tuple[Any, ...], Candidate] = {}
     for record, experiment in zip(null.records, data, strict=True):
         numbers = dict(zip(null.model.parameter_names, record.path.p.tolist(), strict=True))
-        for number, made in enumerate(candidates(null.model, effects, experiment, parameters=numbers)):
+        own_courses = partial(courses, [record.path])
+        every = candidates(null.model, effects, experiment, parameters=numbers, courses=own_courses)
+        for number, made in enumerate(every):
             placed = any(grid.over in ("time", "cycle") for grid in made.effect.nuisance.values())
             several = len(null.records) > 1
             key = (record.name if placed and several else "", number if placed else made.label)
@@ -51,6 +57,16 @@ def library_candidates(
                 source=made,
             )
     return list(found.values())
+
+
+def courses(paths: Sequence[NullPath], signal: ca.SX) -> list[NDArray[np.float64]]:
+    """A scalar of the model (N,) at the samples of each path."""
+    found = []
+    for path in paths:
+        points = path.at_samples()
+        values = path.function([signal])(*points.arguments)[0][0]
+        found.append(np.array(np.broadcast_to(values, points.t.shape[1])))
+    return found
 
 
 def direction_of(made: Any) -> Direction:

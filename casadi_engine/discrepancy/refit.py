@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.compression import compress
+from casadi_engine.discrepancy.library_candidates import courses
 from casadi_engine.discrepancy.linear_algebra import basis, without
 from casadi_engine.discrepancy.noise_choice import NoiseChoice, scatter_of
 from casadi_engine.discrepancy.null_model import null_model
@@ -18,8 +20,13 @@ from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation import Fit, estimate
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
-from casadi_engine.parameters import Parameters
+from casadi_engine.model.port_view import PortView
+from casadi_engine.parameters import Parameters, compile
 from casadi_engine.problem.noise import Noise
+from casadi_engine.simulation.candidate_sensitivities import at_measurements
+from casadi_engine.simulation.exponential_runge_kutta import MOST_SUBSTEPS
+from casadi_engine.simulation.grid import lay_grid
+from casadi_engine.simulation.null_path import NullPath, null_path
 
 # Shares of the predicted amplitude at which it is held, one after the other, where a free start fails.
 _SHARES = (0.1, 0.3, 0.6, 1.0)
@@ -29,6 +36,8 @@ _LARGE = 400.0
 # Iterations of one try.
 _ITERATIONS = 60
 _ROUNDING = 1e-3
+# Corners are sharpened by this factor, at most so often, as long as chi-squared feels it by more than this.
+_FACTOR, _SHARPER, _FELT = 4.0, 3, 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +94,11 @@ class _Start:
     noise: Mapping[str, tuple[float, bool]]
     converged: bool = False
 
+    @classmethod
+    def of(cls, fit: Fit, *, near: bool = True) -> _Start:
+        """A fit as a start; near : an optimum is to be near."""
+        return cls(fit.values, fit.initial, fit.noise, near and fit.converged)
+
 
 @dataclass(frozen=True, eq=False)
 class Refitter:
@@ -95,6 +109,8 @@ class Refitter:
     data: tuple[Experiment, ...]
     noise: Noise | None
     options: Mapping[str, Any] = field(default_factory=dict)
+    # label -> the effect as refits have it, with its corners narrowed, and the share of the first width
+    _narrow: dict[str, tuple[Any, float]] = field(default_factory=dict, repr=False)
 
     def __call__(self, base: Fit, effects: Sequence[Addition]) -> Fit:
         """The fit with these effects, from a fit with some of them.
@@ -103,10 +119,11 @@ class Refitter:
         predicted amplitude; the parameters' own start values where the base was driven to a bound; the base's optimum
         with a small amplitude; and the amplitude held at growing shares of the prediction.
         """
+        self._look(base, effects)
         model = self.extended(effects)
         pars = self._parameters(model, effects)
         new = [one for one in effects if one.amplitude not in base.parameters]
-        warm = _Start(base.values, base.initial, base.noise)
+        warm = _Start.of(base, near=False)
         best = self._try(model, pars, warm)
         if best is None or not best.converged or _driven(base) or _driven(best):
             best = _better(best, self._try(model, pars, None))
@@ -118,7 +135,7 @@ class Refitter:
             best = _better(best, self._continued(model, pars, new, warm))
         if best is None or not _nested(base, best):
             return replace(base, status="not converged: no start leads below the fit without the effect")
-        return best
+        return self._sharpened(best, effects)
 
     def _continued(self, model: Model, pars: Parameters, new: Sequence[Addition], warm: _Start) -> Fit | None:
         """The fit reached with the amplitude held at growing shares of the prediction."""
@@ -129,7 +146,7 @@ class Refitter:
             step = self._try(model, held, warm)
             if step is None:
                 break
-            warm = _Start(step.values, step.initial, step.noise, step.converged)
+            warm = _Start.of(step)
         return self._try(model, pars, warm)
 
     @staticmethod
@@ -145,8 +162,49 @@ class Refitter:
         for one in effects:
             made = one.candidate.source
             values = dict(made.values) | {made.amplitude.name: one.start}
-            model = model.with_effect(made.effect, at=one.candidate.port, values=values)
+            effect, _ = self._narrow.get(one.label, (made.effect, 1.0))
+            model = model.with_effect(effect, at=one.candidate.port, values=values)
         return model
+
+    def _look(self, base: Fit, effects: Sequence[Addition]) -> None:
+        """Narrow the corners of effects that were not looked at yet, by the motion of the base."""
+        unknown = [one for one in effects if one.label not in self._narrow]
+        if unknown:
+            paths = paths_of(base)
+            self._narrow.update({one.label: (_narrowed(one, base.model, paths, 1.0), 1.0) for one in unknown})
+
+    def _sharpened(self, fit: Fit, effects: Sequence[Addition]) -> Fit:
+        """The fit with corners so sharp that the data do not tell them from sharper ones.
+
+        A corner's width is a bias: friction that sticks creeps. Chi-squared at the fit's own values tells which width
+        is felt, as far as the integrator can follow; where it is the first, the fit is made again with a sharper one.
+        """
+        steps = max((one.substeps for one in fit.integration.values()), default=0)
+        most = int(math.log(MOST_SUBSTEPS / max(steps, 1), _FACTOR) + 1e-9)
+        if not steps or not most:
+            return fit
+        paths, before = paths_of(fit), dict(self._narrow)
+        levels, costs = [before], [_cost(fit, paths)]
+        for level in range(1, min(most, _SHARPER) + 1):
+            finer = dict(before)
+            for one in effects:
+                share = before[one.label][1] / _FACTOR**level
+                finer[one.label] = (_narrowed(one, fit.model, paths, share), share)
+            if all(finer[one.label][0] == before[one.label][0] for one in effects):
+                return fit
+            self._narrow.update(finer)
+            levels.append(finer)
+            costs.append(_cost(fit, paths_of(fit, self.extended(effects))))
+        chosen = next(k for k, cost in enumerate(costs) if abs(cost - costs[-1]) < _FELT)
+        self._narrow.update(levels[chosen])
+        if not chosen:
+            return fit
+        model = self.extended(effects)
+        again = self._try(model, self._parameters(model, effects), _Start.of(fit))
+        if again is not None and again.converged and merit(again) < merit(fit) + _FELT:
+            return again
+        self._narrow.update(before)
+        return fit
 
     def _parameters(self, model: Model, effects: Sequence[Addition]) -> Parameters:
         pars = self.parameters.copy().extended(model)
@@ -169,6 +227,38 @@ class Refitter:
                 return estimate(model, self.data, parameters=pars, noise=self.noise, warm=warm, **options)
         except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
             return None  # the model fails at this start: as good as not converged
+
+
+def paths_of(fit: Fit, model: Model | None = None) -> list[NullPath]:
+    """The simulations of a fit's records; model : in place of the fit's, with the same parameters."""
+    model = fit.model if model is None else model
+    pmap = compile(fit.parameters, model.parameter_names, tuple(record.name for record in fit.data))
+    found = []
+    for record in fit.data:
+        measured = tuple(out.name for out in model.outputs if out.name in record)
+        first = np.array([e.value for e in fit.initial[record.name].values()])
+        grid = lay_grid(model, record, outputs=measured)
+        found.append(null_path(model, grid, pmap.unpack(fit.z, record.name), first))
+    return found
+
+
+def _cost(fit: Fit, paths: Sequence[NullPath]) -> float:
+    """Chi-squared of simulations at a fit's noise level, in units of what the fit leaves."""
+    total = 0.0
+    for path in paths:
+        model, grid = path.model, path.grid
+        out = path.function([model.output_expressions])(*path.at_samples().arguments)[0]
+        shown = at_measurements(path, np.broadcast_to(out, (len(model.outputs), grid.samples))[None])
+        for name, (sigma, _) in fit.noise.items():
+            if name in grid.measured:
+                total += float((((grid.measured[name].values - shown[name][0]) / sigma) ** 2).sum())
+    return total / max(fit.cost / fit.n, 1.0)
+
+
+def _narrowed(one: Addition, model: Model, paths: Sequence[NullPath], share: float) -> Any:
+    """An addition's effect with the corners that these simulations can follow."""
+    view = PortView(model, model.ports[one.candidate.port], partial(courses, paths))
+    return one.candidate.source.effect.narrowed(view, share)
 
 
 def _driven(fit: Fit) -> bool:

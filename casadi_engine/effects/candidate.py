@@ -20,7 +20,7 @@ from casadi_engine.errors import EffectError
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.model.effect import Amplitude, Effect, check_effect
-from casadi_engine.model.port_view import PortView
+from casadi_engine.model.port_view import Courses, PortView
 from casadi_engine.model.term import OwnState, Term, ports_for, read_term, takes_torque
 from casadi_engine.parameters import Parameters
 
@@ -151,11 +151,13 @@ def candidates(
     *,
     parameters: Parameters | Mapping[str, float] | None = None,
     sharp: bool = False,
+    courses: Courses | None = None,
 ) -> tuple[Candidate, ...]:
     """Return all candidates of effects at all ports of a model, over the grids of their nuisance parameters.
 
     record : gives time grids their span, cycle grids their cycles, and cylinders their motored trace
     parameters : as in `Model.parameter_vector`, for constants that hang on them
+    courses : an SX scalar of the model -> its values (N,) along the record, for effects that look at the motion
     Effects that the model has already at a port are left out there.
     """
     vector = model.parameter_vector(parameters)
@@ -167,7 +169,7 @@ def candidates(
         for port in ports_for(model, effect):
             if (port.name, effect.name) in there:
                 continue
-            view = PortView(model, port)
+            view = PortView(model, port, courses)
             own = effect.fitted(view, record, numbers)
             for values in own.choices(view, grid_values(own, view, record, numbers)):
                 for size in (None, *own.sizes(view, numbers)):

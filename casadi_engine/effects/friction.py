@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math as _math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
+from casadi_engine.effects.corners import narrow
 from casadi_engine.model.effect import Amplitude, Effect, Grid
 
 # Share of the typical speed over which a sign is rounded: half a rad/s for a shaft of 100 rad/s, and 0.02 rad/s
 # for the twist rate of a coupling, whose typical magnitude is that of the two speeds.
 SPEED_WIDTH = 5e-3
 RATE_WIDTH = 1.4e-4
+# Beyond so many times its fading speed friction is gone.
+_REACH = 2.0
 
 
 def motion(port: Any) -> tuple[str, int]:
@@ -28,11 +35,26 @@ def rounding(port: Any, width: float | None) -> float:
     return float(f"{share * port.typical(signal):.2g}") if width is None else width
 
 
+class _Rounded(Effect):
+    """Friction whose sign is rounded over ``width``; in refits over what the data can follow."""
+
+    width: float | None
+
+    def narrowed(self, port: Any, share: float = 1.0) -> Effect:
+        """The same with a width by the motion of these records, where none was given."""
+        if self.width is not None:
+            return self
+        signal, _ = motion(port)
+        found = share * narrow(port.courses(signal), rounding(port, None))
+        return replace(self, width=found)  # type: ignore[type-var]
+
+
 @dataclass(frozen=True)
-class CoulombFriction(Effect):
+class CoulombFriction(_Rounded):
     """Dry friction: a constant torque against the motion, −T sign(ω).
 
-    width : the sign is rounded over it in fits, in the motion's unit; None takes a small share of its magnitude
+    width : the sign is rounded over it, in the motion's unit; None takes a small share of its magnitude, and in
+        refits what the records can follow
     """
 
     width: float | None = None
@@ -67,7 +89,7 @@ class ViscousFriction(Effect):
 
 
 @dataclass(frozen=True)
-class QuadraticDrag(Effect):
+class QuadraticDrag(_Rounded):
     """Drag of a fan, of air or of oil: a torque against the motion that grows with its square, −c ω |ω|."""
 
     width: float | None = None
@@ -84,8 +106,11 @@ class QuadraticDrag(Effect):
 
 
 @dataclass(frozen=True)
-class StribeckFriction(Effect):
-    """The part of dry friction that fades with speed, −T exp(−(ω/ω_s)²) sign(ω) (Armstrong-Hélouvry 1994)."""
+class StribeckFriction(_Rounded):
+    """The part of dry friction that fades with speed, −T exp(−(ω/ω_s)²) sign(ω) (Armstrong-Hélouvry 1994).
+
+    Fading speeds are tested of which a record comes within reach: at twice the fading speed a fiftieth is left.
+    """
 
     width: float | None = None
 
@@ -97,6 +122,13 @@ class StribeckFriction(Effect):
     nuisance = {  # noqa: RUF012 (read only)
         "fading": Grid(0.25, 2.5, steps=8, log=True, of="speed", unit="rad/s", description="fading speed")
     }
+
+    def choices(self, port: Any, grids: Mapping[str, tuple[float, ...]]) -> tuple[dict[str, float], ...]:
+        """All fading speeds that the motion comes within reach of."""
+        courses = port.courses("speed")
+        slowest = min((float(np.abs(course).min()) for course in courses), default=0.0)
+        every = super().choices(port, grids)
+        return tuple(one for one in every if slowest <= _REACH * one.get("fading", _math.inf))
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
         """−T exp(−(ω/ω_s)²) sign(ω)."""

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_engine.errors import EffectError
 from casadi_engine.model.declarations import Port
 from casadi_engine.parameters import near_matches
+
+# An SX scalar -> its values (N,) along every record.
+Courses = Callable[[Any], Sequence[NDArray[np.float64]]]
 
 if TYPE_CHECKING:
     from casadi_engine.model.model import Model
@@ -20,11 +24,12 @@ class PortView:
     """A port as a law reads it; every signal is an attribute (``port.speed``).
 
     name, kind : of the port        time : SX symbol [s]
+    courses : what gives the values (N,) of an SX scalar along the model's simulation of each record, if there is one
     """
 
-    def __init__(self, model: Model, port: Port):
+    def __init__(self, model: Model, port: Port, courses: Courses | None = None):
         self.name, self.kind, self.time = port.name, port.kind, model.t
-        self._model, self._port = model, port
+        self._model, self._port, self._courses = model, port, courses
         self.states: dict[str, Any] = {}
 
     def has(self, signal: str) -> bool:
@@ -55,6 +60,10 @@ class PortView:
         symbols = ca.symvar(expression)
         function = ca.Function("number", [ca.vertcat(*symbols)], [expression])
         return float(function([values[symbol.name()] for symbol in symbols]))
+
+    def courses(self, signal: str) -> tuple[NDArray[np.float64], ...]:
+        """The signal along the simulation of each record, (N,) at its samples; empty where nothing was simulated."""
+        return () if self._courses is None else tuple(self._courses(getattr(self, signal)))
 
     def typical(self, signal: str) -> float:
         """Typical magnitude of a signal, from the scales of the states or channels that it is made of.

@@ -31,6 +31,9 @@ MOST_SUBSTEPS = 64
 # below which steps four times as long are tried at the next point. A trial point of a search that is far off may ask
 # for the shortest steps there are, and would else have all later ones pay for it.
 _STRONGEST, _EASY, _LONGER = 1.0, 0.2, 4
+# A point that asks for more than so many times the steps of the point before it is not worth them: it is refused, and
+# the search comes nearer by a shorter step.
+_JUMP = 16
 
 
 @dataclass
@@ -107,6 +110,7 @@ class ExponentialPropagator:
         symbols = (inner.x, inner.u, inner.t, inner.p)
         self.laws = Laws(symbols, parts.laws, self.core.groups, z, physical, scale)
         self._least = self._next = int(substeps)
+        self._begun = False
         self._lay(self._least)
 
     def _lay(self, substeps: int) -> None:
@@ -120,6 +124,7 @@ class ExponentialPropagator:
         other = object.__new__(ExponentialPropagator)
         other.__dict__.update(self.__dict__)
         other._least = other._next = substeps
+        other._begun = False
         other._lay(substeps)
         return other
 
@@ -188,7 +193,10 @@ class ExponentialPropagator:
             feedback = self._feedback(matrices, slopes[0])
             if self.substeps >= MOST_SUBSTEPS or feedback <= _STRONGEST:
                 break
+            if self._begun and self.substeps * feedback > _JUMP * self._next * _STRONGEST:
+                raise FloatingPointError("the laws are far stiffer here than at the point before")
             self._lay(min(2 * self.substeps, MOST_SUBSTEPS))
+        self._begun = True
         self._next = max(self._least, self.substeps // _LONGER) if feedback < _EASY else self.substeps
         value = self._outputs(steps, matrices, z)
         if not (np.isfinite(steps.end).all() and np.isfinite(value).all()):

@@ -229,6 +229,9 @@ def test_a_wild_point_does_not_make_later_ones_pay_for_its_short_steps(made):
     nodes = np.zeros((propagator.intervals.m, 1))
     calm = propagator.propagate(np.array([0.1]), nodes, 1)
     assert calm.substeps == 1
+    with pytest.raises(FloatingPointError, match="the laws are far stiffer here than at the point before"):
+        propagator.propagate(np.array([20000.0]), nodes, 1)
+    propagator.propagate(np.array([8000.0]), nodes, 1)
     wild = propagator.propagate(np.array([20000.0]), nodes, 1)
     assert wild.substeps > 16
     fewer = []

@@ -1,0 +1,140 @@
+"""Refits: sharp laws of the independent simulator recovered, starts that lead nowhere, and what a refit may cost."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import casadi_engine as ce
+from casadi_engine.discrepancy.refit import Refitter, addition
+from casadi_engine.discrepancy.screening import screen
+
+DATA = Path(__file__).resolve().parents[2] / "data"
+if str(DATA) not in sys.path:
+    sys.path.insert(0, str(DATA))
+
+from simulator import hidden  # noqa: E402
+from simulator.batch import Batch, rule_for  # noqa: E402
+from simulator.hidden_runs import Case, simulate_hidden  # noqa: E402
+from simulator.shaft import Shaft  # noqa: E402
+from simulator.switches import torques_of  # noqa: E402
+
+OPTIONS = {"interval": "auto", "initial": None, "method": "exact", "max_iterations": 200}
+SLOW_NOISE = 0.05
+UNITS = {"theta": "rad", "p1": "Pa", "p2": "Pa", "p3": "Pa", "p4": "Pa", "T_load": "N m", "omega": "rad/s"}
+
+
+class NoCylinders:
+    """The simulator's table of engine torques for a drive that has none."""
+
+    throws = np.array([0])
+
+    def torques(self, angle, speed, strength):
+        del speed, strength
+        return np.zeros_like(angle)
+
+    def events(self, angle):
+        return np.zeros((1, *angle.shape), dtype=np.intp)
+
+
+# One mass of the chain is light and hardly held: the other is a drive of its own.
+DRIVE = Shaft(np.array([1e-3, 0.1]), np.array([1e-9]), np.array([0.0]), np.array([0.0, 0.02]), (0,))
+
+
+def slow_drive(friction, *, rate=100.0, duration=12.0):
+    """A drive that swings with 2 rad/s and sticks at its turns: time, torque, speed."""
+    torque = lambda t: 0.5 * np.sin(2.1 * t) + 0.1 * np.sin(0.57 * t)  # noqa: E731
+    cases = [[hidden("coulomb_friction", "load", friction)]]
+    batch = Batch(
+        DRIVE,
+        NoCylinders(),
+        lambda t: -torque(t),
+        np.zeros((1, 1, 1, 1)),
+        torques_of(DRIVE, cases),
+        1,
+        rule_for(DRIVE, 1 / rate),
+    )
+    count = round(duration * rate)
+    state, h = np.zeros((4, 1)), np.full(1, 1 / rate)
+    state[2] = 0.5
+    slope = batch.start(np.zeros(1), state)
+    speed = np.empty(count)
+    for k in range(count):
+        speed[k] = state[2, 0]
+        state, slope = batch.advance(np.full(1, k / rate), state, slope, h)
+    time = np.arange(count) / rate
+    return time, torque(time), speed
+
+
+def refit_of(model, data, noise, effect, port, *, parameters=None, starts=1):
+    """The fit without the effect, its refit with it, and the refitter."""
+    pars = model.parameters() if parameters is None else parameters
+    fit = ce.estimate(model, data, parameters=pars, noise=noise, starts=starts, progress=False)
+    assert fit.converged
+    screened = screen(fit, [effect], at=[port])
+    k = screened.order[0]
+    scores = screened.scores
+    refitter = Refitter(model, pars, (data,), noise, OPTIONS)
+    one = addition(screened.candidates[k], float(scores.amplitude[k]), float(scores.drop[k]))
+    return fit, refitter(fit, [one]), refitter
+
+
+def coverage(fits, name, truth):
+    """How far estimates of fits are from the truth, in their standard errors."""
+    return np.array([(fit.estimates[name].value - truth) / fit.estimates[name].stderr for fit in fits])
+
+
+def test_dry_friction_of_a_slow_drive_is_found_within_its_error():
+    """A width by the typical speed of an engine made 0.47 N m of 0.3, and a false companion."""
+    model, fits = ce.one_inertia(), []
+    pars = model.parameters()
+    pars["J_eng"].set(0.08, min=1e-3, max=10)
+    pars["C_eng"].set(0.05, min=0, max=10)
+    time, torque, clean = slow_drive(0.3)
+    assert 1 < np.abs(clean).max() < 4
+    assert (clean == 0).mean() > 0.01  # it sticks
+    for seed in range(3):
+        speed = clean + SLOW_NOISE * np.random.default_rng(seed).standard_normal(len(clean))
+        units = {"T": "N m", "omega": "rad/s"}
+        data = ce.Experiment.from_arrays("slow", time=time, units=units, T=torque, omega=speed)
+        noise = ce.Noise(omega=SLOW_NOISE)
+        _, fit, _ = refit_of(model, data, noise, "coulomb_friction", "engine", parameters=pars)
+        assert fit.converged
+        assert fit.cost / fit.n == pytest.approx(1, abs=4 * np.sqrt(2 / fit.n))
+        (width,) = {one.effect.width for one in fit.model.effects}
+        assert 0 < width < 0.02
+        fits.append(fit)
+    for name, truth in (("engine.coulomb_friction.torque", 0.3), ("J_eng", 0.1), ("C_eng", 0.02)):
+        off = coverage(fits, name, truth)
+
+        assert np.abs(off).max() < 1.96, name
+
+
+def test_dry_friction_in_the_coupling_of_a_fast_engine_is_found_within_its_error():
+    model, fits = ce.two_mass(reciprocating_speed="model"), []
+    case = hidden("coulomb_friction", "coupling", 10.0)
+    records = simulate_hidden(
+        "two_mass", [Case((case,), 40 + s, 50 + s) for s in range(2)], duration=1.0, rate=1440.2
+    )
+    for record in records:
+        columns = {key: record[key] for key in UNITS}
+        data = ce.Experiment.from_arrays("fast", time=record["time"], units=UNITS, **columns)
+        fit_without, fit, _ = refit_of(
+            model, data, ce.Noise(omega=0.1), "coulomb_friction", "coupling", parameters=start_of(model)
+        )
+        assert fit.converged
+        assert fit.cost < fit_without.cost - 20
+        fits.append(fit)
+    for name, truth in (("coupling.coulomb_friction.torque", 10.0), ("K_el", 1992.0), ("J_load", 1 / 5.646)):
+        off = coverage(fits, name, truth)
+
+        assert np.abs(off).max() < 1.96, name
+
+
+def start_of(model):
+    """The parameters of problems/two_mass.py."""
+    folder = str(DATA.parent / "problems")
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
+    return __import__("two_mass").parameters(model)
