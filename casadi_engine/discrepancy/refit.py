@@ -33,8 +33,10 @@ _SHARES = (0.1, 0.3, 0.6, 1.0)
 _SMALL = 0.02
 # One step tells little of an effect whose predicted drop of chi-squared is larger.
 _LARGE = 400.0
-# Iterations of one try.
-_ITERATIONS = 60
+# Iterations of one try; of one from a start that nothing speaks for.
+_ITERATIONS, _FEWER = 60, 30
+# Intervals into which a record is cut for laws with sharp corners.
+_INTERVALS = 400
 _ROUNDING = 1e-3
 # Corners are sharpened by this factor, at most so often, as long as chi-squared feels it by more than this.
 _FACTOR, _SHARPER, _FELT = 4.0, 3, 0.25
@@ -130,7 +132,7 @@ class Refitter:
         if not new:
             return base if best is None else best
         if not _nested(base, best):
-            best = _better(best, self._try(model, self._at(pars, new, _SMALL), warm))
+            best = _better(best, self._try(model, self._at(pars, new, _SMALL), warm, most=_FEWER))
         if not _nested(base, best) and any(one.drop > _LARGE for one in new):
             best = _better(best, self._continued(model, pars, new, warm))
         if best is None or not _nested(base, best):
@@ -200,7 +202,7 @@ class Refitter:
         if not chosen:
             return fit
         model = self.extended(effects)
-        again = self._try(model, self._parameters(model, effects), _Start.of(fit))
+        again = self._try(model, self._parameters(model, effects), _Start.of(fit), short=True)
         if again is not None and again.converged and merit(again) < merit(fit) + _FELT:
             return again
         self._narrow.update(before)
@@ -219,9 +221,21 @@ class Refitter:
                 pars.vary_by_experiment(one.amplitude)
         return pars
 
-    def _try(self, model: Model, pars: Parameters, warm: _Start | None) -> Fit | None:
-        most = min(int(self.options.get("max_iterations", _ITERATIONS)), _ITERATIONS)
+    def _try(
+        self,
+        model: Model,
+        pars: Parameters,
+        warm: _Start | None,
+        *,
+        most: int = _ITERATIONS,
+        short: bool = False,
+    ) -> Fit | None:
+        """One estimate of at most so many iterations; short : in short intervals, for laws that ask for many steps of
+        the integrator, which all intervals take side by side."""
+        most = min(int(self.options.get("max_iterations", most)), most)
         options = dict(self.options) | {"max_iterations": most, "progress": False}
+        if short and options.get("interval", "auto") == "auto":
+            options["interval"] = max(2, max(_samples(one) for one in self.data) // _INTERVALS)
         try:
             with np.errstate(all="ignore"):
                 return estimate(model, self.data, parameters=pars, noise=self.noise, warm=warm, **options)
@@ -259,6 +273,11 @@ def _narrowed(one: Addition, model: Model, paths: Sequence[NullPath], share: flo
     """An addition's effect with the corners that these simulations can follow."""
     view = PortView(model, model.ports[one.candidate.port], partial(courses, paths))
     return one.candidate.source.effect.narrowed(view, share)
+
+
+def _samples(record: Experiment) -> int:
+    """Samples of a record's longest channel."""
+    return max(len(record[name].time) for name in record.names)
 
 
 def _driven(fit: Fit) -> bool:

@@ -16,8 +16,8 @@ from casadi_engine.model.effect import Amplitude, Effect, Grid
 # for the twist rate of a coupling, whose typical magnitude is that of the two speeds.
 SPEED_WIDTH = 5e-3
 RATE_WIDTH = 1.4e-4
-# Beyond so many times its fading speed friction is gone.
-_REACH = 2.0
+# Beyond so many times its fading speed a ten-thousandth of the friction is left.
+_REACH = 3.03
 
 
 def motion(port: Any) -> tuple[str, int]:
@@ -109,7 +109,7 @@ class QuadraticDrag(_Rounded):
 class StribeckFriction(_Rounded):
     """The part of dry friction that fades with speed, −T exp(−(ω/ω_s)²) sign(ω) (Armstrong-Hélouvry 1994).
 
-    Fading speeds are tested of which a record comes within reach: at twice the fading speed a fiftieth is left.
+    Fading speeds are tested that a record comes within reach of: at three times that speed 1e-4 is left.
     """
 
     width: float | None = None
