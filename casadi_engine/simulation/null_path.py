@@ -8,12 +8,10 @@ import casadi as ca
 import numpy as np
 
 from casadi_engine.model import Model
-from casadi_engine.simulation.general import GeneralPropagator
 from casadi_engine.simulation.grid import Drives, Grid
 from casadi_engine.simulation.intervals import cut
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.propagator import make_propagator
-from casadi_engine.simulation.split import split
 from casadi_engine.simulation.tape import ArrayFunction
 
 
@@ -107,10 +105,7 @@ def null_path(model: Model, grid: Grid, p: Array, start: Array) -> NullPath:
     plan = cut(bare, None)
     scale = np.array([state.scale for state in model.states])
     none = ca.SX(0, 1)
-    physical = ca.SX(ca.DM(p))
-    # the integrator that fits of this model have: an output may ask for another one than its states do
-    make = GeneralPropagator if _general(model) else make_propagator
-    propagator = make(observed, bare, plan, none, physical, scale=scale)
+    propagator = make_propagator(observed, bare, plan, none, ca.SX(ca.DM(p)), scale=scale)
     path = propagator.propagate(np.zeros(0), (start / scale)[None], 0)
     rows = path.y[0].reshape(len(plan.samples), len(start), plan.b).transpose(1, 2, 0)
     x = np.ascontiguousarray(rows.reshape(len(start), -1)[:, : grid.samples])
@@ -119,16 +114,11 @@ def null_path(model: Model, grid: Grid, p: Array, start: Array) -> NullPath:
     return with_slope(model, grid, x, p)
 
 
-def _general(model: Model) -> bool:
-    """True if the model is integrated by the general integrator, which interpolates the channels."""
-    return (model.has_slot_laws or model.linear is None) and split(model) is None
-
-
 def with_slope(model: Model, grid: Grid, x: Array, p: Array) -> NullPath:
     """The null path of known states x : (n, N)."""
     drives: Array = np.zeros((0, grid.samples))
     holds: tuple[str, ...] = ()
-    if not _general(model) and model.linear is not None and model.d.numel():
+    if model.linear is not None and model.d.numel():
         made = Drives(model, grid, ca.SX(0, 1), ca.SX(ca.DM(p)))
         drives, holds = made.at(np.zeros(0)).value, made.holds
     path = NullPath(model, grid, x, x, drives, holds, p)
