@@ -11,6 +11,7 @@ It can be stopped and goes on where it was; a part of it covers all places first
 """
 
 import argparse
+import json
 import sys
 import time
 from dataclasses import asdict
@@ -37,11 +38,17 @@ RATE = 1440.2
 # The fresh record: another load and another speed.
 FRESH_LOAD, FRESH_SPEED = 0.7, 1400.0
 ALPHA = 0.01
+# Made by `repair_detectable.py --json` (five minutes); without the file it is made again.
+SIZES = Path(__file__).parent / "repair_detectable.json"
 
 
 def detectable_of(folder, keys):
-    """key -> what `repair_detectable` found, worked out once."""
+    """key -> what `repair_detectable` found: kept beside this file, else worked out once."""
     store = engine.Store(folder, "detectable")
+    known = json.loads(SIZES.read_text(encoding="utf-8")) if SIZES.exists() else {}
+    for name in [f"{place.name}, {s}" for place, s in keys]:
+        if name in known and name not in store.done():
+            store.add(name, known[name])
     missing = [(place, s) for place, s in keys if f"{place.name}, {s}" not in store.done()]
     if missing:
         for (place, s), one in detectable(missing).items():
