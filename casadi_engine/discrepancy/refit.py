@@ -40,6 +40,8 @@ _INTERVALS = 400
 _ROUNDING = 1e-3
 # Corners are sharpened by this factor, at most so often, as long as chi-squared feels it by more than this.
 _FACTOR, _SHARPER, _FELT = 4.0, 3, 0.25
+# And as long as all records together are not integrated in more steps than this.
+_STEPS = 4e4
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +184,8 @@ class Refitter:
         is felt, as far as the integrator can follow; where it is the first, the fit is made again with a sharper one.
         """
         steps = max((one.substeps for one in fit.integration.values()), default=0)
-        most = int(math.log(MOST_SUBSTEPS / max(steps, 1), _FACTOR) + 1e-9)
+        allowed = min(MOST_SUBSTEPS, _STEPS / sum(map(_samples, self.data)))
+        most = int(math.log(max(allowed / max(steps, 1), 1.0), _FACTOR) + 1e-9)
         if not steps or not most:
             return fit
         paths, before = paths_of(fit), dict(self._narrow)

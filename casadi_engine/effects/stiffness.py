@@ -41,10 +41,10 @@ class Backlash(Effect):
     half-width itself. At gap 0 the law has the one-sided slope −K sign(twist); but a finite play differs from
     this wherever the twist is inside, so that secants at several sizes are tested beside it.
 
-    width : the corners are rounded over it, as a torque of the spring [N m]; None takes 1/128 of the coupling's largest
-        torque in the record (0.5 N m where none is known), and in refits what the records can follow
+    width : the corners are rounded over it, as a torque of the spring [N m]; None takes 1/128 of the largest of
+        `torques`, and in refits what the records can follow
     torques : spring torques at the edge of the play [N m] whose secants are tested; None takes 1/16 to 1 times the
-        largest one (4 to 64 N m)
+        coupling's largest torque in the record, 64 N m where none is known
     """
 
     width: float | None = None
@@ -60,30 +60,32 @@ class Backlash(Effect):
     def law(self, port: Any, p: Any, math: Any) -> Any:
         """K (dz(twist) − twist), written with torques so that the rounding does not depend on K."""
         torque, edge = port.stiffness * port.twist, port.stiffness * p.gap
-        width = _WIDTH * _LARGEST if self.width is None else self.width
-        return math.dead_zone(torque, edge, width=width) - torque
+        return math.dead_zone(torque, edge, width=self._wide) - torque
+
+    @property
+    def _wide(self) -> float:
+        """The width of the corners [N m]."""
+        largest = _LARGEST if self.torques is None else max(self.torques)
+        return _WIDTH * largest if self.width is None else self.width
 
     def fitted(self, port: Any, record: Any, values: Mapping[str, float]) -> Effect:
-        """The same with a width and torques by the largest torque of the record, where none were given."""
+        """The same with torques, and so a width, by the largest torque of the record, where none were given."""
         del record
         twists = [float(np.abs(course).max()) for course in port.courses("twist")]
         peak = max(twists, default=0.0) * abs(port.number("stiffness", values))
         # in steps of two, so that the grid does not hang on the last digits of a fit
         size = 2.0 ** round(math.log2(peak)) if peak > 0 and math.isfinite(peak) else _LARGEST
-        return replace(
-            self,
-            width=_WIDTH * size if self.width is None else self.width,
-            torques=tuple(size * share for share in _EDGES) if self.torques is None else self.torques,
+        return (
+            replace(self, torques=tuple(size * share for share in _EDGES)) if self.torques is None else self
         )
 
     def narrowed(self, port: Any, share: float = 1.0) -> Effect:
         """The same with corners as sharp as the twist passes through its middle."""
-        wide = _WIDTH * _LARGEST if self.width is None else self.width
         twists, stiffness = port.courses("twist"), port.courses("stiffness")
-        if not twists or not stiffness[0][0] > 0:
+        if self.width is not None or not twists or not stiffness[0][0] > 0:
             return self
         hard = float(stiffness[0][0])
-        found = narrow([twist - np.median(twist) for twist in twists], wide / hard)
+        found = narrow([twist - np.median(twist) for twist in twists], self._wide / hard)
         return replace(self, width=share * hard * found)
 
     def sizes(self, port: Any, values: Mapping[str, float]) -> tuple[float, ...]:

@@ -1,0 +1,77 @@
+"""How sharp corners are in fits: by the motion of the records, not by a typical size."""
+
+import numpy as np
+import pytest
+
+from casadi_engine import effects, two_mass
+from casadi_engine.effects.corners import narrow
+from casadi_engine.model.port_view import PortView
+
+TIME = np.arange(2000) * 1e-3
+
+
+def view_of(at, course):
+    """A port of the two-mass model whose signals take these courses: signal -> (N,)."""
+    model = two_mass()
+    port = model.ports[at]
+    known = [(port.signals[name], values) for name, values in course.items()]
+
+    def courses(signal):
+        return [next(values for symbol, values in known if symbol.element_hash() == signal.element_hash())]
+
+    return PortView(model, port, courses)
+
+
+@pytest.mark.parametrize("size", [0.02, 2.0, 200.0])
+def test_a_width_follows_the_change_at_the_passages(size):
+    swing = size * np.sin(2 * np.pi * 3 * TIME)
+    change = 2 * size * 2 * np.pi * 3e-3  # over two samples where it passes zero
+    assert narrow([swing], 1e3 * size) == pytest.approx(0.25 * change, rel=0.06)
+    assert narrow([swing], 1e-6 * size) == 1e-6 * size  # never wider than the wide one
+    # a signal that stays away does not feel the corner; neither does one that is not there
+    assert narrow([swing + 2 * size], 0.3) == 0.3
+    assert narrow([], 0.3) == narrow([np.full(9, np.nan)], 0.3) == narrow([np.zeros(50)], 0.3) == 0.3
+
+
+def test_a_width_is_not_less_than_the_integrator_can_follow():
+    slow = 1e-6 * np.sin(2 * np.pi * TIME)
+    jump = np.where(TIME < 1, slow, 5.0 * (TIME - 1) / 1e-3)
+    assert narrow([jump], 100.0) == pytest.approx(5.0 / 16, rel=0.05)
+
+
+def test_friction_is_narrowed_by_the_motion_at_its_port_unless_its_width_was_given():
+    slow = view_of("load", {"speed": 2 * np.sin(2 * np.pi * 3 * TIME)})
+    fast = view_of("load", {"speed": 120 + 2 * np.sin(2 * np.pi * 3 * TIME)})
+    for effect in (effects.CoulombFriction(), effects.StribeckFriction(), effects.QuadraticDrag()):
+        assert effect.narrowed(slow).width == pytest.approx(0.019, abs=0.001)
+        assert effect.narrowed(slow, 0.25).width == pytest.approx(0.019 / 4, abs=0.0003)
+        assert effect.narrowed(fast).width == 0.5
+        given = type(effect)(width=0.7)
+        assert given.narrowed(slow) is given
+    assert effects.ConstantTorque().narrowed(slow) == effects.ConstantTorque()
+
+
+def test_a_play_is_rounded_and_tested_by_the_torque_in_the_coupling():
+    stiffness = {"K_el": 1992.0}
+    for peak in (0.7, 60.0, 7e3):
+        twist = peak / 1992.0 * np.sin(2 * np.pi * 3 * TIME)
+        view = view_of("coupling", {"twist": twist, "stiffness": np.full(len(TIME), 1992.0)})
+        made = effects.Backlash().fitted(view, None, stiffness)
+        largest = made.torques[-1]
+        assert peak / 1.5 < largest < 1.5 * peak
+        assert made.width is None
+        np.testing.assert_allclose(made.sizes(view, stiffness), np.array(made.torques) / 1992.0)
+        assert 0 < made.narrowed(view).width <= largest / 128
+        assert made.narrowed(view, 0.25).width == pytest.approx(made.narrowed(view).width / 4)
+    given = effects.Backlash(width=0.3, torques=(1.0,))
+    assert given.fitted(view, None, stiffness) is given.narrowed(view) is given
+
+
+def test_fading_speeds_out_of_reach_are_not_tested():
+    grids = {"fading": (10.0, 40.0, 90.0)}
+    near = view_of("load", {"speed": 100 + 20 * np.sin(TIME)})
+    reached = [one["fading"] for one in effects.StribeckFriction().choices(near, grids)]
+    assert reached == [40.0, 90.0]
+    still = view_of("load", {"speed": TIME - 1.0})
+    assert len(effects.StribeckFriction().choices(still, grids)) == 3
+    assert len(effects.StribeckFriction().choices(effects.port_view(two_mass(), "load"), grids)) == 3
