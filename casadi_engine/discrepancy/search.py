@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from casadi_engine.discrepancy.assumed_pressure import SCATTER, settle_scatter
 from casadi_engine.discrepancy.classes import clusters, confusable
 from casadi_engine.discrepancy.long_run import long_run_noise
 from casadi_engine.discrepancy.null_model import null_model
@@ -195,7 +196,8 @@ class Search:
         screened = here.screened
         lead = next(k for k in picked if screened.candidates[k].label == kept.effects[-1])
         effects = tuple(known[name] for name in kept.effects)
-        after = self._screen(kept.state, effects)
+        fit = self._settled(kept.state)
+        after = self._screen(fit, effects)
         begun = time.perf_counter()
         # with the effect in the model its noise is known better: a large effect leaves more than one step explains
         choice = after.choice if screened.noise.colour or not after.noise.colour else screened.choice
@@ -207,7 +209,18 @@ class Search:
                 gains[k] = max(gains.get(k, 0.0), before - whitened_cost(one.state, choice))
         members, frequency = members_of(screened, lead, gains), _frequency(screened, lead)
         self._spent("certificate", begun)
-        self.stations.append(Station(kept.state, effects, after, lead, members, gains[lead], frequency))
+        self.stations.append(Station(fit, effects, after, lead, members, gains[lead], frequency))
+
+    def _settled(self, fit: Fit) -> Fit:
+        """The fit at the scatter of assumed pressures that is likely now: before, that had to stand for the effect."""
+        made, _ = settle_scatter(
+            fit, fit.parameters, noise=self.refitter.noise, options=self.refitter.options
+        )
+        if made is not fit:
+            pars = self.refitter.parameters.copy()
+            pars[SCATTER].set(made.values[SCATTER])
+            self.refitter = replace(self.refitter, parameters=pars)
+        return made
 
 
 def _addition_of(screened: Screened, k: int) -> Addition:
