@@ -1,0 +1,212 @@
+"""Trials: a short refit of every effect at every port, from several starts, where something is missing.
+
+The scores at the optimum without effects propose what a small effect would do. A large one has moved the parameters
+far, and what it would explain is seen from elsewhere: from the parameters' own start values, and from the optimum of
+the best effect so far, whose parameters are near the true ones if it is only alike. At each of these points all
+candidates are linearised with all parameters free (a Gauss-Newton step of every extended model at once), which chooses
+their nuisance values and amplitudes; short refits do the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from casadi_engine.discrepancy.compression import candidate_columns, compress
+from casadi_engine.discrepancy.gauss_newton import chi_squared
+from casadi_engine.discrepancy.linear_algebra import Array, basis, without
+from casadi_engine.discrepancy.noise_model import NoiseModel
+from casadi_engine.discrepancy.null_model import null_at
+from casadi_engine.discrepancy.quick_refit import Short, ShortRefits
+from casadi_engine.discrepancy.refit import Addition, addition
+from casadi_engine.discrepancy.score import scores_of
+from casadi_engine.discrepancy.screening import Screened
+from casadi_engine.errors import CasadiEngineError
+from casadi_engine.estimation import Fit
+
+# Steps of a short refit, and of one that goes on.
+_STEPS, _MORE = 8, 16
+# Amplitude from which a candidate starts that has the forbidden sign, in its standard errors.
+_SMALL = 3.0
+# Short refits that have not settled go on, the best first, at most so many.
+_UNSETTLED = 6
+# A score beyond which the parameters' own values are tried too: what explains so much has moved the optimum.
+_FAR = 20.0
+# Logarithm of the factor by which a parameter has moved far from its own value.
+_FACTOR = float(np.log(2.5))
+# How far above the best trial a linearised candidate may foresee its chi-squared to be tried from there: of what the
+# best explains, and at least.
+_SHARE, _NEAR = 0.1, 30.0
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """The best short refit of an effect at a port; candidate : its number among those screened."""
+
+    candidate: int
+    added: Addition
+    short: Short
+
+    @property
+    def cost(self) -> float:
+        """Chi-squared with priors, white noise."""
+        return self.short.cost
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Values to start from, and initial states or none: the measurement gives them."""
+
+    values: Mapping[str, float]
+    initial: Mapping[str, Any] = field(default_factory=dict)
+    noise: Mapping[str, tuple[float, bool]] = field(default_factory=dict)
+    converged: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Foreseen:
+    """What a linearisation promises: chi-squared (k,) with each candidate, and its amplitude (k,)."""
+
+    cost: Array
+    amplitude: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Trials:
+    """The trials of one round: (effect, port) -> Trial; base : chi-squared without any of them, at the same levels.
+
+    foreseen : (effect, port) -> the least chi-squared that a linearisation beside the best trial promises
+    """
+
+    best: Mapping[tuple[str, str], Trial]
+    base: float
+    foreseen: Mapping[tuple[str, str], float] = field(default_factory=dict)
+
+    @property
+    def order(self) -> list[Trial]:
+        """By rising chi-squared."""
+        return sorted(self.best.values(), key=lambda one: one.cost)
+
+
+def make_trials(screened: Screened, fit: Fit, effects: Sequence[Addition], shorts: ShortRefits) -> Trials:
+    """Short refits of every testable effect at every port beside ``effects``, which the fit has.
+
+    screened : scores against the fit
+    """
+    base = chi_squared(screened.null, shorts.levels)
+    made = _Maker(screened, fit, tuple(effects), shorts, base)
+    scores = screened.scores
+    here = Foreseen(base - scores.drop, scores.amplitude)
+    made.try_all(here, fit)
+    if driven(fit) or made.far or float(scores.statistic.max(initial=0.0)) > _FAR:
+        start = made.foreseen(made.own_values(), shorts.first_states(effects))
+        if start is not None:
+            made.try_all(start, None)
+    made.go_on()
+    made.beside_best()
+    return Trials(made.best, base, made.promised)
+
+
+def driven(fit: Fit) -> bool:
+    """True if an estimate is at a bound."""
+    return any(fit.estimates[name].at_bound is not False for name in fit.free)
+
+
+class _Maker:
+    """The trials so far."""
+
+    def __init__(
+        self, screened: Screened, fit: Fit, effects: tuple[Addition, ...], shorts: ShortRefits, base: float
+    ) -> None:
+        self.screened, self.fit, self.effects, self.shorts = screened, fit, effects, shorts
+        self.best: dict[tuple[str, str], Trial] = {}
+        self.promised: dict[tuple[str, str], float] = {}
+        self.base = base
+        self.families: dict[tuple[str, str], list[int]] = {}
+        for k in screened.order:
+            self.families.setdefault(screened.candidates[k].key, []).append(k)
+
+    def own_values(self) -> Array:
+        """(nz,) the parameters' own values, the earlier effects' as they were found."""
+        own = self.shorts.refitter.parameters
+        free, values = self.fit.free, self.fit.values
+        return np.array([float(own[n].value) if n in own else values[n] for n in free])
+
+    @property
+    def far(self) -> bool:
+        """True if a parameter has moved from its own value by more than a factor."""
+        own, now = self.own_values(), self.fit.z
+        with np.errstate(divide="ignore", invalid="ignore"):
+            moved = np.abs(np.log(now / own))
+        return bool((moved[np.isfinite(moved)] > _FACTOR).any())
+
+    def try_all(self, seen: Foreseen, warm: Any) -> None:
+        """A short refit of every effect at every port, from the point at which ``seen`` was linearised."""
+        for key, members in self.families.items():
+            k = min(members, key=lambda k: seen.cost[k])
+            self._try(key, self._added(k, seen), warm, _STEPS)
+
+    def _added(self, k: int, seen: Foreseen) -> tuple[int, Addition]:
+        scores, candidate = self.screened.scores, self.screened.candidates[k]
+        size = float(seen.amplitude[k])
+        if size * candidate.side < 0 or size == 0:
+            size = _SMALL * float(scores.error[k]) * (candidate.side or 1)
+        return k, addition(candidate, size, float(scores.drop[k]))
+
+    def _try(self, key: tuple[str, str], chosen: tuple[int, Addition], warm: Any, steps: int) -> None:
+        k, added = chosen
+        short = self.shorts((*self.effects, added), warm, steps, worst=self.base)
+        if short is not None and (key not in self.best or short.cost < self.best[key].cost):
+            self.best[key] = Trial(k, added, short)
+
+    def go_on(self) -> None:
+        """More steps for the best that have not settled."""
+        waiting = [t for t in sorted(self.best.values(), key=lambda t: t.cost) if not t.short.settled]
+        for trial in waiting[:_UNSETTLED]:
+            key = trial.added.candidate.key
+            short = self.shorts((*self.effects, trial.added), trial.short, _MORE)
+            if short is not None and (short.cost <= trial.cost or short.settled):
+                self.best[key] = replace(trial, short=min(short, trial.short, key=lambda s: s.cost))
+
+    def beside_best(self) -> None:
+        """Those that could explain as much as the best, from its parameters."""
+        if not self.best:
+            return
+        first = min(self.best.values(), key=lambda t: t.cost)
+        names = [state.name for state in self.fit.model.states]
+        z = np.array([first.short.values.get(n, v) for n, v in zip(self.fit.free, self.fit.z, strict=True)])
+        states = {r: np.array([own[n] for n in names]) for r, own in first.short.initial.items()}
+        seen = self.foreseen(z, states)
+        if seen is None:
+            return
+        close = first.cost + max(_NEAR, _SHARE * (self.base - first.cost))
+        warm = Start(dict(zip(self.fit.free, z.tolist(), strict=True)), converged=False)
+        for key, members in self.families.items():
+            k = min(members, key=lambda k: seen.cost[k])
+            self.promised[key] = float(seen.cost[k])
+            known = self.best.get(key)
+            if key == first.added.candidate.key or seen.cost[k] > close:
+                continue
+            if known is not None and known.cost < seen.cost[k] + 1 and known.short.settled:
+                continue
+            self._try(key, self._added(k, seen), warm, _STEPS + _MORE)
+
+    def foreseen(self, z: Array, first: Mapping[str, Array]) -> Foreseen | None:
+        """All candidates linearised at z : (nz,) and first states record -> (n,), without them there."""
+        try:
+            with np.errstate(all="ignore"):
+                null = null_at(self.fit.model, self.fit.data, self.fit.parameters, z, first)
+                columns = {r.name: candidate_columns(r, self.screened.candidates) for r in null.records}
+        except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
+            return None
+        if not all(np.isfinite(part).all() for own in columns.values() for part in own.values()):
+            return None
+        noise = NoiseModel(self.shorts.levels)
+        reduced = compress(null, self.screened.candidates, noise, columns=columns).reduced()
+        scores = scores_of(reduced, self.screened.candidates, null.turn)
+        n = reduced.parameters
+        left = without(basis(reduced.rows[:, :n]), reduced.rows[:, -1:])
+        return Foreseen(float((left**2).sum()) - scores.drop, scores.amplitude)
