@@ -68,7 +68,8 @@ class ShortRefits:
     """
 
     def __init__(self, refitter: Refitter, levels: Mapping[str, float]) -> None:
-        self.refitter, self.levels = refitter, dict(levels)
+        self.refitter = refitter
+        self.levels: dict[str, Any] = dict(levels)
         self._made: dict[tuple[int, ...], Search | None] = {}
         self._kept: list[Addition] = []
 

@@ -97,7 +97,9 @@ class Refitter:
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def __call__(self, base: Fit, effects: Sequence[Addition], *, start: Any = None) -> Fit:
-        """The fit with these effects, from a fit with some of them; start : values and initial states near it, if known.
+        """The fit with these effects, from a fit with some of them.
+
+        start : values and initial states near it, if known
 
         Not converged where no start leads to an optimum below the base's. Tried are the base's optimum with the
         predicted amplitude; the parameters' own start values where the base was driven to a bound; the base's optimum

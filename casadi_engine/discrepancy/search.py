@@ -233,7 +233,7 @@ class Search:
         before = whitened_cost(here.fit, choice)
         gains = {k: before - whitened_cost(fit, choice) for k, fit in refits.items()}
         gains[lead] = max(gains.get(lead, -np.inf), before - whitened_cost(kept.state, choice))
-        gains = _by_trials(tried, screened, lead, gains) | gains
+        gains = _by_trials(tried, lead, gains) | gains
         members, frequency = members_of(screened, lead, gains), _frequency(screened, lead)
         self._spent("certificate", begun)
         self.stations.append(Station(kept.state, effects, after, lead, members, gains[lead], frequency))
@@ -281,7 +281,7 @@ def _pooled(one: Trial, tried: Trials, screened: Screened) -> float:
     return screened.law.pooled(float(stats.chi2.sf(drop, 1 + freed(screened, one.candidate))))
 
 
-def _by_trials(tried: Trials, screened: Screened, lead: int, gains: Mapping[int, float]) -> dict[int, float]:
+def _by_trials(tried: Trials, lead: int, gains: Mapping[int, float]) -> dict[int, float]:
     """The gains of all trials on the scale of the lead's refit; what may gain as much for all that is known does."""
     best = next(one for one in tried.best.values() if one.candidate == lead)
     drop = tried.base - best.cost

@@ -35,6 +35,8 @@ _SMALL = 3.0
 _UNSETTLED = 6
 # A score beyond which the parameters' own values are tried too: what explains so much has moved the optimum.
 _FAR = 20.0
+# Where nothing is large, effects are tried whose predicted drop is at least this share of the best one's.
+_PART = 0.25
 # Logarithm of the factor by which a parameter has moved far from its own value.
 _FACTOR = float(np.log(2.5))
 # How far above the best trial a linearised candidate may foresee its chi-squared to be tried from there: of what the
@@ -100,8 +102,10 @@ def make_trials(screened: Screened, fit: Fit, effects: Sequence[Addition], short
     made = _Maker(screened, fit, tuple(effects), shorts, base)
     scores = screened.scores
     here = Foreseen(base - scores.drop, scores.amplitude)
-    made.try_all(here, fit)
-    if driven(fit) or made.far or float(scores.statistic.max(initial=0.0)) > _FAR:
+    best = float(scores.drop.max(initial=0.0))
+    large = driven(fit) or made.far or best > _FAR**2
+    made.try_all(here, fit, most=np.inf if large else base - _PART * best)
+    if large:
         start = made.foreseen(made.own_values(), shorts.first_states(effects))
         if start is not None:
             made.try_all(start, None)
@@ -143,11 +147,13 @@ class _Maker:
             moved = np.abs(np.log(now / own))
         return bool((moved[np.isfinite(moved)] > _FACTOR).any())
 
-    def try_all(self, seen: Foreseen, warm: Any) -> None:
-        """A short refit of every effect at every port, from the point at which ``seen`` was linearised."""
+    def try_all(self, seen: Foreseen, warm: Any, *, most: float = np.inf) -> None:
+        """A short refit of every effect at every port that promises chi-squared up to ``most``, from the point at which
+        ``seen`` was linearised."""
         for key, members in self.families.items():
             k = min(members, key=lambda k: seen.cost[k])
-            self._try(key, self._added(k, seen), warm, _STEPS)
+            if seen.cost[k] <= most:
+                self._try(key, self._added(k, seen), warm, _STEPS)
 
     def _added(self, k: int, seen: Foreseen) -> tuple[int, Addition]:
         scores, candidate = self.screened.scores, self.screened.candidates[k]
