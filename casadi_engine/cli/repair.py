@@ -97,6 +97,7 @@ def _found(job: Job) -> Any:
             holdout=job.options.extra["holdout"],
             starts=max(STARTS, problem.starts),
             seed=job.options.seed,
+            jobs=job.options.jobs,
             interval=problem.interval,
             initial=problem.initial_of(records),
             method=problem.method,

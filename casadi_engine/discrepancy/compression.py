@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casadi_engine.discrepancy.candidate import Candidate
+from casadi_engine.discrepancy.combustion_scatter import Scatter
 from casadi_engine.discrepancy.linear_algebra import Array, basis, coefficients, triangle, without
-from casadi_engine.discrepancy.noise_model import NoiseModel, Scatter
+from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel, RecordNull
 
 

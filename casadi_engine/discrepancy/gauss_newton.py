@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from casadi_engine.discrepancy.combustion_scatter import Scatter
 from casadi_engine.discrepancy.linear_algebra import Array, coefficients, without
-from casadi_engine.discrepancy.noise_model import NoiseModel, Scatter
+from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel, null_at
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model

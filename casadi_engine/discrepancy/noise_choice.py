@@ -11,16 +11,10 @@ import numpy as np
 from scipy import stats
 
 from casadi_engine.discrepancy.candidate import Candidate
+from casadi_engine.discrepancy.combustion_scatter import Scatter, assumed_cylinders, combustion_scatter
 from casadi_engine.discrepancy.compression import compress, scatter_columns
 from casadi_engine.discrepancy.linear_algebra import Array
-from casadi_engine.discrepancy.noise_model import (
-    NoiseModel,
-    Scatter,
-    assumed_cylinders,
-    combustion_scatter,
-    estimated_noise,
-    left_over,
-)
+from casadi_engine.discrepancy.noise_model import NoiseModel, estimated_noise, left_over
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.score import score
 from casadi_engine.experiment import Experiment

@@ -19,6 +19,7 @@ from casadi_engine.errors import EstimationError, ExperimentError
 from casadi_engine.estimation import Fit, estimate
 from casadi_engine.estimation.estimate import _own, _records
 from casadi_engine.estimation.options import as_number, whole
+from casadi_engine.estimation.parallel import checked_jobs
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
@@ -43,7 +44,9 @@ def repair(
     scatter: Any = "assumed",
     most: int = _MOST,
     starts: int = _STARTS,
+    neighbours: int = 0,
     seed: int = 0,
+    jobs: int | None = 1,
     interval: Any = "auto",
     initial: Any = None,
     method: str = "exact",
@@ -66,7 +69,7 @@ def repair(
     colour : count with an autoregression of the noise: True, False, or "auto" where the residual asks for it
     scatter : cylinder ports whose combustion scatters from cycle to cycle beside its recorded pressure, "assumed" for
         those with an assumed pressure, or None
-    most : effects at most; starts, seed : of the multi-start of the fit without effects
+    most : effects at most; starts, neighbours, seed, jobs : of the fit without effects, as in ``estimate``
     progress : None for lines on a terminal, False for none, or a function of a text
 
     Returns a Repair; its ``verdict`` is "named", "class", "unnamed", "nothing missing", or None with ``status`` saying
@@ -93,18 +96,20 @@ def repair(
     _check(noise, alpha, holdout)
     for record in others:
         _check_fresh(model, record)
-    most, starts, seed = whole("most", most, 1), whole("starts", starts, 1), whole("seed", seed, 0)
+    most, starts = whole("most", most, 1), whole("starts", starts, 1)
+    neighbours, seed, jobs = whole("neighbours", neighbours, 0), whole("seed", seed, 0), checked_jobs(jobs)
     tell = _teller(progress)
     portion = portions(model, records, others, share=holdout)
     options = {
         "interval": interval, "initial": initial, "method": method, "max_iterations": max_iterations,
     }  # fmt: skip
     tell(f"fit without effects, {starts} starts")
+    several: dict[str, Any] = {"starts": starts, "neighbours": neighbours, "seed": seed}
     null_fit = estimate(
-        model, portion.data, parameters=pars, noise=noise, starts=starts, seed=seed, progress=False, **options
+        model, portion.data, parameters=pars, noise=noise, jobs=jobs, progress=False, **several, **options
     )
     timing = {"null fit": time.perf_counter() - begun}
-    asked = {"alpha": alpha, "holdout": holdout, "starts": starts, "seed": seed, "most": most, **options}
+    asked = {"alpha": alpha, "holdout": holdout, "most": most, **several, **options}
     if not null_fit.converged:
         return _no_answer(null_fit, portion, alpha, asked, timing, begun)
 

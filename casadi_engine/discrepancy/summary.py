@@ -186,9 +186,9 @@ def _not_found(repair: Repair) -> list[str]:
 
 
 def next_step(repair: Repair) -> str:
-    """What to do next."""
+    """What to do with the answer, for the screen and for the page."""
     if repair.verdict is None:
-        return "mend the fit without effects first: print(repair.null_fit)"
+        return "mend the fit without effects first: other start values, wider bounds, or more starts"
     if repair.next_experiment is not None:
         made = repair.next_experiment
         names: Sequence[str] = made.splits or ("the class",)
@@ -196,10 +196,17 @@ def next_step(repair: Repair) -> str:
             f"to split {', '.join(names)}: {made.change} (separation {made.expected_separation:.1f}, now "
             f"{made.separation_now:.1f}; 3.3 is enough)"
         )
-    if repair.verdict == "unnamed":
-        return "look at the latent torque: ce.report(repair, 'repair.html'); then write an effect of your own"
     if repair.verdict == "nothing missing":
         return "use the model; larger effects than those listed are excluded"
+    if repair.verdict == "unnamed":
+        return (
+            "look at the curve of the unknown torque, ce.report(repair, 'repair.html'), and write an effect of your "
+            "own (ten lines, ce.Effect)"
+        )
+    if repair.verdict == "class":
+        return "record data that tell the members of the class apart, or fix by knowledge which one it is"
+    if repair.unknown is not None:
+        return "look at the figures of the residuals after the repair: they hold more"
     if repair.confirmed is None:
-        return "test it on data it has not seen: ce.repair(..., fresh=other_record)"
-    return "go on with repair.fit: print(repair.fit), ce.report(repair, 'repair.html')"
+        return "test it on data it has not seen: --validate FILE, or ce.repair(..., fresh=other_record)"
+    return "go on with repair.fit, the repaired model: print(repair.fit)"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair
+from casadi_engine.discrepancy.summary import next_step
 from casadi_engine.estimation.summary import number, with_error
 from casadi_engine.report.panels import half_width
 
@@ -156,28 +157,3 @@ def moved_parameters(repair: Repair) -> str:
             )
     found.sort(key=lambda pair: -pair[0])
     return "; ".join(text for _, text in found[:4])
-
-
-def next_step(repair: Repair) -> str:
-    """What to do with the answer."""
-    if repair.verdict is None:
-        return "look at the fit below: other start values, wider bounds, or more starts"
-    if repair.next_experiment is not None:
-        split = repair.next_experiment
-        return (
-            f"{split.change}: it would tell apart {', '.join(split.splits)} "
-            f"(separation {split.expected_separation:.2g}, now {split.separation_now:.2g})"
-        )
-    if repair.verdict == "nothing missing":
-        return "keep the model; the table of what was not found says what could hide below the noise"
-    if repair.verdict == "unnamed":
-        return (
-            "look at the curve of the unknown torque and write an effect of your own (ten lines, ce.Effect)"
-        )
-    if repair.verdict == "class":
-        return "record data that tell the members of the class apart, or fix by knowledge which one it is"
-    if repair.unknown is not None:
-        return "look at the figures of the residuals after the repair: they hold more"
-    if repair.confirmed is None:
-        return "record fresh data, and give them by --validate FILE"
-    return "keep the repaired model: the equation and the parameters are below"

@@ -130,7 +130,7 @@ def _crossed(
     pulled = np.empty((len(chosen), size, count))
     by_z = path.slopes[1].reshape(made.steps, STAGES, len(made.laws.active), nw, count)
     for k in range(made.steps - 1, -1, -1):
-        np.matmul(pull, rows[k], out=pulled.reshape(len(pull), -1))
+        np.matmul(pull, rows[k], out=pulled.reshape(len(pull), count))
         own[:n] = nu
         torques = pulled[n:]
         torques += (back.turn @ nu.reshape(n, -1)).reshape(torques.shape)

@@ -27,8 +27,10 @@ from casadi_engine.simulation.sample_rows import to_rows
 from casadi_engine.simulation.split import Split
 
 MOST_SUBSTEPS = 64
-# Feedback h |dw/ds q G| of a step above which an explicit scheme loses its accuracy, and soon its stability.
-_STRONGEST = 1.0
+# Feedback h |dw/ds q G| of a step above which an explicit scheme loses its accuracy, and soon its stability; and one
+# below which steps four times as long are tried at the next point. A trial point of a search that is far off may ask
+# for the shortest steps there are, and would else have all later ones pay for it.
+_STRONGEST, _EASY, _LONGER = 1.0, 0.2, 4
 
 
 @dataclass
@@ -73,7 +75,7 @@ class ExponentialTrajectory:
 class ExponentialPropagator:
     """A split model over one record; arguments as in ``GeneralPropagator``.
 
-    substeps : steps to a sample; it is doubled by itself where the laws' feedback asks for it
+    substeps : least steps to a sample; they are doubled where the laws' feedback asks for it, and fewer again later
     Raises SimulationError for substeps that are not a whole number from 1 to 64.
     """
 
@@ -104,7 +106,8 @@ class ExponentialPropagator:
         self.core = StepCore(parts.core, inner, z, physical, hold=self._drives.holds, scale=scale)
         symbols = (inner.x, inner.u, inner.t, inner.p)
         self.laws = Laws(symbols, parts.laws, self.core.groups, z, physical, scale)
-        self._lay(int(substeps))
+        self._least = self._next = int(substeps)
+        self._lay(self._least)
 
     def _lay(self, substeps: int) -> None:
         self.substeps = substeps
@@ -116,6 +119,7 @@ class ExponentialPropagator:
         """The same propagator with another number of steps to a sample."""
         other = object.__new__(ExponentialPropagator)
         other.__dict__.update(self.__dict__)
+        other._least = other._next = substeps
         other._lay(substeps)
         return other
 
@@ -174,14 +178,18 @@ class ExponentialPropagator:
     def propagate(self, z: Array, nodes: Array, order: int = 1) -> ExponentialTrajectory:
         """Advance all intervals from ``nodes`` (M, n), scaled states, at z : (nz,)."""
         z = np.asarray(z, dtype=float)
+        if self._next != self.substeps:
+            self._lay(self._next)
         while True:
             step = self.grid.step / self.substeps
             matrices = self.core.at(z, order, step, self.laws.q)
             steps = self._values(z, nodes, matrices)
             slopes = self._slopes(z, steps)
-            if self.substeps >= MOST_SUBSTEPS or self._feedback(matrices, slopes[0]) <= _STRONGEST:
+            feedback = self._feedback(matrices, slopes[0])
+            if self.substeps >= MOST_SUBSTEPS or feedback <= _STRONGEST:
                 break
             self._lay(min(2 * self.substeps, MOST_SUBSTEPS))
+        self._next = max(self._least, self.substeps // _LONGER) if feedback < _EASY else self.substeps
         value = self._outputs(steps, matrices, z)
         if not (np.isfinite(steps.end).all() and np.isfinite(value).all()):
             raise FloatingPointError("the model's state is not finite here")

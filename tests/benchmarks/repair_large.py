@@ -18,6 +18,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import repair_engine as engine
 import repair_hidden
 from repair_detectable import Place
+from repair_hidden_theory import truth_of
 from simulator.hidden_runs import Case
 
 from casadi_engine.discrepancy.score import score
@@ -37,7 +38,7 @@ def one_piece(name, seed):
     fitted = engine.null_fit(engine.experiment(record), engine.first_state(record))
     candidates = engine.candidates_of(fitted)
     scores = score(engine.compressed(fitted, candidates, noise))
-    truth = repair_hidden.truth_of(candidates, place, size)
+    truth = truth_of(candidates, place, size)
     first = int(np.argmax(scores.statistic))
     drop, amplitude, error = repair_hidden.refit(fitted, scores, truth, noise)
     after = (fitted.cost - drop) / fitted.null.count

@@ -6,17 +6,16 @@ import numpy as np
 import pytest
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.compression import candidate_columns, compress, scatter_columns
-from casadi_engine.discrepancy.library_candidates import direction_of
-from casadi_engine.discrepancy.noise_model import (
-    NoiseModel,
+from casadi_engine.discrepancy.combustion_scatter import (
     Scatter,
     assumed_cylinders,
     combustion_scatter,
-    estimated_noise,
     scatter_level,
     scatter_likelihood,
 )
+from casadi_engine.discrepancy.compression import candidate_columns, compress, scatter_columns
+from casadi_engine.discrepancy.library_candidates import direction_of
+from casadi_engine.discrepancy.noise_model import NoiseModel, estimated_noise
 from casadi_engine.discrepancy.null_model import null_at
 from casadi_engine.discrepancy.score import score
 from casadi_engine.effects import candidate, library, port_view

@@ -6,9 +6,10 @@ from scipy import stats
 from scipy.linalg import toeplitz
 
 import casadi_engine as ce
+from casadi_engine.discrepancy.combustion_scatter import Scatter
 from casadi_engine.discrepancy.compression import candidate_columns, compress, scatter_columns
 from casadi_engine.discrepancy.gauss_newton import settle
-from casadi_engine.discrepancy.noise_model import Colour, NoiseModel, Scatter
+from casadi_engine.discrepancy.noise_model import Colour, NoiseModel
 from casadi_engine.discrepancy.null_model import null_model
 from casadi_engine.discrepancy.score import saturated_variance, score
 from casadi_engine.effects import library

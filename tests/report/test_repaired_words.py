@@ -6,13 +6,13 @@ import pytest
 
 from casadi_engine.discrepancy.confirmation import PairedGain
 from casadi_engine.discrepancy.repaired import Member, NextExperiment
+from casadi_engine.discrepancy.summary import next_step
 from casadi_engine.estimation.fit import Estimate
 from casadi_engine.report.repaired_words import (
     effect_words,
     gap_sentence,
     mood,
     moved_parameters,
-    next_step,
     verdict_lines,
 )
 
@@ -32,7 +32,7 @@ def test_a_named_and_confirmed_effect(repaired):
         "the gap above the noise is closed."
     )
     assert lines[4] == "Without it the model had these wrong: J_load 0.1771, now 0.1700 ± 0.0020 kg m2."
-    assert lines[-1] == "Next: keep the repaired model: the equation and the parameters are below."
+    assert lines[-1] == "Next: go on with repair.fit, the repaired model: print(repair.fit)."
     assert mood(repaired) == "good"
 
 
@@ -42,7 +42,7 @@ def test_nothing_missing(nothing_missing):
         "Nothing is missing that these data can show: 380 candidates at α = 0.01, and the residuals are white."
     )
     assert lines[1] == "Rms gap: omega 0.1 rad/s on data of the search, omega 0.1 rad/s on fresh data."
-    assert lines[-1].startswith("Next: keep the model; the table of what was not found")
+    assert lines[-1].startswith("Next: use the model; larger effects than those listed are excluded")
     assert (len(lines), mood(nothing_missing)) == (3, "good")
 
 
@@ -60,7 +60,10 @@ def test_no_name_in_the_library(unnamed):
 def test_no_answer(no_answer):
     lines = verdict_lines(no_answer)
     assert lines[0] == "No answer: the fit without effects has not converged: Maximum_Iterations_Exceeded."
-    assert lines[-1] == "Next: look at the fit below: other start values, wider bounds, or more starts."
+    assert (
+        lines[-1]
+        == "Next: mend the fit without effects first: other start values, wider bounds, or more starts."
+    )
     assert mood(no_answer) == "poor"
     assert gap_sentence(no_answer) == ""
 
@@ -78,7 +81,7 @@ def test_a_class_names_its_members_and_what_would_split_it(repaired):
     assert mood(changed) == "poor"
     split = NextExperiment("a run-up to 1800 RPM", ("coulomb_friction and backlash",), 6.1, 1.2)
     assert next_step(replace(changed, next_experiment=split)) == (
-        "a run-up to 1800 RPM: it would tell apart coulomb_friction and backlash (separation 6.1, now 1.2)"
+        "to split coulomb_friction and backlash: a run-up to 1800 RPM (separation 6.1, now 1.2; 3.3 is enough)"
     )
 
 
@@ -98,7 +101,9 @@ def test_what_fresh_data_say(repaired, confirmed, gain, source, words):
     assert words in verdict_lines(changed)
     assert mood(changed) == ("poor" if confirmed is False else "good")
     if confirmed is None:
-        assert next_step(changed) == "record fresh data, and give them by --validate FILE"
+        assert next_step(changed) == (
+            "test it on data it has not seen: --validate FILE, or ce.repair(..., fresh=other_record)"
+        )
 
 
 def test_more_than_the_effects_explain_is_said(repaired, unnamed):

@@ -215,6 +215,39 @@ def test_strong_feedback_refines_the_steps_by_itself(made):
     assert np.isfinite(path.y).all()
 
 
+def test_a_wild_point_does_not_make_later_ones_pay_for_its_short_steps(made):
+    b = Blueprint("braked")
+    torque = b.parameter("torque", 0.1)
+    v = b.state("v")
+    slot, push = b.port("shaft", "inertia", {"speed": v}), b.input("T")
+    b.ode("v", push + slot)
+    b.law("shaft", -torque * ca.tanh(v / 0.05))
+    b.output("v", v)
+    model, z = b.model(), ca.SX.sym("z")
+    grid = made.grid(np.ones((1, 60)), step=STEP)
+    propagator = make_propagator(model, grid, cut(grid, 20), z, z, scale=np.ones(1))
+    nodes = np.zeros((propagator.intervals.m, 1))
+    calm = propagator.propagate(np.array([0.1]), nodes, 1)
+    assert calm.substeps == 1
+    wild = propagator.propagate(np.array([20000.0]), nodes, 1)
+    assert wild.substeps > 16
+    fewer = []
+    for _ in range(4):
+        again = propagator.propagate(np.array([0.1]), nodes, 1)
+        fewer.append(again.substeps)
+        np.testing.assert_allclose(again.y, calm.y, rtol=0, atol=1e-6)
+    assert fewer[0] == wild.substeps
+    assert fewer == sorted(fewer, reverse=True)
+    assert fewer[-1] == 1
+    # and the derivatives of a point made with other steps than the propagator has now are still its own
+    rho, lam = np.ones_like(wild.y[0]), np.zeros((1, propagator.intervals.m))
+    late = propagator.contraction(np.array([20000.0]), wild, rho, lam)
+    fresh = make_propagator(model, grid, cut(grid, 20), z, z, scale=np.ones(1))
+    path = fresh.propagate(np.array([20000.0]), nodes, 1)
+    for one, other in zip(late, fresh.contraction(np.array([20000.0]), path, rho, lam), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9)
+
+
 def test_a_law_that_runs_away_is_reported_without_noise(made):
     b = Blueprint("burst")
     x = b.state("x")
