@@ -9,6 +9,7 @@ their nuisance values and amplitudes; short refits do the rest.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -33,12 +34,11 @@ _STEPS, _MORE = 8, 16
 _SMALL = 3.0
 # Short refits that have not settled go on, the best first, at most so many.
 _UNSETTLED = 6
-# A score beyond which the parameters' own values are tried too: what explains so much has moved the optimum.
-_FAR = 20.0
-# Where nothing is large, effects are tried whose predicted drop is at least this share of the best one's.
+# Chi-squared this many standard deviations above the number of samples is not noise alone: then the optimum without
+# effects is no place to look from, and the parameters' own values are tried too.
+_UNUSUAL = 3.0
+# From the optimum without effects those are tried whose predicted drop is at least this share of the best one's.
 _PART = 0.25
-# Logarithm of the factor by which a parameter has moved far from its own value.
-_FACTOR = float(np.log(2.5))
 # How far above the best trial a linearised candidate may foresee its chi-squared to be tried from there: of what the
 # best explains, and at least.
 _SHARE, _NEAR = 0.1, 30.0
@@ -102,10 +102,8 @@ def make_trials(screened: Screened, fit: Fit, effects: Sequence[Addition], short
     made = _Maker(screened, fit, tuple(effects), shorts, base)
     scores = screened.scores
     here = Foreseen(base - scores.drop, scores.amplitude)
-    best = float(scores.drop.max(initial=0.0))
-    large = driven(fit) or made.far or best > _FAR**2
-    made.try_all(here, fit, most=np.inf if large else base - _PART * best)
-    if large:
+    made.try_all(here, fit, most=base - _PART * float(scores.drop.max(initial=0.0)))
+    if driven(fit) or not made.explained:
         start = made.foreseen(made.own_values(), shorts.first_states(effects))
         if start is not None:
             made.try_all(start, None)
@@ -140,12 +138,11 @@ class _Maker:
         return np.array([float(own[n].value) if n in own else values[n] for n in free])
 
     @property
-    def far(self) -> bool:
-        """True if a parameter has moved from its own value by more than a factor."""
-        own, now = self.own_values(), self.fit.z
-        with np.errstate(divide="ignore", invalid="ignore"):
-            moved = np.abs(np.log(now / own))
-        return bool((moved[np.isfinite(moved)] > _FACTOR).any())
+    def explained(self) -> bool:
+        """True if the best trial leaves no more than noise."""
+        count = self.screened.null.count
+        least = min((one.cost for one in self.best.values()), default=math.inf)
+        return least <= count + _UNUSUAL * math.sqrt(2 * count)
 
     def try_all(self, seen: Foreseen, warm: Any, *, most: float = np.inf) -> None:
         """A short refit of every effect at every port that promises chi-squared up to ``most``, from the point at which
@@ -170,7 +167,8 @@ class _Maker:
 
     def go_on(self) -> None:
         """More steps for the best that have not settled."""
-        waiting = [t for t in sorted(self.best.values(), key=lambda t: t.cost) if not t.short.settled]
+        order = sorted(self.best.values(), key=lambda t: t.cost)
+        waiting = [t for t in order if not t.short.settled and t.cost < self.base]
         for trial in waiting[:_UNSETTLED]:
             key = trial.added.candidate.key
             short = self.shorts((*self.effects, trial.added), trial.short, _MORE)
