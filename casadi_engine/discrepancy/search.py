@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from casadi_engine.discrepancy.gauss_newton import chi_squared
 from casadi_engine.discrepancy.long_run import long_run_noise
 from casadi_engine.discrepancy.members import KEEP, members_of
 from casadi_engine.discrepancy.null_model import null_model
@@ -27,7 +28,7 @@ from casadi_engine.discrepancy.selection import (
     select,
     selection_frequency,
 )
-from casadi_engine.discrepancy.trials import Trial, Trials, make_trials
+from casadi_engine.discrepancy.trials import Trial, Trials, make_trials, trials_beside
 from casadi_engine.estimation import Fit
 
 __all__ = ["Search", "Station", "members_of", "proposals"]
@@ -173,6 +174,7 @@ class Search:
         tried = self._tried(screened, here.fit, here.effects)
         begun = time.perf_counter()
         leads = _leads(tried, screened)
+        leads += _doubtful(tried, leads)
         known = {one.label: one for one in here.effects} | {one.added.label: one.added for one in leads}
         starts = {(*(e.label for e in here.effects), one.added.label): one.short for one in leads}
         offers = [
@@ -209,56 +211,77 @@ class Search:
         self.rounds.append(_round_of(offers, step))
         if step.kept is None or step.kept.state is None:
             return False
-        self._advance(here, step, tried, known)
+        kept, fit = step.kept, step.kept.state
+        number = {one.added.label: one.candidate for one in tried.best.values()}
+        refits = {number[o.effects[-1]]: o.state for o in step.tried if o.converged and o.state is not None}
+        effects = tuple(known[name] for name in kept.effects)
+        made = self._station(here, fit, effects, number[kept.effects[-1]], refits, tried)
+        if not self._swapped(made):
+            self.stations.append(made)
         return True
 
-    def _advance(self, here: Station, step: Step[Fit], tried: Trials, known: Mapping[str, Addition]) -> None:
-        kept = step.kept
-        assert kept is not None
-        assert kept.state is not None
+    def _station(
+        self,
+        here: Station,
+        fit: Fit,
+        effects: tuple[Addition, ...],
+        lead: int,
+        refits: Mapping[int, Fit],
+        tried: Trials,
+    ) -> Station:
+        """A fit with effects, its lead among those screened against ``here``, and the class; refits : of rivals."""
         screened = here.screened
-        number = {one.added.label: one.candidate for one in tried.best.values()}
-        lead = number[kept.effects[-1]]
-        effects = tuple(known[name] for name in kept.effects)
-        refits = {
-            number[one.effects[-1]]: one.state
-            for one in step.tried
-            if one.converged and one.state is not None
-        }
-        refits |= self._doubtful(here, tried, refits, lead)
-        after = self._screen(kept.state, effects)
+        after = self._screen(fit, effects)
         begun = time.perf_counter()
         # with the effect in the model its noise is known better: a large effect leaves more than one step explains
         choice = after.choice if screened.noise.colour or not after.noise.colour else screened.choice
         before = whitened_cost(here.fit, choice)
-        gains = {k: before - whitened_cost(fit, choice) for k, fit in refits.items()}
-        gains[lead] = max(gains.get(lead, -np.inf), before - whitened_cost(kept.state, choice))
+        gains = {k: before - whitened_cost(one, choice) for k, one in refits.items()}
+        gains[lead] = max(gains.get(lead, -np.inf), before - whitened_cost(fit, choice))
         gains = _by_trials(tried, lead, gains) | gains
         members, frequency = members_of(screened, lead, gains), _frequency(screened, lead)
         self._spent("certificate", begun)
-        self.stations.append(Station(kept.state, effects, after, lead, members, gains[lead], frequency))
+        return Station(fit, effects, after, lead, members, gains[lead], frequency)
 
-    def _doubtful(self, here: Station, tried: Trials, refits: Mapping[int, Fit], lead: int) -> dict[int, Fit]:
-        """Refits of effects that may well be the missing one as far as is known: their trials did not come to an end,
-        and the linearisation beside the best promises as much as the best one brings."""
+    def _swapped(self, pair: Station) -> bool:
+        """True if one other effect does as well as the last two, which it then replaces.
+
+        Two wrong effects may stand for a right one that was not seen before: it is looked for from the parameters that
+        are found with both.
+        """
+        if len(self.stations) < 2 or self._shorts is None:
+            return False
+        here, base = self.stations[-1], self.stations[-2]
+        if len(pair.effects) != len(base.effects) + 2:
+            return False
         begun = time.perf_counter()
-        best = next(one for one in tried.best.values() if one.candidate == lead)
-        limit = best.cost + 2 * KEEP
-        waiting = [
-            one
-            for key, one in tried.best.items()
-            if one.candidate not in refits
-            and not one.short.settled
-            and min(tried.foreseen.get(key, math.inf), one.cost) <= limit
-        ]
-        waiting.sort(key=lambda one: tried.foreseen.get(one.added.candidate.key, one.cost))
-        found = {}
-        for one in waiting[:_DOUBTFUL]:
-            fit = self._refitted(here.fit, (*here.effects, one.added), start=one.short)
-            if fit.converged:
-                found[one.candidate] = fit
+        known = self._tried(base.screened, base.fit, base.effects)
+        tried = trials_beside(known, base.screened, base.fit, base.effects, self._shorts, pair.fit)
+        cost = chi_squared(pair.screened.null, self._shorts.levels)
+        others = [one for one in tried.order if one.candidate != here.lead]
+        one = others[0] if others else None
+        found = None
+        if one is not None and one.cost - cost < self._price(pair, base, one):
+            effects = (*base.effects, one.added)
+            fit = self._refitted(base.fit, effects, start=one.short)
+            choice = pair.screened.choice
+            rise = whitened_cost(fit, choice) - whitened_cost(pair.fit, choice) if fit.converged else np.inf
+            if rise < self._price(pair, base, one):
+                found = (fit, effects)
         self._spent("refit", begun)
-        return found
+        if found is None or one is None:
+            return False
+        made = self._station(base, *found, one.candidate, {one.candidate: found[0]}, tried)
+        dropped = tuple(e.label for e in pair.effects[-2:])
+        self.rounds.append(Round((), ((one.added.label, found[0].cost, True),), one.added.label, dropped))
+        self.stations[-1:] = [made]
+        return True
+
+    @staticmethod
+    def _price(pair: Station, base: Station, one: Trial) -> float:
+        """The rise of chi-squared at which one effect more is worth keeping."""
+        more = freedom(pair.fit) - freedom(base.fit) - 1 - freed(base.screened, one.candidate)
+        return float(stats.chi2.isf(base.screened.share, max(more, 1)))
 
 
 def _levels(screened: Screened, fit: Fit) -> dict[str, float]:
@@ -273,6 +296,19 @@ def _leads(tried: Trials, screened: Screened) -> list[Trial]:
     order = sorted(tried.best.values(), key=lambda one: one.cost + price * freed(screened, one.candidate))
     least = order[0].cost if order else 0.0
     return [one for one in order if one.cost <= least + _NEAR][:_MOST] or order[:1]
+
+
+def _doubtful(tried: Trials, leads: Sequence[Trial]) -> list[Trial]:
+    """Further effects that may well be the missing one for all that is known: their trials did not come to an end, and
+    the linearisation beside the best one promises about as much as it brings."""
+    limit = min((one.cost for one in leads), default=0.0) + 2 * KEEP
+    waiting = [
+        (min(tried.foreseen.get(key, math.inf), one.cost), number)
+        for number, (key, one) in enumerate(tried.best.items())
+        if one not in leads and not one.short.settled
+    ]
+    every = list(tried.best.values())
+    return [every[number] for cost, number in sorted(waiting) if cost <= limit][:_DOUBTFUL]
 
 
 def _pooled(one: Trial, tried: Trials, screened: Screened) -> float:

@@ -20,7 +20,7 @@ from casadi_engine.discrepancy.compression import candidate_columns, compress
 from casadi_engine.discrepancy.gauss_newton import chi_squared
 from casadi_engine.discrepancy.linear_algebra import Array, basis, without
 from casadi_engine.discrepancy.noise_model import NoiseModel
-from casadi_engine.discrepancy.null_model import null_at
+from casadi_engine.discrepancy.null_model import null_at, null_model
 from casadi_engine.discrepancy.quick_refit import Short, ShortRefits
 from casadi_engine.discrepancy.refit import Addition, addition
 from casadi_engine.discrepancy.score import scores_of
@@ -112,6 +112,20 @@ def make_trials(screened: Screened, fit: Fit, effects: Sequence[Addition], short
     return Trials(made.best, base, made.promised)
 
 
+def trials_beside(
+    known: Trials, screened: Screened, fit: Fit, effects: Sequence[Addition], shorts: ShortRefits, point: Fit
+) -> Trials:
+    """The trials of a fit, and those that start from the parameters of another one, such as a fit with more effects."""
+    made = _Maker(screened, fit, tuple(effects), shorts, known.base)
+    made.best, made.promised = dict(known.best), dict(known.foreseen)
+    first = {
+        record: np.array([own[state.name].value for state in fit.model.states])
+        for record, own in point.initial.items()
+    }
+    made.beside(point.values, first, chi_squared(null_model(point), shorts.levels))
+    return Trials(made.best, known.base, made.promised)
+
+
 def driven(fit: Fit) -> bool:
     """True if an estimate is at a bound."""
     return any(fit.estimates[name].at_bound is not False for name in fit.free)
@@ -179,20 +193,30 @@ class _Maker:
         """Those that could explain as much as the best, from its parameters."""
         if not self.best:
             return
-        first = min(self.best.values(), key=lambda t: t.cost)
+        best = min(self.best.values(), key=lambda t: t.cost)
         names = [state.name for state in self.fit.model.states]
-        z = np.array([first.short.values.get(n, v) for n, v in zip(self.fit.free, self.fit.z, strict=True)])
-        states = {r: np.array([own[n] for n in names]) for r, own in first.short.initial.items()}
-        seen = self.foreseen(z, states)
+        first = {r: np.array([own[n] for n in names]) for r, own in best.short.initial.items()}
+        self.beside(best.short.values, first, best.cost, best.added.candidate.key)
+
+    def beside(
+        self,
+        values: Mapping[str, float],
+        first: Mapping[str, Array],
+        cost: float,
+        done: tuple[str, str] | None = None,
+    ) -> None:
+        """Those that could explain as much as a fit with these parameters and first states; done : what it adds."""
+        z = np.array([values.get(n, v) for n, v in zip(self.fit.free, self.fit.z, strict=True)])
+        seen = self.foreseen(z, first)
         if seen is None:
             return
-        close = first.cost + max(_NEAR, _SHARE * (self.base - first.cost))
+        close = cost + max(_NEAR, _SHARE * (self.base - cost))
         warm = Start(dict(zip(self.fit.free, z.tolist(), strict=True)), converged=False)
         for key, members in self.families.items():
             k = min(members, key=lambda k: seen.cost[k])
-            self.promised[key] = float(seen.cost[k])
+            self.promised[key] = min(self.promised.get(key, math.inf), float(seen.cost[k]))
             known = self.best.get(key)
-            if key == first.added.candidate.key or seen.cost[k] > close:
+            if key == done or seen.cost[k] > close:
                 continue
             if known is not None and known.cost < seen.cost[k] + 1 and known.short.settled:
                 continue
