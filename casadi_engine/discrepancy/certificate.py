@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from casadi_engine.discrepancy.assumed_pressure import carried_cylinders, scatter_carried
 from casadi_engine.discrepancy.confirmation import share_explained
 from casadi_engine.discrepancy.fresh import gap_of
 from casadi_engine.discrepancy.latent_torque import LatentTorque
@@ -213,4 +214,7 @@ def noise_found(screened: Screened, levels: Mapping[str, tuple[float, bool]]) ->
         for name, value in noise.sigma.items()
     }
     colour = {f"{record}/{output}": c.order for (record, output), c in noise.colour.items() if c.order}
-    return NoiseFound(sigma, colour, dict(noise.scatter))
+    scatter = dict(noise.scatter)
+    if carried_cylinders(screened.null.model):
+        scatter["combustion"] = scatter_carried(screened.null)
+    return NoiseFound(sigma, colour, scatter)

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from casadi_engine.discrepancy.assumed_pressure import SCATTER, is_carried, with_priors
 from casadi_engine.discrepancy.compression import scatter_columns
 from casadi_engine.discrepancy.confirmation import Gap, PairedGain, Residuals, gap, hold_out, paired_gain
 from casadi_engine.discrepancy.linear_algebra import Array
@@ -121,14 +122,16 @@ def _cycles(model: Model, record: Experiment) -> tuple[Array, Array]:
 def held_fit(
     fit: Fit, record: Experiment, *, noise: NoiseModel, idle: Sequence[str] = (), model: Model | None = None
 ) -> Fit:
-    """The fit's parameters held on one record, initial states found; idle : amplitudes that are zero there; model : in
-    place of the fit's, with the same parameters.
+    """The fit's parameters held on one record; initial states, and what is wrong with assumed pressures, found.
 
+    idle : amplitudes that are zero there; model : in place of the fit's, with the same parameters.
     Raises EstimationError where the model fails.
     """
     model = fit.model if model is None else model
-    held = model.parameters()
+    held = with_priors(model.parameters())
     for name in held.names:
+        if is_carried(name) and name != SCATTER:
+            continue  # other cycles burn otherwise
         value = fit.values.get(f"{name}@{record.name}", fit.values.get(name, 0.0))
         value = 0.0 if name in idle else value
         own = held[name]

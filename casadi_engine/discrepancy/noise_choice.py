@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy import stats
 
+from casadi_engine.discrepancy.assumed_pressure import carried_cylinders
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.combustion_scatter import Scatter, assumed_cylinders, combustion_scatter
 from casadi_engine.discrepancy.compression import compress, scatter_columns
@@ -44,11 +45,12 @@ def scatter_of(
     null: NullModel, data: Sequence[Experiment], cylinders: Any = "assumed"
 ) -> tuple[Scatter, ...]:
     """Random amplitudes of combustions: of the cylinders given, or with "assumed" of those whose pressure is not
-    measured in a record."""
+    measured in a record; not of those that the model carries as parameters."""
     found = []
     for record, experiment in zip(null.records, data, strict=True):
         names = assumed_cylinders(experiment) if cylinders == "assumed" else tuple(cylinders or ())
-        names = tuple(name for name in names if name in null.model.ports.names)
+        known = carried_cylinders(null.model)
+        names = tuple(name for name in names if name in null.model.ports.names and name not in known)
         if names:
             made = combustion_scatter(null.model, record, cylinders=names)
             if made.directions:

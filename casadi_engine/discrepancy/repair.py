@@ -5,9 +5,11 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from casadi_engine.discrepancy.answer import Answer
+from casadi_engine.discrepancy.assumed_pressure import carry, settle_scatter
 from casadi_engine.discrepancy.fresh import Portions, portions
 from casadi_engine.discrepancy.noise_choice import ColourChoice
 from casadi_engine.discrepancy.refit import Refitter
@@ -67,8 +69,9 @@ def repair(
     fresh : experiments to confirm on; without them the last ``holdout`` share of the cycles of every record is held out
     alpha : false-alarm rate of "something is missing" over all tests together
     colour : count with an autoregression of the noise: True, False, or "auto" where the residual asks for it
-    scatter : cylinder ports whose combustion scatters from cycle to cycle beside its recorded pressure, "assumed" for
-        those with an assumed pressure, or None
+    scatter : cylinder ports whose combustion is not what their pressure channel says, but scatters about it from cycle
+        to cycle and differs a little in strength, timing and charge: these are estimated with priors. "assumed" for the
+        cylinders with an assumed pressure, or None
     most : effects at most; starts, neighbours, seed, jobs : of the fit without effects, as in ``estimate``
     progress : None for lines on a terminal, False for none, or a function of a text
 
@@ -100,6 +103,10 @@ def repair(
     neighbours, seed, jobs = whole("neighbours", neighbours, 0), whole("seed", seed, 0), checked_jobs(jobs)
     tell = _teller(progress)
     portion = portions(model, records, others, share=holdout)
+    cylinders = scatter if method == "exact" else None
+    carried = carry(model, pars, portion.data, portion.fresh, cylinders=cylinders)
+    model, pars = carried.model, carried.parameters
+    portion = replace(portion, data=carried.data, fresh=carried.fresh)
     options = {
         "interval": interval, "initial": initial, "method": method, "max_iterations": max_iterations,
     }  # fmt: skip
@@ -108,6 +115,7 @@ def repair(
     null_fit = estimate(
         model, portion.data, parameters=pars, noise=noise, jobs=jobs, progress=False, **several, **options
     )
+    null_fit, pars = settle_scatter(null_fit, pars, noise=noise, options=options)
     timing = {"null fit": time.perf_counter() - begun}
     asked = {"alpha": alpha, "holdout": holdout, "most": most, **several, **options}
     if not null_fit.converged:

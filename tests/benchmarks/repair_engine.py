@@ -18,11 +18,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "data"))
 from simulator.hidden_runs import simulate_hidden
 
 import casadi_engine as ce
+from casadi_engine.discrepancy.assumed_pressure import SCATTER, carry, settle_scatter, with_priors
 from casadi_engine.discrepancy.compression import candidate_columns, compress
 from casadi_engine.discrepancy.gauss_newton import settle
 from casadi_engine.discrepancy.library_candidates import library_candidates
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_distribution import NullDistribution, library_rows
+from casadi_engine.discrepancy.null_model import null_model
 
 TRUTH = {"J_eng": 1 / 2.557, "J_load": 1 / 5.646, "K_el": 1992.0, "C_el": 2.5, "C_eng": 0.1541}
 SIGMA, RATE = 0.1, 2880.4
@@ -61,13 +63,21 @@ def first_state(record):
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A null fit: the null model, its record, chi-squared and the first states."""
+    """A null fit: the null model, its record, chi-squared, the first states; and the scatter of assumed pressures."""
 
     null: object
     data: object
     cost: float
     first: dict = field(default_factory=dict)
     columns: dict = field(default_factory=dict)
+    scatter: float = 0.0
+
+    def parameters(self, model):
+        """A model's parameters, those of assumed pressures with their priors and scatter."""
+        pars = with_priors(model.parameters())
+        if SCATTER in pars:
+            pars[SCATTER].set(self.scatter)
+        return pars
 
 
 def null_fit(data, start, *, sensors=1, noise=None, scatter=(), z=None):
@@ -87,6 +97,24 @@ def null_fit(data, start, *, sensors=1, noise=None, scatter=(), z=None):
     return Fitted(null, data, cost, first)
 
 
+_CARRIED = {}
+
+
+def assumed_fit(data, *, sensors=1, start=None):
+    """The null fit as `ce.repair` makes it where p3 and p4 are assumed: from the truth, its scatter estimated."""
+    made = carry(model(sensors), model(sensors).parameters(), [data])
+    # one model for all records of as many cycles: the library's terms are in its symbols
+    own = _CARRIED.setdefault((sensors, made.model.parameter_names), made.model)
+    noise = ce.Noise(**dict.fromkeys(SENSORS[sensors], SIGMA))
+    pars = made.parameters
+    for name, value in (start or TRUTH).items():
+        pars[name].set(value)
+    fit = ce.estimate(own, made.data, parameters=pars, noise=noise, progress=False)
+    fit, _ = settle_scatter(fit, pars, noise=noise)
+    first = {NAME: np.array([e.value for e in fit.initial[NAME].values()])}
+    return Fitted(null_model(fit), made.data[0], fit.cost, first, scatter=fit.values[SCATTER]), fit
+
+
 def columns_of(fitted, candidates):
     """record -> output -> sensitivities of the candidates, worked out once for a fit."""
     if not fitted.columns:
@@ -99,7 +127,7 @@ def refitted_drop(fitted, scores, noise, scatter):
     k = int(np.argmin(scores.p_value))
     candidate = scores.candidates[k]
     extended = candidate.source.extended(psi=0.0)
-    pars = extended.parameters()
+    pars = fitted.parameters(extended)
     for name in pars:
         if name.startswith(f"{candidate.port}.") and not name.endswith(f".{candidate.source.amplitude.name}"):
             pars.fix(name)
@@ -124,7 +152,7 @@ def null_cost(fitted, noise, scatter):
     """chi-squared of a null fit under another noise model."""
     one = fitted.null
     _, _, cost = settle(
-        one.model, [fitted.data], one.model.parameters(), one.values, dict(fitted.first),
+        one.model, [fitted.data], fitted.parameters(one.model), one.values, dict(fitted.first),
         noise=noise, scatter=scatter, iterations=0,
     )  # fmt: skip
     return cost
@@ -135,7 +163,7 @@ _LIBRARIES = {}
 
 def candidates_of(fitted, *, sensors=1):
     """The whole library at all ports, made once for all records of equal length: its terms are symbolic."""
-    key = (sensors, len(fitted.data["theta"].time))
+    key = (sensors, len(fitted.data["theta"].time), fitted.null.model.parameter_names)
     if key not in _LIBRARIES:
         _LIBRARIES[key] = library_candidates(fitted.null, [fitted.data], ce.effects.library())
     return _LIBRARIES[key]

@@ -21,8 +21,18 @@ NAMES = ("J_eng", "J_load", "K_el", "C_el", "C_eng")
 TRUTH = np.array([1 / 2.557, 1 / 5.646, 1992.0, 2.5, 0.1541])
 LOW = np.array([0.05, 0.02, 200.0, 0.05, 0.005])
 HIGH = np.array([4.0, 2.0, 20_000.0, 50.0, 5.0])
-# Starts beside the truth, as factors: far more damping in the coupling; heavier and stiffer; lighter and softer.
-STARTS = np.array([[1, 1, 1, 1, 1], [1, 1, 1, 8, 1], [1, 3, 3, 1, 2], [1, 0.4, 0.4, 1, 0.5]], dtype=float)
+# Starts beside the truth, as factors: far more damping in the coupling; heavier and stiffer; lighter and softer; and
+# a coupling so soft that it hides the load, light and damped or heavy.
+STARTS = np.array(
+    [
+        [1, 1, 1, 1, 1],
+        [1, 1, 1, 8, 1],
+        [1, 3, 3, 1, 2],
+        [1, 0.4, 0.4, 1, 0.5],
+        [1, 0.3, 0.11, 18, 1],
+        [1, 10, 0.11, 4, 1],
+    ]
+)
 SIGMA = 0.1
 _AROUND = np.array([1e-4] * 5 + [1e-3, 1e-3, 1e-5])
 _UNIT = np.array([1.0] * 5 + [1.0, 1.0, 1e-2])

@@ -108,6 +108,7 @@ def row_of(*classes, size=1, fresh=1.0):
         "effects": [{"members": [list(m) for m in one]} for one in classes],
         "at optimum": {"class": size},
         "at truth": {"class": size},
+        "by refits": {"class": size},
         "after": side,
         "true": {**side, "fresh chi2/N": 1.0, "z": 0.0},
         "amplitude": None,
