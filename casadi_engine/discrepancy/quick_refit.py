@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from casadi_engine.discrepancy.linear_algebra import Array
+from casadi_engine.discrepancy.null_model import NullModel, null_at
 from casadi_engine.discrepancy.refit import Addition, Refitter
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation.descent import Descender, gap_of
@@ -99,6 +100,15 @@ class ShortRefits:
             record.experiment.name: x[lay.at : lay.at + lay.n] * record.scale
             for record, lay in zip(search.records, search.problem.layouts, strict=True)
         }
+
+    def null_at(self, effects: Sequence[Addition], short: Short) -> NullModel:
+        """The model with these effects where a short refit of them ended."""
+        search = self._search(effects)
+        assert search is not None
+        names = [state.name for state in search.model.states]
+        first = {record: np.array([own[n] for n in names]) for record, own in short.initial.items()}
+        z = np.array([short.values[name] for name in search.pmap.free])
+        return null_at(search.model, search.data, search.parameters, z, first)
 
     def _search(self, effects: Sequence[Addition]) -> Search | None:
         key = tuple(id(one.candidate) for one in effects)

@@ -256,7 +256,9 @@ class Search:
             return False
         begun = time.perf_counter()
         known = self._tried(base.screened, base.fit, base.effects)
-        tried = trials_beside(known, base.screened, base.fit, base.effects, self._shorts, pair.fit)
+        tried = trials_beside(
+            known, base.screened, base.fit, base.effects, self._shorts, pair.fit, pair.effects[-2:]
+        )
         cost = chi_squared(pair.screened.null, self._shorts.levels)
         others = [one for one in tried.order if one.candidate != here.lead]
         one = others[0] if others else None
@@ -299,16 +301,12 @@ def _leads(tried: Trials, screened: Screened) -> list[Trial]:
 
 
 def _doubtful(tried: Trials, leads: Sequence[Trial]) -> list[Trial]:
-    """Further effects that may well be the missing one for all that is known: their trials did not come to an end, and
-    the linearisation beside the best one promises about as much as it brings."""
+    """Further effects that may well be the missing one for all that is known: their trials did not come to an end,
+    or not to what the linearisation beside the best one promises, which is about as much as that brings."""
     limit = min((one.cost for one in leads), default=0.0) + 2 * KEEP
-    waiting = [
-        (min(tried.foreseen.get(key, math.inf), one.cost), number)
-        for number, (key, one) in enumerate(tried.best.items())
-        if one not in leads and not one.short.settled
-    ]
-    every = list(tried.best.values())
-    return [every[number] for cost, number in sorted(waiting) if cost <= limit][:_DOUBTFUL]
+    waiting = [one for one in tried.best.values() if one not in leads and not tried.sure(one)]
+    waiting.sort(key=tried.least)
+    return [one for one in waiting if tried.least(one) <= limit][:_DOUBTFUL]
 
 
 def _pooled(one: Trial, tried: Trials, screened: Screened) -> float:
@@ -323,11 +321,8 @@ def _by_trials(tried: Trials, lead: int, gains: Mapping[int, float]) -> dict[int
     drop = tried.base - best.cost
     scale = min(gains[lead] / drop, 1.0) if drop > 0 else 1.0
     found = {}
-    for key, one in tried.best.items():
-        cost = one.cost
-        if not one.short.settled:
-            cost = min(cost, tried.foreseen.get(key, cost))
-        found[one.candidate] = gains[lead] - scale * (cost - best.cost)
+    for one in tried.best.values():
+        found[one.candidate] = gains[lead] - scale * (tried.least(one) - best.cost)
     return found
 
 

@@ -20,7 +20,7 @@ from casadi_engine.discrepancy.compression import candidate_columns, compress
 from casadi_engine.discrepancy.gauss_newton import chi_squared
 from casadi_engine.discrepancy.linear_algebra import Array, basis, without
 from casadi_engine.discrepancy.noise_model import NoiseModel
-from casadi_engine.discrepancy.null_model import null_at, null_model
+from casadi_engine.discrepancy.null_model import NullModel, null_at
 from casadi_engine.discrepancy.quick_refit import Short, ShortRefits
 from casadi_engine.discrepancy.refit import Addition, addition
 from casadi_engine.discrepancy.score import scores_of
@@ -39,6 +39,10 @@ _UNSETTLED = 6
 _UNUSUAL = 3.0
 # From the optimum without effects those are tried whose predicted drop is at least this share of the best one's.
 _PART = 0.25
+# Where the best trial explains everything so many are tried from the parameters' own values.
+_FEW = 8
+# A trial that ended so far above what was promised beside the best one may have ended elsewhere.
+_SURE = 3.0
 # How far above the best trial a linearised candidate may foresee its chi-squared to be tried from there: of what the
 # best explains, and at least.
 _SHARE, _NEAR = 0.1, 30.0
@@ -92,6 +96,19 @@ class Trials:
         """By rising chi-squared."""
         return sorted(self.best.values(), key=lambda one: one.cost)
 
+    def sure(self, one: Trial) -> bool:
+        """True if a trial came to an end, and to no worse a one than was promised."""
+        promised = self.foreseen.get(one.added.candidate.key, math.inf)
+        return one.short.settled and one.cost <= promised + _SURE
+
+    def least(self, one: Trial) -> float:
+        """The least chi-squared that an effect may have for all that is known: its trial's, or what was promised."""
+        return (
+            one.cost
+            if self.sure(one)
+            else min(one.cost, self.foreseen.get(one.added.candidate.key, math.inf))
+        )
+
 
 def make_trials(screened: Screened, fit: Fit, effects: Sequence[Addition], shorts: ShortRefits) -> Trials:
     """Short refits of every testable effect at every port beside ``effects``, which the fit has.
@@ -106,23 +123,27 @@ def make_trials(screened: Screened, fit: Fit, effects: Sequence[Addition], short
     if driven(fit) or not made.explained:
         start = made.foreseen(made.own_values(), shorts.first_states(effects))
         if start is not None:
-            made.try_all(start, None)
+            made.try_all(start, None, few=_FEW if made.explained else None)
     made.go_on()
     made.beside_best()
     return Trials(made.best, base, made.promised)
 
 
 def trials_beside(
-    known: Trials, screened: Screened, fit: Fit, effects: Sequence[Addition], shorts: ShortRefits, point: Fit
+    known: Trials,
+    screened: Screened,
+    fit: Fit,
+    effects: Sequence[Addition],
+    shorts: ShortRefits,
+    point: Fit,
+    added: Sequence[Addition],
 ) -> Trials:
-    """The trials of a fit, and those that start from the parameters of another one, such as a fit with more effects."""
+    """The trials of a fit, and those in the place of several effects more; point : the fit with these, ``added``."""
     made = _Maker(screened, fit, tuple(effects), shorts, known.base)
     made.best, made.promised = dict(known.best), dict(known.foreseen)
-    first = {
-        record: np.array([own[state.name].value for state in fit.model.states])
-        for record, own in point.initial.items()
-    }
-    made.beside(point.values, first, chi_squared(null_model(point), shorts.levels))
+    first = {r: np.array([state.value for state in own.values()]) for r, own in point.initial.items()}
+    null = null_at(point.model, point.data, point.parameters, point.z, first)
+    made.beside(null, point.values, added, chi_squared(null, shorts.levels))
     return Trials(made.best, known.base, made.promised)
 
 
@@ -158,11 +179,11 @@ class _Maker:
         least = min((one.cost for one in self.best.values()), default=math.inf)
         return least <= count + _UNUSUAL * math.sqrt(2 * count)
 
-    def try_all(self, seen: Foreseen, warm: Any, *, most: float = np.inf) -> None:
+    def try_all(self, seen: Foreseen, warm: Any, *, most: float = np.inf, few: int | None = None) -> None:
         """A short refit of every effect at every port that promises chi-squared up to ``most``, from the point at which
-        ``seen`` was linearised."""
-        for key, members in self.families.items():
-            k = min(members, key=lambda k: seen.cost[k])
+        ``seen`` was linearised; few : of so many that promise most."""
+        best = {key: min(members, key=lambda k: seen.cost[k]) for key, members in self.families.items()}
+        for key, k in sorted(best.items(), key=lambda pair: seen.cost[pair[1]])[:few]:
             if seen.cost[k] <= most:
                 self._try(key, self._added(k, seen), warm, _STEPS)
 
@@ -182,7 +203,10 @@ class _Maker:
     def go_on(self) -> None:
         """More steps for the best that have not settled."""
         order = sorted(self.best.values(), key=lambda t: t.cost)
-        waiting = [t for t in order if not t.short.settled and t.cost < self.base]
+        far = self.base
+        if self.explained:
+            far = order[0].cost + _PART * (self.base - order[0].cost)
+        waiting = [t for t in order if not t.short.settled and t.cost < far]
         for trial in waiting[:_UNSETTLED]:
             key = trial.added.candidate.key
             short = self.shorts((*self.effects, trial.added), trial.short, _MORE)
@@ -194,31 +218,36 @@ class _Maker:
         if not self.best:
             return
         best = min(self.best.values(), key=lambda t: t.cost)
-        names = [state.name for state in self.fit.model.states]
-        first = {r: np.array([own[n] for n in names]) for r, own in best.short.initial.items()}
-        self.beside(best.short.values, first, best.cost, best.added.candidate.key)
+        try:
+            null = self.shorts.null_at((*self.effects, best.added), best.short)
+        except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
+            return
+        self.beside(null, best.short.values, [best.added], best.cost)
 
     def beside(
         self,
+        null: NullModel,
         values: Mapping[str, float],
-        first: Mapping[str, Array],
+        added: Sequence[Addition],
         cost: float,
-        done: tuple[str, str] | None = None,
     ) -> None:
-        """Those that could explain as much as a fit with these parameters and first states; done : what it adds."""
-        z = np.array([values.get(n, v) for n, v in zip(self.fit.free, self.fit.z, strict=True)])
-        seen = self.foreseen(z, first)
+        """Those that could explain as much as the effects ``added``, from the parameters found with these.
+
+        null : the model with them, linearised; values : its parameters; cost : its chi-squared
+        """
+        seen = self._in_place_of(null, added)
+        done = added[0].candidate.key if len(added) == 1 else None
         if seen is None:
             return
         close = cost + max(_NEAR, _SHARE * (self.base - cost))
-        warm = Start(dict(zip(self.fit.free, z.tolist(), strict=True)), converged=False)
+        warm = Start({name: values[name] for name in self.fit.free if name in values})
         for key, members in self.families.items():
             k = min(members, key=lambda k: seen.cost[k])
             self.promised[key] = min(self.promised.get(key, math.inf), float(seen.cost[k]))
             known = self.best.get(key)
             if key == done or seen.cost[k] > close:
                 continue
-            if known is not None and known.cost < seen.cost[k] + 1 and known.short.settled:
+            if known is not None and known.cost < seen.cost[k] + _SURE and known.short.settled:
                 continue
             self._try(key, self._added(k, seen), warm, _STEPS + _MORE)
 
@@ -230,6 +259,43 @@ class _Maker:
                 columns = {r.name: candidate_columns(r, self.screened.candidates) for r in null.records}
         except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
             return None
+        return self._linearised(null, columns)
+
+    def _in_place_of(self, null: NullModel, added: Sequence[Addition]) -> Foreseen | None:
+        """All candidates linearised where the added effects are, of which each is to take the place.
+
+        What the added amplitudes do to the outputs is to be explained along with the residual, by the others' slopes.
+        """
+        size = np.diag(null.turn)
+        plain = null.turn.shape == (len(null.values),) * 2 and np.array_equal(null.turn, np.diag(size))
+        if not plain or len(null.model.states) != len(self.fit.model.states):
+            return None
+        try:
+            with np.errstate(all="ignore"):
+                columns = {r.name: candidate_columns(r, self.screened.candidates) for r in null.records}
+        except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
+            return None
+        stems, amplitudes = tuple(f"{one.key}." for one in added), {one.amplitude for one in added}
+        names = [name.partition("@")[0] for name in null.parameters]
+        gone = [k for k, name in enumerate(names) if name.startswith(stems)]
+        # a nuisance value moves nothing once its effect is gone; an amplitude goes to zero
+        zero = [k for k in gone if names[k] in amplitudes]
+        records = []
+        for record in null.records:
+            slopes, residual = {}, {}
+            for output, own in record.slopes.items():
+                residual[output] = record.residual[output] + own[:, zero] @ (null.values[zero] / size[zero])
+                slopes[output] = np.delete(own, gone, axis=1)
+            records.append(replace(record, slopes=slopes, residual=residual))
+        rest = replace(
+            null,
+            turn=np.delete(null.turn, gone, axis=1),
+            prior=np.delete(null.prior, gone, axis=1),
+            records=tuple(records),
+        )
+        return self._linearised(rest, columns)
+
+    def _linearised(self, null: NullModel, columns: Mapping[str, Mapping[str, Array]]) -> Foreseen | None:
         if not all(np.isfinite(part).all() for own in columns.values() for part in own.values()):
             return None
         noise = NoiseModel(self.shorts.levels)
