@@ -74,10 +74,11 @@ class Start:
 
 @dataclass(frozen=True, eq=False)
 class Foreseen:
-    """What a linearisation promises: chi-squared (k,) with each candidate, and its amplitude (k,)."""
+    """What a linearisation promises: chi-squared (k,) with each candidate, its amplitude (k,), chi-squared without any."""
 
     cost: Array
     amplitude: Array
+    none: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +119,7 @@ def make_trials(screened: Screened, fit: Fit, effects: Sequence[Addition], short
     base = chi_squared(screened.null, shorts.levels)
     made = _Maker(screened, fit, tuple(effects), shorts, base)
     scores = screened.scores
-    here = Foreseen(base - scores.drop, scores.amplitude)
+    here = Foreseen(base - scores.drop, scores.amplitude, base)
     made.try_all(here, fit, most=base - _PART * float(scores.drop.max(initial=0.0)))
     if driven(fit) or not made.explained:
         start = made.foreseen(made.own_values(), shorts.first_states(effects))
@@ -239,6 +240,10 @@ class _Maker:
         done = added[0].candidate.key if len(added) == 1 else None
         if seen is None:
             return
+        if seen.none < self.base:
+            # a law that bends: its slope takes away less than it has explained, and promises others too much
+            bent = (self.base - cost) / max(seen.none - cost, 1e-3)
+            seen = replace(seen, cost=cost + (seen.cost - cost) * max(bent, 1.0))
         close = cost + max(_NEAR, _SHARE * (self.base - cost))
         warm = Start({name: values[name] for name in self.fit.free if name in values})
         for key, members in self.families.items():
@@ -303,4 +308,5 @@ class _Maker:
         scores = scores_of(reduced, self.screened.candidates, null.turn)
         n = reduced.parameters
         left = without(basis(reduced.rows[:, :n]), reduced.rows[:, -1:])
-        return Foreseen(float((left**2).sum()) - scores.drop, scores.amplitude)
+        none = float((left**2).sum())
+        return Foreseen(none - scores.drop, scores.amplitude, none)
