@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from casadi_engine.discrepancy.assumed_pressure import SCATTER, settle_scatter
 from casadi_engine.discrepancy.gauss_newton import chi_squared
 from casadi_engine.discrepancy.long_run import long_run_noise
 from casadi_engine.discrepancy.members import KEEP, members_of
@@ -231,6 +232,7 @@ class Search:
     ) -> Station:
         """A fit with effects, its lead among those screened against ``here``, and the class; refits : of rivals."""
         screened = here.screened
+        fit = self._settled(fit)
         after = self._screen(fit, effects)
         begun = time.perf_counter()
         # with the effect in the model its noise is known better: a large effect leaves more than one step explains
@@ -242,6 +244,18 @@ class Search:
         members, frequency = members_of(screened, lead, gains), _frequency(screened, lead)
         self._spent("certificate", begun)
         return Station(fit, effects, after, lead, members, gains[lead], frequency)
+
+    def _settled(self, fit: Fit) -> Fit:
+        """The fit at the scatter of assumed pressures that is likely now: before, that had to stand for the effect."""
+        made, _ = settle_scatter(
+            fit, fit.parameters, noise=self.refitter.noise, options=self.refitter.options
+        )
+        if made is not fit:
+            pars = self.refitter.parameters.copy()
+            pars[SCATTER].set(made.values[SCATTER])
+            self.refitter = replace(self.refitter, parameters=pars)
+            self._shorts = None  # they hold the old ones
+        return made
 
     def _swapped(self, pair: Station) -> bool:
         """True if one other effect does as well as the last two, which it then replaces.

@@ -74,7 +74,7 @@ class Start:
 
 @dataclass(frozen=True, eq=False)
 class Foreseen:
-    """What a linearisation promises: chi-squared (k,) with each candidate, its amplitude (k,), chi-squared without any."""
+    """What a linearisation promises: chi-squared (k,) with each candidate, its amplitude (k,); none : without any."""
 
     cost: Array
     amplitude: Array
