@@ -240,7 +240,7 @@ class Search:
         before = whitened_cost(here.fit, choice)
         gains = {k: before - whitened_cost(one, choice) for k, one in refits.items()}
         gains[lead] = max(gains.get(lead, -np.inf), before - whitened_cost(fit, choice))
-        gains = _by_trials(tried, lead, gains) | gains
+        gains = _by_trials(tried, screened, lead, gains) | gains
         members, frequency = members_of(screened, lead, gains), _frequency(screened, lead)
         self._spent("certificate", begun)
         return Station(fit, effects, after, lead, members, gains[lead], frequency)
@@ -329,7 +329,7 @@ def _pooled(one: Trial, tried: Trials, screened: Screened) -> float:
     return screened.law.pooled(float(stats.chi2.sf(drop, 1 + freed(screened, one.candidate))))
 
 
-def _by_trials(tried: Trials, lead: int, gains: Mapping[int, float]) -> dict[int, float]:
+def _by_trials(tried: Trials, screened: Screened, lead: int, gains: Mapping[int, float]) -> dict[int, float]:
     """The gains of all trials on the scale of the lead's refit; what may gain as much for all that is known does."""
     best = next(one for one in tried.best.values() if one.candidate == lead)
     drop = tried.base - best.cost
@@ -337,6 +337,10 @@ def _by_trials(tried: Trials, lead: int, gains: Mapping[int, float]) -> dict[int
     found = {}
     for one in tried.best.values():
         found[one.candidate] = gains[lead] - scale * (tried.least(one) - best.cost)
+    for k in screened.order:  # never tried, since little was promised
+        key = screened.candidates[k].key
+        if key in tried.foreseen and key not in tried.best:
+            found[k] = gains[lead] - scale * (tried.foreseen[key] - best.cost)
     return found
 
 
