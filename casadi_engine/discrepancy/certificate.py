@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_engine.discrepancy.assumed_pressure import carried_cylinders, scatter_carried
+from casadi_engine.discrepancy.assumed_pressure import carried_cylinders, is_carried, scatter_carried
 from casadi_engine.discrepancy.confirmation import share_explained
 from casadi_engine.discrepancy.fresh import gap_of
 from casadi_engine.discrepancy.latent_torque import LatentTorque
@@ -103,7 +103,9 @@ def _found(stations: Sequence[Station], one: Addition, last: Station) -> FoundEf
     screened, lead = before.screened, here.lead
     assert lead is not None
     keys = [name for name in last.fit.estimates if name.partition("@")[0].startswith(f"{one.key}.")]
-    names = before.screened.null.parameters
+    every = before.screened.null.parameters
+    shift = dict(zip(every, screened.scores.shift[:, lead].tolist(), strict=True))
+    names = [name for name in every if not is_carried(name)]
     moved = {
         name: here.fit.values[name] - before.fit.values[name] for name in names if name in here.fit.values
     }
@@ -123,7 +125,7 @@ def _found(stations: Sequence[Station], one: Addition, last: Station) -> FoundEf
         screened.pooled(lead),
         here.drop,
         share,
-        dict(zip(names, screened.scores.shift[:, lead].tolist(), strict=True)),
+        {name: shift[name] for name in names},
         moved,
         here.frequency,
         here.members,

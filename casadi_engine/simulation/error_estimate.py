@@ -12,8 +12,9 @@ from casadi_engine.simulation.general import GeneralPropagator
 from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.linear import LinearPropagator
+from casadi_engine.simulation.observed import ObservedPropagator
 
-Stepped = ExponentialPropagator | GeneralPropagator
+Stepped = ExponentialPropagator | ObservedPropagator | GeneralPropagator
 Propagator = LinearPropagator | Stepped
 
 # Of a scheme of fourth order: its error is this many times its difference from half the step.

@@ -19,6 +19,7 @@ from casadi_engine.simulation.grid import Grid
 from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.linear import LinearPropagator
+from casadi_engine.simulation.observed import ObservedPropagator, with_states_shown
 from casadi_engine.simulation.shared_core import Cores
 from casadi_engine.simulation.split import split
 
@@ -70,11 +71,11 @@ def make_propagator(
     used: Seen | None = None,
     substeps: int | None = None,
     cores: Cores | None = None,
-) -> LinearPropagator | GappyPredictor | ExponentialPropagator | GeneralPropagator:
+) -> LinearPropagator | GappyPredictor | ExponentialPropagator | ObservedPropagator | GeneralPropagator:
     """Propagator of a model over one record.
 
-    A linear core alone is propagated exactly; a core with nonlinear laws by the exponential integrator; equations
-    that have no useful core by Runge-Kutta steps.
+    A linear core alone is propagated exactly; a core with nonlinear laws by the exponential integrator, whatever its
+    outputs show; equations that have no useful core by Runge-Kutta steps.
 
     method : "exact", or "euler" for a linear model; gain : (n, ny) correction gain per scaled state, a Gain that hangs
     on z, or None; used : the outputs that correct the state, None for all
@@ -109,6 +110,13 @@ def make_propagator(
         return ExponentialPropagator(
             model, parts, grid, intervals, z, physical, scale=scale, substeps=substeps or 1
         )
+    shown = with_states_shown(model)
+    parts = split(shown)
+    if parts is not None and parts.model.has_slot_laws:
+        states = ExponentialPropagator(
+            shown, parts, grid, intervals, z, physical, scale=scale, substeps=substeps or 1
+        )
+        return ObservedPropagator(model, states, grid, z, physical)
     return GeneralPropagator(model, grid, intervals, z, physical, scale=scale, substeps=substeps)
 
 

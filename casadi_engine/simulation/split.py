@@ -41,7 +41,7 @@ def split(model: Model) -> Split | None:
         model = own
     model = _without_simple_laws(model)
     core = model.linear
-    # An output that shows a law's torque at once (a delayed sensor) is left to the general integrator.
+    # An output that shows a law's torque at once (a delayed sensor) is evaluated beside the states: see ``observed``.
     if core is None or not core.H.is_zero():
         return None
     return Split(model, core, _closed(model, model.slot_laws))

@@ -244,8 +244,11 @@ def table(found):
 
 
 def to_json(found):
-    """Plain data of the answer, by "place, sensors"."""
-    return {f"{place.name}, {sensors}": asdict(one) for (place, sensors), one in found.items()}
+    """Plain data of the answer without the curve, by "place, sensors"."""
+    return {
+        f"{place.name}, {sensors}": {k: v for k, v in asdict(one).items() if k != "curve"}
+        for (place, sensors), one in found.items()
+    }
 
 
 def main():
@@ -257,7 +260,8 @@ def main():
     sensors = tuple(int(s) for s in chosen.sensors.split(","))
     found = detectable([key for key in all_keys(sensors) if chosen.only in key[0].name])
     if chosen.json:
-        chosen.json.write_text(json.dumps(to_json(found)))
+        lines = [f" {json.dumps(name)}: {json.dumps(one)}" for name, one in to_json(found).items()]
+        chosen.json.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
     print(table(found))
     print(f"\nmu of records without effects: {error_of_the_method():.2g}")
 

@@ -257,3 +257,26 @@ def test_repair_says_that_nothing_is_missing_where_pressures_are_assumed():
     assert found.gaps.validation_before.gap.chi2_per_sample < 1.3
     blind = ce.estimate(ce.two_mass(), data, noise=NOISE, progress=False)
     assert blind.cost / blind.n > 1.15
+
+
+@pytest.mark.slow
+def test_repair_finds_an_effect_and_then_the_scatter_anew():
+    """A load of 5 N m that comes on at 0.4 s: before it is in the model, the combustion has to scatter in its place."""
+    one = simulated([950_001], [hidden("load_step", "load", 5.0, time=0.4)])[0]
+    model = ce.two_mass()
+    pars = model.parameters()
+    pars["C_el"].set(min=0.05, max=50)
+    pars["K_el"].set(min=200, max=20_000)
+    found = ce.repair(
+        model,
+        experiment(one),
+        parameters=pars,
+        effects=["load_step", "misfire"],
+        noise=NOISE,
+        starts=1,
+        progress=False,
+    )
+    assert (found.effects[0].name, found.effects[0].at, found.confirmed) == ("load_step", "load", True)
+    assert abs(found.effects[0].amplitude.value - 5.0) < 4 * found.effects[0].amplitude.stderr
+    assert found.fit.values[SCATTER] < 0.8 * found.null_fit.values[SCATTER]
+    assert not any(is_carried(name) for name in found.effects[0].predicted_shift)

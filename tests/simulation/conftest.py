@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import casadi as ca
@@ -11,6 +12,8 @@ import pytest
 from casadi_engine.experiment import Channel, Experiment
 from casadi_engine.model import Blueprint
 from casadi_engine.simulation.grid import Grid, Measured
+from casadi_engine.simulation.observed import with_states_shown
+from casadi_engine.simulation.split import split
 
 
 def _linear_model(rng, *, states, inputs=1, outputs=1, parameters=2, through=True, offsets=True):
@@ -99,6 +102,7 @@ class Made:
     exact_step = staticmethod(lambda holds: exact_step(holds))
     euler_step = staticmethod(lambda *arguments: euler_step(*arguments))
     runge_kutta_step = staticmethod(lambda substeps=1: runge_kutta_step(substeps))
+    krogstad_step = staticmethod(lambda *arguments: krogstad_step(*arguments))
     compare = staticmethod(lambda *arguments: compare(*arguments))
     by_interval = staticmethod(lambda *arguments: by_interval(*arguments))
     sample_numbers = staticmethod(lambda plan: sample_numbers(plan))
@@ -128,6 +132,60 @@ def _unrolled(model, grid, plan, physical, z, one_step, scale):
         state = step(state * s, u[:, k], u[:, k + 1], t0 + k * grid.step) / s
     rows.append(out(state * s, u[:, plan.length], t0 + plan.length * grid.step, p))
     return ca.Function("unrolled", [zm, x, u, t0], [ca.vertcat(*rows), state])
+
+
+def krogstad_step(holds, substeps=1, terms=18):
+    """The scheme with its phi functions as Taylor polynomials, drives and channels on straight lines."""
+
+    def make(model, grid, p):
+        parts = split(with_states_shown(model))
+        inner, core, h = parts.model, parts.core, grid.step / substeps
+        dense = [ca.densify(part) for part in (core.A, core.B, core.G, core.e)]
+        a, b, g, e = ca.Function("core", [inner.p], dense)(p)
+        whole, half = phi(a * h, terms), phi(a * h / 2, terms)
+        arguments = [inner.u, inner.t, inner.p]
+        drive = ca.Function("drive", arguments, [ca.densify(inner.drive_expressions)])
+        law = ca.Function("law", [inner.x, *arguments], [parts.laws])
+        first = ca.DM([1.0 if hold == "first" else 0.0 for hold in holds])
+
+        def step(x, u0, u1, t):
+            start, rise = drive(u0, t, p), drive(u1, t + grid.step, p) - drive(u0, t, p)
+            for k in range(substeps):
+                v0, dv = start + first * rise * k / substeps, first * rise / substeps
+
+                def push(state, place, k=k):
+                    share = (k + place) / substeps
+                    return g @ law(state, u0 + first * (u1 - u0) * share, t + share * grid.step, p)
+
+                middle = half[0] @ x + h / 2 * half[1] @ (b @ v0 + e) + h / 4 * half[2] @ (b @ dv)
+                free = whole[0] @ x + h * whole[1] @ (b @ v0 + e) + h * whole[2] @ (b @ dv)
+                n1 = push(x, 0)
+                n2 = push(middle + h / 2 * half[1] @ n1, 0.5)
+                n3 = push(middle + h * (half[1] / 2 - half[2]) @ n1 + h * half[2] @ n2, 0.5)
+                n4 = push(free + h * (whole[1] - 2 * whole[2]) @ n1 + 2 * h * whole[2] @ n3, 1)
+                x = free + h * (
+                    (whole[1] - 3 * whole[2] + 4 * whole[3]) @ n1
+                    + (2 * whole[2] - 4 * whole[3]) @ (n2 + n3)
+                    + (4 * whole[3] - whole[2]) @ n4
+                )
+            return x
+
+        return step
+
+    return make
+
+
+def phi(z, terms):
+    """phi_0 .. phi_3."""
+    found = []
+    for k in range(4):
+        power = ca.SX.eye(z.shape[0])
+        total = power / math.factorial(k)
+        for j in range(1, terms):
+            power = power @ z
+            total = total + power / math.factorial(k + j)
+        found.append(total)
+    return found
 
 
 def exact_step(holds, terms=24):

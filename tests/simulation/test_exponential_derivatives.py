@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -38,60 +36,6 @@ def bent_model(rng, *, states=3, laws=1, bent_outputs=False, through=False, bent
     if states > 1:
         b.output("y1", x[1] + 0.5 * x[0])
     return b.model()
-
-
-def krogstad_step(holds, substeps=1, terms=18):
-    """The scheme with its phi functions as Taylor polynomials, drives and channels on straight lines."""
-
-    def make(model, grid, p):
-        parts = split(model)
-        inner, core, h = parts.model, parts.core, grid.step / substeps
-        dense = [ca.densify(part) for part in (core.A, core.B, core.G, core.e)]
-        a, b, g, e = ca.Function("core", [inner.p], dense)(p)
-        whole, half = phi(a * h, terms), phi(a * h / 2, terms)
-        arguments = [inner.u, inner.t, inner.p]
-        drive = ca.Function("drive", arguments, [ca.densify(inner.drive_expressions)])
-        law = ca.Function("law", [inner.x, *arguments], [parts.laws])
-        first = ca.DM([1.0 if hold == "first" else 0.0 for hold in holds])
-
-        def step(x, u0, u1, t):
-            start, rise = drive(u0, t, p), drive(u1, t + grid.step, p) - drive(u0, t, p)
-            for k in range(substeps):
-                v0, dv = start + first * rise * k / substeps, first * rise / substeps
-
-                def push(state, place, k=k):
-                    share = (k + place) / substeps
-                    return g @ law(state, u0 + first * (u1 - u0) * share, t + share * grid.step, p)
-
-                middle = half[0] @ x + h / 2 * half[1] @ (b @ v0 + e) + h / 4 * half[2] @ (b @ dv)
-                free = whole[0] @ x + h * whole[1] @ (b @ v0 + e) + h * whole[2] @ (b @ dv)
-                n1 = push(x, 0)
-                n2 = push(middle + h / 2 * half[1] @ n1, 0.5)
-                n3 = push(middle + h * (half[1] / 2 - half[2]) @ n1 + h * half[2] @ n2, 0.5)
-                n4 = push(free + h * (whole[1] - 2 * whole[2]) @ n1 + 2 * h * whole[2] @ n3, 1)
-                x = free + h * (
-                    (whole[1] - 3 * whole[2] + 4 * whole[3]) @ n1
-                    + (2 * whole[2] - 4 * whole[3]) @ (n2 + n3)
-                    + (4 * whole[3] - whole[2]) @ n4
-                )
-            return x
-
-        return step
-
-    return make
-
-
-def phi(z, terms):
-    """phi_0 .. phi_3."""
-    found = []
-    for k in range(4):
-        power = ca.SX.eye(z.shape[0])
-        total = power / math.factorial(k)
-        for j in range(1, terms):
-            power = power @ z
-            total = total + power / math.factorial(k + j)
-        found.append(total)
-    return found
 
 
 CASES = {
@@ -135,7 +79,7 @@ def test_first_and_second_derivatives_equal_casadis(made, name):
     propagator = ExponentialPropagator(
         model, split(model), grid, plan, z, physical, scale=scale, substeps=substeps
     )
-    reference = made.reference(model, grid, plan, z, physical, scale, krogstad_step(holds, substeps))
+    reference = made.reference(model, grid, plan, z, physical, scale, made.krogstad_step(holds, substeps))
     found = made.compare(
         propagator, reference, rng.uniform(0.5, 1.5, 3), rng.normal(size=(m, len(scale))), rng
     )

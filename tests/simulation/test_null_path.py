@@ -1,0 +1,48 @@
+"""The null path: the states along a record by the integrator that fits of the same model have."""
+
+import numpy as np
+import pytest
+
+import casadi_engine as ce
+from casadi_engine.simulation.grid import lay_grid
+from casadi_engine.simulation.null_path import null_path
+
+START = {"omega_eng": 125.0, "omega_load": 125.0, "twist": -0.01}
+
+
+@pytest.fixture(scope="module")
+def record():
+    """Coarse samples, so that what lies between them counts: 40 to a revolution."""
+    t = np.arange(160) / 800.0
+    theta = 125.0 * t
+    columns = {"theta": theta, "T_load": np.full(len(t), 30.0), "omega": np.full(len(t), 125.0)}
+    for number, shift in enumerate((0.0, 3.0, 1.0, 2.0), start=1):
+        columns[f"p{number}"] = 1e5 + 3e6 * np.exp(
+            -((np.angle(np.exp(1j * (theta / 2 - shift * np.pi / 2))) / 0.2) ** 2)
+        )
+    units = {"theta": "rad", "T_load": "N m", "omega": "rad/s", **{f"p{n}": "Pa" for n in (1, 2, 3, 4)}}
+    return ce.Experiment.from_arrays("coarse", time=t, units=units, **columns)
+
+
+def states_of(model, record):
+    grid = lay_grid(model, record, outputs=("omega",))
+    p = np.asarray(model.parameter_vector(None), dtype=float).ravel()
+    return null_path(model, grid, p, np.array(list(START.values())))
+
+
+@pytest.mark.parametrize("delay", [None, 0.0, 2e-4])
+def test_the_states_are_those_of_a_simulation_whatever_the_outputs_show(record, delay):
+    """A delayed sensor shows torques at once; at this rate another integrator would be 0.05 rad/s off."""
+    model = ce.two_mass(reciprocating_speed="model")
+    if delay is not None:
+        model = model.with_effect(ce.effects.SensorDelay(), at="sensor_omega", values={"delay": delay})
+    path = states_of(model, record)
+    run = ce.simulate(model, record, initial=START)
+    shown = path.function([model.output_expressions])(*path.at_samples().arguments)[0][0]
+    np.testing.assert_allclose(shown, run["omega"].values, rtol=0, atol=1e-8)
+
+
+def test_a_sensor_does_not_move_the_shaft(record):
+    model = ce.two_mass(reciprocating_speed="model")
+    delayed = model.with_effect(ce.effects.SensorDelay(), at="sensor_omega", values={"delay": 2e-4})
+    np.testing.assert_allclose(states_of(delayed, record).x, states_of(model, record).x, rtol=0, atol=1e-12)
