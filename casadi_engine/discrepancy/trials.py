@@ -41,6 +41,8 @@ _UNUSUAL = 3.0
 _PART = 0.25
 # Where the best trial explains everything so many are tried from the parameters' own values.
 _FEW = 8
+# Times that the best trial may change while its rivals are tried in its place.
+_AGAIN = 3
 # A trial that ended so far above what was promised beside the best one may have ended elsewhere.
 _SURE = 3.0
 # How far above the best trial a linearised candidate may foresee its chi-squared to be tried from there: of what the
@@ -215,15 +217,18 @@ class _Maker:
                 self.best[key] = replace(trial, short=min(short, trial.short, key=lambda s: s.cost))
 
     def beside_best(self) -> None:
-        """Those that could explain as much as the best, from its parameters."""
-        if not self.best:
-            return
-        best = min(self.best.values(), key=lambda t: t.cost)
-        try:
-            null = self.shorts.null_at((*self.effects, best.added), best.short)
-        except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
-            return
-        self.beside(null, best.short.values, [best.added], best.cost)
+        """Those that could explain as much as the best, from its parameters; again where that finds a better one."""
+        for _ in range(_AGAIN):
+            best = min(self.best.values(), key=lambda t: t.cost, default=None)
+            if best is None:
+                return
+            try:
+                null = self.shorts.null_at((*self.effects, best.added), best.short)
+            except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
+                return
+            self.beside(null, best.short.values, [best.added], best.cost)
+            if min(one.cost for one in self.best.values()) > best.cost - _SURE:
+                return
 
     def beside(
         self,
@@ -248,7 +253,7 @@ class _Maker:
         warm = Start({name: values[name] for name in self.fit.free if name in values})
         for key, members in self.families.items():
             k = min(members, key=lambda k: seen.cost[k])
-            self.promised[key] = min(self.promised.get(key, math.inf), float(seen.cost[k]))
+            self.promised[key] = float(seen.cost[k])
             known = self.best.get(key)
             if key == done or seen.cost[k] > close:
                 continue
