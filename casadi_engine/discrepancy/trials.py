@@ -41,6 +41,8 @@ _UNUSUAL = 3.0
 _PART = 0.25
 # Where the best trial explains everything so many are tried from the parameters' own values.
 _FEW = 8
+# Least share of what the best explains that its slope must take away, for what others promise in its place to count.
+_BENT = 0.8
 # Times that the best trial may change while its rivals are tried in its place.
 _AGAIN = 3
 # A trial that ended so far above what was promised beside the best one may have ended elsewhere.
@@ -241,14 +243,15 @@ class _Maker:
 
         null : the model with them, linearised; values : its parameters; cost : its chi-squared
         """
-        seen = self._in_place_of(null, added)
         done = added[0].candidate.key if len(added) == 1 else None
-        if seen is None:
+        self.promised.clear()
+        seen, least = self._in_place_of(null, added), cost + _BENT * (self.base - cost)
+        if seen is None or seen.none < least:
+            # a law that bends: its slope takes away less than it explains, and promises all others too much
+            z = np.array([values.get(n, v) for n, v in zip(self.fit.free, self.fit.z, strict=True)])
+            seen = self.foreseen(z, {record.name: record.path.x[:, 0] for record in null.records})
+        if seen is None or seen.none < least:
             return
-        if seen.none < self.base:
-            # a law that bends: its slope takes away less than it has explained, and promises others too much
-            bent = (self.base - cost) / max(seen.none - cost, 1e-3)
-            seen = replace(seen, cost=cost + (seen.cost - cost) * max(bent, 1.0))
         close = cost + max(_NEAR, _SHARE * (self.base - cost))
         warm = Start({name: values[name] for name in self.fit.free if name in values})
         for key, members in self.families.items():
