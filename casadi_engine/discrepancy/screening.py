@@ -6,7 +6,7 @@ No refit is made: the null fit gives residuals and slopes, one sweep all sensiti
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -26,6 +26,7 @@ from casadi_engine.discrepancy.noise_choice import (
     ColourChoice,
     NoiseChoice,
     choose_noise,
+    innovation_p,
     scatter_of,
     white_p,
 )
@@ -185,6 +186,7 @@ def screen(
 def rescored(screened: Screened, choice: NoiseChoice) -> Screened:
     """The same scores with another noise."""
     one = screened
+    choice = replace(choice, compressed=None)
     return _scored(one.null, one.candidates, one.columns, choice, one.alpha, one.seed)
 
 
@@ -194,7 +196,7 @@ def whitely(screened: Screened, fit: Fit) -> Screened:
     choice = choose_noise(
         one.null, one.candidates, one.columns, fit.noise, data=fit.data, cylinders=one.choice.cylinders, colour=False
     )  # fmt: skip
-    return rescored(one, choice)
+    return _scored(one.null, one.candidates, one.columns, choice, one.alpha, one.seed)
 
 
 def _scored(
@@ -205,7 +207,9 @@ def _scored(
     alpha: float,
     seed: int,
 ) -> Screened:
-    compressed = compress(null, candidates, choice.noise, scatter=choice.scatter, columns=columns)
+    compressed = choice.compressed
+    if compressed is None:
+        compressed = compress(null, candidates, choice.noise, scatter=choice.scatter, columns=columns)
     scores = score(compressed)
     share, _ = split_alpha(alpha)
     law = NullDistribution(library_rows(scores), seed=seed)
@@ -225,7 +229,11 @@ def _scored(
 
 
 def _leftover(screened: Screened) -> Leftover:
-    """Half of the remaining false-alarm rate each for whiteness and for families."""
+    """Half of the remaining false-alarm rate each for whiteness and for families.
+
+    Where the noise is coloured its innovations are to be white, but for a residual that is larger than the noise that
+    was stated: that is no noise.
+    """
     rest = screened.alpha - screened.share
     null, choice = screened.null, screened.choice
     tests: dict[str, float] = {}
@@ -237,7 +245,13 @@ def _leftover(screened: Screened) -> Leftover:
             held = record.slopes[output]
             if random is not None:
                 held = np.concatenate([held, random[record.name][output]], axis=1)
-            p = white_p(record, output, left[record.name][output], held)
+            e = left[record.name][output]
+            larger = (record.name, output) in choice.larger
+            p = (
+                white_p(record, output, e, held)
+                if larger
+                else innovation_p(record, output, e, held, choice.noise)
+            )
             if p is not None:
                 tests[f"{record.name}/{output}/whiteness"] = p
     white = len(tests)
