@@ -28,6 +28,7 @@ from casadi_engine.discrepancy.fresh import (
 )
 from casadi_engine.discrepancy.latent_torque import LatentTorque, latent_torques
 from casadi_engine.discrepancy.next_experiment import next_experiment
+from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.repaired import FoundEffect, Gaps, NextExperiment, Repair, Unknown, Verdict
 from casadi_engine.discrepancy.search import Search, Station
@@ -95,7 +96,7 @@ class Answer:
         place = None
         if blank.verdict != "nothing missing":
             latent = self._timed("latent torque", lambda: self._latent(null, last))
-            place = place_of(screened.null, last.screened.noise, latent)
+            place = place_of(screened.null, _noise_of_place(last), latent)
         split = self._timed("next experiment", lambda: _split(proof.kept))
         self.timing["total"] = time.perf_counter() - self.begun
         return replace(
@@ -188,7 +189,7 @@ class Answer:
 
     def _latent(self, null: Station, last: Station) -> tuple[LatentTorque, ...]:
         self.tell("where: a torque of unknown course at every port")
-        return tuple(latent_torques(null.screened.null, last.screened.noise))
+        return tuple(latent_torques(null.screened.null, _noise_of_place(last)))
 
     def _say(self, null: Station, last: Station, proof: Confirmation) -> None:
         self.messages += [*last.screened.choice.messages]
@@ -211,6 +212,12 @@ class Answer:
         ]
         if late and len(proof.kept) > 1:
             self.messages.append(f"in the repaired model {', '.join(late)} is at a bound")
+
+
+def _noise_of_place(last: Station) -> NoiseModel:
+    """The noise beside which a gap is looked for: the stated one where the residual is larger, as its colour would hide
+    what is looked for."""
+    return last.screened.choice.stated or last.screened.noise
 
 
 def _effects(proof: Confirmation) -> tuple[tuple[FoundEffect, ...], tuple[FoundEffect, ...]]:

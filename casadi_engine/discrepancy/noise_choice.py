@@ -3,7 +3,8 @@ scatter of combustions whose pressure was assumed."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -12,12 +13,14 @@ from scipy import stats
 
 from casadi_engine.discrepancy.assumed_pressure import carried_cylinders
 from casadi_engine.discrepancy.candidate import Candidate
+from casadi_engine.discrepancy.colour_choice import beside, coloured_noise
 from casadi_engine.discrepancy.combustion_scatter import Scatter, assumed_cylinders, combustion_scatter
-from casadi_engine.discrepancy.compression import compress, scatter_columns
+from casadi_engine.discrepancy.compression import Compressed, compress, scatter_columns, white_levels
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.noise_model import NoiseModel, estimated_noise, left_over
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.score import score
+from casadi_engine.errors import EstimationError
 from casadi_engine.experiment import Experiment
 from casadi_engine.validation import whiteness
 
@@ -26,19 +29,29 @@ ColourChoice = Literal["auto"] | bool
 
 # Columns of the library that may explain part of the residual while the noise is estimated.
 _MOST, _SHARE, _ALIKE = 60, 0.05, 0.9
-# A residual is coloured, or a known level wrong, if chance would do as much less often than this.
-_SURE = 1e-4
+# A known level is wrong if chance would do as much less often than this; a residual is coloured.
+_SURE, _COLOURED_P = 1e-4, 0.01
+# A coloured residual is larger than a stated noise by so many standard errors; it is that of at least so many swings.
+_LARGER, _SWINGS = 4.0, 20
+_COLOURED = "the residual is coloured: the score tests count with an autoregression of the noise"
 
 
 @dataclass(frozen=True, eq=False)
 class NoiseChoice:
     """The noise model, its random amplitudes by record, the cylinders that were asked for ("assumed", or names), and
-    what the user should know."""
+    what the user should know.
+
+    compressed : the records with this noise, where they are at hand; larger : (record, output) of a coloured residual
+    that is larger than the noise that was stated; stated : that noise, if there is such a residual
+    """
 
     noise: NoiseModel
     scatter: tuple[Scatter, ...] = ()
     cylinders: Any = "assumed"
     messages: tuple[str, ...] = ()
+    compressed: Compressed | None = None
+    larger: tuple[tuple[str, str], ...] = ()
+    stated: NoiseModel | None = None
 
 
 def scatter_of(
@@ -71,63 +84,99 @@ def choose_noise(
     """The noise of a null model's residuals.
 
     levels : output -> (sigma, estimated); a known one is held unless the residual that all candidates together leave is
-    larger than chance allows. colour : True, False, or "auto" for where that residual is not white
+    larger than chance allows. colour : True, False, or "auto" for where the residual is not white
+    Raises EstimationError for another colour, or cylinders that are none.
     """
+    _check(null, cylinders, colour)
     scatter = scatter_of(null, data, cylinders)
-    rough = NoiseModel({name: sigma for name, (sigma, _) in levels.items()})
-    explained = _explained(null, candidates, columns, rough)
     random = {r.name: scatter_columns(r, scatter) for r in null.records} if scatter else None
+    rough = NoiseModel({name: sigma for name, (sigma, _) in levels.items()})
+    white = compress(null, candidates, rough, scatter=scatter, columns=columns)
+    noise, messages = _white_noise(null, columns, white, levels, random)
+    white = white.relevelled(noise, scatter)
+    if colour is False or (colour == "auto" and _is_white(null, noise, beside(null, columns, ()), random)):
+        return NoiseChoice(noise, scatter, cylinders, messages, white)
+    found, held = coloured_noise(null, candidates, columns, white, scatter=scatter, random=random)
+    left = beside(null, columns, held)
+    if colour == "auto" and (not found.colour or _is_white(null, noise, left, random)):
+        return NoiseChoice(noise, scatter, cylinders, messages, white)
     known = {name: sigma for name, (sigma, estimated) in levels.items() if not estimated}
-    noise = estimated_noise(null, explained=explained, scatter=random)
+    larger = _too_large(null, found, known)
+    stated = NoiseModel({**found.sigma, **known}) if larger else None
+    return NoiseChoice(found, scatter, cylinders, (_COLOURED,), None, larger, stated)
+
+
+def _check(null: NullModel, cylinders: Any, colour: Any) -> None:
+    if not (colour is True or colour is False or (isinstance(colour, str) and colour == "auto")):
+        raise EstimationError(
+            "colour is not acceptable",
+            seen=repr(colour),
+            allowed='True, False or "auto"',
+            cure='leave it out: "auto" counts with an autoregression where the residual is not white',
+        )
+    if cylinders is None or (isinstance(cylinders, str) and cylinders == "assumed"):
+        return
+    ports = [port.name for port in null.model.ports if port.kind == "cylinder" and port.name != "cylinders"]
+    names = None if isinstance(cylinders, str) or not isinstance(cylinders, Iterable) else tuple(cylinders)
+    if names is None or any(name not in ports for name in names):
+        raise EstimationError(
+            "scatter is not acceptable",
+            seen=repr(cylinders),
+            allowed=f'"assumed", None, or a sequence of cylinder ports ({", ".join(ports) or "the model has none"})',
+            cure='leave it out: "assumed" takes the cylinders whose pressure was assumed',
+        )
+
+
+def _white_noise(
+    null: NullModel,
+    columns: Columns,
+    white: Compressed,
+    levels: Mapping[str, tuple[float, bool]],
+    random: Columns | None,
+) -> tuple[NoiseModel, tuple[str, ...]]:
+    """White noise: the levels that are known and true, and those that the whole library leaves."""
+    known = {name: sigma for name, (sigma, estimated) in levels.items() if not estimated}
+    if random:
+        noise = estimated_noise(null, explained=_explained(null, white, columns), scatter=random)
+    else:
+        sigma, freedom = white_levels(white)
+        noise = NoiseModel(sigma, {}, {}, "estimated", freedom)
     messages = []
-    for name, sigma in known.items():
-        freedom = sum(len(r.residual[name]) for r in null.records if name in r.residual)
-        if stats.chi2.sf(freedom * (noise.sigma[name] / sigma) ** 2, freedom) < _SURE:
+    for name in list(known):
+        count = noise.freedom[name]
+        if stats.chi2.sf(count * (noise.sigma[name] / known[name]) ** 2, count) < _SURE:
             messages.append(
                 f"the noise of {name} is larger than stated: {noise.sigma[name]:.4g} is left when the whole library "
-                f"may explain the residual, {sigma:.4g} was given; the larger one counts"
+                f"may explain the residual, {known[name]:.4g} was given; the larger one counts"
             )
             del known[name]
-            break
-    coloured = _coloured(null, noise, explained, random) if colour == "auto" else bool(colour)
-    if coloured:
-        noise = estimated_noise(null, explained=explained, scatter=random, colour=True)
-        messages.append("the residual is coloured: the score tests count with an autoregression of the noise")
-    elif len(known) == len(levels) and not messages:
-        noise = (
-            estimated_noise(null, explained=explained, scatter=random, sigma=known)
-            if random
-            else NoiseModel(known, source="known")
-        )
-    elif known and not random:
-        noise = NoiseModel({**noise.sigma, **known}, {}, {}, "estimated")
-    return NoiseChoice(noise, scatter, cylinders, tuple(messages))
+    if len(known) == len(levels):
+        if random:
+            explained = _explained(null, white, columns)
+            return estimated_noise(null, explained=explained, scatter=random, sigma=known), ()
+        return NoiseModel(known, source="known"), ()
+    if known and not random:
+        own = {name: nu for name, nu in noise.freedom.items() if name not in known}
+        noise = NoiseModel({**noise.sigma, **known}, {}, {}, "estimated", own)
+    return noise, tuple(messages)
 
 
-def _explained(
-    null: NullModel, candidates: Sequence[Candidate], columns: Columns, rough: NoiseModel
-) -> dict[str, dict[str, Array]]:
+def _explained(null: NullModel, white: Compressed, columns: Columns) -> dict[str, dict[str, Array]]:
     """Null slopes and the strongest candidates that are not alike: record -> output -> (N, k)."""
     chosen: list[int] = []
-    if candidates:
-        scores = score(compress(null, candidates, rough, columns=columns))
+    if white.candidates:
+        scores = score(white)
         most = min(_MOST, int(_SHARE * null.count))
         for k in sorted(np.flatnonzero(scores.testable), key=lambda k: -scores.statistic[k]):
             if len(chosen) >= most:
                 break
             if not chosen or np.abs(scores.correlation[k, chosen]).max() < _ALIKE:
                 chosen.append(int(k))
-    return {
-        record.name: {
-            output: np.concatenate([record.slopes[output], columns[record.name][output][:, chosen]], axis=1)
-            for output in record.outputs
-        }
-        for record in null.records
-    }
+    return beside(null, columns, chosen)
 
 
-def _coloured(null: NullModel, noise: NoiseModel, explained: Columns, random: Columns | None) -> bool:
-    """True if the residual that the columns and the scatter leave is not white, in any output of any record."""
+def _is_white(null: NullModel, noise: NoiseModel, explained: Columns, random: Columns | None) -> bool:
+    """True if the residual that the columns and the scatter leave is white, in all outputs of all records."""
     left = left_over(null, noise, explained, random)
     tests = 0
     smallest = 1.0
@@ -139,7 +188,24 @@ def _coloured(null: NullModel, noise: NoiseModel, explained: Columns, random: Co
             p = white_p(record, output, left[record.name][output], held)
             if p is not None:
                 tests, smallest = tests + 1, min(smallest, p)
-    return bool(smallest * tests < _SURE)
+    return bool(smallest * tests >= _COLOURED_P)
+
+
+def _too_large(null: NullModel, noise: NoiseModel, known: Mapping[str, float]) -> tuple[tuple[str, str], ...]:
+    """(record, output) whose residual is larger than the stated noise, whatever its colour."""
+    left = left_over(null, noise, {r.name: dict(r.slopes) for r in null.records})
+    found = []
+    for record in null.records:
+        for output in record.outputs:
+            if output in known:
+                e = left[record.name][output]
+                colour = noise.colour.get((record.name, output))
+                # a few long swings may be large by chance; one that never ends is no noise
+                memory = min(1.0 if colour is None else colour.memory, len(e) / _SWINGS)
+                excess = float(np.mean(e**2)) / known[output] ** 2 - 1
+                if excess > _LARGER * math.sqrt(2 * memory / len(e)):
+                    found.append((record.name, output))
+    return tuple(found)
 
 
 def white_p(record: Any, output: str, residual: Array, jacobian: Array | None) -> float | None:
@@ -152,3 +218,27 @@ def white_p(record: Any, output: str, residual: Array, jacobian: Array | None) -
         slopes = np.zeros((length, jacobian.shape[1]))
         slopes[index] = jacobian
     return whiteness(full, mask=valid, jacobian=slopes).p_value
+
+
+def innovation_p(
+    record: Any, output: str, residual: Array, jacobian: Array, noise: NoiseModel
+) -> float | None:
+    """As ``white_p``; of the innovations where the noise is coloured, by an autoregression of the same data.
+
+    That its coefficients were fitted makes the innovations whiter than they are: the test then alarms less often than
+    it may, never more often (Box & Pierce 1970). At missing samples there are no innovations.
+    """
+    colour = noise.colour.get((record.name, output))
+    if colour is None or colour.order == 0:
+        return white_p(record, output, residual, jacobian)
+    length = record.length[output]
+    white = noise.whiten(record, output, np.column_stack([residual, jacobian]))
+    valid = np.zeros(length, dtype=bool)
+    valid[record.index[output]] = True
+    whole = valid.copy()  # samples whose whole past is there
+    for lag in range(1, colour.order + 1):
+        whole[lag:] &= valid[:-lag]
+    whole[: colour.order] = False
+    if np.count_nonzero(whole) < 2:
+        return None
+    return whiteness(white[:, 0], mask=whole, jacobian=white[:, 1:]).p_value

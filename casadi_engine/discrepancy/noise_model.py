@@ -14,26 +14,41 @@ from typing import Literal
 import numpy as np
 from scipy.linalg import block_diag
 
+from casadi_engine.discrepancy.autoregression import autoregression
 from casadi_engine.discrepancy.combustion_scatter import scatter_level
-from casadi_engine.discrepancy.linear_algebra import Array, basis, coefficients, triangle, without
+from casadi_engine.discrepancy.linear_algebra import REPEATED, Array, basis, triangle, without
 from casadi_engine.discrepancy.null_model import Index, NullModel, RecordNull
 from casadi_engine.validation.whitening import Whitener
 
 _LOWEST = 1e-6
+_FINE = 4096
 _ROUNDS = 3
+# Rounds of level and colour; they end when no coefficient moves by this share of its standard error.
+_COLOUR_ROUNDS, _CLOSE = 12, 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class Colour:
-    """An autoregression: predictors (1, -a_1, ..., -a_j) of order j = 0..p and their variances, as in Whitener."""
+    """An autoregression: predictors (1, -a_1, ..., -a_j) of order j = 0..p and their variances, as in Whitener.
+
+    covariance : (p, p) of the estimated a_1 ... a_p; None if they are known
+    """
 
     predictors: tuple[Array, ...] = (np.ones(1),)
     variances: Array = field(default_factory=lambda: np.ones(1))
+    covariance: Array | None = None
 
     @property
     def order(self) -> int:
         """0 for white noise."""
         return len(self.predictors) - 1
+
+    @property
+    def memory(self) -> float:
+        """By how much the mean square of this noise varies more than that of white noise: the sum of its squared
+        autocorrelations."""
+        density = 1 / np.abs(np.fft.rfft(self.predictors[-1], _FINE)) ** 2
+        return float(np.mean(density**2) / np.mean(density) ** 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,12 +56,14 @@ class NoiseModel:
     """sigma : output -> standard deviation of the innovations; colour : (record, output) -> Colour (white if absent)
     scatter : standard deviations of the scatter directions in the amplitude's unit, one per kind
     source : "known" (given by the user) or "estimated" (from the null residuals)
+    freedom : output -> degrees of freedom of an estimated sigma; those of a known one are not there
     """
 
     sigma: Mapping[str, float]
     colour: Mapping[tuple[str, str], Colour] = field(default_factory=dict)
     scatter: Mapping[str, float] = field(default_factory=dict)
     source: Literal["known", "estimated"] = "known"
+    freedom: Mapping[str, float] = field(default_factory=dict)
 
     def whiten(self, record: RecordNull, output: str, columns: Array) -> Array:
         """Columns (N, k) at the valid samples, whitened to unit variance: (rows, k).
@@ -75,15 +92,19 @@ class NoiseModel:
         return np.asarray(cycle[np.clip(at, 0, len(cycle) - 1)], dtype=np.intp)
 
 
-def fitted_colour(residual: Array, index: Index, length: int) -> Colour:
-    """The autoregression of a residual (N,) at the samples ``index`` of a channel, its order by Akaike's criterion."""
+def fitted_colour(residual: Array, index: Index, length: int, uncertain: Array | None = None) -> Colour:
+    """The autoregression of a residual (N,) at the samples ``index`` of a channel, its order by Akaike's criterion.
+
+    uncertain : (N, q) the square root of the covariance with which the noise is known, given the data; None for zero
+    """
     valid = np.zeros(length, dtype=bool)
     valid[index] = True
-    full = np.zeros(length)
-    full[valid] = residual
-    found = Whitener.of(full, valid)
-    innovation = float(found.variances[-1])
-    return Colour(found.predictors, found.variances / innovation)
+    full = np.zeros((length, 1 if uncertain is None else 1 + uncertain.shape[1]))
+    full[valid, 0] = residual
+    if uncertain is not None:
+        full[valid, 1:] = uncertain
+    found = autoregression(full, valid)
+    return Colour(found.predictors, found.variances, found.covariance)
 
 
 def estimated_noise(
@@ -94,37 +115,60 @@ def estimated_noise(
     kind: str = "combustion",
     colour: bool = False,
     sigma: Mapping[str, float] | None = None,
+    start: NoiseModel | None = None,
 ) -> NoiseModel:
-    """Level, colour and scatter of the null residuals.
+    """Level, colour and scatter of the null residuals, by the restricted likelihood given the columns that may explain
+    part of them.
 
-    explained : record -> output -> (N, k) columns that may explain part of the residual: the null slopes, and those of
-    the whole library, so that an effect in it costs no power by being counted as noise
+    explained : record -> output -> (N, k) these columns: the null slopes, and those of effects that are not to be
+    counted as noise
     scatter : record -> output -> (N, g) columns of random amplitudes of one kind, or None
     colour : estimate an autoregression per record and output; sigma : known levels, kept as they are
+    start : a noise to begin with
 
-    Level, colour and scatter are settled in turn, each given the others (three rounds).
+    Level, colour and scatter are settled in turn, each given the others.
     """
-    names = {name for record in null.records for name in record.outputs}
-    levels = (
-        dict(sigma) if sigma is not None else {n: _first_level(null, explained, n) for n in sorted(names)}
-    )
-    noise = NoiseModel(levels, {}, {kind: 0.0} if scatter else {}, "estimated")
-    for _ in range(_ROUNDS if (colour or scatter) else 1):
+    names = sorted({name for record in null.records for name in record.outputs})
+    if start is None:
+        levels = dict(sigma) if sigma is not None else {n: _first_level(null, explained, n) for n in names}
+        start = NoiseModel(levels, {}, {kind: 0.0} if scatter else {}, "estimated")
+    noise, levels = start, dict(start.sigma)
+    for _ in range(_COLOUR_ROUNDS if colour else _ROUNDS if scatter else 1):
         tau = _scatter_of(null, noise, explained, scatter) if scatter else 0.0
-        left, freedom = _left(null, noise, explained, scatter, tau)
-        colours = {}
-        if colour:
-            for record in null.records:
-                for output in record.outputs:
-                    e = left[record.name][output]
-                    found = fitted_colour(e, record.index[output], record.length[output])
-                    if found.order:
-                        colours[record.name, output] = found
+        left = _left(null, noise, explained, scatter, tau)
+        before, colours = noise.colour, _colours(null, left) if colour else {}
         noise = NoiseModel(levels, colours, {kind: tau} if scatter else {}, "estimated")
         if sigma is None:
-            levels = _levels(null, noise, left, freedom)
-            noise = NoiseModel(levels, colours, noise.scatter, "estimated")
+            levels, count = _levels(null, noise, left)
+            noise = NoiseModel(levels, colours, noise.scatter, "estimated", count)
+        if colour and not scatter and _settled(before, colours):
+            break
     return noise
+
+
+def _colours(null: NullModel, left: _Left) -> dict[tuple[str, str], Colour]:
+    found = {}
+    for record in null.records:
+        for output in record.outputs:
+            e, uncertain = left.noise[record.name][output], left.uncertain[record.name][output]
+            colour = fitted_colour(e, record.index[output], record.length[output], uncertain)
+            if colour.order:
+                found[record.name, output] = colour
+    return found
+
+
+def _settled(before: Mapping[tuple[str, str], Colour], after: Mapping[tuple[str, str], Colour]) -> bool:
+    """True if no coefficient has moved by more than a small share of its standard error."""
+    if before.keys() != after.keys():
+        return False
+    for key, colour in after.items():
+        old = before[key].predictors[-1]
+        if colour.covariance is None or len(old) != colour.order + 1:
+            return False
+        error = np.sqrt(np.diag(colour.covariance))
+        if (np.abs(old[1:] - colour.predictors[-1][1:]) > _CLOSE * error).any():
+            return False
+    return True
 
 
 def left_over(
@@ -136,7 +180,17 @@ def left_over(
     """Residuals less what the columns explain and the most likely scatter: record -> output -> (N,); arguments as in
     ``estimated_noise``."""
     tau = max(noise.scatter.values(), default=0.0) if scatter else 0.0
-    return _left(null, noise, explained, scatter, tau)[0]
+    return _left(null, noise, explained, scatter, tau).noise
+
+
+@dataclass(frozen=True, eq=False)
+class _Left:
+    """noise : record -> output -> (N,) what columns and scatter leave; uncertain : (N, q) the square root of the
+    covariance of what they took; freedom : how many numbers the columns took"""
+
+    noise: dict[str, dict[str, Array]]
+    uncertain: dict[str, dict[str, Array]]
+    freedom: float
 
 
 def _first_level(null: NullModel, explained: Mapping[str, Mapping[str, Array]], output: str) -> float:
@@ -189,9 +243,9 @@ def _left(
     explained: Mapping[str, Mapping[str, Array]],
     scatter: Mapping[str, Mapping[str, Array]] | None,
     tau: float,
-) -> tuple[dict[str, dict[str, Array]], float]:
-    """Residuals less the most likely scatter and what the columns explain, and how many numbers that took."""
-    left: dict[str, dict[str, Array]] = {}
+) -> _Left:
+    """Residuals less the most likely scatter and what the columns explain."""
+    out = _Left({}, {}, 0.0)
     freedom = 0.0
     for record in null.records:
         rows = _stacked(noise, record, explained, scatter)
@@ -201,28 +255,38 @@ def _left(
         prior[:, given:width] = np.eye(width - given)[: len(prior)] / max(tau, _LOWEST)
         rows = np.concatenate([rows, prior])
         use = width if tau > 0 else given
-        found = coefficients(rows[:, :use], rows[:, -1])
+        found, root = _regressed(rows[:, :use], rows[:, -1])
         freedom += basis(rows[: len(rows) - len(prior), :given]).shape[1]
-        left[record.name] = {}
+        out.noise[record.name], out.uncertain[record.name] = {}, {}
         for output in record.outputs:
             columns = [explained[record.name][output]]
             if scatter and tau > 0:
                 columns.append(scatter[record.name][output])
-            model = np.concatenate(columns, axis=1) @ found
-            left[record.name][output] = record.residual[output] - model
-    return left, freedom
+            stacked = np.concatenate(columns, axis=1)
+            out.noise[record.name][output] = record.residual[output] - stacked @ found
+            out.uncertain[record.name][output] = stacked @ root
+    return _Left(out.noise, out.uncertain, freedom)
 
 
-def _levels(
-    null: NullModel, noise: NoiseModel, left: Mapping[str, Mapping[str, Array]], freedom: float
-) -> dict[str, float]:
-    """Standard deviation of the whitened remainder, for each output."""
+def _regressed(columns: Array, target: Array) -> tuple[Array, Array]:
+    """Least-squares coefficients (k,) of a target of unit variance, and a square root (k, r) of their covariance."""
+    size = np.linalg.norm(columns, axis=0)
+    scale = np.where(size > 0, size, 1.0)
+    frame, strength, turn = np.linalg.svd(columns / scale, full_matrices=False)
+    good = strength > REPEATED * strength.max(initial=0.0)
+    root = (turn[good].T / strength[good]) / scale[:, None]
+    return np.asarray(root @ (frame[:, good].T @ target)), np.asarray(root)
+
+
+def _levels(null: NullModel, noise: NoiseModel, left: _Left) -> tuple[dict[str, float], dict[str, float]]:
+    """Standard deviation of the whitened remainder, for each output, and its degrees of freedom."""
     square: dict[str, float] = {}
     count: dict[str, int] = {}
     for record in null.records:
-        for output, e in left[record.name].items():
+        for output, e in left.noise[record.name].items():
             white = noise.whiten(record, output, e[:, None]) * noise.sigma[output]
             square[output] = square.get(output, 0.0) + float((white**2).sum())
             count[output] = count.get(output, 0) + len(e)
     total = sum(count.values())
-    return {n: math.sqrt(square[n] / max(count[n] * (1 - freedom / total), 1.0)) for n in square}
+    freedom = {name: max(number * (1 - left.freedom / total), 1.0) for name, number in count.items()}
+    return {name: math.sqrt(square[name] / freedom[name]) for name in square}, freedom

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import optimize, stats
 
 from casadi_engine.discrepancy.linear_algebra import Array
-from casadi_engine.discrepancy.score import Scores
+from casadi_engine.discrepancy.score import Scores, upper_tail
 
 _DRAWS = 4000
 _SMALLEST = 1e-300
@@ -28,20 +28,28 @@ _LIBRARY_SHARE = 0.8
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One test of the library: a subspace (m, r) of the scores' frame, and a side for r = 1 (0 is two-sided)."""
+    """One test of the library: a subspace (m, r) of the scores' frame, and a side for r = 1 (0 is two-sided).
+
+    freedom : degrees of freedom of the noise's variance; the p-values of data are then those of Student's t and
+    Fisher's F, while the law of the smallest of many is that of normal scores with the same p-values
+    """
 
     name: str
     frame: Array
     side: int = 0
+    freedom: float = np.inf
 
     def p_value(self, y: Array) -> Array:
         """p-values (n,) at y (m, n)."""
         inner = self.frame.T @ y
-        if self.frame.shape[1] == 1:
-            return np.asarray(
-                stats.norm.sf(self.side * inner[0]) if self.side else 2 * stats.norm.sf(np.abs(inner[0]))
-            )
-        return np.asarray(stats.chi2.sf((inner**2).sum(axis=0), self.frame.shape[1]))
+        rank = self.frame.shape[1]
+        if rank == 1:
+            beyond = self.side * inner[0] if self.side else np.abs(inner[0])
+            return (1 if self.side else 2) * upper_tail(beyond, self.freedom)
+        value = (inner**2).sum(axis=0)
+        if np.isfinite(self.freedom):
+            return np.asarray(stats.f.sf(value / rank, rank, self.freedom))
+        return np.asarray(stats.chi2.sf(value, rank))
 
     def limit(self, p: float) -> float:
         """The value of the statistic (one-sided z, |z| or chi) that has this p-value."""
@@ -53,14 +61,21 @@ class Row:
 def library_rows(scores: Scores, groups: dict[str, Sequence[int]] | None = None) -> list[Row]:
     """One test for each testable candidate, and one for each group of them."""
     tests = [
-        Row(candidate.label, scores.directions[:, [k]], candidate.side)
+        Row(
+            candidate.label,
+            scores.directions[:, [k]],
+            candidate.side,
+            np.inf if scores.freedom is None else float(scores.freedom[k]),
+        )
         for k, candidate in enumerate(scores.candidates)
         if scores.testable[k]
     ]
     for name, members in (groups or {}).items():
-        frame = scores.subspace([k for k in members if scores.testable[k]])
+        members = [k for k in members if scores.testable[k]]
+        frame = scores.subspace(members)
         if frame.shape[1] > 1:
-            tests.append(Row(name, frame))
+            freedom = np.inf if scores.freedom is None else float(scores.freedom[members].min())
+            tests.append(Row(name, frame, 0, freedom))
     return tests
 
 

@@ -123,8 +123,19 @@ def _basis_at(family: Family, points: Array) -> Array:
 
 def family_row(scores: Scores, family: Family, *, dimensions: int = _DIMENSIONS) -> Row | None:
     """The group test of a family; None if the data cannot test it."""
-    frame, strength, _ = _seen(scores, family, dimensions)
-    return Row(family.name, frame) if len(strength) else None
+    frame, strength, turn = _seen(scores, family, dimensions)
+    if not len(strength):
+        return None
+    return Row(family.name, frame, 0, _freedom(scores, family, turn))
+
+
+def _freedom(scores: Scores, family: Family, turn: Array) -> float:
+    """Degrees of freedom of a family's test: those of the terms, by their share in the combinations that are seen."""
+    if scores.freedom is None:
+        return math.inf
+    members = list(family.members)
+    share = (turn**2).sum(axis=0) * family.variances * scores.information[members]
+    return float(share.sum() / (share / scores.freedom[members]).sum())
 
 
 def _seen(scores: Scores, family: Family, dimensions: int) -> tuple[Array, Array, Array]:

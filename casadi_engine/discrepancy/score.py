@@ -32,6 +32,7 @@ class Scores:
     z : (k,), zero where not testable; amplitude : (k,) psi in the candidate's unit; error : (k,) its standard error
     information : (k,) q per unit^2; testability : (k,) sqrt(q)/|s| in 0..1; shift : (nz, k) predicted parameters'
     shift, in their units, when the candidate is added; y : (m,) the residual in the same frame
+    freedom : (k,) degrees of freedom of the scores' variances; None where the noise is known
     """
 
     candidates: tuple[Candidate, ...]
@@ -44,6 +45,7 @@ class Scores:
     testability: Array
     shift: Array
     samples: int
+    freedom: Array | None = None
 
     @property
     def testable(self) -> NDArray[np.bool_]:
@@ -68,9 +70,11 @@ class Scores:
 
     @property
     def p_value(self) -> Array:
-        """(k,) p-value of each candidate on its own; 1 where not testable."""
+        """(k,) p-value of each candidate on its own; 1 where not testable. Normal where the noise is known, else by
+        Student's t of its degrees of freedom."""
         side = np.array([c.side for c in self.candidates])
-        p = np.where(side == 0, 2 * stats.norm.sf(np.abs(self.z)), stats.norm.sf(side * self.z))
+        beyond = np.where(side == 0, np.abs(self.z), side * self.z)
+        p = np.where(side == 0, 2.0, 1.0) * upper_tail(beyond, self.freedom)
         return np.where(self.testable, p, 1.0)
 
     def detectable(self, threshold: float, *, power: float = 0.95) -> Array:
@@ -90,13 +94,23 @@ class Scores:
         return value, frame.shape[1], float(stats.chi2.sf(value, frame.shape[1]) if frame.shape[1] else 1.0)
 
 
+def upper_tail(z: Array, freedom: Array | float | None) -> Array:
+    """P(a score > z): normal, or Student's t where its variance was estimated with so many degrees of freedom."""
+    if freedom is None:
+        return np.asarray(stats.norm.sf(z))
+    known = ~np.isfinite(freedom)
+    return np.where(known, stats.norm.sf(z), stats.t.sf(z, np.where(known, 1.0, freedom)))
+
+
 def score(compressed: Compressed, chosen: Sequence[tuple[str, int]] | None = None) -> Scores:
     """Scores of all candidates from all records, or from the chosen (record, cycle) alone."""
-    return scores_of(compressed.reduced(chosen), compressed.candidates, compressed.turn)
+    return scores_of(compressed.reduced(chosen), compressed.candidates, compressed.turn, compressed.freedom)
 
 
-def scores_of(reduced: Reduced, candidates: Sequence[Candidate], turn: Array) -> Scores:
-    """Scores from reduced records; turn : (nz, n_theta)."""
+def scores_of(
+    reduced: Reduced, candidates: Sequence[Candidate], turn: Array, freedom: Array | None = None
+) -> Scores:
+    """Scores from reduced records; turn : (nz, n_theta); freedom : (k,) of the scores' variances."""
     n = reduced.parameters
     frame = basis(reduced.rows[:, :n])
     left = without(frame, reduced.rows[:, n:])
@@ -125,6 +139,7 @@ def scores_of(reduced: Reduced, candidates: Sequence[Candidate], turn: Array) ->
         testability,
         moved,
         reduced.samples,
+        freedom,
     )
 
 

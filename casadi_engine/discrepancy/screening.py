@@ -6,7 +6,7 @@ No refit is made: the null fit gives residuals and slopes, one sweep all sensiti
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -26,6 +26,7 @@ from casadi_engine.discrepancy.noise_choice import (
     ColourChoice,
     NoiseChoice,
     choose_noise,
+    innovation_p,
     scatter_of,
     white_p,
 )
@@ -43,6 +44,9 @@ from casadi_engine.discrepancy.requests import read_request
 from casadi_engine.discrepancy.score import Scores, score
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.fit import Fit
+
+# Degrees of freedom below which a score tells little.
+_FEW = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,8 +148,10 @@ def screen(
     noise : a noise model to hold; None chooses one: the levels that the fit was told, or those of the residual that the
     library leaves; colour : True, False or "auto"; scatter : cylinder ports whose combustion scatters from cycle to
     cycle, "assumed" for those with an assumed pressure, or None
-    Raises EffectError for effects or ports that do not fit, EstimationError for a predictor's fit or an alpha outside
-    (0, 1).
+    Levels and colours that are estimated make every score Student's t, by the restricted likelihood (Harville 1977) and
+    the degrees of freedom of each (Satterthwaite 1946).
+    Raises EffectError for effects or ports that do not fit, EstimationError for a predictor's fit, an alpha outside
+    (0, 1), another colour, or scatter at ports that are no cylinders.
 
     >>> import numpy as np, casadi_engine as ce
     >>> from casadi_engine.discrepancy import screen
@@ -185,6 +191,7 @@ def screen(
 def rescored(screened: Screened, choice: NoiseChoice) -> Screened:
     """The same scores with another noise."""
     one = screened
+    choice = replace(choice, compressed=None)
     return _scored(one.null, one.candidates, one.columns, choice, one.alpha, one.seed)
 
 
@@ -194,7 +201,7 @@ def whitely(screened: Screened, fit: Fit) -> Screened:
     choice = choose_noise(
         one.null, one.candidates, one.columns, fit.noise, data=fit.data, cylinders=one.choice.cylinders, colour=False
     )  # fmt: skip
-    return rescored(one, choice)
+    return _scored(one.null, one.candidates, one.columns, choice, one.alpha, one.seed)
 
 
 def _scored(
@@ -205,8 +212,11 @@ def _scored(
     alpha: float,
     seed: int,
 ) -> Screened:
-    compressed = compress(null, candidates, choice.noise, scatter=choice.scatter, columns=columns)
+    compressed = choice.compressed
+    if compressed is None:
+        compressed = compress(null, candidates, choice.noise, scatter=choice.scatter, columns=columns)
     scores = score(compressed)
+    choice = replace(choice, messages=(*choice.messages, *_cannot_tell(scores)))
     share, _ = split_alpha(alpha)
     law = NullDistribution(library_rows(scores), seed=seed)
     return Screened(
@@ -224,8 +234,26 @@ def _scored(
     )
 
 
+def _cannot_tell(scores: Scores) -> tuple[str, ...]:
+    """What to say where the noise is known too little for most candidates."""
+    if scores.freedom is None:
+        return ()
+    few = int((scores.testable & (scores.freedom < _FEW)).sum())
+    every = int(scores.testable.sum())
+    if 2 * few <= every:
+        return ()
+    return (
+        f"the noise remembers itself for long: {few} of {every} candidates have fewer than {_FEW} independent "
+        "stretches of it to be judged by, and that they are not found says little; a longer record would tell",
+    )
+
+
 def _leftover(screened: Screened) -> Leftover:
-    """Half of the remaining false-alarm rate each for whiteness and for families."""
+    """Half of the remaining false-alarm rate each for whiteness and for families.
+
+    Where the noise is coloured its innovations are to be white, but for a residual that is larger than the noise that
+    was stated: that is no noise.
+    """
     rest = screened.alpha - screened.share
     null, choice = screened.null, screened.choice
     tests: dict[str, float] = {}
@@ -237,7 +265,13 @@ def _leftover(screened: Screened) -> Leftover:
             held = record.slopes[output]
             if random is not None:
                 held = np.concatenate([held, random[record.name][output]], axis=1)
-            p = white_p(record, output, left[record.name][output], held)
+            e = left[record.name][output]
+            larger = (record.name, output) in choice.larger
+            p = (
+                white_p(record, output, e, held)
+                if larger
+                else innovation_p(record, output, e, held, choice.noise)
+            )
             if p is not None:
                 tests[f"{record.name}/{output}/whiteness"] = p
     white = len(tests)

@@ -265,6 +265,8 @@ def run(folder, seeds, sensors, times, jobs, only=""):
             if name not in untestable.done():
                 untestable.add(name, why)
         done = store.done()
+        for name in set(pieces) & set(done):  # where theory's file was thrown away
+            theory_of(folder, *pieces[name][:4])
         missing = {name: piece for name, piece in pieces.items() if name not in done}
         if not missing:
             continue

@@ -100,7 +100,8 @@ def table(groups, columns, first, header):
 
 def tables(done, theory, untestable):
     """All tables of the rows that are done; theory : "place, sensors, times" -> what it allows."""
-    whole = {n: row | theory[n.rpartition(", ")[0]] for n, row in done.items() if "failed" not in row}
+    place = {n: n.rpartition(", ")[0] for n in done}
+    whole = {n: r | theory[place[n]] for n, r in done.items() if "failed" not in r and place[n] in theory}
     pairs = {name: (row, judged(name, row)) for name, row in whole.items()}
     if not pairs:
         return "nothing is done"
@@ -122,6 +123,9 @@ def tables(done, theory, untestable):
     out.append(
         "Missed:\n\n" + "\n".join(missed(name, *pair) for name, pair in pairs.items() if not pair[1]["good"])
     )
+    without = [n for n, r in done.items() if "failed" not in r and place[n] not in theory]
+    if without:
+        out.append(f"Not counted, since theory's word is missing: {len(without)} records")
     broken = [f"- {name}: {row['failed']}" for name, row in done.items() if "failed" in row]
     if broken:
         out.append("Errors, not counted above:\n\n" + "\n".join(broken))

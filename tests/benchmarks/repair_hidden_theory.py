@@ -7,6 +7,7 @@ scores are taken; and at the true parameters, where the refits end. Slopes agree
 small. Where the fit without it was driven far they do not: what differs there may be alike at the truth.
 """
 
+import contextlib
 import sys
 from pathlib import Path
 
@@ -28,11 +29,11 @@ from casadi_engine.discrepancy.library_candidates import library_candidates
 from casadi_engine.discrepancy.refit import Refitter, addition
 from casadi_engine.discrepancy.score import score
 from casadi_engine.discrepancy.screening import screen
+from casadi_engine.errors import CasadiEngineError
 
 RATE = 1440.2
-# Rivals that are refitted: so many by the scores, and so many by their likeness at the true parameters.
-SEPARABLE, SEPARATED, RIVALS = 5.0, 3.3, 4
-OPTIONS = {"interval": "auto", "initial": None, "method": "exact", "max_iterations": 40}
+# Rivals that are refitted: those nearer than AWAY by slopes here or there, one at least and so many at most of each.
+SEPARABLE, SEPARATED, AWAY, RIVALS, ITERATIONS = 5.0, 3.3, 12.0, 4, 40
 
 
 def theory_of(folder, place, sensors, times, size):
@@ -61,7 +62,7 @@ def _theory(folder, place, sensors, times, size):
     mu = min(point["mu"], float(np.sqrt(fit.cost)))
     here = told(screened.scores, place, size, mu=mu)
     there = told(at_the_truth(place.load, sensors), place, size)
-    refitter = Refitter(model, pars, (data,), noise, OPTIONS)
+    refitter = Refitter(model, pars, (data,), noise)
     refits = by_refits(refitter, fit, screened.scores, at_the_truth(place.load, sensors), place, size)
     return {
         "mu": mu,
@@ -78,50 +79,65 @@ def _theory(folder, place, sensors, times, size):
 
 
 def by_refits(refitter, fit, scores, true_scores, place, size):
-    """d of every rival by its refit to the record without noise, the least, and how many are below 3.3."""
-    truth = truth_of(scores.candidates, place, size)
+    """d of the nearest rivals by their refits to the record without noise, the least, and how many are below 3.3."""
+    truth, there = truth_of(scores.candidates, place, size), truth_of(true_scores.candidates, place, size)
     own = scores.candidates[truth].key
-    best = {}  # key -> its best candidate by the scores
-    for k in np.argsort(-scores.drop, kind="stable"):
-        if scores.testable[k]:
-            best.setdefault(scores.candidates[k].key, int(k))
-    there = truth_of(true_scores.candidates, place, size)
-    near = {}  # key -> its candidate nearest to the true one at the true parameters
-    for k in np.argsort(-np.abs(true_scores.correlation[there]), kind="stable"):
-        near.setdefault(true_scores.candidates[k].key, int(k))
-    rivals = dict.fromkeys([*list(best)[:RIVALS], *list(near)[:RIVALS]])
-    left, leaves = {}, {own: fit.cost}
-    for key in [own, *(key for key in rivals if key != own)]:
-        tried = [(scores, best[key])] if key in best else []
-        if key in near:
-            tried.append((scores, _like(scores.candidates, true_scores.candidates[near[key]])))
-        if key == own:
-            tried = [(scores, truth)]
+    slope = size * float(np.sqrt(true_scores.information[there]))
+    here, far = _nearest(scores, truth, float(np.sqrt(fit.cost))), _nearest(true_scores, there, slope)
+    rivals = dict.fromkeys(key for near in (here, far) for key in _some(near, own))
+    least = min(
+        _refit(refitter, fit, scores.candidates[truth], size, warm=warm, interval=interval)
+        for warm in (False, True)
+        for interval in ("auto", "single")
+    )
+    left = {}
+    for key in rivals:
         costs = [fit.cost]
-        for _, k in dict.fromkeys((id(s), k) for s, k in tried if k is not None):
-            one = addition(scores.candidates[k], float(scores.amplitude[k]), float(scores.drop[k]))
-            if key == own:
-                one = addition(scores.candidates[k], size, float(scores.drop[k]))
-            done = refitter(fit, [one])
-            if done.converged:
-                costs.append(done.cost)
-        leaves[key] = min(costs)
-    for key, cost in leaves.items():
-        if key != own:
-            left["/".join(key[::-1])] = float(np.sqrt(max(cost - leaves[own], 0.0)))
+        if key in here:
+            k = here[key][1]
+            costs.append(_refit(refitter, fit, scores.candidates[k], float(scores.amplitude[k]), warm=True))
+        if key in far:
+            k = far[key][1]
+            share = float(true_scores.correlation[there, k]) / float(np.sqrt(true_scores.information[k]))
+            costs.append(_refit(refitter, fit, true_scores.candidates[k], slope * share))
+        left["/".join(key[::-1])] = float(np.sqrt(max(min(costs) - least, 0.0)))
     left = dict(sorted(left.items(), key=lambda pair: pair[1]))
     return {
-        "left": float(np.sqrt(leaves[own])),
+        "left": float(np.sqrt(least)),
         "d": min(left.values(), default=float("inf")),
         "class": 1 + sum(d < SEPARATED for d in left.values()),
         "rivals": left,
     }
 
 
-def _like(candidates, other):
-    """The candidate of the same label, or one of the same key."""
-    own = [k for k, c in enumerate(candidates) if c.key == other.key]
-    return next((k for k in own if candidates[k].label == other.label), own[0] if own else None)
+def _some(near, own):
+    """The nearest rivals by some slopes: those nearer than AWAY, one at least."""
+    order = sorted((key for key in near if key != own), key=lambda key: (near[key][0], key))[:RIVALS]
+    return [key for number, key in enumerate(order) if near[key][0] < AWAY or number < 1]
+
+
+def _nearest(scores, truth, mu):
+    """key -> (d by slopes, candidate): of every effect at every port the point of its grid nearest to the truth."""
+    found = {}
+    for k in np.flatnonzero(scores.testable):
+        d = float(separation(mu, scores.correlation[truth, k]))
+        key = scores.candidates[k].key
+        if key not in found or d < found[key][0]:
+            found[key] = (d, int(k))
+    return found
+
+
+def _refit(refitter, fit, candidate, amplitude, *, warm=False, interval="auto"):
+    """Chi-squared of the model with a candidate, from the optimum without it or from the page's values; never more
+    than without it."""
+    one = addition(candidate, amplitude, 0.0)
+    model = refitter.extended([one])
+    options = {"noise": refitter.noise, "progress": False, "max_iterations": ITERATIONS, "interval": interval}
+    with contextlib.suppress(CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
+        pars = refitter._parameters(model, [one])
+        made = ce.estimate(model, refitter.data, parameters=pars, warm=fit if warm else None, **options)
+        return min(made.cost, fit.cost)
+    return fit.cost
 
 
 def told(scores, place, size, mu=None):

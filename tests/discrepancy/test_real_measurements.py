@@ -121,7 +121,9 @@ def test_lost_combustion_is_found_and_dated_from_crank_speed_alone(engine, colou
     assert (lead.nuisance["first"], lead.nuisance["last"]) == lost_cycles(lost, assumed)
     step = next(k for k in screened.order if screened.candidates[k].effect == "load_step")
     assert screened.candidates[step].nuisance["time"] == pytest.approx(lost.LOST, abs=0.02)
-    assert screened.scores.z[screened.order[0]] > 5 * screened.threshold
+    assert screened.pooled(screened.order[0]) < 1e-12
+    # beside its own colour the gap counts less: what no candidate explains is slow too
+    assert screened.scores.z[screened.order[0]] > (3 if screened.noise.colour else 5) * screened.threshold
 
 
 def test_a_loss_that_lasts_to_the_end_of_the_data_searched_goes_on_in_the_cycles_held_out(engine):
