@@ -16,6 +16,7 @@ from casadi_engine.discrepancy.library_candidates import courses
 from casadi_engine.discrepancy.linear_algebra import basis, without
 from casadi_engine.discrepancy.noise_choice import NoiseChoice, scatter_of
 from casadi_engine.discrepancy.null_model import null_model
+from casadi_engine.discrepancy.selection import effective_samples
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation import Fit, estimate
 from casadi_engine.experiment import Experiment
@@ -41,7 +42,7 @@ _ROUNDING = 1e-3
 # Corners are sharpened by this factor, at most so often, as long as chi-squared feels it by more than this.
 _FACTOR, _SHARPER, _FELT = 4.0, 3, 0.25
 # And as long as all records together are not integrated in more steps than this.
-_STEPS = 4e4
+_STEPS = 1e5
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +207,8 @@ class Refitter:
             self._narrow.update(finer)
             levels.append(finer)
             costs.append(_cost(fit, paths_of(fit, self.extended(effects))))
-        chosen = next(k for k, cost in enumerate(costs) if abs(cost - costs[-1]) < _FELT)
+        worth = _independent(fit)
+        chosen = next(k for k, cost in enumerate(costs) if worth * abs(cost - costs[-1]) < _FELT)
         self._narrow.update(levels[chosen])
         if not chosen:
             return fit
@@ -276,6 +278,13 @@ def _cost(fit: Fit, paths: Sequence[NullPath]) -> float:
             if name in grid.measured:
                 total += float((((grid.measured[name].values - shown[name][0]) / sigma) ** 2).sum())
     return total / max(fit.cost / fit.n, 1.0)
+
+
+def _independent(fit: Fit) -> float:
+    """The share of a fit's samples that its residuals are worth: less than 1 where they are coloured."""
+    found = [trace.residual for traces in fit.traces.values() for trace in traces.values()]
+    left = [e[np.isfinite(e)] for e in found]
+    return sum(effective_samples(e) for e in left) / max(sum(map(len, left)), 1)
 
 
 def _narrowed(one: Addition, model: Model, paths: Sequence[NullPath], share: float) -> Any:
