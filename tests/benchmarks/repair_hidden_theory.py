@@ -33,7 +33,7 @@ from casadi_engine.errors import CasadiEngineError
 
 RATE = 1440.2
 # Rivals that are refitted: those nearer than AWAY by slopes here or there, one at least and so many at most of each.
-SEPARABLE, SEPARATED, AWAY, RIVALS, ITERATIONS = 5.0, 3.3, 12.0, 4, 40
+SEPARABLE, SEPARATED, AWAY, RIVALS, ITERATIONS = 5.0, 3.3, 12.0, 3, 30
 
 
 def theory_of(folder, place, sensors, times, size):
@@ -88,7 +88,7 @@ def by_refits(refitter, fit, scores, true_scores, place, size):
     least = min(
         _refit(refitter, fit, scores.candidates[truth], size, warm=warm, interval=interval)
         for warm in (False, True)
-        for interval in ("auto", "single")
+        for interval in intervals_of(place)
     )
     left = {}
     for key in rivals:
@@ -108,6 +108,11 @@ def by_refits(refitter, fit, scores, true_scores, place, size):
         "class": 1 + sum(d < SEPARATED for d in left.values()),
         "rivals": left,
     }
+
+
+def intervals_of(place):
+    """Multiple shooting, and single where the start's play would be lost by it."""
+    return ("auto", "single") if place.effect == "backlash" else ("auto",)
 
 
 def _some(near, own):
