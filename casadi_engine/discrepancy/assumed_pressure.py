@@ -48,6 +48,8 @@ _BEFORE = np.pi / 2
 # The charge is shut in between these angles.
 _SHUT_FROM, _SHUT_TO, _EDGE = math.radians(-140.0), math.radians(155.0), 0.05
 _BURNS = 1e-3
+# Combustion from cycle to cycle scatters less than this, but for engines that misfire.
+_BEYOND = 0.15
 _ROUNDS, _SETTLED = 4, 0.1
 
 
@@ -87,8 +89,12 @@ def carry(
     cylinders : names of ports, "assumed" for those of channels with that origin, or None for none
     level : tau, the standard deviation of a combustion's strength from cycle to cycle
     Each record has amplitudes of its own. What has no pressure channel, lever or crank angle is left as it is.
+    Raises ModelError for a port that does not exist.
     """
     wanted = {record.name: _wanted(record, cylinders) for record in (*data, *fresh)}
+    if cylinders != "assumed":
+        for name in {name for own in wanted.values() for name in own}:
+            _ = model.ports[name]
     names = tuple(
         port.name
         for port in model.ports
@@ -123,8 +129,29 @@ def with_priors(parameters: Parameters) -> Parameters:
     return parameters
 
 
+def remarks(fit: Fit, cylinders: Any = "assumed") -> list[str]:
+    """What the user should know of assumed pressures: the model could not carry them, or they scatter beyond belief."""
+    carried = carried_cylinders(fit.model)
+    left = {name for record in fit.data for name in _wanted(record, cylinders) if name in fit.model.ports}
+    left = {name for name in left if name not in carried}
+    found = []
+    if left:
+        found.append(
+            f"what is wrong with the pressure of {', '.join(sorted(left))} is counted as noise alone, for this model "
+            "or method cannot estimate it: false alarms come more often than stated"
+        )
+    if carried and fit.values[SCATTER] > _BEYOND:
+        found.append(
+            f"combustion in {', '.join(carried)} would scatter by {100 * fit.values[SCATTER]:.0f} % about the pressure "
+            "that was assumed for it, more than combustion does: the pressure is another one; measure it"
+        )
+    return found
+
+
 def _wanted(record: Experiment, cylinders: Any) -> tuple[str, ...]:
-    return assumed_cylinders(record) if cylinders == "assumed" else tuple(cylinders or ())
+    if isinstance(cylinders, str):
+        return assumed_cylinders(record) if cylinders == "assumed" else (cylinders,)
+    return tuple(cylinders or ())
 
 
 def _channel(port: str) -> str:

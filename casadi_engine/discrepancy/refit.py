@@ -96,8 +96,10 @@ class Refitter:
     noise: Noise | None
     options: Mapping[str, Any] = field(default_factory=dict)
 
-    def __call__(self, base: Fit, effects: Sequence[Addition]) -> Fit:
+    def __call__(self, base: Fit, effects: Sequence[Addition], *, start: Any = None) -> Fit:
         """The fit with these effects, from a fit with some of them.
+
+        start : values and initial states near it, if known
 
         Not converged where no start leads to an optimum below the base's. Tried are the base's optimum with the
         predicted amplitude; the parameters' own start values where the base was driven to a bound; the base's optimum
@@ -106,6 +108,10 @@ class Refitter:
         model = self.extended(effects)
         pars = self._parameters(model, effects)
         new = [one for one in effects if one.amplitude not in base.parameters]
+        if start is not None:
+            near = self._try(model, pars, start)
+            if near is not None and _nested(base, near):
+                return near
         warm = _Start(base.values, base.initial, base.noise)
         best = self._try(model, pars, warm)
         if best is None or not best.converged or _driven(base) or _driven(best):

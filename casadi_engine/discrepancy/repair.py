@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 from casadi_engine.discrepancy.answer import Answer
-from casadi_engine.discrepancy.assumed_pressure import carry, settle_scatter
+from casadi_engine.discrepancy.assumed_pressure import carry, remarks, settle_scatter
 from casadi_engine.discrepancy.fresh import Portions, portions
 from casadi_engine.discrepancy.noise_choice import ColourChoice
 from casadi_engine.discrepancy.refit import Refitter
@@ -128,7 +128,8 @@ def repair(
     try:
         search.run(null_fit)
         timing |= search.timing
-        return Answer(search, portion, alpha, asked, timing, begun, tell).made()
+        told = remarks(search.stations[-1].fit, scatter)
+        return Answer(search, portion, alpha, asked, timing, begun, tell, told).made()
     except KeyboardInterrupt:
         best = search.stations[-1].fit if search.stations else null_fit
         timing["total"] = time.perf_counter() - begun

@@ -45,6 +45,9 @@ from casadi_engine.discrepancy.score import Scores, score
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.fit import Fit
 
+# Degrees of freedom below which a score tells little.
+_FEW = 5
+
 
 @dataclass(frozen=True, eq=False)
 class Leftover:
@@ -145,8 +148,10 @@ def screen(
     noise : a noise model to hold; None chooses one: the levels that the fit was told, or those of the residual that the
     library leaves; colour : True, False or "auto"; scatter : cylinder ports whose combustion scatters from cycle to
     cycle, "assumed" for those with an assumed pressure, or None
-    Raises EffectError for effects or ports that do not fit, EstimationError for a predictor's fit or an alpha outside
-    (0, 1).
+    Levels and colours that are estimated make every score Student's t, by the restricted likelihood (Harville 1977) and
+    the degrees of freedom of each (Satterthwaite 1946).
+    Raises EffectError for effects or ports that do not fit, EstimationError for a predictor's fit, an alpha outside
+    (0, 1), another colour, or scatter at ports that are no cylinders.
 
     >>> import numpy as np, casadi_engine as ce
     >>> from casadi_engine.discrepancy import screen
@@ -211,6 +216,7 @@ def _scored(
     if compressed is None:
         compressed = compress(null, candidates, choice.noise, scatter=choice.scatter, columns=columns)
     scores = score(compressed)
+    choice = replace(choice, messages=(*choice.messages, *_cannot_tell(scores)))
     share, _ = split_alpha(alpha)
     law = NullDistribution(library_rows(scores), seed=seed)
     return Screened(
@@ -225,6 +231,20 @@ def _scored(
         share,
         law.threshold(share),
         seed,
+    )
+
+
+def _cannot_tell(scores: Scores) -> tuple[str, ...]:
+    """What to say where the noise is known too little for most candidates."""
+    if scores.freedom is None:
+        return ()
+    few = int((scores.testable & (scores.freedom < _FEW)).sum())
+    every = int(scores.testable.sum())
+    if 2 * few <= every:
+        return ()
+    return (
+        f"the noise remembers itself for long: {few} of {every} candidates have fewer than {_FEW} independent "
+        "stretches of it to be judged by, and that they are not found says little; a longer record would tell",
     )
 
 

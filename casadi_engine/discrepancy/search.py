@@ -12,10 +12,13 @@ import numpy as np
 from scipy import stats
 
 from casadi_engine.discrepancy.assumed_pressure import SCATTER, settle_scatter
-from casadi_engine.discrepancy.classes import clusters, confusable
+from casadi_engine.discrepancy.gauss_newton import chi_squared
 from casadi_engine.discrepancy.long_run import long_run_noise
+from casadi_engine.discrepancy.members import KEEP, members_of
 from casadi_engine.discrepancy.null_model import null_model
-from casadi_engine.discrepancy.refit import Addition, Refitter, addition, freedom, merit, whitened_cost
+from casadi_engine.discrepancy.proposals import freed, proposals
+from casadi_engine.discrepancy.quick_refit import ShortRefits
+from casadi_engine.discrepancy.refit import Addition, Refitter, freedom, merit, whitened_cost
 from casadi_engine.discrepancy.repaired import Member, Round
 from casadi_engine.discrepancy.screening import Screened, rescored, whitely
 from casadi_engine.discrepancy.selection import (
@@ -26,12 +29,15 @@ from casadi_engine.discrepancy.selection import (
     select,
     selection_frequency,
 )
+from casadi_engine.discrepancy.trials import Trial, Trials, make_trials, trials_beside
 from casadi_engine.estimation import Fit
 
-# Refits in a round: those whose predicted drop is at least this share of the best one's, and at most so many.
-_SHARE, _MOST = 0.5, 5
-# A member leaves the class when the lead beats it by so much, squared: see ``classes``.
-_KEEP = 2.326**2
+__all__ = ["Search", "Station", "members_of", "proposals"]
+
+# Whole refits in a round: of the best trials, so far above the best one at most and so many.
+_NEAR, _MOST = 12.0, 3
+# Effects whose trial failed though a linearisation beside the best one promises as much: refitted, at most so many.
+_DOUBTFUL = 3
 # Share of the library's false-alarm rate that is added for decisions with equal weights.
 _ADDED = 0.1
 _LONG = "the residual is coloured: a large effect was decided with equal weights and the colour that its refit leaves"
@@ -68,6 +74,8 @@ class Search:
     _equal: bool = field(default=False, repr=False)
     _ended: bool = field(default=False, repr=False)
     # by identity, with what is identified, so that it stays alive
+    _shorts: ShortRefits | None = field(default=None, repr=False)
+    _trials: dict[int, tuple[Fit, Trials]] = field(default_factory=dict, repr=False)
     _screens: dict[int, tuple[Fit, Screened]] = field(default_factory=dict, repr=False)
     _fits: dict[tuple[int, tuple[int, ...]], tuple[Fit, Fit]] = field(default_factory=dict, repr=False)
 
@@ -107,11 +115,16 @@ class Search:
         self._spent("score", begun)
         if not picked:
             return None
+        tried = self._tried(white, fit, effects)
+        if not tried.best:
+            return None
+        best = _leads(tried, white)[0]
         begun = time.perf_counter()
-        trial = self._refitted(fit, (*effects, _addition_of(white, picked[0])))
+        trial = self._refitted(fit, (*effects, best.added), start=best.short)
         self._spent("refit", begun)
         if not trial.converged:
             return None
+        picked = [*picked, *({best.candidate} - set(picked))]
         noise, count = long_run_noise(white, picked, null_model(trial), freedom(trial))
         if count < 1:
             return None
@@ -130,13 +143,24 @@ class Search:
             self._spent("score", begun)
         return self._screens[id(fit)][1]
 
-    def _refitted(self, base: Fit, effects: Sequence[Addition]) -> Fit:
+    def _refitted(self, base: Fit, effects: Sequence[Addition], *, start: Any = None) -> Fit:
         """The fit with these effects from another fit, once for the same candidates."""
         key = (id(base), tuple(id(one.candidate) for one in effects))
         if key not in self._fits:
             self.tell(f"refit with {', '.join(one.label for one in effects) or 'no effects'}")
-            self._fits[key] = (base, self.refitter(base, effects))
+            self._fits[key] = (base, self.refitter(base, effects, start=start))
         return self._fits[key][1]
+
+    def _tried(self, screened: Screened, fit: Fit, effects: tuple[Addition, ...]) -> Trials:
+        """Short refits of every effect at every port beside a fit, once."""
+        if id(fit) not in self._trials:
+            begun = time.perf_counter()
+            self.tell("short refits of all effects at all ports")
+            if self._shorts is None:
+                self._shorts = ShortRefits(self.refitter, _levels(screened, fit))
+            self._trials[id(fit)] = (fit, make_trials(screened, fit, effects, self._shorts))
+            self._spent("trials", begun)
+        return self._trials[id(fit)][1]
 
     def _spent(self, what: str, begun: float) -> None:
         self.timing[what] = self.timing.get(what, 0.0) + time.perf_counter() - begun
@@ -148,12 +172,16 @@ class Search:
         picked = proposals(screened)
         if not picked:
             return False
+        tried = self._tried(screened, here.fit, here.effects)
         begun = time.perf_counter()
-        known = {one.label: one for one in here.effects}
-        known |= {(one := _addition_of(screened, k)).label: one for k in picked}
+        leads = _leads(tried, screened)
+        leads += _doubtful(tried, leads)
+        known = {one.label: one for one in here.effects} | {one.added.label: one.added for one in leads}
+        starts = {(*(e.label for e in here.effects), one.added.label): one.short for one in leads}
         offers = [
-            Proposal(screened.candidates[k].label, screened.pooled(k), float(screened.scores.drop[k]))
-            for k in picked
+            Proposal(one.added.label, min(screened.pooled(k), _pooled(one, tried, screened)), one.added.drop)
+            for one in leads
+            for k in [one.candidate]
         ]
         start = Refit(
             tuple(one.label for one in here.effects),
@@ -164,7 +192,7 @@ class Search:
 
         def refit(base: Refit[Fit], names: tuple[str, ...]) -> Refit[Fit]:
             assert base.state is not None
-            fit = self._refitted(base.state, [known[name] for name in names])
+            fit = self._refitted(base.state, [known[name] for name in names], start=starts.get(names))
             if not fit.converged or not _worth(base.state, fit, screened):
                 return Refit(names, np.inf, freedom(fit), converged=False, state=fit)
             return Refit(names, whitened_cost(fit, screened.choice), freedom(fit), state=fit)
@@ -176,7 +204,7 @@ class Search:
             alpha=screened.share,
             samples=_samples(screened),
             library=int(screened.scores.testable.sum()),
-            clusters=_MOST,
+            clusters=len(offers),
             most=len(here.effects) + 1,
         )
         self._spent("refit", begun)
@@ -184,32 +212,38 @@ class Search:
         self.rounds.append(_round_of(offers, step))
         if step.kept is None or step.kept.state is None:
             return False
-        self._advance(here, step, picked, known)
+        kept, fit = step.kept, step.kept.state
+        number = {one.added.label: one.candidate for one in tried.best.values()}
+        refits = {number[o.effects[-1]]: o.state for o in step.tried if o.converged and o.state is not None}
+        effects = tuple(known[name] for name in kept.effects)
+        made = self._station(here, fit, effects, number[kept.effects[-1]], refits, tried)
+        if not self._swapped(made):
+            self.stations.append(made)
         return True
 
-    def _advance(
-        self, here: Station, step: Step[Fit], picked: Sequence[int], known: Mapping[str, Addition]
-    ) -> None:
-        kept = step.kept
-        assert kept is not None
-        assert kept.state is not None
+    def _station(
+        self,
+        here: Station,
+        fit: Fit,
+        effects: tuple[Addition, ...],
+        lead: int,
+        refits: Mapping[int, Fit],
+        tried: Trials,
+    ) -> Station:
+        """A fit with effects, its lead among those screened against ``here``, and the class; refits : of rivals."""
         screened = here.screened
-        lead = next(k for k in picked if screened.candidates[k].label == kept.effects[-1])
-        effects = tuple(known[name] for name in kept.effects)
-        fit = self._settled(kept.state)
+        fit = self._settled(fit)
         after = self._screen(fit, effects)
         begun = time.perf_counter()
         # with the effect in the model its noise is known better: a large effect leaves more than one step explains
         choice = after.choice if screened.noise.colour or not after.noise.colour else screened.choice
         before = whitened_cost(here.fit, choice)
-        gains: dict[int, float] = {}
-        for one in (*step.tried, kept):
-            if one.converged and one.state is not None:
-                k = next(k for k in picked if screened.candidates[k].label == one.effects[-1])
-                gains[k] = max(gains.get(k, 0.0), before - whitened_cost(one.state, choice))
+        gains = {k: before - whitened_cost(one, choice) for k, one in refits.items()}
+        gains[lead] = max(gains.get(lead, -np.inf), before - whitened_cost(fit, choice))
+        gains = _by_trials(tried, screened, lead, gains) | gains
         members, frequency = members_of(screened, lead, gains), _frequency(screened, lead)
         self._spent("certificate", begun)
-        self.stations.append(Station(fit, effects, after, lead, members, gains[lead], frequency))
+        return Station(fit, effects, after, lead, members, gains[lead], frequency)
 
     def _settled(self, fit: Fit) -> Fit:
         """The fit at the scatter of assumed pressures that is likely now: before, that had to stand for the effect."""
@@ -220,66 +254,94 @@ class Search:
             pars = self.refitter.parameters.copy()
             pars[SCATTER].set(made.values[SCATTER])
             self.refitter = replace(self.refitter, parameters=pars)
+            self._shorts = None  # they hold the old ones
         return made
 
+    def _swapped(self, pair: Station) -> bool:
+        """True if one other effect does as well as the last two, which it then replaces.
 
-def _addition_of(screened: Screened, k: int) -> Addition:
-    """A candidate to be added, from its score."""
-    scores = screened.scores
-    return addition(screened.candidates[k], float(scores.amplitude[k]), float(scores.drop[k]))
+        Two wrong effects may stand for a right one that was not seen before: it is looked for from the parameters that
+        are found with both.
+        """
+        if len(self.stations) < 2 or self._shorts is None:
+            return False
+        here, base = self.stations[-1], self.stations[-2]
+        if len(pair.effects) != len(base.effects) + 2:
+            return False
+        begun = time.perf_counter()
+        known = self._tried(base.screened, base.fit, base.effects)
+        tried = trials_beside(
+            known, base.screened, base.fit, base.effects, self._shorts, pair.fit, pair.effects[-2:]
+        )
+        cost = chi_squared(pair.screened.null, self._shorts.levels)
+        others = [one for one in tried.order if one.candidate != here.lead]
+        one = others[0] if others else None
+        found = None
+        if one is not None and one.cost - cost < self._price(pair, base, one):
+            effects = (*base.effects, one.added)
+            fit = self._refitted(base.fit, effects, start=one.short)
+            choice = pair.screened.choice
+            rise = whitened_cost(fit, choice) - whitened_cost(pair.fit, choice) if fit.converged else np.inf
+            if rise < self._price(pair, base, one):
+                found = (fit, effects)
+        self._spent("refit", begun)
+        if found is None or one is None:
+            return False
+        made = self._station(base, *found, one.candidate, {one.candidate: found[0]}, tried)
+        dropped = tuple(e.label for e in pair.effects[-2:])
+        self.rounds.append(Round((), ((one.added.label, found[0].cost, True),), one.added.label, dropped))
+        self.stations[-1:] = [made]
+        return True
+
+    @staticmethod
+    def _price(pair: Station, base: Station, one: Trial) -> float:
+        """The rise of chi-squared at which one effect more is worth keeping."""
+        more = freedom(pair.fit) - freedom(base.fit) - 1 - freed(base.screened, one.candidate)
+        return float(stats.chi2.isf(base.screened.share, max(more, 1)))
 
 
-def proposals(screened: Screened) -> list[int]:
-    """The candidates worth a refit: significant, one of each effect at each port, none that is another one's row.
+def _levels(screened: Screened, fit: Fit) -> dict[str, float]:
+    """White levels for short refits: those of the tests where they are white."""
+    white = whitely(screened, fit) if screened.noise.colour else screened
+    return dict(white.noise.sigma)
 
-    Of several names of one row the one with the fewest nuisance parameters stands for all.
-    """
-    found: list[int] = []
-    taken: set[tuple[str, str]] = set()
-    rows = clusters(screened.scores)
-    home = {k: number for number, row in enumerate(rows) for k in row}
-    used: set[int] = set()
-    drop = screened.scores.drop
-    for first in screened.significant:
-        alike = [k for k in rows[home[first]] if drop[k] > drop[first] - 0.5 * _KEEP]
-        k = min(alike, key=lambda k: (_freed(screened, k), screened.candidates[k].key in taken, -drop[k]))
+
+def _leads(tried: Trials, screened: Screened) -> list[Trial]:
+    """The trials worth a whole refit, the best first: chi-squared and what its nuisance parameters cost."""
+    price = math.log(max(_samples(screened), 2.0))
+    order = sorted(tried.best.values(), key=lambda one: one.cost + price * freed(screened, one.candidate))
+    least = order[0].cost if order else 0.0
+    return [one for one in order if one.cost <= least + _NEAR][:_MOST] or order[:1]
+
+
+def _doubtful(tried: Trials, leads: Sequence[Trial]) -> list[Trial]:
+    """Further effects that may well be the missing one for all that is known: their trials did not come to an end,
+    or not to what the linearisation beside the best one promises, which is about as much as that brings."""
+    limit = min((one.cost for one in leads), default=0.0) + 2 * KEEP
+    waiting = [one for one in tried.best.values() if one not in leads and not tried.sure(one)]
+    waiting.sort(key=tried.least)
+    return [one for one in waiting if tried.least(one) <= limit][:_DOUBTFUL]
+
+
+def _pooled(one: Trial, tried: Trials, screened: Screened) -> float:
+    """The p-value of a trial's drop of chi-squared, pooled over the library."""
+    drop = max(tried.base - one.cost, 0.0)
+    return screened.law.pooled(float(stats.chi2.sf(drop, 1 + freed(screened, one.candidate))))
+
+
+def _by_trials(tried: Trials, screened: Screened, lead: int, gains: Mapping[int, float]) -> dict[int, float]:
+    """The gains of all trials on the scale of the lead's refit; what may gain as much for all that is known does."""
+    best = next(one for one in tried.best.values() if one.candidate == lead)
+    drop = tried.base - best.cost
+    scale = min(gains[lead] / drop, 1.0) if drop > 0 else 1.0
+    found = {}
+    for one in tried.best.values():
+        found[one.candidate] = gains[lead] - scale * (tried.least(one) - best.cost)
+    for k in screened.order:  # never tried, since little was promised
         key = screened.candidates[k].key
-        if key in taken or home[k] in used or (found and drop[k] < _SHARE * drop[found[0]]):
-            continue
-        found.append(k)
-        taken.add(key)
-        used.add(home[k])
-    return found[:_MOST]
-
-
-def members_of(screened: Screened, lead: int, gains: Mapping[int, float]) -> tuple[Member, ...]:
-    """The class of the lead: all effects that the data do not exclude beside it.
-
-    gains : candidate -> drop of chi-squared of its refit. Candidates without a refit are taken to gain in the share in
-    which the lead's refit differs from its prediction.
-    """
-    scores, drop = screened.scores, screened.scores.drop
-    ratio = gains[lead] / drop[lead] if drop[lead] > 0 else 1.0
-    # what no refit has shown, or whose refit failed, does not put the lead out of its own class
-    gain = {k: min(float(ratio * drop[k]), gains[lead]) for k in range(len(drop))}
-    for tried, value in gains.items():
-        # an estimated nuisance fits some noise: one unit of chi-squared each
-        own = value - _freed(screened, tried)
-        for k, candidate in enumerate(screened.candidates):
-            if candidate.key == screened.candidates[tried].key:
-                gain[k] = own if k == tried else min(gain[k], own - 1e-9)
-    gain[lead] = max(gain[lead], max(gain[k] for k in gains))
-    found: list[Member] = []
-    for member in confusable(scores, gain=gain):
-        names = [k for k in member.names if k == lead or gain[lead] - gain[k] <= _KEEP]
-        for k in names:
-            candidate = screened.candidates[k]
-            rho = float(scores.correlation[lead, k])
-            found.append(Member(candidate.effect, candidate.port, rho, member.probability / len(names)))
-    key = screened.candidates[lead].key
-    found.sort(key=lambda m: ((m.name, m.at) != key, -m.probability))
-    total = sum(m.probability for m in found)
-    return tuple(Member(m.name, m.at, m.rho, m.probability / total) for m in found)
+        if key in tried.foreseen and key not in tried.best:
+            found[k] = gains[lead] - scale * (tried.foreseen[key] - best.cost)
+    return found
 
 
 def _worth(base: Fit, fit: Fit, screened: Screened) -> bool:
@@ -290,12 +352,6 @@ def _worth(base: Fit, fit: Fit, screened: Screened) -> bool:
     library = max(float(screened.scores.testable.sum()), 1.0)
     gained = (merit(base) - merit(fit)) / max(base.cost / base.n, 1.0)
     return gained > math.log(max(fit.n, 2)) + math.log(library)
-
-
-def _freed(screened: Screened, k: int) -> int:
-    """How many nuisance parameters of a candidate a refit estimates."""
-    grids = screened.candidates[k].source.effect.nuisance.values()
-    return sum(not grid.whole for grid in grids)
 
 
 def _frequency(screened: Screened, lead: int) -> float | None:

@@ -1,6 +1,7 @@
 """Assumed pressures as parameters: shapes against the independent simulator, scatter, calibration and power."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from casadi_engine.discrepancy.assumed_pressure import (
     carry,
     is_carried,
     likely_scatter,
+    remarks,
     settle_scatter,
 )
 from casadi_engine.discrepancy.fresh import held_fit
@@ -24,6 +26,7 @@ from casadi_engine.discrepancy.noise_choice import scatter_of
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import null_at, null_model
 from casadi_engine.discrepancy.screening import screen
+from casadi_engine.errors import ModelError
 
 DATA = Path(__file__).parents[2] / "data"
 sys.path.insert(0, str(DATA))
@@ -101,6 +104,30 @@ def test_the_model_carries_assumed_pressures_alone(record):
     }
     again = carry(made.model, made.parameters, made.data)
     assert again.model is made.model
+
+
+def test_a_port_that_does_not_exist_is_refused(record):
+    model = ce.two_mass()
+    with pytest.raises(ModelError, match="the model has no such port"):
+        carry(model, model.parameters(), [experiment(record)], cylinders=["cylinder_9"])
+
+
+def test_the_user_is_told_where_pressures_cannot_be_carried_or_believed(record, fit):
+    model, data = ce.two_mass(), experiment(record)
+    assert remarks(fit) == []
+    plain = replace(fit, model=model)
+    (text,) = remarks(plain)
+    assert text.startswith(
+        "what is wrong with the pressure of cylinder_3, cylinder_4 is counted as noise alone"
+    )
+    assert remarks(plain, None) == []
+    assert "cylinder_2 is counted" in remarks(plain, "cylinder_2")[0]
+    made = carry(model, model.parameters(), [data], level=0.3)
+    other = ce.estimate(
+        made.model, made.data, parameters=made.parameters, noise=NOISE, progress=False, max_iterations=1
+    )
+    (text,) = remarks(other)
+    assert text.startswith("combustion in cylinder_3, cylinder_4 would scatter by 30 %")
 
 
 def test_the_same_simulation_where_nothing_is_wrong(record):

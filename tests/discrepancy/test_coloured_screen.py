@@ -1,5 +1,7 @@
 """Coloured noise: what is estimated of it, and how much that may be trusted, against dense matrices and brute force."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import optimize, stats
@@ -13,6 +15,7 @@ from casadi_engine.discrepancy.noise_choice import choose_noise, innovation_p
 from casadi_engine.discrepancy.noise_model import Colour, NoiseModel, estimated_noise
 from casadi_engine.discrepancy.null_model import null_model
 from casadi_engine.discrepancy.score import score, upper_tail
+from casadi_engine.discrepancy.screening import _cannot_tell as cannot_tell
 from casadi_engine.discrepancy.screening import screen
 from casadi_engine.errors import EstimationError
 
@@ -248,3 +251,19 @@ def test_choosing_needs_no_second_compression_of_white_noise(inertia):
     choice = choose_noise(null, (), {"run": {"omega": np.zeros((400, 0))}}, fit.noise, data=fit.data)
     assert choice.compressed is not None
     assert choice.compressed.sigma == dict(choice.noise.sigma)
+
+
+def test_a_record_too_short_for_its_noise_says_so(inertia):
+    long = screen(inertia(1, 0.5, 0.9, 1000))
+    assert long.choice.messages == (
+        "the residual is coloured: the score tests count with an autoregression of the noise",
+    )
+    count = len(long.candidates)
+    few = replace(long.scores, freedom=np.where(np.arange(count) < 0.6 * count, 3.0, 9.0))
+    (said,) = cannot_tell(few)
+    assert said.startswith("the noise remembers itself for long: ")
+    assert said.endswith(
+        "candidates have fewer than 5 independent stretches of it to be judged by, and that they are not found says "
+        "little; a longer record would tell"
+    )
+    assert cannot_tell(replace(few, freedom=None)) == ()

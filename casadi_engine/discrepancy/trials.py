@@ -1,0 +1,320 @@
+"""Trials: a short refit of every effect at every port, from several starts, where something is missing.
+
+The scores at the optimum without effects propose what a small effect would do. A large one has moved the parameters
+far, and what it would explain is seen from elsewhere: from the parameters' own start values, and from the optimum of
+the best effect so far, whose parameters are near the true ones if it is only alike. At each of these points all
+candidates are linearised with all parameters free (a Gauss-Newton step of every extended model at once), which chooses
+their nuisance values and amplitudes; short refits do the rest.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from casadi_engine.discrepancy.compression import candidate_columns, compress
+from casadi_engine.discrepancy.gauss_newton import chi_squared
+from casadi_engine.discrepancy.linear_algebra import Array, basis, without
+from casadi_engine.discrepancy.noise_model import NoiseModel
+from casadi_engine.discrepancy.null_model import NullModel, null_at
+from casadi_engine.discrepancy.quick_refit import Short, ShortRefits
+from casadi_engine.discrepancy.refit import Addition, addition
+from casadi_engine.discrepancy.score import scores_of
+from casadi_engine.discrepancy.screening import Screened
+from casadi_engine.errors import CasadiEngineError
+from casadi_engine.estimation import Fit
+
+# Steps of a short refit, and of one that goes on.
+_STEPS, _MORE = 8, 16
+# Amplitude from which a candidate starts that has the forbidden sign, in its standard errors.
+_SMALL = 3.0
+# Short refits that have not settled go on, the best first, at most so many.
+_UNSETTLED = 6
+# Chi-squared this many standard deviations above the number of samples is not noise alone: then the optimum without
+# effects is no place to look from, and the parameters' own values are tried too.
+_UNUSUAL = 3.0
+# From the optimum without effects those are tried whose predicted drop is at least this share of the best one's.
+_PART = 0.25
+# Where the best trial explains everything so many are tried from the parameters' own values.
+_FEW = 8
+# Least share of what the best explains that its slope must take away, for what others promise in its place to count.
+_BENT = 0.8
+# Times that the best trial may change while its rivals are tried in its place.
+_AGAIN = 3
+# A trial that ended so far above what was promised beside the best one may have ended elsewhere.
+_SURE = 3.0
+# How far above the best trial a linearised candidate may foresee its chi-squared to be tried from there: of what the
+# best explains, and at least.
+_SHARE, _NEAR = 0.1, 30.0
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """The best short refit of an effect at a port; candidate : its number among those screened."""
+
+    candidate: int
+    added: Addition
+    short: Short
+
+    @property
+    def cost(self) -> float:
+        """Chi-squared with priors, white noise."""
+        return self.short.cost
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Values to start from, and initial states or none: the measurement gives them."""
+
+    values: Mapping[str, float]
+    initial: Mapping[str, Any] = field(default_factory=dict)
+    noise: Mapping[str, tuple[float, bool]] = field(default_factory=dict)
+    converged: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Foreseen:
+    """What a linearisation promises: chi-squared (k,) with each candidate, its amplitude (k,); none : without any."""
+
+    cost: Array
+    amplitude: Array
+    none: float
+
+
+@dataclass(frozen=True, eq=False)
+class Trials:
+    """The trials of one round: (effect, port) -> Trial; base : chi-squared without any of them, at the same levels.
+
+    foreseen : (effect, port) -> the least chi-squared that a linearisation beside the best trial promises
+    """
+
+    best: Mapping[tuple[str, str], Trial]
+    base: float
+    foreseen: Mapping[tuple[str, str], float] = field(default_factory=dict)
+
+    @property
+    def order(self) -> list[Trial]:
+        """By rising chi-squared."""
+        return sorted(self.best.values(), key=lambda one: one.cost)
+
+    def sure(self, one: Trial) -> bool:
+        """True if a trial came to an end, and to no worse a one than was promised."""
+        promised = self.foreseen.get(one.added.candidate.key, math.inf)
+        return one.short.settled and one.cost <= promised + _SURE
+
+    def least(self, one: Trial) -> float:
+        """The least chi-squared that an effect may have for all that is known: its trial's, or what was promised."""
+        return (
+            one.cost
+            if self.sure(one)
+            else min(one.cost, self.foreseen.get(one.added.candidate.key, math.inf))
+        )
+
+
+def make_trials(screened: Screened, fit: Fit, effects: Sequence[Addition], shorts: ShortRefits) -> Trials:
+    """Short refits of every testable effect at every port beside ``effects``, which the fit has.
+
+    screened : scores against the fit
+    """
+    base = chi_squared(screened.null, shorts.levels)
+    made = _Maker(screened, fit, tuple(effects), shorts, base)
+    scores = screened.scores
+    here = Foreseen(base - scores.drop, scores.amplitude, base)
+    made.try_all(here, fit, most=base - _PART * float(scores.drop.max(initial=0.0)))
+    if driven(fit) or not made.explained:
+        start = made.foreseen(made.own_values(), shorts.first_states(effects))
+        if start is not None:
+            made.try_all(start, None, few=_FEW if made.explained else None)
+    made.go_on()
+    made.beside_best()
+    return Trials(made.best, base, made.promised)
+
+
+def trials_beside(
+    known: Trials,
+    screened: Screened,
+    fit: Fit,
+    effects: Sequence[Addition],
+    shorts: ShortRefits,
+    point: Fit,
+    added: Sequence[Addition],
+) -> Trials:
+    """The trials of a fit, and those in the place of several effects more; point : the fit with these, ``added``."""
+    made = _Maker(screened, fit, tuple(effects), shorts, known.base)
+    made.best, made.promised = dict(known.best), dict(known.foreseen)
+    first = {r: np.array([state.value for state in own.values()]) for r, own in point.initial.items()}
+    null = null_at(point.model, point.data, point.parameters, point.z, first)
+    made.beside(null, point.values, added, chi_squared(null, shorts.levels))
+    return Trials(made.best, known.base, made.promised)
+
+
+def driven(fit: Fit) -> bool:
+    """True if an estimate is at a bound."""
+    return any(fit.estimates[name].at_bound is not False for name in fit.free)
+
+
+class _Maker:
+    """The trials so far."""
+
+    def __init__(
+        self, screened: Screened, fit: Fit, effects: tuple[Addition, ...], shorts: ShortRefits, base: float
+    ) -> None:
+        self.screened, self.fit, self.effects, self.shorts = screened, fit, effects, shorts
+        self.best: dict[tuple[str, str], Trial] = {}
+        self.promised: dict[tuple[str, str], float] = {}
+        self.base = base
+        self.families: dict[tuple[str, str], list[int]] = {}
+        for k in screened.order:
+            self.families.setdefault(screened.candidates[k].key, []).append(k)
+
+    def own_values(self) -> Array:
+        """(nz,) the parameters' own values, the earlier effects' as they were found."""
+        own = self.shorts.refitter.parameters
+        free, values = self.fit.free, self.fit.values
+        return np.array([float(own[n].value) if n in own else values[n] for n in free])
+
+    @property
+    def explained(self) -> bool:
+        """True if the best trial leaves no more than noise."""
+        count = self.screened.null.count
+        least = min((one.cost for one in self.best.values()), default=math.inf)
+        return least <= count + _UNUSUAL * math.sqrt(2 * count)
+
+    def try_all(self, seen: Foreseen, warm: Any, *, most: float = np.inf, few: int | None = None) -> None:
+        """A short refit of every effect at every port that promises chi-squared up to ``most``, from the point at which
+        ``seen`` was linearised; few : of so many that promise most."""
+        best = {key: min(members, key=lambda k: seen.cost[k]) for key, members in self.families.items()}
+        for key, k in sorted(best.items(), key=lambda pair: seen.cost[pair[1]])[:few]:
+            if seen.cost[k] <= most:
+                self._try(key, self._added(k, seen), warm, _STEPS)
+
+    def _added(self, k: int, seen: Foreseen) -> tuple[int, Addition]:
+        scores, candidate = self.screened.scores, self.screened.candidates[k]
+        size = float(seen.amplitude[k])
+        if size * candidate.side < 0 or size == 0:
+            size = _SMALL * float(scores.error[k]) * (candidate.side or 1)
+        return k, addition(candidate, size, float(scores.drop[k]))
+
+    def _try(self, key: tuple[str, str], chosen: tuple[int, Addition], warm: Any, steps: int) -> None:
+        k, added = chosen
+        short = self.shorts((*self.effects, added), warm, steps, worst=self.base)
+        if short is not None and (key not in self.best or short.cost < self.best[key].cost):
+            self.best[key] = Trial(k, added, short)
+
+    def go_on(self) -> None:
+        """More steps for the best that have not settled."""
+        order = sorted(self.best.values(), key=lambda t: t.cost)
+        far = self.base
+        if self.explained:
+            far = order[0].cost + _PART * (self.base - order[0].cost)
+        waiting = [t for t in order if not t.short.settled and t.cost < far]
+        for trial in waiting[:_UNSETTLED]:
+            key = trial.added.candidate.key
+            short = self.shorts((*self.effects, trial.added), trial.short, _MORE)
+            if short is not None and (short.cost <= trial.cost or short.settled):
+                self.best[key] = replace(trial, short=min(short, trial.short, key=lambda s: s.cost))
+
+    def beside_best(self) -> None:
+        """Those that could explain as much as the best, from its parameters; again where that finds a better one."""
+        for _ in range(_AGAIN):
+            best = min(self.best.values(), key=lambda t: t.cost, default=None)
+            if best is None:
+                return
+            try:
+                null = self.shorts.null_at((*self.effects, best.added), best.short)
+            except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
+                return
+            self.beside(null, best.short.values, [best.added], best.cost)
+            if min(one.cost for one in self.best.values()) > best.cost - _SURE:
+                return
+
+    def beside(
+        self,
+        null: NullModel,
+        values: Mapping[str, float],
+        added: Sequence[Addition],
+        cost: float,
+    ) -> None:
+        """Those that could explain as much as the effects ``added``, from the parameters found with these.
+
+        null : the model with them, linearised; values : its parameters; cost : its chi-squared
+        """
+        done = added[0].candidate.key if len(added) == 1 else None
+        self.promised.clear()
+        seen, least = self._in_place_of(null, added), cost + _BENT * (self.base - cost)
+        if seen is None or seen.none < least:
+            # a law that bends: its slope takes away less than it explains, and promises all others too much
+            z = np.array([values.get(n, v) for n, v in zip(self.fit.free, self.fit.z, strict=True)])
+            seen = self.foreseen(z, {record.name: record.path.x[:, 0] for record in null.records})
+        if seen is None or seen.none < least:
+            return
+        close = cost + max(_NEAR, _SHARE * (self.base - cost))
+        warm = Start({name: values[name] for name in self.fit.free if name in values})
+        for key, members in self.families.items():
+            k = min(members, key=lambda k: seen.cost[k])
+            self.promised[key] = float(seen.cost[k])
+            known = self.best.get(key)
+            if key == done or seen.cost[k] > close:
+                continue
+            if known is not None and known.cost < seen.cost[k] + _SURE and known.short.settled:
+                continue
+            self._try(key, self._added(k, seen), warm, _STEPS + _MORE)
+
+    def foreseen(self, z: Array, first: Mapping[str, Array]) -> Foreseen | None:
+        """All candidates linearised at z : (nz,) and first states record -> (n,), without them there."""
+        try:
+            with np.errstate(all="ignore"):
+                null = null_at(self.fit.model, self.fit.data, self.fit.parameters, z, first)
+                columns = {r.name: candidate_columns(r, self.screened.candidates) for r in null.records}
+        except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
+            return None
+        return self._linearised(null, columns)
+
+    def _in_place_of(self, null: NullModel, added: Sequence[Addition]) -> Foreseen | None:
+        """All candidates linearised where the added effects are, of which each is to take the place.
+
+        What the added amplitudes do to the outputs is to be explained along with the residual, by the others' slopes.
+        """
+        size = np.diag(null.turn)
+        plain = null.turn.shape == (len(null.values),) * 2 and np.array_equal(null.turn, np.diag(size))
+        if not plain or len(null.model.states) != len(self.fit.model.states):
+            return None
+        try:
+            with np.errstate(all="ignore"):
+                columns = {r.name: candidate_columns(r, self.screened.candidates) for r in null.records}
+        except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
+            return None
+        stems, amplitudes = tuple(f"{one.key}." for one in added), {one.amplitude for one in added}
+        names = [name.partition("@")[0] for name in null.parameters]
+        gone = [k for k, name in enumerate(names) if name.startswith(stems)]
+        # a nuisance value moves nothing once its effect is gone; an amplitude goes to zero
+        zero = [k for k in gone if names[k] in amplitudes]
+        records = []
+        for record in null.records:
+            slopes, residual = {}, {}
+            for output, own in record.slopes.items():
+                residual[output] = record.residual[output] + own[:, zero] @ (null.values[zero] / size[zero])
+                slopes[output] = np.delete(own, gone, axis=1)
+            records.append(replace(record, slopes=slopes, residual=residual))
+        rest = replace(
+            null,
+            turn=np.delete(null.turn, gone, axis=1),
+            prior=np.delete(null.prior, gone, axis=1),
+            records=tuple(records),
+        )
+        return self._linearised(rest, columns)
+
+    def _linearised(self, null: NullModel, columns: Mapping[str, Mapping[str, Array]]) -> Foreseen | None:
+        if not all(np.isfinite(part).all() for own in columns.values() for part in own.values()):
+            return None
+        noise = NoiseModel(self.shorts.levels)
+        reduced = compress(null, self.screened.candidates, noise, columns=columns).reduced()
+        scores = scores_of(reduced, self.screened.candidates, null.turn)
+        n = reduced.parameters
+        left = without(basis(reduced.rows[:, :n]), reduced.rows[:, -1:])
+        none = float((left**2).sum())
+        return Foreseen(none - scores.drop, scores.amplitude, none)

@@ -1,0 +1,84 @@
+"""Short refits against whole ones."""
+
+import numpy as np
+import pytest
+
+import casadi_engine as ce
+from casadi_engine.discrepancy.gauss_newton import chi_squared
+from casadi_engine.discrepancy.null_model import null_model
+from casadi_engine.discrepancy.quick_refit import ShortRefits
+from casadi_engine.discrepancy.refit import Refitter, addition
+from casadi_engine.discrepancy.screening import screen
+
+LEVELS = {"omega": 0.05, "omega_load": 0.1}
+
+
+@pytest.fixture(scope="module")
+def case(shaft):
+    data = shaft.data(hidden=lambda t, x: 0.8 * np.sign(x[1] - x[0]) * np.array([1, -1]))
+    model = shaft.model
+    pars = model.parameters()
+    pars["C_el"].set(max=0.3)
+    noise = ce.Noise(**LEVELS)
+    fit = ce.estimate(model, data, parameters=pars, noise=noise, progress=False)
+    refitter = Refitter(model, pars, (data,), noise, {})
+    screened = screen(fit, ["coulomb_friction", "cubic_stiffness"])
+    return fit, refitter, screened
+
+
+def added(screened, effect, port, size=None):
+    k = next(k for k, c in enumerate(screened.candidates) if c.key == (effect, port))
+    amplitude = float(screened.scores.amplitude[k]) if size is None else size
+    return addition(screened.candidates[k], amplitude, float(screened.scores.drop[k]))
+
+
+def test_a_short_refit_ends_where_a_whole_one_does(case):
+    fit, refitter, screened = case
+    one = added(screened, "coulomb_friction", "coupling")
+    short = ShortRefits(refitter, LEVELS)([one], fit, 30)
+    whole = refitter(fit, [one])
+    assert short.settled
+    assert short.cost == pytest.approx(whole.cost, abs=0.5)
+    assert short.values[one.amplitude] == pytest.approx(whole.values[one.amplitude], rel=0.02)
+
+
+def test_it_starts_from_the_parameters_own_values_too(case):
+    fit, refitter, screened = case
+    one = added(screened, "coulomb_friction", "coupling", size=0.1)
+    shorts = ShortRefits(refitter, LEVELS)
+    first = shorts([one], None, 6)
+    on = shorts([one], first, 30)
+    assert on.settled
+    assert on.cost <= first.cost + 0.5
+    assert on.cost == pytest.approx(refitter(fit, [one]).cost, abs=0.5)
+
+
+def test_its_cost_is_that_of_the_simulation_from_its_first_states(case):
+    fit, refitter, screened = case
+    one = added(screened, "cubic_stiffness", "coupling")
+    shorts = ShortRefits(refitter, LEVELS)
+    short = shorts([one], fit, 2)
+    assert chi_squared(shorts.null_at([one], short), LEVELS) == pytest.approx(short.cost, rel=1e-4)
+
+
+def test_bounds_that_are_met_are_told(case):
+    fit, refitter, screened = case
+    assert chi_squared(null_model(fit), LEVELS) == pytest.approx(fit.cost, rel=1e-4)
+    at = {name for name in fit.free if fit.estimates[name].at_bound is not False}
+    assert at == {"C_el"}
+    one = added(screened, "cubic_stiffness", "coupling", size=0.0)
+    assert "C_el" in ShortRefits(refitter, LEVELS)([one], fit, 10).bounds
+
+
+def test_a_model_that_fails_gives_none(case):
+    _, refitter, screened = case
+    one = added(screened, "cubic_stiffness", "coupling", size=1e30)
+    assert ShortRefits(refitter, LEVELS)([one], None, 3) is None
+
+
+def test_a_hopeless_one_gives_up(case):
+    fit, refitter, screened = case
+    one = added(screened, "cubic_stiffness", "coupling")
+    shorts = ShortRefits(refitter, LEVELS)
+    assert not shorts([one], None, 20, worst=1e-3).settled
+    assert shorts([one], fit, 20, worst=fit.cost).settled
