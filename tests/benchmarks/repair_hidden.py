@@ -26,7 +26,7 @@ import repair_engine as engine
 import two_mass as page
 from repair_detectable import PLACES, TIMES, all_keys, detectable
 from repair_hidden_tables import tables
-from repair_hidden_theory import theory_of
+from repair_hidden_theory import intervals_of, theory_of
 from simulator.hidden_runs import Case
 
 import casadi_engine as ce
@@ -232,11 +232,10 @@ def _true_structure(place, size, model, data, other, noise, sensors, rival=None)
     near = pars.copy()
     for key, value in engine.TRUTH.items():
         near[key].set(value)
-    # multiple shooting from both, and single shooting, which keeps to the play that a start has
     fits = [
         ce.estimate(made, data, parameters=p, noise=noise, interval=interval, progress=False)
         for p in (near, pars)
-        for interval in ("auto", "single")
+        for interval in intervals_of(place)
     ]
     if rival is not None:
         fits.append(rival)
