@@ -34,7 +34,7 @@ _SHARES = (0.1, 0.3, 0.6, 1.0)
 _SMALL = 0.02
 # One step tells little of an effect whose predicted drop of chi-squared is larger.
 _LARGE = 400.0
-# Iterations of one try; of one from a start that nothing speaks for.
+# Iterations of one try; of one from a start that nothing speaks for, which goes on if it has come below the base.
 _ITERATIONS, _FEWER = 60, 30
 # Intervals into which a record is cut for laws with sharp corners.
 _INTERVALS = 400
@@ -116,6 +116,8 @@ class Refitter:
     options: Mapping[str, Any] = field(default_factory=dict)
     # label -> the effect as refits have it, with its corners narrowed, and the share of the first width
     _narrow: dict[str, tuple[Any, float]] = field(default_factory=dict, repr=False)
+    # models by their effects, each with the effect added last, so that it keeps its identity
+    _models: dict[tuple[Any, ...], tuple[Any, Model]] = field(default_factory=dict, repr=False)
 
     def __call__(self, base: Fit, effects: Sequence[Addition], *, start: Any = None) -> Fit:
         """The fit with these effects, from a fit with some of them.
@@ -141,7 +143,10 @@ class Refitter:
         if not new:
             return base if best is None else best
         if not _nested(base, best):
-            best = _better(best, self._try(model, self._at(pars, new, _SMALL), warm, most=_FEWER))
+            small = self._try(model, self._at(pars, new, _SMALL), warm, most=_FEWER)
+            if small is not None and not small.converged and merit(small) < merit(base):
+                small = _better(small, self._try(model, pars, _Start.of(small)))  # on its way
+            best = _better(best, small)
         if not _nested(base, best) and any(one.drop > _LARGE for one in new):
             best = _better(best, self._continued(model, pars, new, warm))
         if best is None or not _nested(base, best):
@@ -168,13 +173,20 @@ class Refitter:
         return moved
 
     def extended(self, effects: Sequence[Addition]) -> Model:
-        """The null fit's model with these effects."""
-        model = self.model
+        """The null fit's model with these effects; the same one each time.
+
+        A model with further effects shares its symbols, so that candidates made for the one can be put into the other.
+        """
+        model: Model = self.model
+        key: tuple[Any, ...] = ()
         for one in effects:
             made = one.candidate.source
             values = dict(made.values) | {made.amplitude.name: one.start}
             effect, _ = self._narrow.get(one.label, (made.effect, 1.0))
-            model = model.with_effect(effect, at=one.candidate.port, values=values)
+            key = (*key, (one.key, id(effect), tuple(sorted(values.items()))))
+            if key not in self._models:
+                self._models[key] = (effect, model.with_effect(effect, at=one.candidate.port, values=values))
+            _, model = self._models[key]
         return model
 
     def _look(self, base: Fit, effects: Sequence[Addition]) -> None:

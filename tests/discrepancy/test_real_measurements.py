@@ -146,7 +146,7 @@ def test_a_loss_that_lasts_to_the_end_of_the_data_searched_goes_on_in_the_cycles
 
 @pytest.mark.slow
 def test_the_lost_combustion_is_named_among_the_whole_library(engine):
-    """About 30 s of CPU; it did not end in 330 s when a friction that no start could hold was refitted."""
+    """About 25 s of CPU; 330 s did not do when a friction that no start could hold was refitted."""
     lost, assumed, _ = engine
     model = lost.model()
     begun = time.process_time()

@@ -1,6 +1,7 @@
 """Refits: sharp laws of the independent simulator recovered, starts that lead nowhere, and what a refit may cost."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -138,3 +139,63 @@ def start_of(model):
     if folder not in sys.path:
         sys.path.insert(0, folder)
     return __import__("two_mass").parameters(model)
+
+
+@pytest.fixture(scope="module")
+def motored():
+    """The fit of a record of the fast engine, and its screen."""
+    model = ce.two_mass(reciprocating_speed="model")
+    lost = hidden("misfire", "cylinder_2", 1.0, cycles=(4,))
+    (record,) = simulate_hidden("two_mass", [Case((lost,), 7, 8)], duration=0.6, rate=1440.2, cycles=6)
+    columns = {key: record[key] for key in UNITS}
+    data = ce.Experiment.from_arrays("lost", time=record["time"], units=UNITS, **columns)
+    noise = ce.Noise(omega=0.1)
+    fit = ce.estimate(model, data, parameters=start_of(model), noise=noise, progress=False)
+    screened = screen(fit, ["misfire", "sensor_delay"])
+    return fit, screened, Refitter(model, start_of(model), (data,), noise, OPTIONS)
+
+
+def added(screened, effect, at, size, **nuisance):
+    """An effect of a screen, to be added from an amplitude."""
+    found = [
+        c for c in screened.candidates if c.key == (effect, at) and nuisance.items() <= c.nuisance.items()
+    ]
+    return addition(found[0], size, 500.0)
+
+
+def test_models_with_more_effects_share_the_symbols_of_those_with_fewer(motored):
+    """A lost combustion is a drive: a candidate made beside it could else not be put into a model with one more."""
+    _, screened, refitter = motored
+    lost = added(screened, "misfire", "cylinder_2", 1.0, first=4.0, last=4.0)
+    late = added(screened, "sensor_delay", "sensor_omega", 1e-4)
+    one, two = refitter.extended([lost]), refitter.extended([lost, late])
+    assert refitter.extended([lost]) is one
+    assert refitter.extended([lost, late]) is two
+    last = one.d[one.d.numel() - 1]
+    assert "misfire" in last.name()
+    assert last.element_hash() in {two.d[k].element_hash() for k in range(two.d.numel())}
+    other = refitter.extended([added(screened, "misfire", "cylinder_2", 0.9, first=4.0, last=4.0)])
+    assert other is not one
+
+
+def test_a_start_that_leads_down_is_followed_beyond_its_first_iterations(motored, monkeypatch):
+    """The start with a small amplitude gets fewer iterations, but goes on where it has come below the base."""
+    fit, screened, refitter = motored
+    lost = added(screened, "misfire", "cylinder_2", 1.0, first=4.0, last=4.0)
+    real, calls = Refitter._try, []
+
+    def tried(self, model, pars, warm, **options):
+        calls.append((pars[lost.amplitude].value, options.get("most")))
+        if len(calls) < 3:
+            return None  # neither the predicted amplitude nor the parameters' own values lead anywhere
+        if len(calls) == 3:
+            near = real(self, model, self._parameters(model, [lost]), None)
+            return replace(near, status="not converged: the iterations ran out")
+        return real(self, model, pars, warm, **options)
+
+    monkeypatch.setattr(Refitter, "_try", tried)
+    found = refitter(fit, [lost])
+    assert found.converged
+    assert found.estimates[lost.amplitude].value == pytest.approx(1.0, abs=0.1)
+    assert [most for _, most in calls[:4]] == [None, None, 30, None]
+    assert calls[2][0] == pytest.approx(0.02)
