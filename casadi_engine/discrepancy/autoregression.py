@@ -62,12 +62,30 @@ def _products(noise: Array, run: NDArray[np.intp], order: int) -> Array:
     others together."""
     now = np.flatnonzero(run > order)
     out = np.zeros((2, order + 1, order + 1))
-    for k, column in enumerate(noise.T):
-        window = sliding_window_view(column, order + 1)[now - order]
-        out[min(k, 1)] += np.roll((window.T @ window)[::-1, ::-1], -1, axis=(0, 1))
+    if len(now) and now[-1] - now[0] + 1 == len(now):
+        piece = noise[now[0] - order : now[-1] + 1]
+        for k, part in enumerate((piece[:, :1], piece[:, 1:])):
+            out[k] = np.roll(_lagged(part, order)[::-1, ::-1], -1, axis=(0, 1))
+    else:
+        for k, column in enumerate(noise.T):
+            window = sliding_window_view(column, order + 1)[now - order]
+            out[min(k, 1)] += np.roll((window.T @ window)[::-1, ::-1], -1, axis=(0, 1))
     # a column that predicts itself perfectly, or is zero, has no factor
     out[0][np.diag_indices(order + 1)] += 1e-12 * float(noise[:, 0] @ noise[:, 0]) + np.finfo(float).tiny
     return out
+
+
+def _lagged(piece: Array, order: int) -> Array:
+    """(order + 1, order + 1) sums over t and columns of e(t + a) e(t + b), for as many t as all lags have; by what
+    enters and leaves a sum from one pair of lags to the next (Morf et al. 1977)."""
+    rows = len(piece) - order
+    out = np.empty((order + 1, order + 1))
+    out[0] = [np.vdot(piece[:rows], piece[b : b + rows]) for b in range(order + 1)]
+    first, last = piece[:order], piece[rows : rows + order]
+    moved = last @ last.T - first @ first.T
+    for a in range(order):
+        out[a + 1, a + 1 :] = out[a, a:order] + moved[a, a:]
+    return np.asarray(np.triu(out) + np.triu(out, 1).T)
 
 
 def _variances(factor: Array, rows: int) -> Array:
