@@ -16,8 +16,9 @@ from casadi_engine.model.effect import Amplitude, Effect, Grid
 # for the twist rate of a coupling, whose typical magnitude is that of the two speeds.
 SPEED_WIDTH = 5e-3
 RATE_WIDTH = 1.4e-4
-# Beyond so many times its fading speed a ten-thousandth of the friction is left.
+# Beyond so many times its fading speed a ten-thousandth of the friction is left, and within a third of it nine tenths.
 _REACH = 3.03
+_FADING = Grid(0.25, 2.5, steps=8, log=True, of="speed", unit="rad/s", description="fading speed")
 
 
 def motion(port: Any) -> tuple[str, int]:
@@ -109,19 +110,36 @@ class QuadraticDrag(_Rounded):
 class StribeckFriction(_Rounded):
     """The part of dry friction that fades with speed, −T exp(−(ω/ω_s)²) sign(ω) (Armstrong-Hélouvry 1994).
 
-    Fading speeds are tested that a record comes within reach of: at three times that speed 1e-4 is left.
+    Fading speeds are tested that a record comes within reach of (at three times that speed 1e-4 is left), and at which
+    it fades there: what keeps nine tenths up to the largest speed is dry friction.
+
+    span : the least and the largest fading speed [rad/s]; None for what the speed's magnitude and the records say
     """
 
     width: float | None = None
+    span: tuple[float, float] | None = None
 
     name = "stribeck_friction"
     attaches = ("inertia",)
     kin = ("coulomb_friction", "constant_torque", "viscous_friction")
     sentence = "friction at {port} that fades with speed"
     amplitude = Amplitude("torque", unit="N m", min=0)
-    nuisance = {  # noqa: RUF012 (read only)
-        "fading": Grid(0.25, 2.5, steps=8, log=True, of="speed", unit="rad/s", description="fading speed")
-    }
+
+    @property
+    def nuisance(self) -> Mapping[str, Grid]:  # type: ignore[override]
+        """The fading speed."""
+        if self.span is None:
+            return {"fading": _FADING}
+        return {"fading": replace(_FADING, start=self.span[0], stop=self.span[1], of=None)}
+
+    def fitted(self, port: Any, record: Any, values: Mapping[str, float]) -> Effect:
+        """The same with fading speeds up to three times the largest speed of the records, where none were given."""
+        del record, values
+        fastest = max((float(np.abs(course).max()) for course in port.courses("speed")), default=_math.inf)
+        low, high = _FADING.ends(magnitude=port.typical("speed"))
+        # in steps, so that the grid does not hang on the last digits of a fit
+        most = float(f"{_REACH * fastest:.2g}") if 0 < fastest < _math.inf else _math.inf
+        return replace(self, span=(low, most)) if self.span is None and low < most < high else self
 
     def choices(self, port: Any, grids: Mapping[str, tuple[float, ...]]) -> tuple[dict[str, float], ...]:
         """All fading speeds that the motion comes within reach of."""

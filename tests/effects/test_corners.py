@@ -75,3 +75,18 @@ def test_fading_speeds_out_of_reach_are_not_tested():
     still = view_of("load", {"speed": TIME - 1.0})
     assert len(effects.StribeckFriction().choices(still, grids)) == 3
     assert len(effects.StribeckFriction().choices(effects.port_view(two_mass(), "load"), grids)) == 3
+
+
+def test_friction_that_keeps_nine_tenths_of_itself_is_dry_friction():
+    plain = effects.StribeckFriction()
+    slow = view_of("load", {"speed": 45.0 * np.sin(TIME)})
+    made = plain.fitted(slow, None, {})
+    low, high = made.nuisance["fading"].ends()
+    assert low == plain.nuisance["fading"].ends(magnitude=slow.typical("speed"))[0]
+    assert np.exp(-((45.0 / high) ** 2)) == pytest.approx(0.9, abs=0.03)
+    fast = view_of("load", {"speed": 120.0 + 5 * np.sin(TIME)})
+    assert plain.fitted(fast, None, {}) is plain
+    assert plain.fitted(effects.port_view(two_mass(), "load"), None, {}) is plain
+    given = effects.StribeckFriction(span=(1.0, 9.0))
+    assert given.fitted(slow, None, {}) is given
+    assert given.nuisance["fading"].ends(magnitude=100.0) == (1.0, 9.0)
