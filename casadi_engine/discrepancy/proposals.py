@@ -23,7 +23,7 @@ def proposals(screened: Screened) -> list[int]:
     used: set[int] = set()
     drop = screened.scores.drop
     for first in screened.significant:
-        alike = [k for k in rows[home[first]] if drop[k] > drop[first] - _SAME]
+        alike = [k for k in rows[home[first]] if drop[k] >= drop[first] - _SAME]  # itself, even without end
         k = min(alike, key=lambda k: (freed(screened, k), screened.candidates[k].key in taken, -drop[k]))
         key = screened.candidates[k].key
         if key in taken or home[k] in used or (found and drop[k] < _SHARE * drop[found[0]]):
