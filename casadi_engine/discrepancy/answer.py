@@ -26,6 +26,7 @@ from casadi_engine.discrepancy.fresh import (
     judge,
     side,
 )
+from casadi_engine.discrepancy.fresh_misfit import fresh_misfit
 from casadi_engine.discrepancy.latent_torque import LatentTorque, latent_torques
 from casadi_engine.discrepancy.next_experiment import next_experiment
 from casadi_engine.discrepancy.noise_model import NoiseModel
@@ -99,7 +100,7 @@ class Answer:
             place = place_of(screened.null, _noise_of_place(last), latent)
         split = self._timed("next experiment", lambda: _split(proof.kept))
         self.timing["total"] = time.perf_counter() - self.begun
-        return replace(
+        done = replace(
             blank,
             threshold=screened.threshold,
             threshold_p=screened.threshold_p,
@@ -115,6 +116,8 @@ class Answer:
             timing=self.timing,
             messages=tuple(dict.fromkeys(self.messages)),
         )
+        misfit = fresh_misfit(done)
+        return done if misfit is None else replace(done, messages=(misfit, *done.messages))
 
     def _timed(self, what: str, work: Any) -> Any:
         begun = time.perf_counter()

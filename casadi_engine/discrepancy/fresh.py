@@ -284,7 +284,7 @@ def judge(
         return Judgement(gain, None, why=gain.why)
     if gain.confirmed:
         return Judgement(gain, True)
-    worse = gain.mean <= 0
+    worse = gain.mean < 0  # one of 0 is where nothing of it acts
     missed = foreseen > _FORESEEN * gain.se and gain.mean < 0.25 * foreseen
     if worse or missed:
         words = "the gap grows" if worse else f"a gain of {foreseen:.3g} per cycle was to be seen"

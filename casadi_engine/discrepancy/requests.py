@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,7 +35,9 @@ def read_request(model: Model, effects: Any, at: Sequence[str] | str | None = No
     Raises EffectError for an effect that does not follow the protocol, for one that is there twice, for a port that
     does not exist or that no effect fits, and where nothing is left to be tested.
     """
-    if effects is not None and not isinstance(effects, (Effect, str, Iterable)):
+    if effects is not None and (
+        isinstance(effects, Mapping) or not isinstance(effects, (Effect, str, Iterable))
+    ):
         raise EffectError(
             "what is to be looked for is not acceptable",
             seen=repr(effects),
@@ -47,7 +49,7 @@ def read_request(model: Model, effects: Any, at: Sequence[str] | str | None = No
     found: dict[str, Effect] = {}
     where: dict[str, tuple[str, ...] | None] = {}
     for item in given:
-        effect, port = item if isinstance(item, tuple) else (item, None)
+        effect, port = _pair(item)
         effect = library(effect)[0] if isinstance(effect, str) else effect
         check_effect(effect)
         ports = None if port is None else (find_port(model, effect, port).name,)
@@ -73,6 +75,20 @@ def read_request(model: Model, effects: Any, at: Sequence[str] | str | None = No
             cure="print(model.ports) lists the ports; leave effects out for the whole library",
         )
     return Request(tuple(found.values()), where)
+
+
+def _pair(item: Any) -> tuple[Any, Any]:
+    """An effect or name, and the port that it was paired with, None without one."""
+    if not isinstance(item, tuple):
+        return item, None
+    if len(item) != 2:
+        raise EffectError(
+            "what is to be looked for at a port is no pair",
+            seen=repr(item),
+            allowed="an effect or its name, and the name of a port",
+            cure='write ("coulomb_friction", "coupling"), for instance; one pair for each port',
+        )
+    return item[0], item[1]
 
 
 def _held(model: Model, ports: Any) -> tuple[str, ...]:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from casadi_engine.discrepancy.fresh_misfit import fresh_misfit
 from casadi_engine.estimation.summary import count, number, with_error, wrapped
 
 if TYPE_CHECKING:
@@ -196,6 +197,8 @@ def next_step(repair: Repair) -> str:
             f"to split {', '.join(names)}: {made.change} (separation {made.expected_separation:.1f}, now "
             f"{made.separation_now:.1f}; 3.3 is enough)"
         )
+    if fresh_misfit(repair) is not None:
+        return "look for what is missing in the fresh records: give them as data of the search"
     if repair.verdict == "nothing missing":
         return "use the model; larger effects than those listed are excluded"
     if repair.verdict == "unnamed":
@@ -209,4 +212,6 @@ def next_step(repair: Repair) -> str:
         return "look at the figures of the residuals after the repair: they hold more"
     if repair.confirmed is None:
         return "test it on data it has not seen: --validate FILE, or ce.repair(..., fresh=other_record)"
+    if repair.confirmed is False:
+        return "test it on more fresh data before you use it: those that were given do not confirm it"
     return "go on with repair.fit, the repaired model: print(repair.fit)"

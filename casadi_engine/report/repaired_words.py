@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from casadi_engine.discrepancy.fresh_misfit import fresh_misfit
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair
 from casadi_engine.discrepancy.summary import next_step
 from casadi_engine.estimation.summary import number, with_error
@@ -36,7 +37,7 @@ def verdict_lines(repair: Repair) -> list[str]:
 def mood(repair: Repair) -> str:
     """Colour of the verdict: good where the answer stands, poor where something is open."""
     if repair.verdict == "nothing missing":
-        return "good"
+        return "good" if fresh_misfit(repair) is None else "poor"
     return "good" if repair.verdict == "named" and repair.confirmed is not False else "poor"
 
 
@@ -44,9 +45,11 @@ def _verdict(repair: Repair) -> str:
     if repair.verdict is None:
         return f"No answer: {repair.status}."
     if repair.verdict == "nothing missing":
+        coloured = repair.noise is not None and repair.noise.colour
+        left = "what an autoregression of the coloured noise leaves is" if coloured else "the residuals are"
         return (
             f"Nothing is missing that these data can show: {repair.candidates} candidates at α = {repair.alpha:g}, "
-            "and the residuals are white."
+            f"and {left} white."
         )
     if repair.verdict == "unnamed":
         words = repair.unknown.sentence if repair.unknown is not None else "the residuals are not noise"
@@ -111,7 +114,10 @@ def _confirmed(repair: Repair) -> str:
     size = ""
     if gain is not None and gain.mean is not None and gain.se is not None:
         size = f", gain of chi-squared {gain.mean:.3g} ± {gain.se:.2g} per cycle over {gain.cycles} cycles"
-    return f"{'Confirmed' if repair.confirmed else 'REFUSED'} by {kind}{size}."
+    word = "Confirmed" if repair.confirmed else "REFUSED"
+    if not repair.confirmed and gain is not None and gain.mean is not None and gain.mean > 0:
+        word = "Not confirmed"
+    return f"{word} by {kind}{size}."
 
 
 def gap_sentence(repair: Repair) -> str:

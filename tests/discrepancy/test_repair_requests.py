@@ -232,3 +232,39 @@ def test_effects_that_are_no_sequence_are_refused(shaft, friction):
 def test_data_cannot_confirm_what_is_found_in_them(shaft, friction):
     with pytest.raises(ExperimentError, match=r"is to confirm what is found in the same data"):
         ce.repair(shaft.model, friction, fresh=friction, effects=FEW, progress=False)
+
+
+@pytest.mark.parametrize(
+    ("effects", "message"),
+    [
+        ([("coulomb_friction", "load", "engine")], "what is to be looked for at a port is no pair; seen: "),
+        ({"coulomb_friction": "load"}, "what is to be looked for is not acceptable; seen: "),
+    ],
+)
+def test_effects_at_ports_that_are_no_pairs_are_refused(shaft, friction, effects, message):
+    with pytest.raises(EffectError) as caught:
+        ce.repair(shaft.model, friction, effects=effects, progress=False)
+    assert str(caught.value).startswith(message)
+
+
+def _swing(torque, *, seed=0, name="swing"):
+    """One inertia with dry friction that nobody told of, and white noise."""
+    time = np.arange(300) * 0.02
+    drive = 80 * np.sin(1.5 * time) + 20 * np.sin(7 * time)
+    data = ce.Experiment.from_arrays(name, time=time, units={"T": "N m"}, T=drive)
+    plant = ce.one_inertia().with_effect(ce.effects.CoulombFriction(), at="engine", values={"torque": torque})
+    speed = ce.simulate(plant, data, initial={"omega_eng": 0.0})["omega"].values
+    speed = speed + 0.1 * np.random.default_rng(seed).standard_normal(len(time))
+    return ce.Experiment.from_arrays(
+        name, time=time, units={"T": "N m", "omega": "rad/s"}, T=drive, omega=speed
+    )
+
+
+def test_an_effect_in_the_fresh_data_alone_is_not_passed_over():
+    data, fresh = _swing(0.0), _swing(6.0, seed=1, name="later")
+    found = ce.repair(ce.one_inertia(), data, fresh=fresh, effects=FEW, starts=1, progress=False)
+    assert found.verdict == "nothing missing"
+    assert found.messages[0].startswith("the fresh data do not fit: chi2/N is ")
+    assert "look for what is missing in the fresh records" in str(found)
+    same = ce.repair(ce.one_inertia(), data, fresh=_swing(0.0, seed=1), effects=FEW, starts=1, progress=False)
+    assert not any("do not fit" in text for text in same.messages)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from casadi_engine.discrepancy.confirmation import PairedGain
+from casadi_engine.discrepancy.fresh_misfit import fresh_misfit
 from casadi_engine.discrepancy.repaired import Member, NextExperiment
 from casadi_engine.discrepancy.summary import next_step
 from casadi_engine.estimation.fit import Estimate
@@ -36,14 +37,19 @@ def test_a_named_and_confirmed_effect(repaired):
     assert mood(repaired) == "good"
 
 
-def test_nothing_missing(nothing_missing):
-    lines = verdict_lines(nothing_missing)
+@pytest.fixture
+def white(nothing_missing):
+    return replace(nothing_missing, noise=replace(nothing_missing.noise, colour={}, scatter={}))
+
+
+def test_nothing_missing(white):
+    lines = verdict_lines(white)
     assert lines[0] == (
         "Nothing is missing that these data can show: 380 candidates at α = 0.01, and the residuals are white."
     )
     assert lines[1] == "Rms gap: omega 0.1 rad/s on data of the search, omega 0.1 rad/s on fresh data."
     assert lines[-1].startswith("Next: use the model; larger effects than those listed are excluded")
-    assert (len(lines), mood(nothing_missing)) == (3, "good")
+    assert (len(lines), mood(white)) == (3, "good")
 
 
 def test_no_name_in_the_library(unnamed):
@@ -124,3 +130,32 @@ def test_an_amplitude_without_error_and_parameters_that_stayed(repaired):
     assert effect_words(bare).endswith("(coulomb_friction at coupling), torque 0.004")
     still = replace(repaired, fit=replace(repaired.fit, estimates=dict(repaired.null_fit.estimates)))
     assert moved_parameters(still) == ""
+
+
+def test_coloured_noise_is_not_called_white(nothing_missing):
+    noise = replace(nothing_missing.noise, colour={"misfire_1200rpm/omega": 2})
+    line = verdict_lines(replace(nothing_missing, noise=noise))[0]
+    assert line.endswith("at α = 0.01, and what an autoregression of the coloured noise leaves is white.")
+
+
+def test_a_gain_that_is_no_more_than_chance_is_not_a_refusal(repaired):
+    gain = PairedGain(4.0, 3.0, 5, False)
+    changed = replace(repaired, confirmed=False, gaps=replace(repaired.gaps, gain_per_cycle=gain))
+    lines = verdict_lines(changed)
+    assert "Not confirmed by fresh records, gain of chi-squared 4 ± 3 per cycle over 5 cycles." in lines
+    assert lines[-1] == (
+        "Next: test it on more fresh data before you use it: those that were given do not confirm it."
+    )
+
+
+def test_fresh_data_that_do_not_fit_are_no_reason_to_go_on(white):
+    gaps = white.gaps
+    own = replace(gaps.estimation_after, gap=replace(gaps.estimation_after.gap, samples=400))
+    wide = replace(own, gap=replace(own.gap, chi2_per_sample=9.0))
+    changed = replace(white, gaps=replace(gaps, estimation_after=own, validation_after=wide))
+    assert fresh_misfit(white) is None
+    assert fresh_misfit(changed).startswith("the fresh data do not fit: chi2/N is 9 there and ")
+    assert verdict_lines(changed)[-1] == (
+        "Next: look for what is missing in the fresh records: give them as data of the search."
+    )
+    assert mood(changed) == "poor"
