@@ -22,6 +22,7 @@ from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.score import score
 from casadi_engine.errors import EstimationError
 from casadi_engine.experiment import Experiment
+from casadi_engine.model import Model
 from casadi_engine.validation import whiteness
 
 Columns = Mapping[str, Mapping[str, Array]]
@@ -87,7 +88,7 @@ def choose_noise(
     larger than chance allows. colour : True, False, or "auto" for where the residual is not white
     Raises EstimationError for another colour, or cylinders that are none.
     """
-    _check(null, cylinders, colour)
+    check_choice(null.model, cylinders, colour)
     scatter = scatter_of(null, data, cylinders)
     random = {r.name: scatter_columns(r, scatter) for r in null.records} if scatter else None
     rough = NoiseModel({name: sigma for name, (sigma, _) in levels.items()})
@@ -106,7 +107,8 @@ def choose_noise(
     return NoiseChoice(found, scatter, cylinders, (_COLOURED,), None, larger, stated)
 
 
-def _check(null: NullModel, cylinders: Any, colour: Any) -> None:
+def check_choice(model: Model, cylinders: Any, colour: Any) -> None:
+    """Raise EstimationError for a choice of colour, or of cylinders whose combustion scatters, that is none."""
     if not (colour is True or colour is False or (isinstance(colour, str) and colour == "auto")):
         raise EstimationError(
             "colour is not acceptable",
@@ -116,7 +118,7 @@ def _check(null: NullModel, cylinders: Any, colour: Any) -> None:
         )
     if cylinders is None or (isinstance(cylinders, str) and cylinders == "assumed"):
         return
-    ports = [port.name for port in null.model.ports if port.kind == "cylinder" and port.name != "cylinders"]
+    ports = [port.name for port in model.ports if port.kind == "cylinder" and port.name != "cylinders"]
     names = None if isinstance(cylinders, str) or not isinstance(cylinders, Iterable) else tuple(cylinders)
     if names is None or any(name not in ports for name in names):
         raise EstimationError(

@@ -11,7 +11,7 @@ from typing import Any
 from casadi_engine.discrepancy.answer import Answer
 from casadi_engine.discrepancy.assumed_pressure import carry, remarks, settle_scatter
 from casadi_engine.discrepancy.fresh import Portions, portions
-from casadi_engine.discrepancy.noise_choice import ColourChoice
+from casadi_engine.discrepancy.noise_choice import ColourChoice, check_choice
 from casadi_engine.discrepancy.refit import Refitter
 from casadi_engine.discrepancy.repaired import Repair
 from casadi_engine.discrepancy.requests import read_request
@@ -97,6 +97,7 @@ def repair(
     others = () if fresh is None else _records(fresh)
     read_request(model, effects, at)
     _check(noise, alpha, holdout)
+    check_choice(model, scatter, colour)
     for record in others:
         _check_fresh(model, record)
     most, starts = whole("most", most, 1), whole("starts", starts, 1)

@@ -42,8 +42,9 @@ from casadi_engine.discrepancy.random_families import (
 )
 from casadi_engine.discrepancy.requests import read_request
 from casadi_engine.discrepancy.score import Scores, score
-from casadi_engine.errors import EstimationError
+from casadi_engine.errors import EffectError, EstimationError
 from casadi_engine.estimation.fit import Fit
+from casadi_engine.estimation.options import as_number, whole
 
 # Degrees of freedom below which a score tells little.
 _FEW = 5
@@ -167,17 +168,13 @@ def screen(
     >>> screened.candidates[screened.order[0]].label
     'coulomb_friction at engine'
     """
-    if not 0 < alpha < 1:
-        raise EstimationError(
-            "alpha is not acceptable",
-            seen=alpha,
-            allowed="a number between 0 and 1",
-            cure="give alpha=0.01, for one false alarm in a hundred",
-        )
+    _check(fit, noise, alpha)
+    seed = whole("seed", seed, 0)
     request = read_request(fit.model, effects, at)
     null = null_model(fit)
     candidates = [c for c in library_candidates(null, fit.data, request.effects) if request.wants(c)]
     columns = {record.name: candidate_columns(record, candidates) for record in null.records}
+    _check_columns(candidates, columns)
     if noise is None:
         choice = choose_noise(
             null, candidates, columns, fit.noise, data=fit.data, cylinders=scatter, colour=colour
@@ -186,6 +183,46 @@ def screen(
         random = scatter_of(null, fit.data, scatter) if noise.scatter else ()
         choice = NoiseChoice(noise, random, scatter)
     return _scored(null, tuple(candidates), columns, choice, alpha, seed)
+
+
+def _check(fit: Any, noise: Any, alpha: Any) -> None:
+    if not isinstance(fit, Fit):
+        raise EstimationError(
+            "there is no fit to score effects against",
+            seen=type(fit).__name__,
+            allowed="a Fit of output error",
+            cure="give screen(estimate(model, data)); the fit of a repair is repair.fit",
+        )
+    if noise is not None and not isinstance(noise, NoiseModel):
+        raise EstimationError(
+            "the noise to score with is not acceptable",
+            seen=repr(noise),
+            allowed="a NoiseModel, such as the noise of another screening, or None",
+            cure="leave it out: the levels that the fit was told count, or those of its residual",
+        )
+    number = as_number(alpha)
+    if number is None or not 0 < number < 1:
+        raise EstimationError(
+            "alpha is not acceptable",
+            seen=alpha,
+            allowed="a number between 0 and 1",
+            cure="give alpha=0.01, for one false alarm in a hundred",
+        )
+
+
+def _check_columns(candidates: Sequence[Candidate], columns: Mapping[str, Mapping[str, Array]]) -> None:
+    """Raise EffectError for an effect whose sensitivity is no number somewhere in the data."""
+    for record, outputs in columns.items():
+        for output, values in outputs.items():
+            wrong = np.flatnonzero(~np.isfinite(values).all(axis=0))
+            if len(wrong):
+                raise EffectError(
+                    f"the law of {candidates[wrong[0]].label} has no finite derivative along record {record}",
+                    seen=f"the change of {output} with its amplitude is infinite or not a number",
+                    allowed="a law that is smooth for all values that its signals take in the data",
+                    cure="take functions of math, the last argument of law, not those of Python's own module; keep "
+                    "roots and divisions away from zero",
+                )
 
 
 def rescored(screened: Screened, choice: NoiseChoice) -> Screened:

@@ -184,6 +184,13 @@ MESSAGES = [
     ),
     ({"holdout": 1}, EstimationError, "holdout is not acceptable; seen: 1; allowed: a share of the cycles"),
     ({"most": 0}, EstimationError, "most is not acceptable; seen: 0; allowed: a whole number >= 1"),
+    ({"colour": "red"}, EstimationError, "colour is not acceptable; seen: 'red'; allowed: True, False or"),
+    (
+        {"scatter": "all"},
+        EstimationError,
+        "scatter is not acceptable; seen: 'all'; allowed: \"assumed\", None",
+    ),
+    ({"scatter": 3}, EstimationError, 'scatter is not acceptable; seen: 3; allowed: "assumed", None'),
     ({"progress": "loud"}, EstimationError, "progress is not acceptable; seen: 'loud'"),
     (
         {"noise": ce.Noise(omega="innovations")},
@@ -204,6 +211,40 @@ def test_a_screen_has_a_rate_of_false_alarms_too(shaft, friction):
     fit = ce.estimate(shaft.model, friction, noise=NOISE, progress=False)
     with pytest.raises(EstimationError, match="alpha is not acceptable"):
         screen(fit, FEW, alpha=0.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"alpha": "a"}, "alpha is not acceptable; seen: a"),
+        ({"noise": NOISE}, "the noise to score with is not acceptable; seen: Noise("),
+        ({"seed": "x"}, "seed is not acceptable; seen: 'x'; allowed: a whole number >= 0"),
+    ],
+)
+def test_a_screen_asked_for_what_cannot_be_is_refused(shaft, friction, options, message):
+    fit = ce.estimate(shaft.model, friction, noise=NOISE, progress=False)
+    with pytest.raises(EstimationError) as caught:
+        screen(fit, FEW, **options)
+    assert str(caught.value).startswith(message)
+
+
+def test_a_screen_needs_a_fit(repaired):
+    with pytest.raises(EstimationError, match=r"there is no fit to score effects against; seen: Repair;"):
+        screen(repaired)
+
+
+@pytest.mark.parametrize("law", [lambda c, w: -c * w * float("nan"), lambda c, w: -c * (w - 1e4) ** 0.5])
+def test_a_law_without_a_finite_derivative_is_named(shaft, friction, law):
+    class Root(FanTorque):
+        name, nuisance = "root", {}
+
+        def law(self, port, p, math):
+            return law(p.coefficient, port.speed)
+
+    with pytest.raises(
+        EffectError, match=r"^the law of root at engine has no finite derivative along record"
+    ):
+        ce.repair(shaft.model, friction, effects=[Root()], noise=NOISE, starts=1, progress=False)
 
 
 def test_fresh_data_must_suit_the_model(shaft, friction):
