@@ -94,6 +94,7 @@ def choose_noise(
     rough = NoiseModel({name: sigma for name, (sigma, _) in levels.items()})
     white = compress(null, candidates, rough, scatter=scatter, columns=columns)
     noise, messages = _white_noise(null, columns, white, levels, random)
+    _check_levels(noise.sigma)
     white = white.relevelled(noise, scatter)
     if colour is False or (colour == "auto" and _is_white(null, noise, beside(null, columns, ()), random)):
         return NoiseChoice(noise, scatter, cylinders, messages, white)
@@ -127,6 +128,17 @@ def check_choice(model: Model, cylinders: Any, colour: Any) -> None:
             allowed=f'"assumed", None, or a sequence of cylinder ports ({", ".join(ports) or "the model has none"})',
             cure='leave it out: "assumed" takes the cylinders whose pressure was assumed',
         )
+
+
+def _check_levels(sigma: Mapping[str, float]) -> None:
+    for name, level in sigma.items():
+        if not (math.isfinite(level) and level > 0):
+            raise EstimationError(
+                f"no level of the noise of {name} can be told from the residual",
+                seen=f"a standard deviation of {level:g}",
+                allowed="a residual that is not the same nothing everywhere",
+                cure=f"state the level, ce.Noise({name}=sigma), or take a record in which something happens",
+            )
 
 
 def _white_noise(

@@ -309,3 +309,14 @@ def test_an_effect_in_the_fresh_data_alone_is_not_passed_over():
     assert "look for what is missing in the fresh records" in str(found)
     same = ce.repair(ce.one_inertia(), data, fresh=_swing(0.0, seed=1), effects=FEW, starts=1, progress=False)
     assert not any("do not fit" in text for text in same.messages)
+
+
+def test_a_record_of_nothing_has_no_noise_to_judge_by():
+    time, zero = np.arange(60) * 0.01, np.zeros(60)
+    data = ce.Experiment.from_arrays(
+        "still", time=time, units={"T": "N m", "omega": "rad/s"}, T=zero, omega=zero
+    )
+    with pytest.raises(
+        EstimationError, match=r"no level of the noise of omega can be told from the residual"
+    ):
+        ce.repair(ce.one_inertia(), data, effects=["coulomb_friction"], starts=1, progress=False)
