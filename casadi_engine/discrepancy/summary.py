@@ -188,6 +188,8 @@ def _not_found(repair: Repair) -> list[str]:
 
 def next_step(repair: Repair) -> str:
     """What to do with the answer, for the screen and for the page."""
+    if repair.status == "interrupted":
+        return "run it again and let it end; repair.fit is the best model so far"
     if repair.verdict is None:
         return "mend the fit without effects first: other start values, wider bounds, or more starts"
     if repair.next_experiment is not None:

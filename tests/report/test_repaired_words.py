@@ -159,3 +159,9 @@ def test_fresh_data_that_do_not_fit_are_no_reason_to_go_on(white):
         "Next: look for what is missing in the fresh records: give them as data of the search."
     )
     assert mood(changed) == "poor"
+
+
+def test_an_interrupted_search_blames_no_fit(no_answer):
+    stopped = replace(no_answer, status="interrupted")
+    assert next_step(stopped) == "run it again and let it end; repair.fit is the best model so far"
+    assert verdict_lines(stopped)[0] == "No answer: interrupted."
