@@ -9,8 +9,7 @@ relative error does not grow for small p0, and it needs a few thousand draws.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,8 +20,6 @@ from casadi_engine.discrepancy.score import Scores, upper_tail
 
 _DRAWS = 4000
 _SMALLEST = 1e-300
-# Neighbours on a nuisance grid must correlate by more.
-_NEIGHBOURS = 0.95
 _LIBRARY_SHARE = 0.8
 
 
@@ -165,30 +162,3 @@ class NullDistribution:
 def split_alpha(alpha: float, *, library: float = _LIBRARY_SHARE) -> tuple[float, float]:
     """Shares of the false-alarm rate for the library and the whiteness test; independent or not, at most alpha."""
     return alpha * library, alpha * (1 - library)
-
-
-def refine_grid(
-    points: Sequence[float],
-    columns: Callable[[Sequence[float]], Array],
-    *,
-    neighbours: float = _NEIGHBOURS,
-    most: int = 65,
-) -> list[float]:
-    """Refine a nuisance grid until the directions of neighbours correlate by more than ``neighbours``.
-
-    columns : values -> (m, k) unit vectors of these values in the scores' frame (zero where not testable)
-    most : grid points at which refinement stops
-    """
-    known = {float(v): column for v, column in zip(points, columns(points).T, strict=True)}
-    while len(known) < most:
-        values = sorted(known)
-        new = [
-            (a + b) / 2
-            for a, b in itertools.pairwise(values)
-            if known[a].any() and known[b].any() and abs(float(known[a] @ known[b])) <= neighbours
-        ]
-        new = [v for v in new if v not in known][: most - len(known)]
-        if not new:
-            break
-        known.update(zip(new, columns(new).T, strict=True))
-    return sorted(known)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from casadi_engine.discrepancy.null_distribution import NullDistribution, Row, refine_grid, split_alpha
+from casadi_engine.discrepancy.null_distribution import NullDistribution, Row, split_alpha
 
 
 def independent(count, *, side=0, start=0, size=None):
@@ -87,27 +87,6 @@ def test_group_limits_are_chi():
     test = Row("three", np.eye(3))
     assert test.limit(0.05) == pytest.approx(np.sqrt(stats.chi2.isf(0.05, 3)))
     assert test.p_value(np.array([[1.0], [2.0], [2.0]])) == pytest.approx(stats.chi2.sf(9, 3))
-
-
-def test_a_grid_is_refined_until_neighbours_agree():
-    def columns(values):
-        angle = np.asarray(values) * np.pi / 2
-        return np.array([np.cos(angle), np.sin(angle)])
-
-    points = refine_grid([0.0, 1.0], columns)
-    assert points[0] == 0
-    assert points[-1] == 1
-    gaps = np.diff(points)
-    assert (np.cos(gaps * np.pi / 2) > 0.95).all()
-    assert len(points) <= 9
-    assert len(refine_grid([0.0, 1.0], columns, neighbours=0.999999, most=20)) == 20
-
-
-def test_points_that_cannot_be_tested_are_not_refined():
-    def columns(values):
-        return np.array([[1.0 if v < 0.5 else 0.0 for v in values], [0.0] * len(values)])
-
-    assert refine_grid([0.0, 1.0], columns) == [0.0, 1.0]
 
 
 def test_alpha_is_split():
