@@ -48,6 +48,8 @@ from casadi_engine.estimation.options import as_number, whole
 
 # Degrees of freedom below which a score tells little.
 _FEW = 5
+# Candidates that are printed.
+_SHOWN = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +96,16 @@ class Screened:
     threshold_p: float
     seed: int = 0
     timing: Mapping[str, float] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        """The best candidates with |z| and p-value, and what else is rejected."""
+        rate = f"false alarms {100 * self.alpha:.3g} % over all tests, |z| > {self.threshold:.2f}"
+        lines = [f"Scores of {len(self.candidates)} candidates: {len(self.significant)} significant; {rate}"]
+        for k in self.order[:_SHOWN]:
+            label, p = self.candidates[k].label, float(self.scores.p_value[k])
+            lines.append(f"  {label:<60}{float(self.scores.statistic[k]):>10.2f}  p = {p:.2g}")
+        lines += [f"  {name}: p = {p:.2g}" for name, p in self.leftover.alarms.items()]
+        return "\n".join([*lines, *(f"Note: {text}" for text in self.choice.messages)])
 
     @property
     def noise(self) -> NoiseModel:

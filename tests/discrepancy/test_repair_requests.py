@@ -126,6 +126,10 @@ def test_screening_alone_scores_without_refits(shaft, friction):
     screened = screen(fit, FEW)
     assert screened.candidates[screened.order[0]].label == "coulomb_friction at coupling"
     assert screened.alarm
+    said = str(screened).splitlines()
+    assert said[0].startswith(f"Scores of {len(screened.candidates)} candidates: ")
+    assert said[1].split()[:3] == ["coulomb_friction", "at", "coupling"]
+    assert len(said) < 20
     assert screened.significant[0] == screened.order[0]
     assert screened.pooled(screened.order[0]) < 1e-6
     assert screened.noise.source == "known"
