@@ -29,7 +29,8 @@ def long_run_noise(
 
     screened : the scores; chosen : candidates' numbers; left : a model of the same data whose residuals are the noise;
     estimated : how many numbers were estimated for it. Returns the noise, and its degrees of freedom: as many as there
-    are independent samples, less the numbers estimated. Without any left the level is infinite.
+    are independent samples, less the numbers estimated. Without any left, or where nothing is left of the
+    residuals, the level is infinite.
     """
     null = screened.null
     spread = {
@@ -40,6 +41,8 @@ def long_run_noise(
         )
         for name in {name for record in left.records for name in record.outputs}
     }
+    if not all(level > 0 for level in spread.values()):
+        return NoiseModel(dict.fromkeys(spread, math.inf), {}, {}, "estimated"), 0.0
     pieces = [(record, output) for record in null.records for output in record.outputs]
     count = null.turn.shape[1]
     own = [record.slopes[record.outputs[0]].shape[1] - count for record in null.records]

@@ -324,3 +324,13 @@ def test_a_record_of_nothing_has_no_noise_to_judge_by():
         EstimationError, match=r"no level of the noise of omega can be told from the residual"
     ):
         ce.repair(ce.one_inertia(), data, effects=["coulomb_friction"], starts=1, progress=False)
+
+
+def test_a_record_that_an_effect_explains_to_the_last_digit_is_searched_to_the_end():
+    """A speed that stays: a load at the start leaves residuals of exactly nothing."""
+    time, one = np.arange(50) * 0.01, np.ones(50)
+    data = ce.Experiment.from_arrays(
+        "steady", time=time, units={"T": "N m", "omega": "rad/s"}, T=one, omega=one
+    )
+    found = ce.repair(ce.one_inertia(), data, progress=False)
+    assert found.status == "answered"
