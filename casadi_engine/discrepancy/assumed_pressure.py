@@ -25,6 +25,7 @@ from scipy.linalg import null_space
 from casadi_engine.discrepancy.combustion_scatter import assumed_cylinders, scatter_level
 from casadi_engine.discrepancy.linear_algebra import Array, basis, triangle, without
 from casadi_engine.discrepancy.null_model import NullModel, null_model
+from casadi_engine.discrepancy.start import Start
 from casadi_engine.estimation import Fit, estimate
 from casadi_engine.experiment import Experiment
 from casadi_engine.experiment.channel import Channel
@@ -310,16 +311,6 @@ def likely_scatter(null: NullModel, sigma: Mapping[str, float]) -> float:
     return max(scatter_level(left[:, :-1], left[:, -1]), LEAST)
 
 
-@dataclass(frozen=True, eq=False)
-class _Start:
-    """Values and initial states to start from, as ``estimate(warm=...)`` reads them."""
-
-    values: Mapping[str, float]
-    initial: Mapping[str, Any]
-    noise: Mapping[str, tuple[float, bool]]
-    converged: bool = False
-
-
 def settle_scatter(
     fit: Fit, parameters: Parameters, *, noise: Noise | None, options: Mapping[str, Any] | None = None
 ) -> tuple[Fit, Parameters]:
@@ -339,7 +330,7 @@ def settle_scatter(
         ready[SCATTER].set(new)
         share = min(old / new, 10.0)
         values = {name: v * share if _CYCLE.search(name) else v for name, v in fit.values.items()}
-        start = _Start(values | {SCATTER: new}, fit.initial, fit.noise)
+        start = Start(values | {SCATTER: new}, fit.initial, fit.noise)
         again = estimate(
             fit.model, fit.data, parameters=ready, noise=noise, warm=start, progress=False, **(options or {})
         )

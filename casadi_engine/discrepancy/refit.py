@@ -17,6 +17,7 @@ from casadi_engine.discrepancy.linear_algebra import basis, without
 from casadi_engine.discrepancy.noise_choice import NoiseChoice, scatter_of
 from casadi_engine.discrepancy.null_model import null_model
 from casadi_engine.discrepancy.selection import effective_samples
+from casadi_engine.discrepancy.start import Start
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation import Fit, estimate
 from casadi_engine.experiment import Experiment
@@ -91,21 +92,6 @@ def addition(candidate: Candidate, amplitude: float, drop: float) -> Addition:
 
 
 @dataclass(frozen=True, eq=False)
-class _Start:
-    """Values and initial states to start from, as ``estimate(warm=...)`` reads them."""
-
-    values: Mapping[str, float]
-    initial: Mapping[str, Any]
-    noise: Mapping[str, tuple[float, bool]]
-    converged: bool = False
-
-    @classmethod
-    def of(cls, fit: Fit, *, near: bool = True) -> _Start:
-        """A fit as a start; near : an optimum is to be near."""
-        return cls(fit.values, fit.initial, fit.noise, near and fit.converged)
-
-
-@dataclass(frozen=True, eq=False)
 class Refitter:
     """What all refits share: the null fit's model, parameters, data and options of ``estimate``."""
 
@@ -136,7 +122,7 @@ class Refitter:
             near = self._try(model, pars, start)
             if near is not None and _nested(base, near):
                 return self._sharpened(near, effects)
-        warm = _Start.of(base, near=False)
+        warm = Start.of(base, near=False)
         best = self._try(model, pars, warm)
         if best is None or not best.converged or _driven(base) or _driven(best):
             best = _better(best, self._try(model, pars, None))
@@ -145,7 +131,7 @@ class Refitter:
         if not _nested(base, best):
             small = self._try(model, self._at(pars, new, _SMALL), warm, most=_FEWER)
             if small is not None and not small.converged and merit(small) < merit(base):
-                small = _better(small, self._try(model, pars, _Start.of(small)))  # on its way
+                small = _better(small, self._try(model, pars, Start.of(small)))  # on its way
             best = _better(best, small)
         if not _nested(base, best) and any(one.drop > _LARGE for one in new):
             best = _better(best, self._continued(model, pars, new, warm))
@@ -153,7 +139,7 @@ class Refitter:
             return replace(base, status="not converged: no start leads below the fit without the effect")
         return self._sharpened(best, effects)
 
-    def _continued(self, model: Model, pars: Parameters, new: Sequence[Addition], warm: _Start) -> Fit | None:
+    def _continued(self, model: Model, pars: Parameters, new: Sequence[Addition], warm: Start) -> Fit | None:
         """The fit reached with the amplitude held at growing shares of the prediction."""
         for share in _SHARES:
             held = self._at(pars, new, share)
@@ -162,7 +148,7 @@ class Refitter:
             step = self._try(model, held, warm)
             if step is None:
                 break
-            warm = _Start.of(step)
+            warm = Start.of(step)
         return self._try(model, pars, warm)
 
     @staticmethod
@@ -225,7 +211,7 @@ class Refitter:
         if not chosen:
             return fit
         model = self.extended(effects)
-        again = self._try(model, self._parameters(model, effects), _Start.of(fit), short=True)
+        again = self._try(model, self._parameters(model, effects), Start.of(fit), short=True)
         if again is not None and again.converged and merit(again) < merit(fit) + _FELT:
             return again
         self._narrow.update(before)
@@ -248,7 +234,7 @@ class Refitter:
         self,
         model: Model,
         pars: Parameters,
-        warm: _Start | None,
+        warm: Start | None,
         *,
         most: int = _ITERATIONS,
         short: bool = False,

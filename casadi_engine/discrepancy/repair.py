@@ -14,7 +14,7 @@ from casadi_engine.discrepancy.fresh import Portions, portions
 from casadi_engine.discrepancy.noise_choice import ColourChoice, check_choice
 from casadi_engine.discrepancy.refit import Refitter
 from casadi_engine.discrepancy.repaired import Repair
-from casadi_engine.discrepancy.requests import read_request
+from casadi_engine.discrepancy.requests import check_alpha, read_request
 from casadi_engine.discrepancy.screening import Screened, screen
 from casadi_engine.discrepancy.search import Search
 from casadi_engine.errors import EstimationError, ExperimentError
@@ -149,14 +149,7 @@ def _check(noise: Noise | None, alpha: Any, holdout: Any) -> None:
             allowed="output error: levels of the outputs, or none",
             cure='write noise=ce.Noise(omega="estimate")',
         )
-    number = as_number(alpha)
-    if number is None or not 0 < number < 1:
-        raise EstimationError(
-            "alpha is not acceptable",
-            seen=alpha,
-            allowed="a number between 0 and 1",
-            cure="give alpha=0.01, for one false alarm in a hundred",
-        )
+    check_alpha(alpha)
     number = as_number(holdout)
     if number is None or not 0 <= number <= 0.9:
         raise EstimationError(

@@ -8,7 +8,8 @@ from typing import Any
 
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.effects import Effect, library, ports_for
-from casadi_engine.errors import EffectError
+from casadi_engine.errors import EffectError, EstimationError
+from casadi_engine.estimation.options import as_number
 from casadi_engine.model import Model
 from casadi_engine.model.effect import check_effect
 from casadi_engine.model.term import find_port
@@ -108,3 +109,15 @@ def _held(model: Model, ports: Any) -> tuple[str, ...]:
                 cure="print(model.ports) lists all ports",
             )
     return names
+
+
+def check_alpha(alpha: Any) -> None:
+    """Raise EstimationError for a false-alarm rate that is none."""
+    number = as_number(alpha)
+    if number is None or not 0 < number < 1:
+        raise EstimationError(
+            "alpha is not acceptable",
+            seen=alpha,
+            allowed="a number between 0 and 1",
+            cure="give alpha=0.01, for one false alarm in a hundred",
+        )

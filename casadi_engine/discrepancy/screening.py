@@ -40,11 +40,11 @@ from casadi_engine.discrepancy.random_families import (
     family_course,
     family_row,
 )
-from casadi_engine.discrepancy.requests import read_request
+from casadi_engine.discrepancy.requests import check_alpha, read_request
 from casadi_engine.discrepancy.score import Scores, score
 from casadi_engine.errors import EffectError, EstimationError
 from casadi_engine.estimation.fit import Fit
-from casadi_engine.estimation.options import as_number, whole
+from casadi_engine.estimation.options import whole
 
 # Degrees of freedom below which a score tells little.
 _FEW = 5
@@ -212,14 +212,7 @@ def _check(fit: Any, noise: Any, alpha: Any) -> None:
             allowed="a NoiseModel, such as the noise of another screening, or None",
             cure="leave it out: the levels that the fit was told count, or those of its residual",
         )
-    number = as_number(alpha)
-    if number is None or not 0 < number < 1:
-        raise EstimationError(
-            "alpha is not acceptable",
-            seen=alpha,
-            allowed="a number between 0 and 1",
-            cure="give alpha=0.01, for one false alarm in a hundred",
-        )
+    check_alpha(alpha)
 
 
 def _check_columns(candidates: Sequence[Candidate], columns: Mapping[str, Mapping[str, Array]]) -> None:

@@ -25,6 +25,7 @@ from casadi_engine.discrepancy.quick_refit import Short, ShortRefits
 from casadi_engine.discrepancy.refit import Addition, addition
 from casadi_engine.discrepancy.score import scores_of
 from casadi_engine.discrepancy.screening import Screened
+from casadi_engine.discrepancy.start import Start
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation import Fit
 
@@ -64,16 +65,6 @@ class Trial:
     def cost(self) -> float:
         """Chi-squared with priors, white noise."""
         return self.short.cost
-
-
-@dataclass(frozen=True, eq=False)
-class Start:
-    """Values to start from, and initial states or none: the measurement gives them."""
-
-    values: Mapping[str, float]
-    initial: Mapping[str, Any] = field(default_factory=dict)
-    noise: Mapping[str, tuple[float, bool]] = field(default_factory=dict)
-    converged: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,27 @@
+"""A point to start a refit from, as ``estimate(warm=...)`` reads it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from casadi_engine.estimation import Fit
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Values to start from, and initial states, or none: the measurement gives them.
+
+    converged : an optimum is to be near
+    """
+
+    values: Mapping[str, float]
+    initial: Mapping[str, Any] = field(default_factory=dict)
+    noise: Mapping[str, tuple[float, bool]] = field(default_factory=dict)
+    converged: bool = False
+
+    @classmethod
+    def of(cls, fit: Fit, *, near: bool = True) -> Start:
+        """A fit as a start; near : an optimum is to be near."""
+        return cls(fit.values, fit.initial, fit.noise, near and fit.converged)
