@@ -30,10 +30,11 @@ def library_candidates(
     Raises EffectError for an effect that does not follow the protocol.
     """
     found: dict[tuple[Any, ...], Candidate] = {}
+    # of all records together: a grid that followed each one's motion would make one effect several
+    motion = partial(courses, [record.path for record in null.records])
     for record, experiment in zip(null.records, data, strict=True):
         numbers = dict(zip(null.model.parameter_names, record.path.p.tolist(), strict=True))
-        own_courses = partial(courses, [record.path])
-        every = candidates(null.model, effects, experiment, parameters=numbers, courses=own_courses)
+        every = candidates(null.model, effects, experiment, parameters=numbers, courses=motion)
         for number, made in enumerate(every):
             placed = any(grid.over in ("time", "cycle") for grid in made.effect.nuisance.values())
             several = len(null.records) > 1

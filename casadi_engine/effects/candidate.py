@@ -157,7 +157,7 @@ def candidates(
 
     record : gives time grids their span, cycle grids their cycles, and cylinders their motored trace
     parameters : as in `Model.parameter_vector`, for constants that hang on them
-    courses : an SX scalar of the model -> its values (N,) along the record, for effects that look at the motion
+    courses : an SX scalar of the model -> its values (N,) along each record, for effects that look at the motion
     Effects that the model has already at a port are left out there.
     """
     vector = model.parameter_vector(parameters)
