@@ -34,6 +34,8 @@ _MOST, _SHARE, _ALIKE = 60, 0.05, 0.9
 _SURE, _COLOURED_P = 1e-4, 0.01
 # A coloured residual is larger than a stated noise by so many standard errors; it is that of at least so many swings.
 _LARGER, _SWINGS = 4.0, 20
+# Samples of every channel from which a colour may wait: there the whiteness test sees any that would change a score.
+_LONG = 2000
 _COLOURED = "the residual is coloured: the score tests count with an autoregression of the noise"
 
 
@@ -44,6 +46,7 @@ class NoiseChoice:
 
     compressed : the records with this noise, where they are at hand; larger : (record, output) of a coloured residual
     that is larger than the noise that was stated; stated : that noise, if there is such a residual
+    waits : the residual is coloured and white noise counts for now, until a refit has shown what colours it
     """
 
     noise: NoiseModel
@@ -53,6 +56,7 @@ class NoiseChoice:
     compressed: Compressed | None = None
     larger: tuple[tuple[str, str], ...] = ()
     stated: NoiseModel | None = None
+    waits: bool = False
 
 
 def scatter_of(
@@ -81,11 +85,13 @@ def choose_noise(
     cylinders: Any = "assumed",
     data: Sequence[Experiment],
     colour: ColourChoice = "auto",
+    wait: bool = False,
 ) -> NoiseChoice:
     """The noise of a null model's residuals.
 
     levels : output -> (sigma, estimated); a known one is held unless the residual that all candidates together leave is
     larger than chance allows. colour : True, False, or "auto" for where the residual is not white
+    wait : with "auto", leave the colour of long records open (``NoiseChoice.waits``)
     Raises EstimationError for another colour, or cylinders that are none.
     """
     check_choice(null.model, cylinders, colour)
@@ -98,6 +104,8 @@ def choose_noise(
     white = white.relevelled(noise, scatter)
     if colour is False or (colour == "auto" and _is_white(null, noise, beside(null, columns, ()), random)):
         return NoiseChoice(noise, scatter, cylinders, messages, white)
+    if wait and colour == "auto" and not scatter and _is_long(null):
+        return NoiseChoice(noise, scatter, cylinders, messages, white, waits=True)
     found, held = coloured_noise(null, candidates, columns, white, scatter=scatter, random=random)
     left = beside(null, columns, held)
     if colour == "auto" and (not found.colour or _is_white(null, noise, left, random)):
@@ -106,6 +114,38 @@ def choose_noise(
     larger = _too_large(null, found, known)
     stated = NoiseModel({**found.sigma, **known}) if larger else None
     return NoiseChoice(found, scatter, cylinders, (_COLOURED,), None, larger, stated)
+
+
+def noise_left(
+    null: NullModel, levels: Mapping[str, tuple[float, bool]], estimated: int
+) -> NoiseModel | None:
+    """White noise of the levels of a fit, if its residuals are that: white, and no larger than what was stated.
+
+    levels : output -> (sigma, estimated) of the fit; estimated : how many numbers it estimated
+    """
+    squares, counts = dict.fromkeys(levels, 0.0), dict.fromkeys(levels, 0)
+    for record in null.records:
+        for output, e in record.residual.items():
+            squares[output] += float(e @ e)
+            counts[output] += len(e)
+    share = 1 - estimated / max(sum(counts.values()), 1)
+    freedom = {name: max(count * share, 1.0) for name, count in counts.items()}
+    for name, (sigma, own) in levels.items():
+        if not own and stats.chi2.sf(squares[name] / sigma**2, freedom[name]) < _SURE:
+            return None
+    left = {
+        name: math.sqrt(squares[name] / freedom[name]) if own else sigma
+        for name, (sigma, own) in levels.items()
+    }
+    count = {name: freedom[name] for name, (_, own) in levels.items() if own}
+    noise = NoiseModel(left, {}, {}, "estimated" if count else "known", count)
+    if not all(level > 0 for level in left.values()):
+        return None
+    return noise if _is_white(null, noise, {r.name: dict(r.slopes) for r in null.records}, None) else None
+
+
+def _is_long(null: NullModel) -> bool:
+    return all(length >= _LONG for record in null.records for length in record.length.values())
 
 
 def check_choice(model: Model, cylinders: Any, colour: Any) -> None:

@@ -15,7 +15,7 @@ from casadi_engine.discrepancy.noise_choice import ColourChoice, check_choice
 from casadi_engine.discrepancy.refit import Refitter
 from casadi_engine.discrepancy.repaired import Repair
 from casadi_engine.discrepancy.requests import check_alpha, read_request
-from casadi_engine.discrepancy.screening import Screened, screen
+from casadi_engine.discrepancy.screening import Screened, screen_in_turn
 from casadi_engine.discrepancy.search import Search
 from casadi_engine.errors import EstimationError, ExperimentError
 from casadi_engine.estimation import Fit, estimate
@@ -123,7 +123,7 @@ def repair(
         return _no_answer(null_fit, portion, alpha, asked, timing, begun)
 
     def scores(fit: Fit) -> Screened:
-        return screen(fit, effects, at=at, alpha=alpha, colour=colour, scatter=scatter, seed=seed)
+        return screen_in_turn(fit, effects, at=at, alpha=alpha, colour=colour, scatter=scatter, seed=seed)
 
     search = Search(Refitter(model, pars, portion.data, noise, options), scores, most, tell)
     try:

@@ -181,20 +181,49 @@ def screen(
     'coulomb_friction at engine'
     """
     _check(fit, noise, alpha)
+    if noise is None:
+        return screen_in_turn(
+            fit, effects, at=at, alpha=alpha, colour=colour, scatter=scatter, seed=seed, wait=False
+        )
+    null, candidates, columns = _linearised(fit, effects, at)
+    random = scatter_of(null, fit.data, scatter) if noise.scatter else ()
+    return _scored(
+        null, candidates, columns, NoiseChoice(noise, random, scatter), alpha, whole("seed", seed, 0)
+    )
+
+
+def screen_in_turn(
+    fit: Fit,
+    effects: Any = None,
+    *,
+    at: Sequence[str] | str | None = None,
+    alpha: float = 0.01,
+    colour: ColourChoice = "auto",
+    scatter: Any = "assumed",
+    seed: int = 0,
+    wait: bool = True,
+) -> Screened:
+    """As ``screen``, but the colour of a long record's residual may wait (``choice.waits``): a large effect colours the
+    residual of a model that lacks it, and a refit with the effect tells that sooner than a search for the colour.
+    ``coloured`` goes on where it does not."""
     seed = whole("seed", seed, 0)
+    null, candidates, columns = _linearised(fit, effects, at)
+    choice = choose_noise(
+        null, candidates, columns, fit.noise, data=fit.data, cylinders=scatter, colour=colour, wait=wait
+    )
+    return _scored(null, candidates, columns, choice, alpha, seed)
+
+
+def _linearised(
+    fit: Fit, effects: Any, at: Any
+) -> tuple[NullModel, tuple[Candidate, ...], dict[str, dict[str, Array]]]:
+    """The null model, the candidates that are wanted, and their columns."""
     request = read_request(fit.model, effects, at)
     null = null_model(fit)
     candidates = [c for c in library_candidates(null, fit.data, request.effects) if request.wants(c)]
     columns = {record.name: candidate_columns(record, candidates) for record in null.records}
     _check_columns(candidates, columns)
-    if noise is None:
-        choice = choose_noise(
-            null, candidates, columns, fit.noise, data=fit.data, cylinders=scatter, colour=colour
-        )
-    else:
-        random = scatter_of(null, fit.data, scatter) if noise.scatter else ()
-        choice = NoiseChoice(noise, random, scatter)
-    return _scored(null, tuple(candidates), columns, choice, alpha, seed)
+    return null, tuple(candidates), columns
 
 
 def _check(fit: Any, noise: Any, alpha: Any) -> None:
@@ -239,9 +268,18 @@ def rescored(screened: Screened, choice: NoiseChoice) -> Screened:
 
 def whitely(screened: Screened, fit: Fit) -> Screened:
     """The same scores with noise counted as white, however it is coloured; fit : the one that was screened."""
+    return _chosen_again(screened, fit, False)
+
+
+def coloured(screened: Screened, fit: Fit) -> Screened:
+    """The same scores with the colour that the residual asks for, where that waited; fit : the one screened."""
+    return _chosen_again(screened, fit, "auto")
+
+
+def _chosen_again(screened: Screened, fit: Fit, colour: ColourChoice) -> Screened:
     one = screened
     choice = choose_noise(
-        one.null, one.candidates, one.columns, fit.noise, data=fit.data, cylinders=one.choice.cylinders, colour=False
+        one.null, one.candidates, one.columns, fit.noise, data=fit.data, cylinders=one.choice.cylinders, colour=colour
     )  # fmt: skip
     return _scored(one.null, one.candidates, one.columns, choice, one.alpha, one.seed)
 

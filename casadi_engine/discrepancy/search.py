@@ -15,12 +15,13 @@ from casadi_engine.discrepancy.assumed_pressure import SCATTER, settle_scatter
 from casadi_engine.discrepancy.gauss_newton import chi_squared
 from casadi_engine.discrepancy.long_run import long_run_noise
 from casadi_engine.discrepancy.members import KEEP, members_of
+from casadi_engine.discrepancy.noise_choice import noise_left
 from casadi_engine.discrepancy.null_model import null_model
 from casadi_engine.discrepancy.proposals import freed, proposals
 from casadi_engine.discrepancy.quick_refit import ShortRefits
 from casadi_engine.discrepancy.refit import Addition, Refitter, freedom, merit, whitened_cost
 from casadi_engine.discrepancy.repaired import Member, Round
-from casadi_engine.discrepancy.screening import Screened, rescored, whitely
+from casadi_engine.discrepancy.screening import Screened, coloured, rescored, whitely
 from casadi_engine.discrepancy.selection import (
     Proposal,
     Refit,
@@ -97,9 +98,19 @@ class Search:
         the noise is coloured the best candidates by white noise are proposed; the first is refitted; what its fit
         leaves is the noise, its colour counted along the proposals' directions, and that decides. The decision is at a
         small part of the false-alarm rate for all candidates together, which is added to the library's. A search that
-        has decided so goes on so, or ends: weights by the colour may well drop what it found.
+        has decided so goes on so, or ends: weights by the colour may well drop what it found. On a long record the
+        colour waits for that refit: where it leaves white noise, none is needed.
         """
         found = self._scored(fit)
+        if found.choice.waits:
+            explained = self._explained(fit, effects, found) if len(effects) < self.most else None
+            if explained is not None:
+                return explained
+            begun = time.perf_counter()
+            self.tell("the colour of the noise")
+            found = coloured(found, fit)
+            self._screens[id(fit)] = (fit, found)
+            self._spent("score", begun)
         if found.noise.colour and not found.choice.scatter and len(effects) < self.most:
             decided = self._decided(fit, effects, found)
             self._ended = self._equal and decided is None
@@ -107,13 +118,41 @@ class Search:
             return decided or found
         return found
 
+    def _explained(self, fit: Fit, effects: tuple[Addition, ...], white: Screened) -> Screened | None:
+        """The scores with white noise, if the refit of the best effect leaves white noise: at that level they decide,
+        as in ``_decided``."""
+        found = self._best_refitted(fit, effects, white)
+        if found is None:
+            return None
+        _, trial = found
+        noise = noise_left(null_model(trial), trial.noise, freedom(trial))
+        if noise is None:
+            return None
+        choice = replace(white.choice, noise=noise, messages=(), waits=False)
+        count = min(noise.freedom.values(), default=np.inf)
+        return _sure(rescored(white, choice), proposals(white)[0], count)
+
     def _decided(self, fit: Fit, effects: tuple[Addition, ...], found: Screened) -> Screened | None:
         """The scores with equal weights, if they decide."""
         begun = time.perf_counter()
         white = whitely(found, fit)
-        picked = proposals(white)
         self._spent("score", begun)
-        if not picked:
+        refitted = self._best_refitted(fit, effects, white)
+        if refitted is None:
+            return None
+        best, trial = refitted
+        picked = proposals(white)
+        picked = [*picked, *({best.candidate} - set(picked))]
+        noise, count = long_run_noise(white, picked, null_model(trial), freedom(trial))
+        if count < 1:
+            return None
+        return _sure(rescored(white, replace(white.choice, noise=noise, messages=(_LONG,))), picked[0], count)
+
+    def _best_refitted(
+        self, fit: Fit, effects: tuple[Addition, ...], white: Screened
+    ) -> tuple[Trial, Fit] | None:
+        """The best trial beside a fit, and its whole refit; None where nothing is proposed, or it does not converge."""
+        if not proposals(white):
             return None
         tried = self._tried(white, fit, effects)
         if not tried.best:
@@ -122,17 +161,7 @@ class Search:
         begun = time.perf_counter()
         trial = self._refitted(fit, (*effects, best.added), start=best.short)
         self._spent("refit", begun)
-        if not trial.converged:
-            return None
-        picked = [*picked, *({best.candidate} - set(picked))]
-        noise, count = long_run_noise(white, picked, null_model(trial), freedom(trial))
-        if count < 1:
-            return None
-        decided = rescored(white, replace(white.choice, noise=noise, messages=(_LONG,)))
-        tests = int(decided.scores.testable.sum())
-        z = float(decided.scores.statistic[picked[0]])
-        sure = 2 * tests * float(stats.t.sf(z, count)) <= _ADDED * decided.share
-        return decided if sure and decided.significant else None
+        return (best, trial) if trial.converged else None
 
     def _scored(self, fit: Fit) -> Screened:
         """The scores of the library against a fit, once."""
@@ -298,6 +327,17 @@ class Search:
         """The rise of chi-squared at which one effect more is worth keeping."""
         more = freedom(pair.fit) - freedom(base.fit) - 1 - freed(base.screened, one.candidate)
         return float(stats.chi2.isf(base.screened.share, max(more, 1)))
+
+
+def _sure(decided: Screened, first: int, count: float) -> Screened | None:
+    """The scores, if the best one is beyond chance for all candidates together at a small part of the library's rate.
+
+    first : the best candidate's number; count : degrees of freedom of the level
+    """
+    tests = int(decided.scores.testable.sum())
+    z = float(decided.scores.statistic[first])
+    p = float(stats.t.sf(z, count)) if math.isfinite(count) else float(stats.norm.sf(z))
+    return decided if 2 * tests * p <= _ADDED * decided.share and decided.significant else None
 
 
 def _levels(screened: Screened, fit: Fit) -> dict[str, float]:

@@ -19,7 +19,7 @@ from casadi_engine.report.files import write_file
 # The figures of a page may take this many bytes of it; what is beyond is named, not drawn.
 FIGURE_BYTES = 2_300_000
 # A vector figure larger than this is stored as pixels.
-VECTOR_BYTES = 170_000
+VECTOR_BYTES = 250_000
 
 
 @dataclass(frozen=True)
