@@ -184,8 +184,8 @@ class Answer:
         return Gaps(
             side([(null.fit, null.screened.null)], choice),
             side([(last.fit, last.screened.null)], choice),
-            side(proof.before, choice) if proof.before else None,
-            side(proof.after, choice) if proof.after else None,
+            side(proof.before, choice, source=null.fit) if proof.before else None,
+            side(proof.after, choice, source=last.fit) if proof.after else None,
             gain,
             self.portion.source if proof.before else None,
         )

@@ -16,6 +16,7 @@ from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.noise_choice import NoiseChoice, scatter_of, white_p
 from casadi_engine.discrepancy.noise_model import NoiseModel, left_over
 from casadi_engine.discrepancy.null_model import FOUR_STROKE, Index, NullModel, null_model
+from casadi_engine.discrepancy.parameter_doubt import doubted
 from casadi_engine.discrepancy.refit import Addition, Refitter
 from casadi_engine.discrepancy.repaired import Side
 from casadi_engine.effects.candidate import cycles_of
@@ -240,12 +241,16 @@ def gap_of(nulls: Sequence[NullModel], noise: NoiseModel) -> Gap:
     return gap(residuals(nulls, noise))
 
 
-def side(pairs: Sequence[tuple[Fit, NullModel]], choice: NoiseChoice) -> Side:
-    """What one side of the comparison shows: gap, whiteness of the residuals, traces."""
+def side(pairs: Sequence[tuple[Fit, NullModel]], choice: NoiseChoice, *, source: Fit | None = None) -> Side:
+    """What one side of the comparison shows: gap, whiteness of the residuals, traces.
+
+    source : the fit whose parameters are held, on fresh data: what errors of these explain is no colour
+    """
     white: dict[str, dict[str, float | None]] = {}
     traces: dict[str, Any] = {}
-    for fit, null in pairs:
+    for fit, held_null in pairs:
         traces |= fit.traces
+        null = held_null if source is None else doubted(source, fit)
         scatter = scatter_of(null, fit.data, choice.cylinders) if choice.scatter else ()
         random = {r.name: scatter_columns(r, scatter) for r in null.records} if scatter else None
         slopes = {record.name: dict(record.slopes) for record in null.records}

@@ -140,7 +140,8 @@ class Side:
 class Gaps:
     """The gap before and after, on the data that the repair was found from and on fresh ones (None without).
 
-    validation_before/after hold the parameters and find initial states alone. gain_per_cycle : of fresh data
+    validation_before/after hold the parameters and find initial states alone; their whiteness is that of what errors of
+    the parameters do not explain. gain_per_cycle : of fresh data
     source : "records" (fresh ones), "cycles" (held out) or None
     """
 

@@ -206,6 +206,9 @@ def _gap_table(result: Repair) -> str:
     return table(header, rows, right=range(3, 9), caption=caption)
 
 
+_WHITENESS = "Whiteness of the residuals; on fresh data, of what errors of the parameters do not explain"
+
+
 def _test_table(result: Repair) -> str:
     gaps = result.gaps
     assert gaps is not None
@@ -217,7 +220,7 @@ def _test_table(result: Repair) -> str:
         if before is not None and after is not None:
             rows += _test_rows(before, after)
     header = ("record", "output", "p before", "p after")
-    return table(header, rows, right=(2, 3), caption="Whiteness of the residuals")
+    return table(header, rows, right=(2, 3), caption=_WHITENESS)
 
 
 def _test_rows(before: Side, after: Side) -> list[tuple[str, str, str, str]]:

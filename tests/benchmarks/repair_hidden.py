@@ -30,7 +30,9 @@ from repair_hidden_theory import intervals_of, theory_of
 from simulator.hidden_runs import Case
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.fresh import held_fit
+from casadi_engine.discrepancy.fresh import held_fit, side
+from casadi_engine.discrepancy.noise_choice import NoiseChoice
+from casadi_engine.discrepancy.null_model import null_model
 from casadi_engine.effects import Effect, library
 from casadi_engine.errors import CasadiEngineError
 
@@ -197,14 +199,18 @@ def _side(fit):
 
 
 def _both(fit, other, sensors, idle):
-    """A fit on its own and on fresh data, where initial states alone are found: chi2/N and the residual tests."""
-    held = held_fit(fit, other, noise=engine.white(sensors), idle=idle)
+    """A fit on its own and on fresh data, where initial states alone are found: chi2/N and the residual tests, on the
+    fresh data as they are, and for what errors of the parameters do not explain."""
+    noise = engine.white(sensors)
+    held = held_fit(fit, other, noise=noise, idle=idle)
     own, fresh = ce.validate(fit), ce.validate(held)
+    white = side([(held, null_model(held))], NoiseChoice(noise), source=fit).whiteness_p["fresh"]
     return {
         **_side(fit),
         "fresh chi2/N": held.cost / held.n,
         "passed": own.passed,
         "fresh passed": fresh.passed,
+        "fresh beside errors": min(white.values()) * len(white) >= ALPHA,
         "failed": [*own.failed, *fresh.failed],
     }
 

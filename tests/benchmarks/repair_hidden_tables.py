@@ -32,6 +32,7 @@ def judged(name, row):
         "fresh": row["after"]["fresh chi2/N"] <= (1 + MAY_BE_WORSE) * row["true"]["fresh chi2/N"],
         "white": row["after"]["passed"],
         "white fresh": row["after"]["fresh passed"],
+        "beside errors": row["after"].get("fresh beside errors"),
         "true white": row["true"]["passed"] and row["true"]["fresh passed"],
         "z": None if row["amplitude"] is None else row["amplitude"]["z"],
         "true z": row["true"]["z"],
@@ -64,6 +65,7 @@ def proving(rows):
     n = len(rows)
     z = np.array([j["z"] for _, j in rows if j["z"] is not None])
     true = np.array([j["true z"] for _, j in rows if j["true z"] is not None])
+    beside = [j["beside errors"] for _, j in rows if j["beside errors"] is not None]
     worse = [r["after"]["fresh chi2/N"] / r["true"]["fresh chi2/N"] - 1 for r, _ in rows]
     return [
         str(n),
@@ -71,6 +73,7 @@ def proving(rows):
         f"{100 * np.median(worse):+.2f} %",
         share(sum(j["white"] for _, j in rows), n),
         share(sum(j["white fresh"] for _, j in rows), n),
+        share(sum(beside), len(beside)),
         share(sum(j["true white"] for _, j in rows), n),
         share(int(np.sum(np.abs(z) < 1.96)), len(z)),
         f"{np.mean(z):+.2f} ± {np.std(z):.2f}" if len(z) else "-",
@@ -85,8 +88,8 @@ NAMING = (
 )
 PROVING = (
     "records | fresh chi2/N within 2 % of the true structure's | median of what it is more | residual tests passed"
-    " | on fresh data | true structure: both passed | 95 % interval covers | z of the size, mean ± sd"
-    " | true structure's covers"
+    " | on fresh data | on fresh data, beside errors of the parameters | true structure: both passed"
+    " | 95 % interval covers | z of the size, mean ± sd | true structure's covers"
 )
 
 

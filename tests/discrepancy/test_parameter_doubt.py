@@ -1,0 +1,87 @@
+"""At another speed errors of the parameters may be larger than the noise of fresh data: no sign of missing physics."""
+
+import numpy as np
+import pytest
+
+import casadi_engine as ce
+from casadi_engine.discrepancy.fresh import held_fit, side
+from casadi_engine.discrepancy.noise_choice import NoiseChoice
+from casadi_engine.discrepancy.noise_model import NoiseModel
+from casadi_engine.discrepancy.null_model import null_model
+from casadi_engine.discrepancy.parameter_doubt import doubted
+
+NOISE = NoiseModel({"omega": 0.1})
+
+
+def record(name, torque, seed, model=None):
+    t = np.arange(600) * 0.01
+    plain = ce.Experiment.from_arrays(name, time=t, units={"T": "N m"}, T=torque(t))
+    truth = ce.one_inertia() if model is None else model
+    speed = ce.simulate(truth, plain, initial={"omega_eng": 0.0})["omega"].values
+    speed = speed + 0.1 * np.random.default_rng(seed).standard_normal(600)
+    return ce.Experiment.from_arrays(
+        name, time=t, units={"T": "N m", "omega": "rad/s"}, T=torque(t), omega=speed
+    )
+
+
+@pytest.fixture(scope="module")
+def fit():
+    """A fit whose record hardly tells the damping."""
+    data = record("fast", lambda t: 4 * np.sin(9 * t), 0)
+    return ce.estimate(ce.one_inertia(), data, noise=ce.Noise(omega=0.1), progress=False)
+
+
+def sides(fit, fresh):
+    held = held_fit(fit, fresh, noise=NOISE)
+    pairs, choice = [(held, null_model(held))], NoiseChoice(NOISE)
+    return tuple(side(pairs, choice, source=source).whiteness_p["fresh"]["omega"] for source in (None, fit))
+
+
+def test_errors_of_parameters_are_no_colour(fit):
+    plain, beside = sides(fit, record("fresh", lambda t: 40 + 0 * t, 1))
+    assert plain < 1e-6
+    assert beside > 0.05
+
+
+def test_what_no_parameter_explains_is_still_seen(fit):
+    model = ce.one_inertia()
+    lossy = model.with_effect(ce.effects.CoulombFriction(), at="engine", values={"torque": 3.0})
+    _, beside = sides(fit, record("fresh", lambda t: 40 * np.sin(3 * t), 1, lossy))
+    assert beside < 1e-6
+
+
+def test_slopes_are_those_of_the_parameters_and_fresh_initial_states(fit):
+    fresh = record("fresh", lambda t: 40 + 0 * t, 1)
+    held = held_fit(fit, fresh, noise=NOISE)
+    null = doubted(fit, held)
+    assert null.turn.shape[1] == len(fit.free)
+    slopes = null.records[0].slopes["omega"]
+    assert slopes.shape == (600, len(fit.free) + 1)
+    name = fit.free[0]
+    model = ce.one_inertia()
+
+    def speed(value):
+        pars = model.parameters()
+        for key, own in fit.values.items():
+            pars[key].set(value if key == name else own)
+        start = held.initial["fresh"]["omega_eng"].value
+        run = ce.simulate(model, fresh, parameters=pars, initial={"omega_eng": start})
+        return run["omega"].values
+
+    value, step = fit.values[name], 1e-4 * abs(fit.values[name])
+    brute = (speed(value + step) - speed(value - step)) / (2 * step) * null.turn[0, 0]
+    assert np.allclose(slopes[:, 0], brute, atol=1e-5 * np.abs(brute).max())
+
+
+def test_an_event_that_does_not_act_has_no_error(fit):
+    model = ce.one_inertia().with_effect(
+        ce.effects.LoadStep(), at="engine", values={"torque": 3.0, "time": 2.0}
+    )
+    data = record("fast", lambda t: 4 * np.sin(9 * t), 0, model)
+    found = ce.estimate(model, data, noise=ce.Noise(omega=0.1), progress=False)
+    amplitude = next(name for name in found.free if name.endswith(".torque"))
+    held = held_fit(found, record("fresh", lambda t: 40 + 0 * t, 1), noise=NOISE, idle=[amplitude])
+    assert held.values[amplitude] == 0
+    null = doubted(found, held)
+    place = found.free.index(amplitude)
+    assert not np.any(null.turn[place])
