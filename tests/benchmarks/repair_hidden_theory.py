@@ -32,7 +32,8 @@ from casadi_engine.discrepancy.screening import screen
 from casadi_engine.errors import CasadiEngineError
 
 RATE = 1440.2
-# Rivals that are refitted: those nearer than AWAY by slopes here or there, one at least and so many at most of each.
+# Rivals that are refitted: those nearer than AWAY by slopes here or there, one at least and the nearest RIVALS of each,
+# and further ones while none of those refitted can be told from the truth.
 SEPARABLE, SEPARATED, AWAY, RIVALS, ITERATIONS = 5.0, 3.3, 12.0, 4, 80
 
 
@@ -84,7 +85,7 @@ def by_refits(refitter, fit, scores, true_scores, place, size):
     own = scores.candidates[truth].key
     slope = size * float(np.sqrt(true_scores.information[there]))
     here, far = _nearest(scores, truth, float(np.sqrt(fit.cost))), _nearest(true_scores, there, slope)
-    rivals = dict.fromkeys(key for near in (here, far) for key in _some(near, own))
+    orders = [_order(near, own) for near in (here, far)]
     # from an optimum in a corner of the bounds a refit takes minutes, and ends no lower than from the page's values
     driven = any(fit.estimates[name].at_bound is not False for name in fit.free)
     least = min(
@@ -93,16 +94,24 @@ def by_refits(refitter, fit, scores, true_scores, place, size):
         for interval in intervals_of(place)
     )
     left = {}
-    for key in rivals:
-        costs = [fit.cost]
-        if key in here and not driven:
-            k = here[key][1]
-            costs.append(_refit(refitter, fit, scores.candidates[k], float(scores.amplitude[k]), warm=True))
-        if key in far:
-            k = far[key][1]
-            share = float(true_scores.correlation[there, k]) / float(np.sqrt(true_scores.information[k]))
-            costs.append(_refit(refitter, fit, true_scores.candidates[k], slope * share))
-        left["/".join(key[::-1])] = float(np.sqrt(max(min(costs) - least, 0.0)))
+    for rank in range(max(map(len, orders))):
+        if rank >= RIVALS and any(d >= SEPARATED for d in left.values()):
+            break
+        for key in dict.fromkeys(order[rank] for order in orders if rank < len(order)):
+            name = "/".join(key[::-1])
+            if name in left:
+                continue
+            costs = [fit.cost]
+            if key in here and not driven:
+                k = here[key][1]
+                costs.append(
+                    _refit(refitter, fit, scores.candidates[k], float(scores.amplitude[k]), warm=True)
+                )
+            if key in far:
+                k = far[key][1]
+                share = float(true_scores.correlation[there, k]) / float(np.sqrt(true_scores.information[k]))
+                costs.append(_refit(refitter, fit, true_scores.candidates[k], slope * share))
+            left[name] = float(np.sqrt(max(min(costs) - least, 0.0)))
     left = dict(sorted(left.items(), key=lambda pair: pair[1]))
     return {
         "left": float(np.sqrt(least)),
@@ -117,9 +126,9 @@ def intervals_of(place):
     return ("auto", "single") if place.effect == "backlash" else ("auto",)
 
 
-def _some(near, own):
-    """The nearest rivals by some slopes: those nearer than AWAY, one at least."""
-    order = sorted((key for key in near if key != own), key=lambda key: (near[key][0], key))[:RIVALS]
+def _order(near, own):
+    """Rivals by some slopes, the nearest first: those nearer than AWAY, one at least."""
+    order = sorted((key for key in near if key != own), key=lambda key: (near[key][0], key))
     return [key for number, key in enumerate(order) if near[key][0] < AWAY or number < 1]
 
 
