@@ -149,6 +149,10 @@ class Answer:
                         station.fit, station.effects, self.portion, noise, self.search.refitter
                     )
             judged = self._judged(sides[len(kept) - 2], sides[len(kept) - 1], base, here)
+            if base.effects and judged.confirmed is False and here.screened.leftover.alarms:
+                # beside what is not explained a companion is significant too easily
+                why = f"{judged.why}; it may stand for what is left unexplained"
+                judged = replace(judged, refused=True, why=why)
             if not judged.refused:
                 break
             self.messages.append(f"{here.effects[-1].label}: {judged.why}")

@@ -15,7 +15,7 @@ from casadi_engine.discrepancy.assumed_pressure import SCATTER, settle_scatter
 from casadi_engine.discrepancy.gauss_newton import chi_squared
 from casadi_engine.discrepancy.long_run import long_run_noise
 from casadi_engine.discrepancy.members import KEEP, members_of
-from casadi_engine.discrepancy.noise_choice import noise_left
+from casadi_engine.discrepancy.noise_choice import NoiseChoice, noise_left
 from casadi_engine.discrepancy.null_model import null_model
 from casadi_engine.discrepancy.proposals import freed, proposals
 from casadi_engine.discrepancy.quick_refit import ShortRefits
@@ -39,6 +39,8 @@ __all__ = ["Search", "Station", "members_of", "proposals"]
 _NEAR, _MOST = 12.0, 3
 # Effects whose trial failed though a linearisation beside the best one promises as much: refitted, at most so many.
 _DOUBTFUL = 3
+# A simpler effect leaves at most this share of what its refinement takes away, to come before it.
+_SHAPE = 0.03
 # Share of the library's false-alarm rate that is added for decisions with equal weights.
 _ADDED = 0.1
 _LONG = "the residual is coloured: a large effect was decided with equal weights and the colour that its refit leaves"
@@ -246,6 +248,7 @@ class Search:
         refits = {number[o.effects[-1]]: o.state for o in step.tried if o.converged and o.state is not None}
         effects = tuple(known[name] for name in kept.effects)
         made = self._station(here, fit, effects, number[kept.effects[-1]], refits, tried)
+        made = self._by_its_limit(here, made, refits, tried) or made
         if not self._swapped(made):
             self.stations.append(made)
         return True
@@ -264,8 +267,7 @@ class Search:
         fit = self._settled(fit)
         after = self._screen(fit, effects)
         begun = time.perf_counter()
-        # with the effect in the model its noise is known better: a large effect leaves more than one step explains
-        choice = after.choice if screened.noise.colour or not after.noise.colour else screened.choice
+        choice = _better_known(screened, after)
         before = whitened_cost(here.fit, choice)
         gains = {k: before - whitened_cost(one, choice) for k, one in refits.items()}
         gains[lead] = max(gains.get(lead, -np.inf), before - whitened_cost(fit, choice))
@@ -273,6 +275,34 @@ class Search:
         members, frequency = members_of(screened, lead, gains), _frequency(screened, lead)
         self._spent("certificate", begun)
         return Station(fit, effects, after, lead, members, gains[lead], frequency)
+
+    def _by_its_limit(
+        self, here: Station, made: Station, refits: Mapping[int, Fit], tried: Trials
+    ) -> Station | None:
+        """The station with the simpler effect that the lead becomes at an end of its grid, if that takes away nearly
+        all of what the lead does, and the lead leaves what is no noise.
+
+        What the lead's shape is better by may then be of what is missing still: by the principle of marginality (Nelder
+        1977) it has to stand as an effect of its own, beside the simpler one and against all others.
+        """
+        screened = here.screened
+        assert made.lead is not None
+        one = screened.candidates[made.lead]
+        trial = tried.best.get((one.source.effect.limit, one.port))
+        if trial is None or not made.screened.leftover.alarms:
+            return None
+        begun = time.perf_counter()
+        effects = (*here.effects, trial.added)
+        fit = self._refitted(here.fit, effects, start=trial.short)
+        choice = _better_known(screened, made.screened)
+        left = whitened_cost(fit, choice) - whitened_cost(made.fit, choice)
+        self._spent("refit", begun)
+        if not fit.converged or left > _SHAPE * made.drop:
+            return None
+        self.rounds.append(
+            Round((), ((trial.added.label, fit.cost, True),), trial.added.label, (made.effects[-1].label,))
+        )
+        return self._station(here, fit, effects, trial.candidate, {**refits, trial.candidate: fit}, tried)
 
     def _settled(self, fit: Fit) -> Fit:
         """The fit at the scatter of assumed pressures that is likely now: before, that had to stand for the effect."""
@@ -327,6 +357,12 @@ class Search:
         """The rise of chi-squared at which one effect more is worth keeping."""
         more = freedom(pair.fit) - freedom(base.fit) - 1 - freed(base.screened, one.candidate)
         return float(stats.chi2.isf(base.screened.share, max(more, 1)))
+
+
+def _better_known(before: Screened, after: Screened) -> NoiseChoice:
+    """The noise of gains: with the effect in the model it is known better, as a large one leaves more than one step
+    explains; but for a colour that only the model with it shows."""
+    return after.choice if before.noise.colour or not after.noise.colour else before.choice
 
 
 def _sure(decided: Screened, first: int, count: float) -> Screened | None:

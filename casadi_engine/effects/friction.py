@@ -122,6 +122,7 @@ class StribeckFriction(_Rounded):
     name = "stribeck_friction"
     attaches = ("inertia",)
     kin = ("coulomb_friction", "constant_torque", "viscous_friction")
+    limit = "coulomb_friction"
     sentence = "friction at {port} that fades with speed"
     amplitude = Amplitude("torque", unit="N m", min=0)
 

@@ -144,6 +144,7 @@ class Effect:
     attaches : kinds of ports: inertia, coupling, cylinder, input, sensor, parameter
     needs : signals that the port must have besides
     kin : names of effects that look alike, for the reader of a class
+    limit : name of the simpler effect that this one becomes at an end of its grid; "" for none
     sentence : one clause with {port}, for reports
     amplitude : Amplitude        nuisance : name -> Grid
 
@@ -164,6 +165,7 @@ class Effect:
     attaches: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[tuple[str, ...]] = ()
     kin: ClassVar[tuple[str, ...]] = ()
+    limit: ClassVar[str] = ""
     sentence: ClassVar[str] = ""
     amplitude: ClassVar[Amplitude]
     nuisance: ClassVar[Mapping[str, Grid]] = MappingProxyType({})
