@@ -173,14 +173,20 @@ class Sweep:
         for k, direction in enumerate(self.directions):
             if direction.initial is not None:
                 state[:, k] = direction.initial / self.scale
-        halves = self._halves()
+        for here, f, push, halves in self.steps():
+            states = scan(f, push, state)
+            state = states[-1]
+            shown = slice(here.start, here.stop + 1 if here.stop == samples - 1 else here.stop)
+            yield shown, self._outputs(shown, states[: shown.stop - shown.start], halves)
+
+    def steps(self) -> Iterator[tuple[slice, Array, Array, list[tuple[Points, Array]]]]:
+        """Parts of the steps from sample to sample: transition (T, n, n), or (1, n, n) for all, push (T, n, K), and the
+        points and signals of all halves of substeps, for the outputs."""
+        samples, halves = self.path.grid.samples, self._halves()
         for first in range(0, samples - 1, _PART):
             here = slice(first, min(first + _PART, samples - 1))
             f, push = self._advance(here, halves)
-            states = scan(f, np.broadcast_to(push, (here.stop - first, *push.shape[1:])), state)
-            state = states[-1]
-            shown = slice(first, here.stop + 1 if here.stop == samples - 1 else here.stop)
-            yield shown, self._outputs(shown, states[: shown.stop - first], halves)
+            yield here, f, np.broadcast_to(push, (here.stop - first, *push.shape[1:])), halves
 
     def _halves(self) -> list[tuple[Points, Array]]:
         """Every half of a substep from a sample to the next, both included: points and further signals, N - 1 each."""
@@ -194,6 +200,8 @@ class Sweep:
 
     def _advance(self, here: slice, halves: list[tuple[Points, Array]]) -> tuple[Array, Array]:
         """Transition (T, n, n) and push (T, n, K) over the samples of a part."""
+        if self.constant and isinstance(self._ode, _Columns):
+            return self._advance_alike(here, halves, self._ode)
         matrices, forces = [], []
         for points, xi in halves if self.path.held else halves[1:-1]:
             matrices.append(self._matrix(points.part(here)))
@@ -214,6 +222,32 @@ class Sweep:
             total = steps.f if total is None else steps.f @ total
         return np.asarray(total), np.asarray(push)
 
+    def _advance_alike(
+        self, here: slice, halves: list[tuple[Points, Array]], columns: _Columns
+    ) -> tuple[Array, Array]:
+        """The same where A is constant: all halves of substeps at once, and a column by the few rows that it acts in."""
+        steps = self._steps(*[self._matrix(self.path.at_samples())] * 3)
+        total, weights = np.eye(self.path.states), np.zeros((len(halves), *steps.f.shape[1:]))
+        for k in range(len(halves) - 3, -1, -2):  # from the last substep back
+            weights[k] += total @ steps.start[0]
+            weights[k + 1] += total @ steps.middle[0]
+            weights[k + 2] += total @ steps.end[0]
+            total = total @ steps.f[0]
+        inner = halves if self.path.held else halves[1:-1]
+        values = [columns.values(points.part(here), xi[:, here]) for points, xi in inner]
+        if not self.path.held:  # the end of a step is the start of the next
+            points = self.path.at_samples().part(slice(here.start, here.stop + 1))
+            last = halves[-1][1][:, here.stop - 1 : here.stop]
+            ends = columns.values(points, np.concatenate([halves[0][1][:, here], last], axis=1))
+            values = [ends[:, :-1], *values, ends[:, 1:]]
+        force = np.stack(values).transpose(2, 0, 1)
+        push = np.zeros((here.stop - here.start, self.path.states, self.shape[1]))
+        for row in np.unique(columns.rows):
+            own = np.flatnonzero(columns.rows == row)
+            turn = (weights[:, :, row] / self.scale[row]).T
+            push[:, :, columns.columns[own]] += turn @ np.ascontiguousarray(force[:, :, own])
+        return total[None], push
+
     def _matrix(self, points: Points) -> Array:
         """A of the scaled states (T, n, n), or (1, n, n) for a linear model."""
         if self.constant:
@@ -229,13 +263,17 @@ class Sweep:
             self._constant = (start, step_matrices(start, start, start, step))
         return self._constant[1]
 
+    def seen(self, shown: slice) -> Array:
+        """C of the scaled states at samples (T, ny, n), or (1, ny, n) for all."""
+        points = self.path.at_samples().part(shown)
+        return np.asarray(self._slopes(points.part(slice(0, 1)) if self.constant else points)[1] * self.scale)
+
     def _outputs(self, shown: slice, states: Array, halves: list[tuple[Points, Array]]) -> Array:
         points = self.path.at_samples().part(shown)
         xi = halves[0][1][:, shown]
         if shown.stop == self.path.grid.samples:
             xi = np.concatenate([xi, halves[-1][1][:, -1:]], axis=1)
-        c = self._slopes(points.part(slice(0, 1)) if self.constant else points)[1]
-        return (c * self.scale) @ states + self._out.at(points, xi)
+        return self.seen(shown) @ states + self._out.at(points, xi)
 
 
 class _Columns:
@@ -246,17 +284,24 @@ class _Columns:
         matrix = ca.sparsify(ca.simplify(matrix)) if matrix.nnz() else matrix
         row, column = matrix.sparsity().get_triplet()
         self.shape = (rows, len(columns))
-        self._at = np.array(row, dtype=np.intp) * len(columns) + np.array(column, dtype=np.intp)
+        self.rows, self.columns = np.array(row, dtype=np.intp), np.array(column, dtype=np.intp)
+        self._at = self.rows * len(columns) + self.columns
         self._function: ArrayFunction | None = None
         if len(row):
             self._function = path.function([matrix.nz[:]], xi)
+
+    def values(self, points: Points, xi: Array) -> Array:
+        """The entries (nnz, T) in ``rows`` and ``columns``."""
+        count = points.t.shape[1]
+        if self._function is None:
+            return np.zeros((0, count))
+        return np.broadcast_to(self._function(*points.arguments, xi)[0], (len(self.rows), count))
 
     def at(self, points: Points, xi: Array) -> Array:
         """(T, rows, K)."""
         count = points.t.shape[1]
         out = np.zeros((count, self.shape[0] * self.shape[1]))
-        if self._function is not None:
-            out[:, self._at] = self._function(*points.arguments, xi)[0].T
+        out[:, self._at] = self.values(points, xi).T
         return out.reshape(count, *self.shape)
 
 
