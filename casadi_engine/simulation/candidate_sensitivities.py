@@ -10,11 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_engine.model import Model
+from casadi_engine.simulation.constant_scan import Pushed, constant_scan
 from casadi_engine.simulation.intervals import Observation, cut
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.null_path import NullPath, Points
@@ -173,20 +176,32 @@ class Sweep:
         for k, direction in enumerate(self.directions):
             if direction.initial is not None:
                 state[:, k] = direction.initial / self.scale
-        for here, f, push, halves in self.steps():
-            states = scan(f, push, state)
-            state = states[-1]
+        halves = self._halves()
+        for here in self._parts():
             shown = slice(here.start, here.stop + 1 if here.stop == samples - 1 else here.stop)
-            yield shown, self._outputs(shown, states[: shown.stop - shown.start], halves)
+            count = shown.stop - shown.start
+            if self.constant and isinstance(self._ode, _Columns):
+                seen, state = self._scanned(here, halves, self._ode, state)
+                yield shown, seen[:count] + self._shown(shown, halves)
+                continue
+            f, push = self._advance(here, halves)
+            states = scan(f, np.broadcast_to(push, (here.stop - here.start, *push.shape[1:])), state)
+            state = states[-1]
+            yield shown, self.outputs(shown, states[:count], halves)
+
+    def _parts(self) -> Iterator[slice]:
+        """The steps from sample to sample, part by part."""
+        steps = self.path.grid.samples - 1
+        for first in range(0, steps, _PART):
+            yield slice(first, min(first + _PART, steps))
 
     def steps(self) -> Iterator[tuple[slice, Array, Array, list[tuple[Points, Array]]]]:
         """Parts of the steps from sample to sample: transition (T, n, n), or (1, n, n) for all, push (T, n, K), and the
         points and signals of all halves of substeps, for the outputs."""
-        samples, halves = self.path.grid.samples, self._halves()
-        for first in range(0, samples - 1, _PART):
-            here = slice(first, min(first + _PART, samples - 1))
+        halves = self._halves()
+        for here in self._parts():
             f, push = self._advance(here, halves)
-            yield here, f, np.broadcast_to(push, (here.stop - first, *push.shape[1:])), halves
+            yield here, f, np.broadcast_to(push, (here.stop - here.start, *push.shape[1:])), halves
 
     def _halves(self) -> list[tuple[Points, Array]]:
         """Every half of a substep from a sample to the next, both included: points and further signals, N - 1 each."""
@@ -200,8 +215,6 @@ class Sweep:
 
     def _advance(self, here: slice, halves: list[tuple[Points, Array]]) -> tuple[Array, Array]:
         """Transition (T, n, n) and push (T, n, K) over the samples of a part."""
-        if self.constant and isinstance(self._ode, _Columns):
-            return self._advance_alike(here, halves, self._ode)
         matrices, forces = [], []
         for points, xi in halves if self.path.held else halves[1:-1]:
             matrices.append(self._matrix(points.part(here)))
@@ -222,10 +235,11 @@ class Sweep:
             total = steps.f if total is None else steps.f @ total
         return np.asarray(total), np.asarray(push)
 
-    def _advance_alike(
-        self, here: slice, halves: list[tuple[Points, Array]], columns: _Columns
+    def _scanned(
+        self, here: slice, halves: list[tuple[Points, Array]], columns: _Columns, state: Array
     ) -> tuple[Array, Array]:
-        """The same where A is constant: all halves of substeps at once, and a column by the few rows that it acts in."""
+        """Outputs by the states (T+1, ny, K) at a part's samples, and the states at its end, where A is constant: a
+        column is pushed by the few rows that it acts in, from all halves of substeps at once."""
         steps = self._steps(*[self._matrix(self.path.at_samples())] * 3)
         total, weights = np.eye(self.path.states), np.zeros((len(halves), *steps.f.shape[1:]))
         for k in range(len(halves) - 3, -1, -2):  # from the last substep back
@@ -233,6 +247,7 @@ class Sweep:
             weights[k + 1] += total @ steps.middle[0]
             weights[k + 2] += total @ steps.end[0]
             total = total @ steps.f[0]
+        weights /= self.scale
         inner = halves if self.path.held else halves[1:-1]
         values = [columns.values(points.part(here), xi[:, here]) for points, xi in inner]
         if not self.path.held:  # the end of a step is the start of the next
@@ -240,13 +255,17 @@ class Sweep:
             last = halves[-1][1][:, here.stop - 1 : here.stop]
             ends = columns.values(points, np.concatenate([halves[0][1][:, here], last], axis=1))
             values = [ends[:, :-1], *values, ends[:, 1:]]
-        force = np.stack(values).transpose(2, 0, 1)
-        push = np.zeros((here.stop - here.start, self.path.states, self.shape[1]))
-        for row in np.unique(columns.rows):
-            own = np.flatnonzero(columns.rows == row)
-            turn = (weights[:, :, row] / self.scale[row]).T
-            push[:, :, columns.columns[own]] += turn @ np.ascontiguousarray(force[:, :, own])
-        return total[None], push
+        pushed = [
+            Pushed(
+                own,
+                weights[:, :, list(rows)].transpose(1, 2, 0).reshape(len(total), -1),
+                np.array([[value[at] for value in values] for at in entries]).reshape(
+                    len(rows) * len(values), len(own), here.stop - here.start
+                ),
+            )
+            for rows, own, entries in columns.alike
+        ]
+        return constant_scan(total, self.seen(slice(0, 1))[0], pushed, state, here.stop - here.start)
 
     def _matrix(self, points: Points) -> Array:
         """A of the scaled states (T, n, n), or (1, n, n) for a linear model."""
@@ -268,12 +287,16 @@ class Sweep:
         points = self.path.at_samples().part(shown)
         return np.asarray(self._slopes(points.part(slice(0, 1)) if self.constant else points)[1] * self.scale)
 
-    def _outputs(self, shown: slice, states: Array, halves: list[tuple[Points, Array]]) -> Array:
-        points = self.path.at_samples().part(shown)
+    def outputs(self, shown: slice, states: Array, halves: list[tuple[Points, Array]]) -> Array:
+        """dy/dpsi (T, ny, K) at samples from the states there (T, n, K)."""
+        return np.asarray(self.seen(shown) @ states + self._shown(shown, halves))
+
+    def _shown(self, shown: slice, halves: list[tuple[Points, Array]]) -> Array:
+        """What the directions add to the outputs beside the states (T, ny, K)."""
         xi = halves[0][1][:, shown]
         if shown.stop == self.path.grid.samples:
             xi = np.concatenate([xi, halves[-1][1][:, -1:]], axis=1)
-        return self.seen(shown) @ states + self._out.at(points, xi)
+        return self._out.at(self.path.at_samples().part(shown), xi)
 
 
 class _Columns:
@@ -289,6 +312,20 @@ class _Columns:
         self._function: ArrayFunction | None = None
         if len(row):
             self._function = path.function([matrix.nz[:]], xi)
+
+    @cached_property
+    def alike(self) -> list[tuple[tuple[int, ...], NDArray[np.intp], NDArray[np.intp]]]:
+        """Columns that have entries in the same rows: these rows, the columns (E,), and their entries (rows, E)."""
+        own: dict[int, list[int]] = {column: [] for column in range(self.shape[1])}
+        for entry in np.lexsort((self.rows, self.columns)):
+            own[int(self.columns[entry])].append(int(entry))
+        found: dict[tuple[int, ...], list[int]] = {}
+        for column, entries in own.items():
+            found.setdefault(tuple(int(self.rows[e]) for e in entries), []).append(column)
+        return [
+            (rows, np.array(columns), np.array([own[c] for c in columns], dtype=np.intp).reshape(len(columns), -1).T)
+            for rows, columns in found.items()
+        ]
 
     def values(self, points: Points, xi: Array) -> Array:
         """The entries (nnz, T) in ``rows`` and ``columns``."""

@@ -116,7 +116,7 @@ def _stretches(sweep: Sweep, knots: Array, width: int) -> Iterator[_Stretch]:
         step = np.arange(here.stop - here.start) - begins[row]
         if here.stop == last:
             row, step = np.append(row, row[-1]), np.append(step, step[-1] + 1)
-        local = sweep._outputs(shown, states[step, row], halves)
+        local = sweep.outputs(shown, states[step, row], halves)
         local = local.reshape(*local.shape[:2], -1, width)
         seen = sweep.seen(shown) @ turns[step, row]
         ends = np.append(begins[1:], shown.stop - shown.start)
