@@ -92,9 +92,7 @@ def latent_torques(
     found = []
     for some in _groups(null, names, times):
         rows = [_rows(null, noise, record, some, at) for record, at in zip(null.records, times, strict=True)]
-        found += [
-            _latent(null, name, kernel, times, [own[k] for own in rows]) for k, name in enumerate(some)
-        ]
+        found += [_latent(null, name, kernel, times, [own[k] for own in rows]) for k, name in enumerate(some)]
     return sorted(found, key=lambda one: -one.gain)
 
 
@@ -129,7 +127,9 @@ def _latent(
     courses = {}
     for k, record in enumerate(null.records):
         mean, band = best.course(k)
-        courses[record.name] = LatentCourse(times[k], mean, band, _signals(record, null.model.ports[name].signals, times[k]))
+        courses[record.name] = LatentCourse(
+            times[k], mean, band, _signals(record, null.model.ports[name].signals, times[k])
+        )
     return LatentTorque(name, kernel, best.gain, best.level, best.length, courses)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.model import Model
-from casadi_engine.simulation.constant_scan import Pushed, constant_scan
+from casadi_engine.simulation.grouped_scan import Pushed, constant_scan, varying_scan
 from casadi_engine.simulation.intervals import Observation, cut
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.null_path import NullPath, Points
@@ -26,6 +26,8 @@ from casadi_engine.simulation.variational import Steps, balance, scan, step_matr
 
 # Samples worked on at a time: the arrays of a part then stay near the cache.
 _PART = 2048
+# States of a part, for all columns, that do not stay in the cache together (16 MB): then columns go by groups.
+_WIDE = 2_000_000
 # |A| h of one step of the variational equation.
 _STEP = 0.5
 _MOST_SUBSTEPS = 64
@@ -177,10 +179,11 @@ class Sweep:
             if direction.initial is not None:
                 state[:, k] = direction.initial / self.scale
         halves = self._halves()
+        grouped = self.constant or min(samples, _PART) * state.size > _WIDE
         for here in self._parts():
             shown = slice(here.start, here.stop + 1 if here.stop == samples - 1 else here.stop)
             count = shown.stop - shown.start
-            if self.constant and isinstance(self._ode, _Columns):
+            if grouped and isinstance(self._ode, _Columns):
                 seen, state = self._scanned(here, halves, self._ode, state)
                 yield shown, seen[:count] + self._shown(shown, halves)
                 continue
@@ -238,16 +241,10 @@ class Sweep:
     def _scanned(
         self, here: slice, halves: list[tuple[Points, Array]], columns: _Columns, state: Array
     ) -> tuple[Array, Array]:
-        """Outputs by the states (T+1, ny, K) at a part's samples, and the states at its end, where A is constant: a
-        column is pushed by the few rows that it acts in, from all halves of substeps at once."""
-        steps = self._steps(*[self._matrix(self.path.at_samples())] * 3)
-        total, weights = np.eye(self.path.states), np.zeros((len(halves), *steps.f.shape[1:]))
-        for k in range(len(halves) - 3, -1, -2):  # from the last substep back
-            weights[k] += total @ steps.start[0]
-            weights[k + 1] += total @ steps.middle[0]
-            weights[k + 2] += total @ steps.end[0]
-            total = total @ steps.f[0]
-        weights /= self.scale
+        """Outputs by the states (T+1, ny, K) at a part's samples, and the states at its end: a column is pushed by the
+        few rows that it acts in, from all halves of substeps at once, and columns that act alike advance together."""
+        total, weights = self._weights(here, halves)
+        count = here.stop - here.start
         inner = halves if self.path.held else halves[1:-1]
         values = [columns.values(points.part(here), xi[:, here]) for points, xi in inner]
         if not self.path.held:  # the end of a step is the start of the next
@@ -255,17 +252,36 @@ class Sweep:
             last = halves[-1][1][:, here.stop - 1 : here.stop]
             ends = columns.values(points, np.concatenate([halves[0][1][:, here], last], axis=1))
             values = [ends[:, :-1], *values, ends[:, 1:]]
-        pushed = [
+        pushed = (
             Pushed(
                 own,
-                weights[:, :, list(rows)].transpose(1, 2, 0).reshape(len(total), -1),
-                np.array([[value[at] for value in values] for at in entries]).reshape(
-                    len(rows) * len(values), len(own), here.stop - here.start
-                ),
+                weights[..., list(rows)].transpose(1, 2, 3, 0).reshape(len(total), self.path.states, -1),
+                np.array([[value[at] for value in values] for at in entries]).reshape(-1, len(own), count),
             )
             for rows, own, entries in columns.alike
-        ]
-        return constant_scan(total, self.seen(slice(0, 1))[0], pushed, state, here.stop - here.start)
+        )
+        if self.constant:
+            return constant_scan(total[0], self.seen(slice(0, 1))[0], pushed, state, count)
+        seen = self.seen(slice(here.start, here.stop + 1))
+        return varying_scan(total, seen, pushed, state)
+
+    def _weights(self, here: slice, halves: list[tuple[Points, Array]]) -> tuple[Array, Array]:
+        """Transition (T, n, n) over the samples of a part, and what a force in each half of a substep makes of the
+        state at the end (halves, T, n, n); T is 1 where A is constant."""
+        matrices = [self._matrix(points.part(here)) for points, _ in halves]
+        if not self.path.held and not self.constant:
+            edge = self._matrix(self.path.at_samples().part(slice(here.start, here.stop + 1)))
+            matrices[0], matrices[-1] = edge[:-1], edge[1:]
+        total = np.eye(self.path.states)[None]
+        weights = np.zeros((len(halves), *np.broadcast_shapes(*[m.shape for m in matrices])))
+        for k in range(len(halves) - 3, -1, -2):  # from the last substep back
+            around = (matrices[0],) * 3 if self.constant else matrices[k : k + 3]
+            steps = self._steps(*around)
+            weights[k] += total @ steps.start
+            weights[k + 1] += total @ steps.middle
+            weights[k + 2] += total @ steps.end
+            total = total @ steps.f
+        return total, weights / self.scale
 
     def _matrix(self, points: Points) -> Array:
         """A of the scaled states (T, n, n), or (1, n, n) for a linear model."""
@@ -323,7 +339,11 @@ class _Columns:
         for column, entries in own.items():
             found.setdefault(tuple(int(self.rows[e]) for e in entries), []).append(column)
         return [
-            (rows, np.array(columns), np.array([own[c] for c in columns], dtype=np.intp).reshape(len(columns), -1).T)
+            (
+                rows,
+                np.array(columns),
+                np.array([own[c] for c in columns], dtype=np.intp).reshape(len(columns), -1).T,
+            )
             for rows, columns in found.items()
         ]
 

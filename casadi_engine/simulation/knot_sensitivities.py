@@ -131,7 +131,9 @@ def _stretches(sweep: Sweep, knots: Array, width: int) -> Iterator[_Stretch]:
             )
 
 
-def _from_zero(f: Array, push: Array, begins: NDArray[np.intp], lengths: NDArray[np.intp]) -> tuple[Array, Array]:
+def _from_zero(
+    f: Array, push: Array, begins: NDArray[np.intp], lengths: NDArray[np.intp]
+) -> tuple[Array, Array]:
     """States from zero (L+1, S, n, k) of S stretches of steps, and what becomes of the first states (L+1, S, n, n).
 
     Those of shorter stretches go on into the next: nobody looks there.

@@ -1,4 +1,4 @@
-"""Outputs of s[k+1] = F s[k] + W g[k] with the same F, W for all steps: many columns, without their states.
+"""Outputs of s[k+1] = F_k s[k] + W_k g[k] for many columns of g, group by group and without the states of all.
 
 Stretches of steps advance side by side, and so do columns that are pushed alike: a step of all of them is one matrix
 product of what stays in the cache. A state is kept where a stretch ends; the outputs are all that is written.
@@ -14,24 +14,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.simulation.jets import Array
+from casadi_engine.simulation.variational import scan
 
 # Numbers of a step of all stretches and columns that stay in the cache.
 _CACHED = 40_000
+# Columns that advance together where the steps differ.
+_TOGETHER = 96
 
 
 @dataclass(frozen=True)
 class Pushed:
-    """Columns that are pushed alike: their numbers (E,), W (n, q), and g (q, E, T)."""
+    """Columns that are pushed alike: their numbers (E,), W (T, n, q), or (1, n, q) for all steps, and g (q, E, T)."""
 
     columns: NDArray[np.intp]
     turn: Array
     force: Array
 
 
-def constant_scan(f: Array, c: Array, pushed: Iterable[Pushed], start: Array, count: int) -> tuple[Array, Array]:
+def constant_scan(
+    f: Array, c: Array, pushed: Iterable[Pushed], start: Array, count: int
+) -> tuple[Array, Array]:
     """Outputs (T+1, ny, K) before each of ``count`` = T steps and after the last one, and the states (n, K) then.
 
-    f : (n, n); c : (ny, n); start : (n, K)
+    f : (n, n) and c : (ny, n) of all steps; start : (n, K)
     """
     n, ny = len(f), len(c)
     length = max(1, math.isqrt(count))
@@ -44,8 +49,8 @@ def constant_scan(f: Array, c: Array, pushed: Iterable[Pushed], start: Array, co
     out = np.empty((count + 1, ny, start.shape[1]))
     end = np.empty_like(start)
     for one in pushed:
-        most = max(1, _CACHED // (many * (n + len(one.turn.T))))
-        step = np.concatenate([f, one.turn], axis=1)
+        most = max(1, _CACHED // (many * (n + one.turn.shape[2])))
+        step = np.concatenate([f, one.turn[0]], axis=1)
         for first in range(0, len(one.columns), most):
             here = slice(first, first + most)
             columns = one.columns[here]
@@ -75,4 +80,19 @@ def constant_scan(f: Array, c: Array, pushed: Iterable[Pushed], start: Array, co
             out[:count, :, columns] = rows[:count]
             out[count, :, columns] = (c @ last).T
             end[:, columns] = last
+    return out, end
+
+
+def varying_scan(f: Array, c: Array, pushed: Iterable[Pushed], start: Array) -> tuple[Array, Array]:
+    """The same where f (T, n, n) and c (T+1, ny, n) differ from step to step."""
+    out = np.empty((len(f) + 1, c.shape[1], start.shape[1]))
+    end = np.empty_like(start)
+    for one in pushed:
+        for first in range(0, len(one.columns), _TOGETHER):
+            here = slice(first, first + _TOGETHER)
+            columns = one.columns[here]
+            push = one.turn @ np.ascontiguousarray(one.force[:, here].transpose(2, 0, 1))
+            states = scan(f, push, start[:, columns])
+            out[:, :, columns] = c @ states
+            end[:, columns] = states[-1]
     return out, end
