@@ -145,7 +145,7 @@ def _knots(record: RecordNull, count: int | None) -> Array:
 def _rows(
     null: NullModel, noise: NoiseModel, record: RecordNull, ports: Sequence[str], knots: Array
 ) -> list[Array]:
-    """[H | e] (K + 1 columns) of one record for each port, whitened, with parameters and initial states projected out."""
+    """[H | e] (K + 1 columns) of one record for each port, whitened, parameters and initial states projected out."""
     grid = record.path.grid
     on_grid = all(grid.measured[name].on_grid for name in record.outputs)
     coloured = any((record.name, name) in noise.colour for name in record.outputs)
