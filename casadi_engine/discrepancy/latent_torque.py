@@ -9,7 +9,7 @@ gain is a screen and the course a picture, and the claim comes from the score te
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import casadi as ca
@@ -21,7 +21,7 @@ from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel, RecordNull
 from casadi_engine.errors import EstimationError
 from casadi_engine.model import Model
-from casadi_engine.simulation.candidate_sensitivities import Direction, torque_direction
+from casadi_engine.simulation.candidate_sensitivities import torque_direction
 from casadi_engine.simulation.knot_sensitivities import knot_sensitivities
 
 KERNELS = ("exponential", "matern32", "random_walk")
@@ -31,6 +31,8 @@ _PER_CYCLE, _MOST = 24, 400
 _ROWS_BETWEEN = 5
 _LENGTHS = 4
 _JITTER = 1e-8
+# Numbers of sensitivities that are held at a time: 64 MB.
+_NUMBERS = 8_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +80,29 @@ def latent_torques(
             cure='leave it out for "exponential"',
         )
     names = [p.name for p in null.model.ports if _torque_port(null.model, p.name)] if ports is None else ports
-    found = [_latent(null, noise, name, kernel, knots) for name in names]
+    for name in names:
+        if null.model.ports[name].slot is None:
+            raise EstimationError(
+                "no torque can act at this port",
+                seen=name,
+                allowed=", ".join(p.name for p in null.model.ports.with_slot),
+                cure="choose one of these",
+            )
+    times = [_knots(record, knots) for record in null.records]
+    found = []
+    for some in _groups(null, names, times):
+        rows = [_rows(null, noise, record, some, at) for record, at in zip(null.records, times, strict=True)]
+        found += [_latent(null, name, kernel, times, [own[k] for own in rows]) for k, name in enumerate(some)]
     return sorted(found, key=lambda one: -one.gain)
+
+
+def _groups(null: NullModel, names: Sequence[str], times: Sequence[Array]) -> Iterator[list[str]]:
+    """So many ports at a time that their sensitivities at all samples would not take too much memory."""
+    outputs = len(null.model.outputs)
+    size = max(r.path.grid.samples * outputs * len(at) for r, at in zip(null.records, times, strict=True))
+    many = max(_NUMBERS // size, 1)
+    for first in range(0, len(names), many):
+        yield list(names[first : first + many])
 
 
 def _torque_port(model: Model, name: str) -> bool:
@@ -89,18 +112,9 @@ def _torque_port(model: Model, name: str) -> bool:
     return port.kind != "cylinder" or name == "cylinders" or "cylinders" not in model.ports
 
 
-def _latent(null: NullModel, noise: NoiseModel, name: str, kernel: str, knots: int | None) -> LatentTorque:
-    port = null.model.ports[name]
-    if port.slot is None:
-        raise EstimationError(
-            "no torque can act at this port",
-            seen=name,
-            allowed=", ".join(p.name for p in null.model.ports.with_slot),
-            cure="choose one of these",
-        )
-    unit = torque_direction(null.model, name, ca.SX(1), name=name)
-    times = [_knots(record, knots) for record in null.records]
-    rows = [_rows(null, noise, record, unit, at) for record, at in zip(null.records, times, strict=True)]
+def _latent(
+    null: NullModel, name: str, kernel: str, times: Sequence[Array], rows: Sequence[Array]
+) -> LatentTorque:
     spans = [at[-1] - at[0] for at in times]
     shortest = 2 * min(at[1] - at[0] for at in times)
     lengths = (
@@ -113,7 +127,9 @@ def _latent(null: NullModel, noise: NoiseModel, name: str, kernel: str, knots: i
     courses = {}
     for k, record in enumerate(null.records):
         mean, band = best.course(k)
-        courses[record.name] = LatentCourse(times[k], mean, band, _signals(record, port.signals, times[k]))
+        courses[record.name] = LatentCourse(
+            times[k], mean, band, _signals(record, null.model.ports[name].signals, times[k])
+        )
     return LatentTorque(name, kernel, best.gain, best.level, best.length, courses)
 
 
@@ -126,8 +142,10 @@ def _knots(record: RecordNull, count: int | None) -> Array:
     return np.asarray(grid.start + np.linspace(0, span, max(count, 2)), dtype=np.float64)
 
 
-def _rows(null: NullModel, noise: NoiseModel, record: RecordNull, unit: Direction, knots: Array) -> Array:
-    """[H | e] (K + 1 columns) of one record, whitened, with parameters and initial states projected out."""
+def _rows(
+    null: NullModel, noise: NoiseModel, record: RecordNull, ports: Sequence[str], knots: Array
+) -> list[Array]:
+    """[H | e] (K + 1 columns) of one record for each port, whitened, parameters and initial states projected out."""
     grid = record.path.grid
     on_grid = all(grid.measured[name].on_grid for name in record.outputs)
     coloured = any((record.name, name) in noise.colour for name in record.outputs)
@@ -135,7 +153,14 @@ def _rows(null: NullModel, noise: NoiseModel, record: RecordNull, unit: Directio
     every = 1
     if on_grid and complete and not coloured:
         every = max(1, int((knots[1] - knots[0]) / grid.step / _ROWS_BETWEEN))
-    hats = knot_sensitivities(record.path, unit, knots, every=every)
+    units = [torque_direction(null.model, name, ca.SX(1), name=name) for name in ports]
+    found = knot_sensitivities(record.path, units, knots, every=every)
+    return [_left(null, noise, record, hats, every) for hats in found]
+
+
+def _left(null: NullModel, noise: NoiseModel, record: RecordNull, hats: Array, every: int) -> Array:
+    """[H | e] of one port; hats : (K, ny, rows) sensitivities, means of ``every`` samples."""
+    grid = record.path.grid
     outputs = [out.name for out in null.model.outputs]
     parts = []
     for name in record.outputs:

@@ -34,6 +34,11 @@ _GIVEN, _HOPELESS = 4, 30.0
 # A gap of the continuity (of scaled states) that counts as closed.
 _CLOSED = 1e-2
 _TIGHT = 1e-6
+# Samples of all records above which integration is limited to so many steps of them in all, and the share of an
+# amplitude from which a search starts, again and again, where its own asks for more. (Shorter records take as many
+# steps as any law asks for.)
+_LONG, _STEPS = 4000, 1e5
+_SMALLER, _TIMES = 0.125, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +91,9 @@ class ShortRefits:
         try:
             with np.errstate(all="ignore"):
                 search = self._search(effects)
-                return None if search is None else _descended(search, warm, steps, worst)
+                if search is None:
+                    return None
+                return _descended(search, warm, steps, worst, effects[-1].amplitude if effects else None)
         except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
             return None
 
@@ -122,7 +129,7 @@ class ShortRefits:
         refitter = self.refitter
         model = refitter.extended(effects)
         options = dict(refitter.options)
-        return Search(
+        search = Search(
             model,
             refitter.data,
             refitter._parameters(model, effects),
@@ -137,15 +144,48 @@ class ShortRefits:
             warm=None,
             progress=None,
         )
+        if self.long:
+            for record in search.records:
+                record.limit_steps(max(1, int(_STEPS / self.samples)))
+        return search
+
+    @property
+    def samples(self) -> int:
+        """Samples of all records together, each by its longest channel."""
+        return sum(max(len(record[name].time) for name in record.names) for record in self.refitter.data)
+
+    @property
+    def long(self) -> bool:
+        """True for records so long that what promises little is not followed to its end."""
+        return self.samples > _LONG
 
 
-def _descended(search: Search, warm: Any, steps: int, worst: float) -> Short:
+def _first(search: Search, warm: Any, amplitude: str | None) -> Array:
+    """The point (size,) that a search starts from: with a smaller amplitude where its own takes too many steps."""
+    z = search.pmap.start if warm is None else search._warm_values(search.pmap.start)
+    x = search._start(z, first=True)
+    if amplitude not in search.pmap.free or not any(record.limited for record in search.records):
+        return x
+    at = search.pmap.free.index(amplitude)
+    for _ in range(_TIMES):
+        try:
+            search.problem.exact = False
+            search.problem.at(x)
+        except FloatingPointError:
+            z = z.copy()
+            z[at] *= _SMALLER
+            x = search._start(z, first=True)
+        else:
+            break
+    return x
+
+
+def _descended(search: Search, warm: Any, steps: int, worst: float, amplitude: str | None = None) -> Short:
     search.warm = warm
     problem = search.problem
     x = warm.x if isinstance(warm, Short) else None
     if x is None:
-        z = search.pmap.start if warm is None else search._warm_values(search.pmap.start)
-        x = search._start(z, first=True)
+        x = _first(search, warm, amplitude)
     problem.damping = _LATER if isinstance(warm, Short) else _DAMPING / _FALLS
     unit, last = 2 * problem.samples, np.inf
     settled, done = False, 0

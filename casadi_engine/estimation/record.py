@@ -13,6 +13,7 @@ from casadi_engine.estimation.loss import Loss
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.simulation.discretisation import Method
+from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
 from casadi_engine.simulation.gain import GainPlan
 from casadi_engine.simulation.grid import Grid, lay_grid
 from casadi_engine.simulation.intervals import Intervals, Observation, cut
@@ -86,6 +87,7 @@ class RecordTerm:
         if isinstance(gain, np.ndarray) and starts_afresh(model, gain, self.scale):
             self.observation.leave_out(after_missing(self.grid))
         self.weight = self.observation.valid.astype(float)
+        self._most: int | None = None
         self._common: float | None = None  # the weight, where all samples count and count alike
 
     @property
@@ -99,10 +101,25 @@ class RecordTerm:
 
     def again(self, *, gain: Array | GainPlan | None, length: int | None = None) -> RecordTerm:
         """The same record in intervals of another length (None: one), predicted with another gain or simulated."""
-        return RecordTerm(
+        other = RecordTerm(
             self.model, self.experiment, *self.symbols,
             length=length, gain=gain, method=self.method, grid=self.grid,
         )  # fmt: skip
+        if self._most is not None:
+            other.limit_steps(self._most)
+        return other
+
+    @property
+    def limited(self) -> bool:
+        """True if points that ask for too many integration steps are refused."""
+        return self._most is not None
+
+    def limit_steps(self, most: int) -> None:
+        """Refuse points at which nonlinear laws ask for more than ``most`` integration steps to a sample."""
+        self._most = most
+        inner = getattr(self.propagator, "states", self.propagator)
+        if isinstance(inner, ExponentialPropagator):
+            inner.most = most
 
     @property
     def count(self) -> int:

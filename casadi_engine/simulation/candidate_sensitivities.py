@@ -10,11 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_engine.model import Model
+from casadi_engine.simulation.grouped_scan import Pushed, constant_scan, varying_scan
 from casadi_engine.simulation.intervals import Observation, cut
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.null_path import NullPath, Points
@@ -23,6 +26,8 @@ from casadi_engine.simulation.variational import Steps, balance, scan, step_matr
 
 # Samples worked on at a time: the arrays of a part then stay near the cache.
 _PART = 2048
+# States of a part, for all columns, that do not stay in the cache together (16 MB): then columns go by groups.
+_WIDE = 2_000_000
 # |A| h of one step of the variational equation.
 _STEP = 0.5
 _MOST_SUBSTEPS = 64
@@ -174,13 +179,32 @@ class Sweep:
             if direction.initial is not None:
                 state[:, k] = direction.initial / self.scale
         halves = self._halves()
-        for first in range(0, samples - 1, _PART):
-            here = slice(first, min(first + _PART, samples - 1))
+        grouped = self.constant or min(samples, _PART) * state.size > _WIDE
+        for here in self._parts():
+            shown = slice(here.start, here.stop + 1 if here.stop == samples - 1 else here.stop)
+            count = shown.stop - shown.start
+            if grouped and isinstance(self._ode, _Columns):
+                seen, state = self._scanned(here, halves, self._ode, state)
+                yield shown, seen[:count] + self._shown(shown, halves)
+                continue
             f, push = self._advance(here, halves)
-            states = scan(f, np.broadcast_to(push, (here.stop - first, *push.shape[1:])), state)
+            states = scan(f, np.broadcast_to(push, (here.stop - here.start, *push.shape[1:])), state)
             state = states[-1]
-            shown = slice(first, here.stop + 1 if here.stop == samples - 1 else here.stop)
-            yield shown, self._outputs(shown, states[: shown.stop - first], halves)
+            yield shown, self.outputs(shown, states[:count], halves)
+
+    def _parts(self) -> Iterator[slice]:
+        """The steps from sample to sample, part by part."""
+        steps = self.path.grid.samples - 1
+        for first in range(0, steps, _PART):
+            yield slice(first, min(first + _PART, steps))
+
+    def steps(self) -> Iterator[tuple[slice, Array, Array, list[tuple[Points, Array]]]]:
+        """Parts of the steps from sample to sample: transition (T, n, n), or (1, n, n) for all, push (T, n, K), and the
+        points and signals of all halves of substeps, for the outputs."""
+        halves = self._halves()
+        for here in self._parts():
+            f, push = self._advance(here, halves)
+            yield here, f, np.broadcast_to(push, (here.stop - here.start, *push.shape[1:])), halves
 
     def _halves(self) -> list[tuple[Points, Array]]:
         """Every half of a substep from a sample to the next, both included: points and further signals, N - 1 each."""
@@ -214,6 +238,51 @@ class Sweep:
             total = steps.f if total is None else steps.f @ total
         return np.asarray(total), np.asarray(push)
 
+    def _scanned(
+        self, here: slice, halves: list[tuple[Points, Array]], columns: _Columns, state: Array
+    ) -> tuple[Array, Array]:
+        """Outputs by the states (T+1, ny, K) at a part's samples, and the states at its end: a column is pushed by the
+        few rows that it acts in, from all halves of substeps at once, and columns that act alike advance together."""
+        total, weights = self._weights(here, halves)
+        count = here.stop - here.start
+        inner = halves if self.path.held else halves[1:-1]
+        values = [columns.values(points.part(here), xi[:, here]) for points, xi in inner]
+        if not self.path.held:  # the end of a step is the start of the next
+            points = self.path.at_samples().part(slice(here.start, here.stop + 1))
+            last = halves[-1][1][:, here.stop - 1 : here.stop]
+            ends = columns.values(points, np.concatenate([halves[0][1][:, here], last], axis=1))
+            values = [ends[:, :-1], *values, ends[:, 1:]]
+        pushed = (
+            Pushed(
+                own,
+                weights[..., list(rows)].transpose(1, 2, 3, 0).reshape(len(total), self.path.states, -1),
+                np.array([[value[at] for value in values] for at in entries]).reshape(-1, len(own), count),
+            )
+            for rows, own, entries in columns.alike
+        )
+        if self.constant:
+            return constant_scan(total[0], self.seen(slice(0, 1))[0], pushed, state, count)
+        seen = self.seen(slice(here.start, here.stop + 1))
+        return varying_scan(total, seen, pushed, state)
+
+    def _weights(self, here: slice, halves: list[tuple[Points, Array]]) -> tuple[Array, Array]:
+        """Transition (T, n, n) over the samples of a part, and what a force in each half of a substep makes of the
+        state at the end (halves, T, n, n); T is 1 where A is constant."""
+        matrices = [self._matrix(points.part(here)) for points, _ in halves]
+        if not self.path.held and not self.constant:
+            edge = self._matrix(self.path.at_samples().part(slice(here.start, here.stop + 1)))
+            matrices[0], matrices[-1] = edge[:-1], edge[1:]
+        total = np.eye(self.path.states)[None]
+        weights = np.zeros((len(halves), *np.broadcast_shapes(*[m.shape for m in matrices])))
+        for k in range(len(halves) - 3, -1, -2):  # from the last substep back
+            around = (matrices[0],) * 3 if self.constant else matrices[k : k + 3]
+            steps = self._steps(*around)
+            weights[k] += total @ steps.start
+            weights[k + 1] += total @ steps.middle
+            weights[k + 2] += total @ steps.end
+            total = total @ steps.f
+        return total, weights / self.scale
+
     def _matrix(self, points: Points) -> Array:
         """A of the scaled states (T, n, n), or (1, n, n) for a linear model."""
         if self.constant:
@@ -229,13 +298,21 @@ class Sweep:
             self._constant = (start, step_matrices(start, start, start, step))
         return self._constant[1]
 
-    def _outputs(self, shown: slice, states: Array, halves: list[tuple[Points, Array]]) -> Array:
+    def seen(self, shown: slice) -> Array:
+        """C of the scaled states at samples (T, ny, n), or (1, ny, n) for all."""
         points = self.path.at_samples().part(shown)
+        return np.asarray(self._slopes(points.part(slice(0, 1)) if self.constant else points)[1] * self.scale)
+
+    def outputs(self, shown: slice, states: Array, halves: list[tuple[Points, Array]]) -> Array:
+        """dy/dpsi (T, ny, K) at samples from the states there (T, n, K)."""
+        return np.asarray(self.seen(shown) @ states + self._shown(shown, halves))
+
+    def _shown(self, shown: slice, halves: list[tuple[Points, Array]]) -> Array:
+        """What the directions add to the outputs beside the states (T, ny, K)."""
         xi = halves[0][1][:, shown]
         if shown.stop == self.path.grid.samples:
             xi = np.concatenate([xi, halves[-1][1][:, -1:]], axis=1)
-        c = self._slopes(points.part(slice(0, 1)) if self.constant else points)[1]
-        return (c * self.scale) @ states + self._out.at(points, xi)
+        return self._out.at(self.path.at_samples().part(shown), xi)
 
 
 class _Columns:
@@ -246,17 +323,42 @@ class _Columns:
         matrix = ca.sparsify(ca.simplify(matrix)) if matrix.nnz() else matrix
         row, column = matrix.sparsity().get_triplet()
         self.shape = (rows, len(columns))
-        self._at = np.array(row, dtype=np.intp) * len(columns) + np.array(column, dtype=np.intp)
+        self.rows, self.columns = np.array(row, dtype=np.intp), np.array(column, dtype=np.intp)
+        self._at = self.rows * len(columns) + self.columns
         self._function: ArrayFunction | None = None
         if len(row):
             self._function = path.function([matrix.nz[:]], xi)
+
+    @cached_property
+    def alike(self) -> list[tuple[tuple[int, ...], NDArray[np.intp], NDArray[np.intp]]]:
+        """Columns that have entries in the same rows: these rows, the columns (E,), and their entries (rows, E)."""
+        own: dict[int, list[int]] = {column: [] for column in range(self.shape[1])}
+        for entry in np.lexsort((self.rows, self.columns)):
+            own[int(self.columns[entry])].append(int(entry))
+        found: dict[tuple[int, ...], list[int]] = {}
+        for column, entries in own.items():
+            found.setdefault(tuple(int(self.rows[e]) for e in entries), []).append(column)
+        return [
+            (
+                rows,
+                np.array(columns),
+                np.array([own[c] for c in columns], dtype=np.intp).reshape(len(columns), -1).T,
+            )
+            for rows, columns in found.items()
+        ]
+
+    def values(self, points: Points, xi: Array) -> Array:
+        """The entries (nnz, T) in ``rows`` and ``columns``."""
+        count = points.t.shape[1]
+        if self._function is None:
+            return np.zeros((0, count))
+        return np.broadcast_to(self._function(*points.arguments, xi)[0], (len(self.rows), count))
 
     def at(self, points: Points, xi: Array) -> Array:
         """(T, rows, K)."""
         count = points.t.shape[1]
         out = np.zeros((count, self.shape[0] * self.shape[1]))
-        if self._function is not None:
-            out[:, self._at] = self._function(*points.arguments, xi)[0].T
+        out[:, self._at] = self.values(points, xi).T
         return out.reshape(count, *self.shape)
 
 

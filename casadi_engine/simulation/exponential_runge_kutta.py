@@ -110,6 +110,8 @@ class ExponentialPropagator:
         symbols = (inner.x, inner.u, inner.t, inner.p)
         self.laws = Laws(symbols, parts.laws, self.core.groups, z, physical, scale)
         self._least = self._next = int(substeps)
+        # The most steps to a sample; a point that asks for more than a lower number set here is refused.
+        self.most = MOST_SUBSTEPS
         self._begun = False
         self._lay(self._least)
 
@@ -193,6 +195,8 @@ class ExponentialPropagator:
             feedback = self._feedback(matrices, slopes[0])
             if self.substeps >= MOST_SUBSTEPS or feedback <= _STRONGEST:
                 break
+            if self.most < MOST_SUBSTEPS and self.substeps * feedback > self.most * _STRONGEST:
+                raise FloatingPointError("the laws ask for more integration steps than are allowed")
             if self._begun and self.substeps * feedback > _JUMP * self._next * _STRONGEST:
                 raise FloatingPointError("the laws are far stiffer here than at the point before")
             self._lay(min(2 * self.substeps, MOST_SUBSTEPS))

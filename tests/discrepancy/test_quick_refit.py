@@ -82,3 +82,28 @@ def test_a_hopeless_one_gives_up(case):
     shorts = ShortRefits(refitter, LEVELS)
     assert not shorts([one], None, 20, worst=1e-3).settled
     assert shorts([one], fit, 20, worst=fit.cost).settled
+
+
+def test_a_long_record_is_not_integrated_in_any_number_of_steps(case, monkeypatch):
+    """A friction so large at the start that it asks for many steps is started from less, and found all the same."""
+    fit, refitter, screened = case
+    refitter = Refitter(
+        refitter.model, refitter.parameters, refitter.data, refitter.noise
+    )  # no corner narrowed yet
+    one = added(screened, "coulomb_friction", "coupling", size=300.0)
+    monkeypatch.setattr("casadi_engine.discrepancy.quick_refit._LONG", 100)
+    monkeypatch.setattr("casadi_engine.discrepancy.quick_refit._STEPS", 1600)  # 4 to a sample
+    shorts = ShortRefits(refitter, LEVELS)
+    assert shorts.long
+    search = shorts._search([one])
+    x = search._start(search.pmap.start, first=True)
+    with pytest.raises(FloatingPointError, match="more integration steps than are allowed"):
+        search.problem.at(x)
+    short = shorts([one], None, 30)
+    assert search.records[0].propagator.substeps <= 4
+    assert search.records[0].single().propagator.most == 4
+    assert short.cost == pytest.approx(refitter(fit, [one]).cost, abs=0.5)
+    plain = ShortRefits(refitter, LEVELS)
+    monkeypatch.setattr("casadi_engine.discrepancy.quick_refit._LONG", 4000)
+    assert not plain.long
+    assert not plain._search([one]).records[0].limited

@@ -10,7 +10,7 @@ from casadi_engine.discrepancy.quick_refit import ShortRefits
 from casadi_engine.discrepancy.refit import Refitter, addition
 from casadi_engine.discrepancy.screening import screen
 from casadi_engine.discrepancy.search import Search, Station
-from casadi_engine.discrepancy.trials import make_trials, trials_beside
+from casadi_engine.discrepancy.trials import driven, make_trials, trials_beside
 
 LEVELS = {"omega": 0.05, "omega_load": 0.1}
 NOISE = ce.Noise(**LEVELS)
@@ -141,3 +141,36 @@ def test_trials_beside_a_point_keep_the_better_ones(drag, tried):
     again = trials_beside(tried, screened, fit, (), shorts, whole, [best.added])
     assert {key: one.cost for key, one in again.best.items() if one.cost > tried.best[key].cost} == {}
     assert chi_squared(null_model(whole), LEVELS) == pytest.approx(best.cost, abs=1)
+
+
+def test_a_long_record_is_tried_less_and_finds_the_same(shaft, monkeypatch):
+    """From the parameters' own values first, where the null is at a bound; rivals in the place of the best alone."""
+    hidden = lambda t, x: np.array([0, -2e-3 * x[1] * abs(x[1])])  # noqa: E731
+    fit, refitter, screened = prepared(shaft, hidden, EFFECTS, K_el={"min": 115})
+    assert driven(fit)
+    tried = make_trials(screened, fit, (), ShortRefits(refitter, LEVELS))
+    monkeypatch.setattr("casadi_engine.discrepancy.quick_refit._LONG", 100)
+    monkeypatch.setattr("casadi_engine.discrepancy.trials._FEW", 1)
+    shorts = ShortRefits(refitter, LEVELS)
+    asked = []
+
+    def counted(effects, warm, steps, **options):
+        asked.append((effects[-1].candidate.key, warm))
+        return ShortRefits.__call__(shorts, effects, warm, steps, **options)
+
+    class Counted:
+        def __getattr__(self, name):
+            return getattr(shorts, name)
+
+        __call__ = staticmethod(counted)
+
+    made = make_trials(screened, fit, (), Counted())
+    assert asked[0][1] is None
+    assert made.order[0].added.candidate.key == tried.order[0].added.candidate.key
+    assert made.order[0].cost == pytest.approx(tried.order[0].cost, abs=0.5)
+
+    def alike(trials):
+        limit = trials.order[0].cost + 12
+        return {key for key, one in trials.best.items() if trials.least(one) < limit}
+
+    assert alike(made) == alike(tried)

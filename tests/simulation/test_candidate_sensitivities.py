@@ -210,6 +210,51 @@ def test_knots_add_up_to_the_whole_torque_and_are_causal():
     assert mean == pytest.approx(found[:, :, :900].reshape(31, 1, 225, 4).mean(axis=3), abs=1e-12)
 
 
+@pytest.mark.parametrize("count", [2, 31, 1200])
+@pytest.mark.parametrize("dragged", [False, True])
+def test_a_knot_is_a_hat_over_time(count, dragged):
+    """Knots far apart and closer than samples, of a linear model and of one whose equation varies along the path."""
+    model = linear()
+    if dragged:
+        model = model.with_effect(ce.effects.CubicStiffness(), at="spring", values={"stiffness": 2e4})
+    data = drifting(model, n=601)
+    path = null_path(model, lay_grid(model, data), model.parameter_vector(), np.array([0.5, 0.01]))
+    units = [torque_direction(model, "spring", g, name="g") for g in (ca.SX(1), 10 * model.x[1])]
+    knots = np.linspace(path.grid.time[0], path.grid.time[-1], count)
+    found = knot_sensitivities(path, units, knots)
+    assert found.shape == (2, count, 1, 601)
+    assert found[1] == pytest.approx(knot_sensitivities(path, units[1], knots), abs=1e-13)
+    gap = knots[1] - knots[0]
+    some = [0, count // 2, count - 1]
+    for unit, own in zip((ca.SX(1), 10 * model.x[1]), found, strict=True):
+        hats = [
+            torque_direction(
+                model, "spring", unit * ca.fmax(0, 1 - ca.fabs(model.t - knots[k]) / gap), name="h"
+            )
+            for k in some
+        ]
+        wanted = grid_sensitivities(path, hats)
+        assert own[some] == pytest.approx(wanted, abs=1e-9 * np.abs(wanted).max())
+
+
+def test_groups_of_columns_change_nothing(record, monkeypatch):
+    model = ce.two_mass(reciprocating_speed="model", outputs=("omega", "omega_load"))
+    grid = lay_grid(model, record.cycles(1, 3))
+    path = null_path(model, grid, model.parameter_vector(), START)
+    # torques on both inertias, in the coupling, a sensor's offset and a first state
+    directions = [
+        torque_direction(model, port, model.x[k % 3] ** (k % 2), name=port)
+        for k, port in enumerate(["engine", "load", "coupling", "engine"])
+    ]
+    offset = slot_direction(model, ca.SX.zeros(model.w.numel(), 1), name="offset", outputs=ca.SX([1.0, 0.0]))
+    directions += [offset, initial_direction(model, 1, 100.0, name="start")]
+    plain = grid_sensitivities(path, directions)
+    monkeypatch.setattr("casadi_engine.simulation.candidate_sensitivities._WIDE", 0)
+    grouped = grid_sensitivities(path, directions)
+    for one, other in zip(grouped, plain, strict=True):
+        assert one == pytest.approx(other, abs=1e-11 * np.abs(other).max())
+
+
 def test_accumulating_gives_the_products_without_the_matrix():
     model = linear()
     path = null_path(model, lay_grid(model, drifting(model)), model.parameter_vector(), np.array([0.5, 0.01]))
