@@ -69,7 +69,7 @@ class Answer:
             self.messages.append(self.portion.why)
         proof = self._timed("confirm", self._confirmation)
         last = proof.kept[-1]
-        found, withdrawn = self._timed("certificate", lambda: _effects(proof))
+        found, withdrawn = self._timed("certificate", lambda: _effects(proof, self.search.stations))
         unknown = self._timed("leftover", lambda: _unknown(last, null, found, withdrawn))
         verdict = _verdict(found, unknown)
         self._say(null, last, proof)
@@ -157,6 +157,7 @@ class Answer:
                 break
             self.messages.append(f"{here.effects[-1].label}: {judged.why}")
             refused.insert(0, kept.pop())
+            kept[-1] = self.search.plainly(kept[-1])
         after = sides[len(kept) - 1] if len(kept) > 1 else before
         if len(kept) == 1:
             return Confirmation((null,), tuple(refused), Judgement(None, None), before, before)
@@ -227,13 +228,15 @@ def _noise_of_place(last: Station) -> NoiseModel:
     return last.screened.choice.stated or last.screened.noise
 
 
-def _effects(proof: Confirmation) -> tuple[tuple[FoundEffect, ...], tuple[FoundEffect, ...]]:
-    """The effects found, and those withdrawn."""
+def _effects(
+    proof: Confirmation, stations: Sequence[Station]
+) -> tuple[tuple[FoundEffect, ...], tuple[FoundEffect, ...]]:
+    """The effects found, and those withdrawn; stations : as the search left them."""
     found = found_effects(proof.kept)
     if not proof.refused:
         return found, ()
     known = {one.key for one in found}
-    everything = found_effects([*proof.kept, *proof.refused])
+    everything = found_effects(stations)
     return found, tuple(one for one in everything if one.key not in known)
 
 

@@ -110,9 +110,9 @@ def _found(stations: Sequence[Station], one: Addition, last: Station) -> FoundEf
         name: here.fit.values[name] - before.fit.values[name] for name in names if name in here.fit.values
     }
     noise = last.screened.noise
-    share = share_explained(
-        gap_of([before.screened.null], noise), gap_of([here.screened.null], noise), floor=1.0
-    )
+    first, then = (gap_of([one.screened.null], noise) for one in (before, here))
+    # noise alone is 1, or less where the level counts what is left unexplained
+    share = share_explained(first, then, floor=min(1.0, then.chi2_per_sample))
     made = one.candidate.source
     return FoundEffect(
         one.candidate.effect,

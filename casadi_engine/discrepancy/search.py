@@ -150,6 +150,13 @@ class Search:
             return None
         return _sure(rescored(white, replace(white.choice, noise=noise, messages=(_LONG,))), picked[0], count)
 
+    def plainly(self, station: Station) -> Station:
+        """The station with the scores that hold when no further effect is added: not those with equal weights, whose
+        noise was that of a decision for one."""
+        if _LONG not in station.screened.choice.messages:
+            return station
+        return replace(station, screened=self._scored(station.fit))
+
     def _best_refitted(
         self, fit: Fit, effects: tuple[Addition, ...], white: Screened
     ) -> tuple[Trial, Fit] | None:
@@ -302,7 +309,9 @@ class Search:
         self.rounds.append(
             Round((), ((trial.added.label, fit.cost, True),), trial.added.label, (made.effects[-1].label,))
         )
-        return self._station(here, fit, effects, trial.candidate, {**refits, trial.candidate: fit}, tried)
+        simpler = self._station(here, fit, effects, trial.candidate, {**refits, trial.candidate: fit}, tried)
+        # halves that score the refinement best speak for the shape that both share
+        return replace(simpler, frequency=made.frequency)
 
     def _settled(self, fit: Fit) -> Fit:
         """The fit at the scatter of assumed pressures that is likely now: before, that had to stand for the effect."""

@@ -79,11 +79,14 @@ def test_repair_names_the_dry_friction_of_the_servo_drive_in_its_default_setting
     )
     (one,) = found.effects
     assert one.at == "carriage"
-    # friction that fades with speed is dry friction with one number more, and fits better on both records
-    assert {m.name for m in one.members} <= {"coulomb_friction", "stribeck_friction"}
+    # friction that fades with speed is dry friction with one number more and fits a little better: what neither
+    # explains may be the reason, and the simpler one comes first
+    assert one.name == "coulomb_friction"
+    assert {m.name for m in one.members} == {"coulomb_friction", "stribeck_friction"}
+    assert found.unknown is not None
     assert one.amplitude.value == pytest.approx(PUBLISHED["carriage.coulomb_friction.torque"], rel=0.06)
     assert found.confirmed is True
-    assert found.withdrawn == ()
+    assert not any("friction" in other.name for other in found.withdrawn)
     assert found.gaps.validation_after.gap.rmse["v"] < 0.45 * found.gaps.validation_before.gap.rmse["v"]
     assert found.gaps.estimation_after.gap.rmse["v"] < 0.35 * found.gaps.estimation_before.gap.rmse["v"]
 
