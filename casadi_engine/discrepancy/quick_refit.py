@@ -34,6 +34,8 @@ _GIVEN, _HOPELESS = 4, 30.0
 # A gap of the continuity (of scaled states) that counts as closed.
 _CLOSED = 1e-2
 _TIGHT = 1e-6
+# Times that a settled point's gaps are closed by simulation, and steps after each.
+_CLOSINGS, _FEWER = 4, 3
 # Samples of all records above which integration is limited to so many steps of them in all, and the share of an
 # amplitude from which a search starts, again and again, where its own asks for more. (Shorter records take as many
 # steps as any law asks for.)
@@ -204,7 +206,41 @@ def _descended(search: Search, warm: Any, steps: int, worst: float, amplitude: s
         x = search.solver.solve(x, search.lower, search.upper).x
     else:
         x = _GaussNewton(problem, search.lower, search.upper).run(x, watch, steps).x
+        if settled:
+            x, settled = _closed(search, x)
     return _ended(search, x, settled)
+
+
+def _closed(search: Search, x: Array) -> tuple[Array, bool]:
+    """A settled point without gaps, and whether it is still settled.
+
+    Small gaps add up where the states hardly forget: along a valley the cost at the nodes has settled long before that
+    of a simulation. From the simulated nodes a few steps more reach it.
+    """
+    problem = search.problem
+    problem.exact = False
+    unit = 2 * problem.samples
+    for _ in range(_CLOSINGS):
+        point = problem.at(x)
+        if gap_of(point, problem.user.count) <= _TIGHT:
+            return x, True
+        simulated = _simulated(search, x)
+        if unit * (problem.at(simulated).objective - point.objective) < _SETTLED:
+            return simulated, True
+        problem.damping = _LATER
+        x = _GaussNewton(problem, search.lower, search.upper).run(simulated, lambda _: False, _FEWER).x
+        problem.exact = False
+    return x, False
+
+
+def _simulated(search: Search, x: Array) -> Array:
+    """The point with its nodes simulated from the first states."""
+    problem = search.problem
+    closed = x.copy()
+    for record, lay in zip(search.records, problem.layouts, strict=True):
+        first = x[lay.at : lay.at + lay.n]
+        closed[lay.at : lay.at + lay.m * lay.n] = chained_nodes(record, x[: problem.nv], first).ravel()
+    return closed
 
 
 def _ended(search: Search, x: Array, settled: bool) -> Short:
@@ -212,12 +248,8 @@ def _ended(search: Search, x: Array, settled: bool) -> Short:
     problem = search.problem
     problem.exact = False
     v, closed = x[: problem.nv], x
-    point = problem.at(x)
-    if gap_of(point, problem.user.count) > _TIGHT:
-        closed = x.copy()
-        for record, lay in zip(search.records, problem.layouts, strict=True):
-            first = x[lay.at : lay.at + lay.n]
-            closed[lay.at : lay.at + lay.m * lay.n] = chained_nodes(record, v, first).ravel()
+    if gap_of(problem.at(x), problem.user.count) > _TIGHT:
+        closed = _simulated(search, x)
     cost = float(2 * problem.samples * problem.at(closed).objective)
     states = [state.name for state in search.model.states]
     initial = {

@@ -255,12 +255,15 @@ class _Maker:
         if seen is None or seen.none < least:
             # a law that bends: its slope takes away less than it explains, and promises all others too much
             z = np.array([values.get(n, v) for n, v in zip(self.fit.free, self.fit.z, strict=True)])
-            seen = self.foreseen(z, {record.name: record.path.x[:, 0] for record in null.records})
-        if seen is None or seen.none < least:
+            seen = self.foreseen(z, {record.name: record.path.x[:, 0] for record in null.records}) or seen
+        if seen is None:
+            return
+        warm = Start({name: values[name] for name in self.fit.free if name in values})
+        if seen.none < least:
+            self._unsettled_from(seen, warm, done)
             return
         share = _SURER if self.shorts.long and self.explained else _SHARE
         close = cost + max(_NEAR, share * (self.base - cost))
-        warm = Start({name: values[name] for name in self.fit.free if name in values})
         for key, members in self.families.items():
             k = min(members, key=lambda k: seen.cost[k])
             self.promised[key] = float(seen.cost[k])
@@ -270,6 +273,45 @@ class _Maker:
             if known is not None and known.cost < seen.cost[k] + _SURE and known.short.settled:
                 continue
             self._try(key, self._added(k, seen), warm, _STEPS + _MORE)
+
+    def _unsettled_from(self, seen: Foreseen, warm: Start, done: tuple[str, str] | None) -> None:
+        """Where a linearisation promises all too much, no promise counts: those are tried from there whose trials have
+        not come to an end, the most promising first."""
+        best = {key: min(members, key=lambda k: seen.cost[k]) for key, members in self.families.items()}
+        waiting = [
+            (key, k)
+            for key, k in sorted(best.items(), key=lambda pair: seen.cost[pair[1]])
+            if key != done and not (key in self.best and self.best[key].short.settled)
+        ]
+        for key, k in waiting[:_UNSETTLED]:
+            self._try(key, self._added(k, seen), warm, _STEPS + _MORE)
+        self._siblings()
+
+    def _siblings(self) -> None:
+        """The effects that explain as much as the best at one port are tried at their other ports from there."""
+        least = min(one.cost for one in self.best.values())
+        for key, members in self.families.items():
+            known = self.best.get(key)
+            others = [
+                one for one in self.best.values()
+                if one.added.candidate.effect == key[0] and one.cost <= least + _NEAR
+            ]  # fmt: skip
+            if not others or (known is not None and known.cost <= least + _NEAR):
+                continue
+            one = min(others, key=lambda t: t.cost)
+            nuisance = one.added.candidate.nuisance
+            k = next((k for k in members if self.screened.candidates[k].nuisance == nuisance), members[0])
+            alike = math.copysign(1.0, float(self.screened.scores.correlation[k, one.candidate]))
+            size = alike * one.short.values[one.added.amplitude]
+            made = addition(self.screened.candidates[k], size, float(self.screened.scores.drop[k]))
+            values = {name: one.short.values[name] for name in self.fit.free if name in one.short.values}
+            own = f"{one.added.key}."
+            values |= {
+                f"{made.key}.{name.removeprefix(own)}": value
+                for name, value in one.short.values.items()
+                if name.startswith(own) and name != one.added.amplitude
+            }
+            self._try(key, (k, made), Start(values), _STEPS + _MORE)
 
     def foreseen(self, z: Array, first: Mapping[str, Array]) -> Foreseen | None:
         """All candidates linearised at z : (nz,) and first states record -> (n,), without them there."""
