@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+import casadi as ca
 import numpy as np
 
 from casadi_engine.discrepancy.assumed_pressure import SCATTER, is_carried, with_priors
@@ -19,6 +20,7 @@ from casadi_engine.discrepancy.null_model import FOUR_STROKE, Index, NullModel, 
 from casadi_engine.discrepancy.parameter_doubt import doubted
 from casadi_engine.discrepancy.refit import Addition, Refitter
 from casadi_engine.discrepancy.repaired import Side
+from casadi_engine.discrepancy.start import Start
 from casadi_engine.effects.candidate import cycles_of
 from casadi_engine.errors import CasadiEngineError, ExperimentError
 from casadi_engine.estimation import Fit, estimate
@@ -34,6 +36,8 @@ _HELD, _KEPT = 3, 3
 _PIECES = 10
 # A gain that the search foresaw at this many standard errors of the fresh data's, and that is not there, is refused.
 _FORESEEN = 4.0
+# Fresh data whose chi-squared per sample is so many times that of the fit are tried from other initial states too.
+_POOR = 1.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +146,32 @@ def held_fit(
         out.name: noise.sigma[out.name] for out in fit.model.outputs if out.name in noise.sigma
     }
     method = str(fit.options.get("method", "exact"))
-    return estimate(model, record, parameters=held, noise=Noise(**levels), method=method, progress=False)
+
+    def of(warm: Start | None, interval: str) -> Fit:
+        made = estimate(
+            model, record, parameters=held, noise=Noise(**levels), method=method, interval=interval, warm=warm,
+            progress=False,
+        )  # fmt: skip
+        if made.status == "interrupted":
+            raise KeyboardInterrupt
+        return made
+
+    found = of(None, "auto")
+    if found.cost / found.n > _POOR * fit.cost / fit.n:
+        # a state that no output shows may rest elsewhere: on a side of a play, which short intervals lose
+        again = of(_unseen_from(fit, found), "single")
+        found = min(found, again, key=lambda one: (not one.converged, one.cost))
+    return found
+
+
+def _unseen_from(fit: Fit, found: Fit) -> Start:
+    """Initial states as found, but those that no output shows alone as in the records of a fit."""
+    shown = {out.name() for out in ca.vertsplit(fit.model.output_expressions) if out.is_symbolic()}
+    (name,) = found.initial
+    own = {state: one.value for state, one in found.initial[name].items()}
+    seen = next(iter(fit.initial.values()))
+    own |= {state: one.value for state, one in seen.items() if state not in shown}
+    return Start(found.values, {name: own})
 
 
 def fresh_sides(
@@ -215,12 +244,23 @@ def residuals(nulls: Sequence[NullModel], noise: NoiseModel) -> list[Residuals]:
     for null in nulls:
         for record in null.records:
             for output, e in record.residual.items():
-                colour = noise.colour.get((record.name, output))
-                spread = 1.0 if colour is None else math.sqrt(float(colour.variances[0]))
+                spread = math.sqrt(_power(noise, record.name, output))
                 measured = record.path.grid.measured[output].values
                 cycle = _without_stubs(record.cycle[output])
                 found.append(Residuals(record.name, output, e, measured, cycle, spread * noise.sigma[output]))
     return found
+
+
+def _power(noise: NoiseModel, record: str, output: str) -> float:
+    """Variance of an output's noise over that of its innovations; of a record that the search has not seen, the mean
+    of those it has."""
+    own = noise.colour.get((record, output))
+    if own is not None:
+        return float(own.variances[0])
+    if any(name == record for name, _ in noise.colour):
+        return 1.0
+    others = [float(c.variances[0]) for (_, name), c in noise.colour.items() if name == output]
+    return float(np.mean(others)) if others else 1.0
 
 
 def _without_stubs(cycle: Index) -> Index:

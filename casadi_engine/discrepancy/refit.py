@@ -45,6 +45,9 @@ _FACTOR, _SHARPER, _FELT = 4.0, 3, 0.25
 # And as long as all records together are not integrated in more steps than this.
 _STEPS = 1e5
 
+# Rise of chi-squared at which a smaller amplitude is as good; times that it is halved.
+_CONTENT, _HALVINGS = 1.0, 12
+
 
 @dataclass(frozen=True, eq=False)
 class Addition:
@@ -121,7 +124,7 @@ class Refitter:
         if start is not None:
             near = self._try(model, pars, start)
             if near is not None and _nested(base, near):
-                return self._sharpened(near, effects)
+                return self._smallest(self._sharpened(near, effects), effects, new)
         warm = Start.of(base, near=False)
         best = self._try(model, pars, warm)
         if best is None or not best.converged or _driven(base) or _driven(best):
@@ -137,7 +140,32 @@ class Refitter:
             best = _better(best, self._continued(model, pars, new, warm))
         if best is None or not _nested(base, best):
             return replace(base, status="not converged: no start leads below the fit without the effect")
-        return self._sharpened(best, effects)
+        return self._smallest(self._sharpened(best, effects), effects, new)
+
+    def _smallest(self, fit: Fit, effects: Sequence[Addition], new: Sequence[Addition]) -> Fit:
+        """The fit with amplitudes that have no error, or rest on their upper bound, as small as the data are content
+        with: a play that is never crossed may have any width, and claims more than is known."""
+        for one in new:
+            found = fit.estimates.get(one.amplitude)
+            if found is None or found.value == 0 or (found.stderr is not None and found.at_bound is False):
+                continue
+            best, least = fit, merit(fit) + _CONTENT
+            for _ in range(_HALVINGS):
+                held = self._parameters(fit.model, effects)
+                held.fix(one.amplitude, best.values[one.amplitude] / 2)
+                step = self._try(fit.model, held, Start.of(best), most=_FEWER)
+                if step is None or not step.converged or merit(step) > least:
+                    break
+                best = step
+            if best is fit:
+                continue
+            size = best.values[one.amplitude]
+            pars = self._parameters(fit.model, effects)
+            own = pars[one.amplitude]
+            own.set(size, min=own.min if size > 0 else size, max=size if size > 0 else own.max)
+            again = self._try(fit.model, pars, Start.of(best))
+            fit = again if again is not None and again.converged and merit(again) <= least else fit
+        return fit
 
     def _continued(self, model: Model, pars: Parameters, new: Sequence[Addition], warm: Start) -> Fit | None:
         """The fit reached with the amplitude held at growing shares of the prediction."""
@@ -247,9 +275,12 @@ class Refitter:
             options["interval"] = max(2, max(_samples(one) for one in self.data) // _INTERVALS)
         try:
             with np.errstate(all="ignore"):
-                return estimate(model, self.data, parameters=pars, noise=self.noise, warm=warm, **options)
+                fit = estimate(model, self.data, parameters=pars, noise=self.noise, warm=warm, **options)
         except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
             return None  # the model fails at this start: as good as not converged
+        if fit.status == "interrupted":
+            raise KeyboardInterrupt
+        return fit
 
 
 def paths_of(fit: Fit, model: Model | None = None) -> list[NullPath]:

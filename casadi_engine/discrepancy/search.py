@@ -16,7 +16,8 @@ from casadi_engine.discrepancy.gauss_newton import chi_squared
 from casadi_engine.discrepancy.long_run import long_run_noise
 from casadi_engine.discrepancy.members import KEEP, members_of
 from casadi_engine.discrepancy.noise_choice import NoiseChoice, noise_left
-from casadi_engine.discrepancy.null_model import null_model
+from casadi_engine.discrepancy.noise_model import NoiseModel
+from casadi_engine.discrepancy.null_model import NullModel, null_model
 from casadi_engine.discrepancy.proposals import freed, proposals
 from casadi_engine.discrepancy.quick_refit import ShortRefits
 from casadi_engine.discrepancy.refit import Addition, Refitter, freedom, merit, whitened_cost
@@ -240,7 +241,7 @@ class Search:
             lambda fit: offers if fit is start else (),
             refit,
             alpha=screened.share,
-            samples=_samples(screened),
+            samples=self._worth_samples(here, leads[0], starts),
             library=int(screened.scores.testable.sum()),
             clusters=len(offers),
             most=len(here.effects) + 1,
@@ -259,6 +260,14 @@ class Search:
         if not self._swapped(made):
             self.stations.append(made)
         return True
+
+    def _worth_samples(self, here: Station, first: Trial, starts: Mapping[tuple[str, ...], Any]) -> float:
+        """How many independent samples the data are worth: by what the first lead leaves where it leaves less colour,
+        as a large effect is no noise."""
+        screened, effects = here.screened, (*here.effects, first.added)
+        fit = self._refitted(here.fit, effects, start=starts.get(tuple(one.label for one in effects)))
+        before = _samples(screened.null, screened.noise)
+        return max(before, _samples(null_model(fit), screened.noise)) if fit.converged else before
 
     def _station(
         self,
@@ -286,8 +295,8 @@ class Search:
     def _by_its_limit(
         self, here: Station, made: Station, refits: Mapping[int, Fit], tried: Trials
     ) -> Station | None:
-        """The station with the simpler effect that the lead becomes at an end of its grid, if that takes away nearly
-        all of what the lead does, and the lead leaves what is no noise.
+        """The station with the simpler effect that the lead becomes at an end of its grid, if the data do not tell
+        them apart; or if it takes away nearly all of what the lead does, and the lead leaves what is no noise.
 
         What the lead's shape is better by may then be of what is missing still: by the principle of marginality (Nelder
         1977) it has to stand as an effect of its own, beside the simpler one and against all others.
@@ -295,8 +304,9 @@ class Search:
         screened = here.screened
         assert made.lead is not None
         one = screened.candidates[made.lead]
-        trial = tried.best.get((one.source.effect.limit, one.port))
-        if trial is None or not made.screened.leftover.alarms:
+        key = (one.source.effect.limit, one.port)
+        trial, alike = tried.best.get(key), any((m.name, m.at) == key for m in made.members)
+        if trial is None or not (alike or made.screened.leftover.alarms):
             return None
         begun = time.perf_counter()
         effects = (*here.effects, trial.added)
@@ -304,7 +314,7 @@ class Search:
         choice = _better_known(screened, made.screened)
         left = whitened_cost(fit, choice) - whitened_cost(made.fit, choice)
         self._spent("refit", begun)
-        if not fit.converged or left > _SHAPE * made.drop:
+        if not fit.converged or (left > _SHAPE * made.drop and not alike):
             return None
         self.rounds.append(
             Round((), ((trial.added.label, fit.cost, True),), trial.added.label, (made.effects[-1].label,))
@@ -393,7 +403,7 @@ def _levels(screened: Screened, fit: Fit) -> dict[str, float]:
 
 def _leads(tried: Trials, screened: Screened) -> list[Trial]:
     """The trials worth a whole refit, the best first: chi-squared and what its nuisance parameters cost."""
-    price = math.log(max(_samples(screened), 2.0))
+    price = math.log(max(_samples(screened.null, screened.noise), 2.0))
     order = sorted(tried.best.values(), key=lambda one: one.cost + price * freed(screened, one.candidate))
     least = order[0].cost if order else 0.0
     return [one for one in order if one.cost <= least + _NEAR][:_MOST] or order[:1]
@@ -448,11 +458,11 @@ def _frequency(screened: Screened, lead: int) -> float | None:
     return found.get(screened.candidates[lead].key, 0.0) if found else None
 
 
-def _samples(screened: Screened) -> float:
+def _samples(null: NullModel, noise: NoiseModel) -> float:
     """The number of independent samples that the residuals are worth."""
     return sum(
-        effective_samples(screened.noise.whiten(record, output, e[:, None])[:, 0])
-        for record in screened.null.records
+        effective_samples(noise.whiten(record, output, e[:, None])[:, 0])
+        for record in null.records
         for output, e in record.residual.items()
     )
 

@@ -16,6 +16,9 @@ from casadi_engine.model.effect import Amplitude, Effect
 # largest torque where none is known [N m].
 _EDGES, _WIDTH, _LARGEST = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0), 1 / 128, 64.0
 
+# The largest gap, as a multiple of the twist's span.
+_SPANS = 2.0
+
 
 @dataclass(frozen=True)
 class CubicStiffness(Effect):
@@ -45,17 +48,24 @@ class Backlash(Effect):
         `torques`, and in refits what the records can follow
     torques : spring torques at the edge of the play [N m] whose secants are tested; None takes 1/16 to 1 times the
         coupling's largest torque in the record, 64 N m where none is known
+    most : the largest gap [rad]; None takes twice the span of the twist in the records: wider plays are never
+        crossed, and all alike
     """
 
     width: float | None = None
     torques: tuple[float, ...] | None = None
+    most: float | None = None
 
     name = "backlash"
     attaches = ("coupling",)
     needs = ("stiffness",)
     kin = ("cubic_stiffness", "coulomb_friction")
     sentence = "play in {port}"
-    amplitude = Amplitude("gap", unit="rad", min=0)
+
+    @property
+    def amplitude(self) -> Amplitude:  # type: ignore[override]
+        """The gap, no wider than ``most``."""
+        return Amplitude("gap", unit="rad", min=0, max=math.inf if self.most is None else self.most)
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
         """K (dz(twist) − twist), written with torques so that the rounding does not depend on K."""
@@ -75,9 +85,10 @@ class Backlash(Effect):
         peak = max(twists, default=0.0) * abs(port.number("stiffness", values))
         # in steps of two, so that the grid does not hang on the last digits of a fit
         size = 2.0 ** round(math.log2(peak)) if peak > 0 and math.isfinite(peak) else _LARGEST
-        return (
-            replace(self, torques=tuple(size * share for share in _EDGES)) if self.torques is None else self
-        )
+        span = max((float(np.ptp(course)) for course in port.courses("twist")), default=0.0)
+        most = float(f"{_SPANS * span:.1g}") if 0 < span < math.inf and self.most is None else self.most
+        torques = tuple(size * share for share in _EDGES) if self.torques is None else self.torques
+        return replace(self, torques=torques, most=most)
 
     def narrowed(self, port: Any, share: float = 1.0) -> Effect:
         """The same with corners as sharp as the twist passes through its middle."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from casadi_engine.discrepancy.confirmation import share_explained
 from casadi_engine.discrepancy.fresh_misfit import fresh_misfit
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair
 from casadi_engine.discrepancy.summary import next_step
@@ -139,7 +140,8 @@ def gap_sentence(repair: Repair) -> str:
                 parts.append(f"{output} {old:.4g} to {new:.4g} {unit} on {name}")
             else:
                 parts.append(f"{output} {new:.4g} {unit} on {name}")
-    share = sum(one.share_explained for one in repair.effects)
+    first, then = gaps.estimation_before.gap, gaps.estimation_after.gap
+    share = share_explained(first, then, floor=min(1.0, then.chi2_per_sample))
     closed = f"; {100 * share:.3g} % of the gap above the noise is closed" if repair.effects else ""
     return f"Rms gap: {', '.join(parts)}{closed}." if parts else ""
 
