@@ -35,6 +35,10 @@ from casadi_engine.discrepancy.repaired import FoundEffect, Gaps, NextExperiment
 from casadi_engine.discrepancy.search import Search, Station
 from casadi_engine.estimation import Fit
 
+_MAY_HIDE = (
+    "what the noise is taken to be is coloured: an effect that the library lacks may hide in it; a level of the noise that "
+    "is stated, ce.Noise(...), or colour=False has it judged"
+)
 Pairs = list[tuple[Fit, NullModel]]
 
 
@@ -116,6 +120,8 @@ class Answer:
             timing=self.timing,
             messages=tuple(dict.fromkeys(self.messages)),
         )
+        if done.verdict == "nothing missing" and done.noise is not None and done.noise.colour:
+            done = replace(done, messages=(*done.messages, _MAY_HIDE))
         misfit = fresh_misfit(done)
         return done if misfit is None else replace(done, messages=(misfit, *done.messages))
 
@@ -214,6 +220,10 @@ class Answer:
         if bound and len(proof.kept) > 1:
             self.messages.append(
                 f"without the effects {', '.join(bound)} went to a bound: the scores held them there"
+            )
+        if bound and len(self.search.stations) == 1:
+            self.messages.append(
+                f"{', '.join(bound)} went to a bound: the model may not describe these data, whatever was tested"
             )
         late = [
             name for name, e in last.fit.estimates.items() if e.at_bound is not False and name not in bound

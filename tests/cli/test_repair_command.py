@@ -229,7 +229,7 @@ def test_ctrl_c_in_the_search_keeps_the_fit(folder, quick_report, monkeypatch, c
         raise KeyboardInterrupt
 
     # By the import system: the attribute `repair` of the package is the function of that name.
-    monkeypatch.setattr(importlib.import_module("casadi_engine.discrepancy.repair"), "screen", screen)
+    monkeypatch.setattr(importlib.import_module("casadi_engine.discrepancy.repair"), "screen_in_turn", screen)
     code, result = run(folder, out="stopped")
     assert (code, result["status"], result["verdict"]) == (130, "interrupted", None)
     assert result["null_fit"]["status"] == "converged"

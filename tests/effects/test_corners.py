@@ -60,11 +60,14 @@ def test_a_play_is_rounded_and_tested_by_the_torque_in_the_coupling():
         largest = made.torques[-1]
         assert peak / 1.5 < largest < 1.5 * peak
         assert made.width is None
+        assert made.most == pytest.approx(4 * peak / 1992.0, rel=0.5)  # twice the span of the twist
+        assert made.amplitude.max == made.most
         np.testing.assert_allclose(made.sizes(view, stiffness), np.array(made.torques) / 1992.0)
         assert 0 < made.narrowed(view).width <= largest / 128
         assert made.narrowed(view, 0.25).width == pytest.approx(made.narrowed(view).width / 4)
-    given = effects.Backlash(width=0.3, torques=(1.0,))
-    assert given.fitted(view, None, stiffness) is given.narrowed(view) is given
+    assert effects.Backlash().amplitude.max == np.inf
+    given = effects.Backlash(width=0.3, torques=(1.0,), most=0.5)
+    assert given.fitted(view, None, stiffness) == given.narrowed(view) == given
 
 
 def test_fading_speeds_out_of_reach_are_not_tested():

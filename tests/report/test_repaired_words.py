@@ -29,7 +29,7 @@ def test_a_named_and_confirmed_effect(repaired):
     )
     assert lines[2] == ("Confirmed by fresh records, gain of chi-squared 339 ± 36 per cycle over 10 cycles.")
     assert lines[3] == (
-        "Rms gap: omega 0.1458 to 0.1 rad/s on data of the search, omega 0.1458 to 0.1 rad/s on fresh data; 99 % of "
+        "Rms gap: omega 0.1458 to 0.1 rad/s on data of the search, omega 0.1458 to 0.1 rad/s on fresh data; 100 % of "
         "the gap above the noise is closed."
     )
     assert lines[4] == "Without it the model had these wrong: J_load 0.1771, now 0.1700 ± 0.0020 kg m2."
