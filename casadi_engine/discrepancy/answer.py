@@ -36,8 +36,8 @@ from casadi_engine.discrepancy.search import Search, Station
 from casadi_engine.estimation import Fit
 
 _MAY_HIDE = (
-    "what the noise is taken to be is coloured: an effect that the library lacks may hide in it; a level of the noise that "
-    "is stated, ce.Noise(...), or colour=False has it judged"
+    "what the noise is taken to be is coloured: an effect that the library lacks may hide in it; a level of the noise "
+    "that is stated, ce.Noise(...), or colour=False has it judged"
 )
 Pairs = list[tuple[Fit, NullModel]]
 

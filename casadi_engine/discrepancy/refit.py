@@ -19,7 +19,7 @@ from casadi_engine.discrepancy.null_model import null_model
 from casadi_engine.discrepancy.selection import effective_samples
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.errors import CasadiEngineError
-from casadi_engine.estimation import Fit, estimate
+from casadi_engine.estimation import Estimate, Fit, estimate
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.model.port_view import PortView
@@ -143,11 +143,11 @@ class Refitter:
         return self._smallest(self._sharpened(best, effects), effects, new)
 
     def _smallest(self, fit: Fit, effects: Sequence[Addition], new: Sequence[Addition]) -> Fit:
-        """The fit with amplitudes that have no error, or rest on their upper bound, as small as the data are content
-        with: a play that is never crossed may have any width, and claims more than is known."""
+        """The fit with amplitudes that have no error, one larger than themselves, or rest on their upper bound, as
+        small as the data are content with: a play that is never crossed may have any width, and claims too much."""
         for one in new:
             found = fit.estimates.get(one.amplitude)
-            if found is None or found.value == 0 or (found.stderr is not None and found.at_bound is False):
+            if found is None or found.value == 0 or _determined(found):
                 continue
             best, least = fit, merit(fit) + _CONTENT
             for _ in range(_HALVINGS):
@@ -330,6 +330,11 @@ def _samples(record: Experiment) -> int:
 def _driven(fit: Fit) -> bool:
     """True if an estimate is at a bound."""
     return any(fit.estimates[name].at_bound is not False for name in fit.free)
+
+
+def _determined(found: Estimate) -> bool:
+    """True for an estimate inside its bounds with an error that is smaller than itself."""
+    return found.at_bound is False and found.stderr is not None and found.stderr < abs(found.value)
 
 
 def _nested(base: Fit, fit: Fit | None) -> bool:
