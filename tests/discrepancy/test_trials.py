@@ -10,7 +10,8 @@ from casadi_engine.discrepancy.quick_refit import ShortRefits
 from casadi_engine.discrepancy.refit import Refitter, addition
 from casadi_engine.discrepancy.screening import screen
 from casadi_engine.discrepancy.search import Search, Station
-from casadi_engine.discrepancy.trials import driven, make_trials, trials_beside
+from casadi_engine.discrepancy.start import Start
+from casadi_engine.discrepancy.trials import _Maker, driven, make_trials, trials_beside
 
 LEVELS = {"omega": 0.05, "omega_load": 0.1}
 NOISE = ce.Noise(**LEVELS)
@@ -174,3 +175,31 @@ def test_a_long_record_is_tried_less_and_finds_the_same(shaft, monkeypatch):
         return {key for key, one in trials.best.items() if trials.least(one) < limit}
 
     assert alike(made) == alike(tried)
+
+
+def test_what_explains_all_at_one_port_is_tried_at_the_others_from_there(drag):
+    fit, refitter, screened = drag
+    shorts = ShortRefits(refitter, LEVELS)
+    made = _Maker(screened, fit, (), shorts, chi_squared(screened.null, LEVELS))
+    made.from_own_values()
+    best = min(made.best.values(), key=lambda one: one.cost)
+    assert best.added.candidate.key == ("quadratic_drag", "load")
+    made.best = {best.added.candidate.key: best}
+    made._siblings()
+    assert set(made.best) == {("quadratic_drag", "load"), ("quadratic_drag", "engine")}
+    other = made.best["quadratic_drag", "engine"]
+    assert other.short.values[other.added.amplitude] > 0
+    assert other.cost > best.cost
+
+
+def test_unsettled_trials_are_tried_from_the_best_where_no_promise_counts(drag, tried):
+    fit, refitter, screened = drag
+    shorts = ShortRefits(refitter, LEVELS)
+    made = _Maker(screened, fit, (), shorts, tried.base)
+    best = tried.order[0]
+    made.best = {best.added.candidate.key: best}
+    seen = made.foreseen(made.own_values(), shorts.first_states(()))
+    made._unsettled_from(seen, Start(best.short.values), best.added.candidate.key)
+    assert len(made.best) > 3
+    assert made.best[best.added.candidate.key] is best
+    assert all(one.cost >= best.cost for one in made.best.values())
