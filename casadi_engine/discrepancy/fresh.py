@@ -333,7 +333,7 @@ def judge(
     missed = foreseen > _FORESEEN * gain.se and gain.mean < 0.25 * foreseen
     if worse or missed:
         words = "the gap grows" if worse else f"a gain of {foreseen:.3g} per cycle was to be seen"
-        why = f"fresh data refuse it: {words}, the gain is {gain.mean:.3g} ± {gain.se:.2g}"
+        why = f"fresh data refuse it: {words}, the gain is {gain.mean:.3g} ± {gain.se:.2g} per cycle"
         return Judgement(gain, False, True, why)
     why = f"fresh data do not confirm it: the gain is {gain.mean:.3g} ± {gain.se:.2g} per cycle"
     return Judgement(gain, False, False, f"{why}, less than two standard errors")
