@@ -228,8 +228,21 @@ class Answer:
         late = [
             name for name, e in last.fit.estimates.items() if e.at_bound is not False and name not in bound
         ]
-        if late and len(proof.kept) > 1:
-            self.messages.append(f"in the repaired model {', '.join(late)} is at a bound")
+        if len(proof.kept) > 1:
+            inside = [
+                name for one in last.effects for name in late
+                if name.partition("@")[0] == one.amplitude
+                and last.fit.values[name] < one.candidate.source.effect.amplitude.max
+            ]  # fmt: skip
+            self.messages += _at_bounds(late, inside)
+
+
+def _at_bounds(names: Sequence[str], least: Sequence[str]) -> list[str]:
+    """What to say of estimates at a bound that the fit without effects did not have; least : amplitudes that refits hold
+    as small as the data are content with."""
+    others = [name for name in names if name not in least]
+    said = [f"{name} is known from below alone: larger ones explain these data as well" for name in least]
+    return said + ([f"in the repaired model {', '.join(others)} is at a bound"] if others else [])
 
 
 def _noise_of_place(last: Station) -> NoiseModel:

@@ -7,6 +7,7 @@ import pytest
 
 import casadi_engine as ce
 from casadi_engine.discrepancy import refit as refit_module
+from casadi_engine.discrepancy.answer import _at_bounds
 from casadi_engine.discrepancy.fresh import _power, _unseen_from
 from casadi_engine.discrepancy.noise_model import Colour, NoiseModel
 from casadi_engine.discrepancy.refit import Refitter, _determined, addition, merit
@@ -89,3 +90,11 @@ def test_fresh_records_have_the_colour_of_those_that_were_searched():
     assert _power(noise, "fresh", "omega") == pytest.approx(1 / 0.36)
     assert _power(noise, "fresh", "speed") == 1.0
     assert _power(noise, "run", "speed") == 1.0
+
+
+def test_what_is_said_of_estimates_at_bounds():
+    assert _at_bounds([], []) == []
+    assert _at_bounds(["coupling.backlash.gap", "C_el", "J_load"], ["coupling.backlash.gap"]) == [
+        "coupling.backlash.gap is known from below alone: larger ones explain these data as well",
+        "in the repaired model C_el, J_load is at a bound",
+    ]
