@@ -238,8 +238,10 @@ class Answer:
 
 
 def _at_bounds(names: Sequence[str], least: Sequence[str]) -> list[str]:
-    """What to say of estimates at a bound that the fit without effects did not have; least : amplitudes that refits hold
-    as small as the data are content with."""
+    """What to say of estimates at a bound that the fit without effects did not have.
+
+    least : amplitudes among them that refits hold as small as the data are content with
+    """
     others = [name for name in names if name not in least]
     said = [f"{name} is known from below alone: larger ones explain these data as well" for name in least]
     return said + ([f"in the repaired model {', '.join(others)} is at a bound"] if others else [])
