@@ -18,6 +18,7 @@ from casadi_engine.discrepancy.noise_choice import NoiseChoice, scatter_of
 from casadi_engine.discrepancy.null_model import null_model
 from casadi_engine.discrepancy.selection import effective_samples
 from casadi_engine.discrepancy.start import Start
+from casadi_engine.effects import Effect
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation import Estimate, Fit, estimate
 from casadi_engine.experiment import Experiment
@@ -147,7 +148,9 @@ class Refitter:
         small as the data are content with: a play that is never crossed may have any width, and claims too much."""
         for one in new:
             found = fit.estimates.get(one.amplitude)
-            if found is None or found.value == 0 or _determined(found):
+            if found is None or found.value == 0:
+                continue
+            if _determined(found) and not self._open_above(fit, effects, one):
                 continue
             best, least = fit, merit(fit) + _CONTENT
             for _ in range(_HALVINGS):
@@ -157,7 +160,7 @@ class Refitter:
                 if step is None or not step.converged or merit(step) > least:
                     break
                 best = step
-            if best is fit:
+            if best is fit and not _determined(found):
                 continue
             size = best.values[one.amplitude]
             pars = self._parameters(fit.model, effects)
@@ -166,6 +169,18 @@ class Refitter:
             again = self._try(fit.model, pars, Start.of(best))
             fit = again if again is not None and again.converged and merit(again) <= least else fit
         return fit
+
+    def _open_above(self, fit: Fit, effects: Sequence[Addition], one: Addition) -> bool:
+        """True for a law that bends in its amplitude, of which twice as much explains the data as well: the error by
+        its slope says nothing of larger ones."""
+        if type(one.candidate.source.effect).sizes is Effect.sizes:
+            return False
+        pars = self._parameters(fit.model, effects)
+        own, size = pars[one.amplitude], 2 * fit.values[one.amplitude]
+        own.set(size, min=min(size, own.min), max=max(size, own.max))
+        pars.fix(one.amplitude)
+        step = self._try(fit.model, pars, Start.of(fit), most=_FEWER)
+        return step is not None and merit(step) <= merit(fit) + _CONTENT
 
     def _continued(self, model: Model, pars: Parameters, new: Sequence[Addition], warm: Start) -> Fit | None:
         """The fit reached with the amplitude held at growing shares of the prediction."""

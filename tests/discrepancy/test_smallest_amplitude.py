@@ -56,6 +56,26 @@ def test_what_is_bounded_from_below_alone_is_as_small_as_the_data_are_content_wi
     assert merit(refitter._try(model, half, Start.of(small))) > merit(large) + 1.0
 
 
+class Bent(Clutch):
+    """The same, that says at which sizes it is to be tested beside its slope."""
+
+    def sizes(self, port, values):
+        del port, values
+        return (0.2,)
+
+
+def test_twice_as_much_that_explains_as_well_leaves_an_amplitude_open_above(case, shaft):
+    fit, refitter, screened = case
+    bent = screen(fit, [Bent()], at="load", colour=False)
+    for own, is_open in ((bent, True), (screened, False)):  # a law that says nothing of its bend is not asked
+        one = addition(own.candidates[0], 0.2, 10.0)
+        model = refitter.extended([one])
+        held = refitter._parameters(model, [one])
+        held.fix(one.amplitude, 0.2)
+        found = refitter._try(model, held, Start.of(fit))
+        assert refitter._open_above(found, [one], one) is is_open
+
+
 def test_an_amplitude_with_an_error_stays(case):
     fit, refitter, _ = case
     torque = screen(fit, ["constant_torque"], at="load", colour=False)
