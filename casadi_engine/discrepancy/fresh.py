@@ -38,6 +38,8 @@ _PIECES = 10
 _FORESEEN = 4.0
 # Fresh data whose chi-squared per sample is so many times that of the fit are tried from other initial states too.
 _POOR = 1.1
+# Samples of a record above which a single interval takes too long.
+_MANY = 4000
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,11 +159,22 @@ def held_fit(
         return made
 
     found = of(None, "auto")
-    if found.cost / found.n > _POOR * fit.cost / fit.n:
+    if found.cost / found.n > _POOR * _misfit(fit, noise):
         # a state that no output shows may rest elsewhere: on a side of a play, which short intervals lose
-        again = of(_unseen_from(fit, found), "single")
+        again = of(_unseen_from(fit, found), "single" if found.n <= _MANY else "auto")
         found = min(found, again, key=lambda one: (not one.converged, one.cost))
     return found
+
+
+def _misfit(fit: Fit, noise: NoiseModel) -> float:
+    """Chi-squared per sample of a fit on its own data, by the levels of another noise."""
+    parts = [
+        trace.residual[np.isfinite(trace.residual)] / noise.sigma[output]
+        for traces in fit.traces.values()
+        for output, trace in traces.items()
+        if output in noise.sigma
+    ]
+    return float(np.mean(np.concatenate(parts) ** 2)) if parts else math.inf
 
 
 def _unseen_from(fit: Fit, found: Fit) -> Start:

@@ -8,7 +8,7 @@ import pytest
 import casadi_engine as ce
 from casadi_engine.discrepancy import refit as refit_module
 from casadi_engine.discrepancy.answer import _at_bounds
-from casadi_engine.discrepancy.fresh import _power, _unseen_from
+from casadi_engine.discrepancy.fresh import _misfit, _power, _unseen_from
 from casadi_engine.discrepancy.noise_model import Colour, NoiseModel
 from casadi_engine.discrepancy.refit import Refitter, _determined, addition, merit
 from casadi_engine.discrepancy.screening import screen
@@ -118,3 +118,10 @@ def test_what_is_said_of_estimates_at_bounds():
         "coupling.backlash.gap is known from below alone: larger ones explain these data as well",
         "in the repaired model C_el, J_load is at a bound",
     ]
+
+
+def test_a_misfit_is_counted_by_the_levels_that_are_given(case):
+    fit, _, _ = case
+    own = _misfit(fit, NoiseModel({"omega": 0.05, "omega_load": 0.1}))
+    assert own == pytest.approx(fit.cost / fit.n, rel=1e-6)
+    assert _misfit(fit, NoiseModel({"omega": 0.1, "omega_load": 0.2})) == pytest.approx(own / 4)
