@@ -140,3 +140,30 @@ def test_what_counts_as_named_right(row, good, single, wrong, companions):
 def test_a_model_counts_as_good_as_the_truth_within_two_percent():
     assert tables.judged(PIECE, row_of([DRY], fresh=1.019))["fresh"]
     assert not tables.judged(PIECE, row_of([DRY], fresh=1.021))["fresh"]
+
+
+def test_a_step_at_the_start_is_a_constant_torque():
+    def word(rivals):
+        least = min(rivals.values())
+        count = 1 + sum(d < tables.SEPARATED for d in rivals.values())
+        return {
+            "by refits": {"rivals": rivals, "class": count, "d": least},
+            "d": least,
+            "separable": least >= 5,
+        }
+
+    told = tables.with_nested(
+        "constant_torque at load, 2, 4", word({"engine/constant_torque": 0.1, "load/load_step": 9.0})
+    )
+    assert told["by refits"]["rivals"] == {
+        "engine/constant_torque": 0.1,
+        "load/load_step": 0.0,
+        "engine/load_step": 0.1,
+    }
+    assert (told["theory"], told["separable"]) == (4, False)
+    alone = word({"engine/backlash": 7.0, "load/quadratic_drag": 8.0})
+    assert tables.with_nested("cubic_stiffness at coupling, 2, 4", alone) == alone | {"theory": 1}
+    step = word({"load/constant_torque": 6.0})
+    assert tables.with_nested("load_step at load, 2, 4", step)["by refits"]["rivals"] == {
+        "load/constant_torque": 6.0
+    }
