@@ -1,0 +1,42 @@
+"""What is said beside "nothing missing", where that may hide something."""
+
+import numpy as np
+from scipy.signal import lfilter
+
+import casadi_engine as ce
+
+
+def swing(noise):
+    t = np.arange(len(noise)) * 0.01
+    plain = ce.Experiment.from_arrays("swing", time=t, units={"T": "N m"}, T=80 * np.sin(1.5 * t))
+    speed = ce.simulate(ce.one_inertia(), plain, initial={"omega_eng": 0.0})["omega"].values + noise
+    return ce.Experiment.from_arrays(
+        "swing", time=t, units={"T": "N m", "omega": "rad/s"}, T=plain["T"].values, omega=speed
+    )
+
+
+def nothing_of(data, **options):
+    return ce.repair(
+        ce.one_inertia(), data, effects=["sensor_delay"], starts=1, holdout=0.0, progress=False, **options
+    )
+
+
+def test_an_effect_may_hide_in_coloured_noise():
+    white = np.random.default_rng(3).standard_normal(600)
+    found = nothing_of(swing(0.1 * lfilter([1.0], [1, -0.9], white)))
+    assert found.verdict == "nothing missing"
+    assert found.noise.colour
+    assert found.messages[-1] == (
+        "what the noise is taken to be is coloured: an effect that the library lacks may hide in it; a level of the "
+        "noise that is stated, ce.Noise(...), or colour=False has it judged"
+    )
+
+
+def test_a_parameter_at_a_bound_is_told_where_nothing_was_added():
+    pars = ce.one_inertia().parameters()
+    pars["J_eng"].set(max=float(pars["J_eng"].value) * 0.9998, value=float(pars["J_eng"].value) * 0.9)
+    found = nothing_of(swing(0.1 * np.random.default_rng(4).standard_normal(600)), parameters=pars)
+    assert found.verdict == "nothing missing"
+    assert (
+        "J_eng went to a bound: the model may not describe these data, whatever was tested" in found.messages
+    )
