@@ -12,20 +12,21 @@ from scipy.special import chdtri
 
 from casadi_engine.estimation.fit import Estimate, Fit, Innovations, Optimum, Trace
 from casadi_engine.estimation.fit_percent import fit_measures
+from casadi_engine.estimation.integration import integration_of
 from casadi_engine.estimation.innovations import SizedPriors, loop_of
 from casadi_engine.estimation.predictor import output_stride
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty, uncertainty
 from casadi_engine.estimation.starts import chained_nodes
-from casadi_engine.simulation.error_estimate import ErrorEstimate, Stepped, accumulated_error
+from casadi_engine.simulation.error_estimate import ErrorEstimate
 
 Array = NDArray[np.float64]
 
 # Lag-one correlation, in its standard errors, from which a residual counts as coloured; least samples to say so.
 _COLOUR, _FEW = 5.0, 30
-# An integration error of this share of the noise level is said: it begins to show in the estimates.
-_COARSE = 0.1
+# An integration error that may move an estimate by this share of its standard error is said.
+_FELT = 0.1
 
 
 def make_fit(
@@ -46,7 +47,7 @@ def make_fit(
     v = errors.v
     z = search.coordinates.values(v)
     traces, drives, percents, first = {}, {}, {}, {}
-    integration: dict[str, ErrorEstimate] = {}
+    integration = _integration(search, errors.x)
     initial: dict[str, dict[str, Estimate]] = {}
     at = problem.nv
     for record, lay, limits in zip(search.records, problem.layouts, search._initial, strict=True):
@@ -54,7 +55,6 @@ def make_fit(
         start = nodes[0]
         traces[name] = _traces(search, record, v, start)
         drives[name] = _drives(record, v)
-        integration |= _integration(record, v, nodes)
         percents[name] = {key: _percent(trace) for key, trace in traces[name].items()}
         initial[name] = errors.initial_states(record, limits, at)
         first[name] = start * record.scale
@@ -91,7 +91,7 @@ def make_fit(
         timing=timing,
         options=options,
         messages=_messages(search, best, errors, optima, stopped=stopped)
-        + _coarse(integration, search, best.sigma),
+        + _coarse(integration),
         states_at_start=first,
         gain=None if predictor is None else predictor.gain,
         innovations=predictor,
@@ -160,28 +160,22 @@ def _response(record: RecordTerm, v: Array, start: Array) -> tuple[Array, Any]:
     return record.observation.observe(path.y)[0], record.observation
 
 
-def _integration(record: RecordTerm, v: Array, nodes: Array) -> dict[str, ErrorEstimate]:
-    """The integration error of a record whose intervals start at ``nodes`` (M, n), where it is integrated at all."""
-    if not isinstance(record.propagator, Stepped):
-        return {}
+def _integration(search: Search, x: Array) -> dict[str, ErrorEstimate]:
+    """Record -> its integration error, where it is integrated at all."""
+    nodes = [lay.take(x) for lay in search.problem.layouts]
     try:
-        found = accumulated_error(
-            record.propagator, v[record.active], nodes, outputs=record.outputs, samples=record.grid.samples
-        )
+        return integration_of(search.records, x[: search.problem.nv], nodes)
     except FloatingPointError:
         return {}
-    return {record.experiment.name: found}
 
 
-def _coarse(integration: dict[str, ErrorEstimate], search: Search, sigma: Array) -> tuple[str, ...]:
-    """What to do about integration errors that are not small beside the noise."""
-    noise = dict(zip(search.records[0].outputs, sigma.tolist(), strict=True))
+def _coarse(integration: dict[str, ErrorEstimate]) -> tuple[str, ...]:
+    """What integration errors do to the estimates, where it is more than they are allowed to."""
     return tuple(
-        f"the integration of {record}/{name} is off by up to {error:.2g}, {error / noise[name]:.2g} of its noise: give "
-        "the inputs at a higher rate, or make the law smoother"
+        f"the integration of {record} moves the estimates by up to {found.shift:.2g} standard errors, even with "
+        f"{found.substeps} steps to a sample: the equations change too sharply; make them smoother"
         for record, found in integration.items()
-        for name, error in zip(found.outputs, found.absolute, strict=True)
-        if error > _COARSE * noise[name]
+        if found.shift is not None and found.shift > _FELT
     )
 
 

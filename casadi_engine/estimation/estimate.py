@@ -119,7 +119,9 @@ def estimate(
         workers = Workers(arguments, jobs, interrupts, search.tell) if several else None
         drawn = drawn_starts(search.pmap, starts, seed)
         attempts = attempts_from(search, drawn, neighbours, outcomes=workers.outcomes if workers else None)
-        best = best_of(attempts)
+        found = best_of(attempts)
+        best = search.integrated(found)
+        attempts = [best if attempt is found else attempt for attempt in attempts]
         optima = distinct_optima(search, attempts, best)
         timing = {"setup": setup, "solve": time.perf_counter() - begun - setup}
         options = {

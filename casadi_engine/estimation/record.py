@@ -18,7 +18,8 @@ from casadi_engine.simulation.gain import GainPlan
 from casadi_engine.simulation.grid import Grid, lay_grid
 from casadi_engine.simulation.intervals import Intervals, Observation, cut
 from casadi_engine.simulation.linear import LinearPropagator
-from casadi_engine.simulation.propagator import after_missing, make_propagator, starts_afresh
+from casadi_engine.simulation.propagator import after_missing, fineness_of, make_propagator, starts_afresh
+from casadi_engine.simulation.runge_kutta import Fineness
 from casadi_engine.simulation.shared_core import Cores
 
 Array = NDArray[np.float64]
@@ -65,6 +66,7 @@ class RecordTerm:
         method: Method,
         grid: Grid | None = None,
         cores: Cores | None = None,
+        steps: int | Fineness | None = None,
     ) -> None:
         self.experiment, self.model = experiment, model
         self.symbols, self.gain, self.method = (v, physical), gain, method
@@ -81,7 +83,7 @@ class RecordTerm:
         self.propagator = make_propagator(
             model, self.grid, self.plan, local, physical, scale=self.scale, method=method,
             gain=gain.build(gain.expression, local) if isinstance(gain, GainPlan) else gain,
-            used=None if plan is None else plan.used, cores=cores,
+            used=None if plan is None else plan.used, cores=cores, steps=steps,
         )  # fmt: skip
         self.n = len(self.scale)
         if isinstance(gain, np.ndarray) and starts_afresh(model, gain, self.scale):
@@ -103,7 +105,7 @@ class RecordTerm:
         """The same record in intervals of another length (None: one), predicted with another gain or simulated."""
         other = RecordTerm(
             self.model, self.experiment, *self.symbols,
-            length=length, gain=gain, method=self.method, grid=self.grid,
+            length=length, gain=gain, method=self.method, grid=self.grid, steps=fineness_of(self.propagator),
         )  # fmt: skip
         if self._most is not None:
             other.limit_steps(self._most)

@@ -14,6 +14,7 @@ from casadi_engine.estimation.constraints import ParameterConstraints, Priors
 from casadi_engine.estimation.coordinates import Coordinates
 from casadi_engine.estimation.growth import check_growth
 from casadi_engine.estimation.innovations import SizedPriors, StableLoop
+from casadi_engine.estimation.integration import shorten_steps
 from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.ipopt import Solution, Solver
 from casadi_engine.estimation.levels import NoiseLevels, check_noise, check_samples
@@ -36,6 +37,8 @@ Array = NDArray[np.float64]
 
 # Noise levels that are estimated beside priors, several outputs or a robust loss are settled by repeated fits.
 _ROUNDS, _LEVEL = 12, 1e-6
+# Rounds of shorter integration steps, each with a refit that begins at the optimum.
+_SHORTENED = 6
 # Points from which values that meet all constraints are looked for, where a search has ended without.
 _TRIED = 5
 
@@ -253,6 +256,11 @@ class Search:
         known = {record.experiment.name for record in self.records} <= set(getattr(self.warm, "initial", ()))
         near = first and known and bool(getattr(self.warm, "converged", False))
         solution = self.solver.solve(x, self.lower, self.upper, exact=near)
+        solution, iterations = self._levelled(solution)
+        return self._outcome(self._blamed(solution), iterations, given)
+
+    def _levelled(self, solution: Solution) -> tuple[Solution, int]:
+        """The solution with the noise levels settled, and the iterations that it took in all."""
         iterations = solution.iterations
         for _ in range(_ROUNDS if self._settles else 0):
             if solution.status != "converged":
@@ -264,7 +272,26 @@ class Search:
                 break
             solution = self.solver.solve(solution.x, self.lower, self.upper, exact=True)
             iterations += solution.iterations
-        return self._outcome(self._blamed(solution), iterations, given)
+        return solution, iterations
+
+    def integrated(self, attempt: Attempt) -> Attempt:
+        """The attempt with steps of the integration so short that they do not move the estimates."""
+        for _ in range(_SHORTENED):
+            if attempt.solution.status != "converged":
+                break
+            x = attempt.solution.x
+            self._weigh(attempt.sigma)
+            try:
+                nodes = [lay.take(x) for lay in self.problem.layouts]
+                if not shorten_steps(self.records, x[: self.problem.nv], nodes):
+                    break
+            except (FloatingPointError, np.linalg.LinAlgError):
+                break
+            self.problem.forget()
+            solution = self.solver.solve(x, self.lower, self.upper, exact=True)
+            solution, more = self._levelled(solution)
+            attempt = self._outcome(self._blamed(solution), attempt.iterations + more, attempt.start)
+        return attempt
 
     def _blamed(self, solution: Solution) -> Solution:
         """The solution with a status that names the constraints no values meet, if they are why there is no optimum."""

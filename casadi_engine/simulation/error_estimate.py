@@ -1,32 +1,35 @@
-"""How far a propagation is from the equations' exact solution: the same with steps of half the length."""
+"""How far a propagation is from the equations' exact solution, by steps of half the length; and finer ones."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from casadi_engine.errors import SimulationError
 from casadi_engine.simulation.exponential_runge_kutta import MOST_SUBSTEPS, ExponentialPropagator
-from casadi_engine.simulation.general import GeneralPropagator
 from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.linear import LinearPropagator
 from casadi_engine.simulation.observed import ObservedPropagator
+from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 
-Stepped = ExponentialPropagator | ObservedPropagator | GeneralPropagator
+Stepped = ExponentialPropagator | ObservedPropagator | RungeKuttaPropagator
 Propagator = LinearPropagator | Stepped
 
 # Of a scheme of fourth order: its error is this many times its difference from half the step.
 _RICHARDSON = 16 / 15
+_EXPONENTIAL = "exponential Runge-Kutta steps of order 4"
 
 
 @dataclass(frozen=True)
 class ErrorEstimate:
     """Largest estimated error of each output over the record, in the output's unit and relative to its largest value.
 
-    substeps : integration steps to a sample; 0 for a linear model, which is solved exactly
-    tolerance : relative, that was asked for
+    substeps : most integration steps to a sample; 0 for a linear model, which is solved exactly
+    tolerance : relative, that was asked for; integrator : what the steps are, in words
+    shift : the most by which the error moves an estimate of a fit, in standard errors; None outside of fits
     """
 
     outputs: tuple[str, ...]
@@ -34,6 +37,8 @@ class ErrorEstimate:
     relative: tuple[float, ...]
     substeps: int
     tolerance: float
+    integrator: str = _EXPONENTIAL
+    shift: float | None = None
 
     @property
     def largest(self) -> float:
@@ -52,17 +57,56 @@ class ErrorEstimate:
         errors = ", ".join(
             f"{name} {value:.1e}" for name, value in zip(self.outputs, self.relative, strict=True)
         )
-        text = f"integration: {steps} to a sample, estimated relative error {errors}"
+        kind = f"{steps} to a sample" if self.substeps > 0 else "its own steps"
+        text = f"integration: {self.integrator}, {kind}, estimated relative error {errors}"
         return text if self.within else f"{text}; more than the tolerance {self.tolerance:.1e}"
 
     def to_dict(self) -> dict[str, object]:
         """Plain numbers, ready for JSON."""
         return {
+            "integrator": self.integrator,
             "substeps": self.substeps,
             "tolerance": self.tolerance,
             "relative": dict(zip(self.outputs, self.relative, strict=True)),
             "absolute": dict(zip(self.outputs, self.absolute, strict=True)),
         }
+
+
+@dataclass(frozen=True)
+class SignedError:
+    """The estimated error of a whole run's outputs, off (R*ny, b, M), and their size, likewise.
+
+    cells : (N-1,) where it arises, for a propagator that can be refined in places; None for any other
+    """
+
+    off: Array
+    size: Array
+    cells: Array | None = None
+
+
+def signed_error(propagator: Stepped, z: Array, nodes: Array) -> SignedError:
+    """The integration error of one whole run whose states at the intervals' starts are ``nodes`` (M, n), scaled.
+
+    What an interval's steps are off by is carried through the later ones by the sensitivities: all intervals are
+    integrated side by side, which a single run is not.
+    """
+    z = np.asarray(z, dtype=float)
+    if isinstance(propagator, RungeKuttaPropagator):
+        path = propagator.propagate(z, nodes, 1)
+        off, cells = propagator.arising(z, path)
+        return SignedError(off, path.y[0], cells)
+    # The coarse path first: it may have refined its steps for stability.
+    coarse = propagator.propagate(z, nodes, 1 if len(nodes) > 1 else 0)
+    fine = propagator.finer(2).propagate(z, nodes, 0)
+    off = fine.y[0] - coarse.y[0]
+    if len(nodes) > 1:
+        ends = np.broadcast_to(coarse.end_s, (len(nodes), nodes.shape[1], nodes.shape[1]))
+        own = fine.end - coarse.end
+        carried = np.zeros_like(nodes)
+        for k in range(len(nodes) - 1):
+            carried[k + 1] = ends[k] @ carried[k] + own[:, k]
+        off = off + np.einsum("kbma,ma->kbm", coarse.ys, carried)
+    return SignedError(_RICHARDSON * off, fine.y[0])
 
 
 def estimate_error(
@@ -74,53 +118,52 @@ def estimate_error(
     samples: int,
     tolerance: float = 1e-6,
 ) -> ErrorEstimate:
-    """The integration error at z : (nz,) from ``nodes`` (M, n) scaled, by halving the step.
+    """The integration error at z : (nz,) of a whole run through ``nodes`` (M, n), scaled.
 
     samples : of the record; what lies behind them in the last interval does not count
     """
     if isinstance(propagator, LinearPropagator):
         none = (0.0,) * len(outputs)
-        return ErrorEstimate(outputs, none, none, 0, tolerance)
-    # The coarse path first: it may have refined its steps for stability.
-    coarse = propagator.propagate(z, nodes, 0).y[0]
-    fine = propagator.refined(2 * propagator.substeps).propagate(z, nodes, 0).y[0]
-    return _largest(propagator, fine - coarse, fine, outputs, samples, tolerance)
+        return ErrorEstimate(outputs, none, none, 0, tolerance, "exact")
+    found = signed_error(propagator, z, nodes)
+    return summed_up(propagator, found, outputs=outputs, samples=samples, tolerance=tolerance)
 
 
-def accumulated_error(
+def summed_up(
     propagator: Stepped,
-    z: Array,
-    nodes: Array,
+    found: SignedError,
     *,
     outputs: tuple[str, ...],
     samples: int,
     tolerance: float = 1e-6,
 ) -> ErrorEstimate:
-    """`estimate_error` of one whole run whose states at the intervals' starts are ``nodes`` (M, n), scaled.
-
-    What an interval's steps are off by is carried through the later ones by the sensitivities: all intervals are
-    integrated side by side, which a single run is not.
-    """
-    coarse = propagator.propagate(z, nodes, 1)
-    fine = propagator.refined(2 * propagator.substeps).propagate(z, nodes, 0)
-    ends = np.broadcast_to(coarse.end_s, (len(nodes), nodes.shape[1], nodes.shape[1]))
-    own = fine.end - coarse.end
-    carried = np.zeros_like(nodes)
-    for k in range(len(nodes) - 1):
-        carried[k + 1] = ends[k] @ carried[k] + own[:, k]
-    off = fine.y[0] - coarse.y[0] + np.einsum("kbma,ma->kbm", coarse.ys, carried)
-    return _largest(propagator, off, fine.y[0], outputs, samples, tolerance)
-
-
-def _largest(
-    propagator: Stepped, off: Array, size: Array, outputs: tuple[str, ...], samples: int, tolerance: float
-) -> ErrorEstimate:
-    """The largest entries within the record; off, size : (R * ny, b, M)."""
+    """The largest errors of each output within the record."""
     real, ny = _recorded(propagator.intervals, samples), len(outputs)
-    absolute = [_RICHARDSON * float(np.abs(off[k::ny][real]).max(initial=0.0)) for k in range(ny)]
-    sizes = [float(np.abs(size[k::ny][real]).max(initial=0.0)) for k in range(ny)]
+
+    def largest(values: Array) -> list[float]:
+        found = [float(np.abs(values[k::ny][real]).max(initial=0.0)) for k in range(ny)]
+        return [value if math.isfinite(value) else math.inf for value in found]
+
+    absolute, sizes = largest(found.off), largest(found.size)
     relative = tuple(one / other if other else one for one, other in zip(absolute, sizes, strict=True))
-    return ErrorEstimate(outputs, tuple(absolute), relative, propagator.substeps, tolerance)
+    words = _EXPONENTIAL
+    if isinstance(propagator, RungeKuttaPropagator) and propagator.fineness is not None:
+        words = propagator.fineness.scheme.name
+    return ErrorEstimate(outputs, tuple(absolute), relative, propagator.substeps, tolerance, words)
+
+
+def shortened(propagator: Stepped, found: SignedError, ratio: float) -> Stepped | None:
+    """The propagator with steps for an error about ``ratio`` times smaller; None where they would be too many."""
+    if isinstance(propagator, RungeKuttaPropagator):
+        assert found.cells is not None
+        try:
+            return propagator.adapted(found.cells, ratio)
+        except FloatingPointError:
+            return None
+    if propagator.substeps >= MOST_SUBSTEPS:
+        return None
+    wanted = propagator.substeps * 2 ** max(1, math.ceil(math.log2(max(ratio, 1.0)) / 4))
+    return propagator.refined(min(wanted, MOST_SUBSTEPS))
 
 
 def refined_to(
@@ -134,20 +177,27 @@ def refined_to(
 ) -> tuple[Propagator, ErrorEstimate]:
     """The propagator with as many steps to a sample as the relative tolerance asks for, and the error it has then.
 
-    Raises SimulationError where 64 steps to a sample do not reach the tolerance.
+    Raises SimulationError where the most steps there may be do not reach the tolerance.
     """
     while True:
-        found = estimate_error(propagator, z, nodes, outputs=outputs, samples=samples, tolerance=tolerance)
-        if found.within or isinstance(propagator, LinearPropagator):
-            return propagator, found
-        if propagator.substeps >= MOST_SUBSTEPS:
+        if isinstance(propagator, LinearPropagator):
+            about = estimate_error(
+                propagator, z, nodes, outputs=outputs, samples=samples, tolerance=tolerance
+            )
+            return propagator, about
+        found = signed_error(propagator, z, nodes)
+        about = summed_up(propagator, found, outputs=outputs, samples=samples, tolerance=tolerance)
+        if about.within:
+            return propagator, about
+        finer = shortened(propagator, found, 2 * about.largest / tolerance)
+        if finer is None:
             raise SimulationError(
                 "the integration does not reach its tolerance: a law is too sharp for the record's rate",
-                seen=f"{found.largest:.2g} with {propagator.substeps} steps to a sample",
+                seen=f"{about.largest:.2g} with {propagator.substeps} steps to a sample",
                 allowed=f"a relative error of {tolerance:.2g}",
                 cure="make the law's smoothing wider, or the tolerance larger",
             )
-        propagator = propagator.refined(min(2 * propagator.substeps, MOST_SUBSTEPS))
+        propagator = finer
 
 
 def _recorded(plan: Intervals, samples: int) -> np.ndarray:

@@ -38,7 +38,7 @@ _JUMP = 16
 
 @dataclass
 class ExponentialTrajectory:
-    """Outputs and sensitivities; shapes as in ``GeneralTrajectory``.
+    """Outputs and sensitivities; shapes as in ``RungeKuttaTrajectory``.
 
     y : (1+nz, R*ny, b, M); ys : (R*ny, b, M, n); last : (n, n+nz, M) sensitivities of the ends to (start, z)
     ds : (K, 4 ns, n+nz, M) sensitivities of the signals
@@ -76,7 +76,7 @@ class ExponentialTrajectory:
 
 
 class ExponentialPropagator:
-    """A split model over one record; arguments as in ``GeneralPropagator``.
+    """A split model over one record; arguments as in ``RungeKuttaPropagator``.
 
     substeps : least steps to a sample; they are doubled where the laws' feedback asks for it, and fewer again later
     Raises SimulationError for substeps that are not a whole number from 1 to 64.
@@ -129,6 +129,10 @@ class ExponentialPropagator:
         other._begun = False
         other._lay(substeps)
         return other
+
+    def finer(self, factor: int) -> ExponentialPropagator:
+        """The same propagator with every step cut into ``factor`` steps."""
+        return self.refined(self.substeps * factor)
 
     # ---- drives
 

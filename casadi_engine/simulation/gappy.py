@@ -25,7 +25,7 @@ Index = NDArray[np.intp]
 
 @dataclass
 class GappyTrajectory:
-    """States and outputs; shapes as in ``GeneralTrajectory``.
+    """States and outputs; shapes as in ``RungeKuttaTrajectory``.
 
     x : (L+1, n, M); s : (L+1, n, nz+n, M) sensitivities to (z, start); y : (1+nz, R*ny, b, M);
     ys : (R*ny, b, M, n)

@@ -89,6 +89,10 @@ class ObservedPropagator:
         other.states = self.states.refined(substeps)
         return other
 
+    def finer(self, factor: int) -> ObservedPropagator:
+        """The same propagator with every step cut into ``factor`` steps."""
+        return self.refined(self.substeps * factor)
+
     def drives_at(self, z: Array) -> Array:
         """(m, N) drives of the model on the grid."""
         return self.states.drives_at(z)

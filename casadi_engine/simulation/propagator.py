@@ -14,7 +14,7 @@ from casadi_engine.simulation.discretisation import Method
 from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
 from casadi_engine.simulation.gain import Gain, Seen, StatedGain
 from casadi_engine.simulation.gappy import GappyPredictor
-from casadi_engine.simulation.general import GeneralPropagator
+from casadi_engine.simulation.runge_kutta import Fineness, RungeKuttaPropagator
 from casadi_engine.simulation.grid import Grid
 from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.jets import Array
@@ -44,6 +44,15 @@ class _GappyCore(GappyPredictor):
         return super().drives_at(z)[: self.shown]
 
 
+def fineness_of(propagator: object) -> int | Fineness | None:
+    """How finely a propagator integrates, for another one of the same grid; None for one that is exact."""
+    if isinstance(propagator, RungeKuttaPropagator):
+        return propagator.fineness
+    if isinstance(propagator, (ExponentialPropagator, ObservedPropagator)):
+        return propagator.substeps
+    return None
+
+
 class Trajectory(Protocol):
     """What a propagation gives; see ``LinearTrajectory`` for the shapes."""
 
@@ -69,9 +78,9 @@ def make_propagator(
     method: Method = "exact",
     gain: Array | Gain | None = None,
     used: Seen | None = None,
-    substeps: int | None = None,
+    steps: int | Fineness | None = None,
     cores: Cores | None = None,
-) -> LinearPropagator | GappyPredictor | ExponentialPropagator | ObservedPropagator | GeneralPropagator:
+) -> LinearPropagator | GappyPredictor | ExponentialPropagator | ObservedPropagator | RungeKuttaPropagator:
     """Propagator of a model over one record.
 
     A linear core alone is propagated exactly; a core with nonlinear laws by the exponential integrator, whatever its
@@ -80,8 +89,8 @@ def make_propagator(
     method : "exact", or "euler" for a linear model; gain : (n, ny) correction gain per scaled state, a Gain that hangs
     on z, or None; used : the outputs that correct the state, None for all
     cores : discrete cores shared with further records of the same fit; None for its own
-    substeps : integration steps to a sample of a nonlinear model (see ``error_estimate``); None for the fewest that
-    are stable
+    steps : how finely a nonlinear model is integrated, `fineness_of` another propagator of the same grid; None for the
+    fewest steps that are stable
     Raises SimulationError where a method or a gain does not go with the model or with the record.
     """
     if not isinstance(method, str) or method not in ("exact", "euler"):
@@ -106,18 +115,16 @@ def make_propagator(
             allowed='method="exact" without a gain',
             cure="take the linear form of the model, or leave the option out",
         )
+    whole = 1 if steps is None or isinstance(steps, Fineness) else steps
     if parts is not None:
-        return ExponentialPropagator(
-            model, parts, grid, intervals, z, physical, scale=scale, substeps=substeps or 1
-        )
+        return ExponentialPropagator(model, parts, grid, intervals, z, physical, scale=scale, substeps=whole)
     shown = with_states_shown(model)
     parts = split(shown)
     if parts is not None and parts.model.has_slot_laws:
-        states = ExponentialPropagator(
-            shown, parts, grid, intervals, z, physical, scale=scale, substeps=substeps or 1
-        )
+        states = ExponentialPropagator(shown, parts, grid, intervals, z, physical, scale=scale, substeps=whole)
         return ObservedPropagator(model, states, grid, z, physical)
-    return GeneralPropagator(model, grid, intervals, z, physical, scale=scale, substeps=substeps)
+    fineness = steps if isinstance(steps, Fineness) else None
+    return RungeKuttaPropagator(model, grid, intervals, z, physical, scale=scale, fineness=fineness)
 
 
 def _linear(

@@ -62,12 +62,26 @@ def _general_model(rng, *, states=2):
     return b.model()
 
 
+def _switched_model():
+    """A model that jumps in time: a load that comes at an instant of its own, and a square wave."""
+    b = Blueprint("switched")
+    x, v, u = b.state("x"), b.state("v", scale=2.0), b.input("u0")
+    on, size, rate = b.parameter("on", 0.537), b.parameter("size", 1.5), b.parameter("rate", 2.1)
+    load = ca.if_else(b.time > on, size * ca.cos(b.time), 0)
+    b.ode("x", v)
+    b.ode("v", u - x - 0.3 * v * x**2 - load + 0.4 * ca.sign(ca.sin(rate * b.time + 0.3)))
+    b.output("x", x)
+    b.output("power", v * (x + u))
+    return b.model()
+
+
 @dataclass(frozen=True)
 class Made:
     """Makers of test objects, in one fixture because test folders share no modules."""
 
     linear = staticmethod(_linear_model)
     general = staticmethod(_general_model)
+    switched = staticmethod(_switched_model)
 
     @staticmethod
     def grid(channels, *, step=0.05, samples=None, holds=None, start=0.3, measured=None):

@@ -14,7 +14,7 @@ from casadi_engine.errors import SimulationError
 from casadi_engine.model import Blueprint, crankshaft, one_inertia, two_mass
 from casadi_engine.simulation import exponential_runge_kutta
 from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
-from casadi_engine.simulation.general import GeneralPropagator
+from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 from casadi_engine.simulation.intervals import cut
 from casadi_engine.simulation.linear import LinearPropagator
 from casadi_engine.simulation.propagator import make_propagator
@@ -48,14 +48,14 @@ def run(model, grid, start, *, substeps=1, length=None, kind=None, p=None):
     p = ca.DM(model.parameter_vector() if p is None else p)
     plan = cut(grid, length)
     options = {"scale": scale, "substeps": substeps}
-    if kind is GeneralPropagator:
-        made = GeneralPropagator(model, grid, plan, ca.SX(0, 1), p, **options)
+    if kind is RungeKuttaPropagator:
+        made = RungeKuttaPropagator(model, grid, plan, ca.SX(0, 1), p, **options)
     else:
         made = make_propagator(model, grid, plan, ca.SX(0, 1), p, **options)
         assert isinstance(made, ExponentialPropagator)
     nodes = np.tile(np.asarray(start, dtype=float) / scale, (plan.m, 1))
     path = made.propagate(NONE, nodes, 0)
-    assert made.substeps == substeps or kind is GeneralPropagator
+    assert made.substeps == substeps or kind is RungeKuttaPropagator
     return path.x[: grid.samples, :, 0] * scale
 
 
@@ -349,6 +349,6 @@ def test_nonlinear_engine_models_equal_fine_runge_kutta_steps(made, name):
     grid = made.grid(engine_channels(model, count, step), step=step, start=0.0)
     start = [126.0 if s.unit == "rad/s" else -0.01 for s in model.states]
     found = run(model, grid, start)
-    wanted = run(model, grid, start, kind=GeneralPropagator)
+    wanted = run(model, grid, start, kind=RungeKuttaPropagator)
     size = np.abs(wanted).max(axis=0)
     assert (np.abs(found - wanted).max(axis=0) < 1e-7 * size).all()

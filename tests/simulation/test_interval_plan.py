@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from casadi_engine.simulation.general import GeneralPropagator
+from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 from casadi_engine.simulation.grid import Grid, Measured
 from casadi_engine.simulation.intervals import Intervals, Observation, cut
 from casadi_engine.simulation.linear import LinearPropagator
@@ -138,7 +138,7 @@ def test_the_general_propagator_too(made):
     grid = grid_of(made, 61)
     strided = {"y0": made.points(grid, np.arange(0, 61, 4)), "y1": made.points(grid, np.arange(61))}
     check_same(
-        made, model, grid_of(made, 61, strided), 1e-11, kind=GeneralPropagator, lengths=[1, 2, 7, 16, 20, 60]
+        made, model, grid_of(made, 61, strided), 1e-11, kind=RungeKuttaPropagator, lengths=[1, 2, 7, 16, 20, 60]
     )
 
 
@@ -230,7 +230,7 @@ def test_a_cubic_is_met_exactly(made):
         np.testing.assert_allclose(found, cubic(positions), rtol=1e-10, atol=1e-9)
 
 
-@pytest.mark.parametrize("kind", [LinearPropagator, GeneralPropagator])
+@pytest.mark.parametrize("kind", [LinearPropagator, RungeKuttaPropagator])
 def test_derivatives_off_the_grid_hang_together(made, kind):
     rng = np.random.default_rng(5)
     model = made.linear(rng, states=2, inputs=1, outputs=2)

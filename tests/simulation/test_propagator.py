@@ -11,7 +11,7 @@ from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.model import Blueprint, one_inertia
 from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
 from casadi_engine.simulation.gappy import GappyPredictor
-from casadi_engine.simulation.general import GeneralPropagator
+from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 from casadi_engine.simulation.grid import lay_grid
 from casadi_engine.simulation.intervals import cut
 from casadi_engine.simulation.linear import LinearPropagator
@@ -67,7 +67,7 @@ def test_a_linear_model_is_propagated_exactly_and_any_other_by_steps(made):
     made_for = make_propagator(
         model, grid, cut(grid, None), model.p, model.p, scale=made.scale(model), method="exact"
     )
-    assert isinstance(made_for, GeneralPropagator)
+    assert isinstance(made_for, RungeKuttaPropagator)
 
 
 @pytest.mark.parametrize(

@@ -8,14 +8,15 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from casadi_engine.model import Blueprint
-from casadi_engine.simulation.general import GeneralPropagator
+from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
+from casadi_engine.simulation.tableau import RADAU
 from casadi_engine.simulation.intervals import cut
 from casadi_engine.simulation.linear import LinearPropagator
 
 NONE = np.zeros(0)
 
 
-def run(made, model, grid, start, *, kind=GeneralPropagator, length=None, p=None):
+def run(made, model, grid, start, *, kind=RungeKuttaPropagator, length=None, p=None):
     """Outputs (samples, ny) from one start."""
     p = ca.DM(model.parameter_vector() if p is None else p)
     plan = cut(grid, length)
@@ -94,46 +95,35 @@ def test_a_fast_mode_is_stepped_more_finely(made):
     exact = run(made, model, grid, [0.4], kind=LinearPropagator)
     z = ca.SX.sym("z", 1)
     plan = cut(grid, None)
-    propagator = GeneralPropagator(model, grid, plan, z, 900 * z, scale=np.ones(1))
+    propagator = RungeKuttaPropagator(model, grid, plan, z, 900 * z, scale=np.ones(1))
     # One step of h rate = 9 would be unstable.
     found = made.by_interval(plan, 1, propagator.propagate(np.ones(1), np.full((1, 1), 0.4), 0).y)
     np.testing.assert_allclose(found[0, :60, :, 0], exact, atol=1e-4)
 
 
-def test_the_number_of_small_steps_keeps_the_derivatives_exact(made):
-    rng = np.random.default_rng(2)
-    model = made.general(rng, states=2)
-    step = 0.25  # |lambda| h is about 0.6: three steps a sample
-    grid = made.grid(rng.normal(size=(1, 6)), step=step)
-    plan = cut(grid, 3)
-    z = ca.SX.sym("z", 2)
-    scale = made.scale(model)
-    propagator = GeneralPropagator(model, grid, plan, z, z, scale=scale)
-    substeps = propagator._substeps(model, z, z, step, scale)
-    assert substeps > 1
-    reference = made.reference(model, grid, plan, z, z, scale, made.runge_kutta_step(substeps))
-    nodes = rng.normal(size=(plan.m, 2))
-    assert max(made.compare(propagator, reference, np.array([0.8, 1.1]), nodes, rng)) < 1e-9
-
-
-def test_the_small_steps_suit_scaled_values_and_logarithms(made):
+def test_the_first_steps_suit_the_fastest_mode_of_the_values_given(made):
     b = Blueprint("decay")
     x, tau = b.state("x"), b.parameter("tau", 1.0)
     b.ode("x", -x / tau)
     b.output("x", x)
     model, z = b.model(), ca.SX.sym("z")
     grid = made.grid(np.zeros((0, 5)), samples=5, step=0.1)
-    for physical in (0.05 * z, 0.05 * ca.exp(z), ca.SX(0.05)):
-        propagator = GeneralPropagator(model, grid, cut(grid, None), z, physical, scale=np.ones(1))
+    for physical, at in ((0.05 * z, 1.0), (0.05 * ca.exp(z), 0.0), (ca.SX(0.05), 3.0)):
+        propagator = RungeKuttaPropagator(model, grid, cut(grid, None), z, physical, scale=np.ones(1))
+        propagator.propagate(np.array([at]), np.ones((1, 1)), 0)
         # |lambda| h = 2 in steps of 1/4
-        assert propagator._substeps(model, z, physical, grid.step, np.ones(1)) == 8
+        assert propagator.substeps == 8
+    propagator = RungeKuttaPropagator(model, grid, cut(grid, None), z, 1e-5 * z, scale=np.ones(1))
+    path = propagator.propagate(np.ones(1), np.ones((1, 1)), 1)
+    assert propagator.fineness.scheme is RADAU
+    assert np.abs(path.x[1:]).max() < 1e-3
 
 
 def test_orders_zero_and_one_give_the_same_outputs(made):
     model = made.general(np.random.default_rng(3), states=3)
     grid = made.grid(np.random.default_rng(4).normal(size=(1, 40)), step=0.05)
     z, scale = ca.SX.sym("z", 2), made.scale(model)
-    propagator = GeneralPropagator(model, grid, cut(grid, 8), z, z, scale=scale)
+    propagator = RungeKuttaPropagator(model, grid, cut(grid, 8), z, z, scale=scale)
     nodes = np.random.default_rng(5).normal(size=(5, 3))
     value = propagator.propagate(np.ones(2), nodes, 0)
     both = propagator.propagate(np.ones(2), nodes, 1)
@@ -151,7 +141,7 @@ def test_a_model_without_channels_and_parameters(made):
     energy = run(made, b.model(), grid, [1.0, 0.0])
     np.testing.assert_allclose(energy, -np.cos(1.0), atol=2e-6)
     plan = cut(grid, 30)
-    propagator = GeneralPropagator(b.model(), grid, plan, ca.SX(0, 1), ca.SX(0, 1), scale=np.ones(2))
+    propagator = RungeKuttaPropagator(b.model(), grid, plan, ca.SX(0, 1), ca.SX(0, 1), scale=np.ones(2))
     path = propagator.propagate(NONE, np.ones((plan.m, 2)), 1)
     zz, zs, ss = propagator.contraction(NONE, path, np.ones(path.y[0].shape), np.ones((2, plan.m)))
     assert (zz.shape, zs.shape, ss.shape) == ((0, 0), (0, 2, plan.m), (plan.m, 2, 2))
@@ -170,6 +160,6 @@ def test_a_state_that_runs_away_is_reported_without_noise(made):
 def test_drives_are_told(made):
     model = made.general(np.random.default_rng(0))
     grid = made.grid(np.arange(6.0), step=0.1, start=1.0)
-    propagator = GeneralPropagator(model, grid, cut(grid, None), model.p, model.p, scale=made.scale(model))
+    propagator = RungeKuttaPropagator(model, grid, cut(grid, None), model.p, model.p, scale=made.scale(model))
     found = propagator.drives_at(np.array([2.0, 1.0]))
     np.testing.assert_allclose(found, [2 * np.arange(6.0) ** 2 + np.cos(grid.time)], rtol=1e-13)

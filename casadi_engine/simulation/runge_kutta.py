@@ -1,0 +1,366 @@
+"""Propagation of any model, dx/dt = f(x, u, t, p), by Runge-Kutta steps with exact derivatives of the discrete map.
+
+Steps are explicit, or implicit where the equations are stiff; their number differs from sample to sample, as the
+estimated error asks for. The states of all shooting intervals advance together; derivatives are then evaluated on all
+steps of the record at once and chained by batched products.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.model import Model
+from casadi_engine.simulation.grid import Drives, Grid
+from casadi_engine.simulation.intervals import Intervals
+from casadi_engine.simulation.jets import Array
+from casadi_engine.simulation.sample_rows import from_rows, to_rows
+from casadi_engine.simulation.shown_outputs import ShownOutputs
+from casadi_engine.simulation.stage_slope import StageSlope
+from casadi_engine.simulation.step_layout import StepLayout, lay_steps
+from casadi_engine.simulation.sweeps import Sweeps, advance
+from casadi_engine.simulation.tableau import (
+    RADAU,
+    RUNGE_KUTTA,
+    Tableau,
+    stage_multipliers,
+    stage_sensitivities,
+    step_sensitivities,
+)
+
+# |lambda| h of an explicit step at first: its error is then below 1e-5 of the fastest mode per radian.
+_STEP = 0.25
+# And the most of it: an explicit step of order 4 grows beyond 2.8.
+_UNSTABLE = 2.5
+# Explicit steps of a cell of the grid from which implicit steps are the cheaper ones.
+_STIFF = 40
+# How often the steps are made shorter at one point before it counts as one that cannot be evaluated.
+_ATTEMPTS = 5
+# Into how many parts a step is cut at once at most, by what a path says of its error.
+_FINER = 16.0
+# Steps of a record, beyond those of its samples, that are taken at most.
+MOST_STEPS = 2_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Fineness:
+    """How finely a record is integrated: the scheme, and (N-1,) steps of each cell of its grid."""
+
+    scheme: Tableau
+    counts: NDArray[np.intp]
+
+    @property
+    def most(self) -> int:
+        """Most steps of a cell."""
+        return int(self.counts.max(initial=1))
+
+
+@dataclass
+class RungeKuttaTrajectory:
+    """States and sensitivities; shapes as in ``LinearTrajectory``, but no interval shares one.
+
+    x : (L+1, n, M) states at the samples; s : (S+1, M, n, n+nz) sensitivities of the steps' starts to (start, z)
+    begun : (S+1, n, M) states at the steps' starts; stages : (4, S, M, n, n+nz) of their stage values
+    by_x : (4, S, M, n, n) slopes' derivatives; at_stage : (4, n, S*M) stage values
+    a : (S, M, n, n) steps' derivatives to the state; out : (points, M, ny, n+nz) outputs' to (x, z)
+    """
+
+    x: Array
+    begun: Array
+    s: Array
+    a: Array
+    by_x: Array
+    stages: Array
+    at_stage: Array
+    out: Array
+    y: Array
+    ys: Array
+
+    @property
+    def end(self) -> Array:
+        """(n, M)."""
+        return self.x[-1]
+
+    @property
+    def end_z(self) -> Array:
+        """(nz, n, M)."""
+        n = self.x.shape[1]
+        return np.ascontiguousarray(self.s[-1][:, :, n:].transpose(2, 1, 0))
+
+    @property
+    def end_s(self) -> Array:
+        """(M, n, n)."""
+        return self.s[-1][:, :, : self.x.shape[1]]
+
+
+class RungeKuttaPropagator:
+    """Any model over one record; arguments as in ``LinearPropagator``.
+
+    fineness : None for as many explicit steps as the fastest mode asks for where the first propagation begins, or
+        implicit ones where those would be many
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        grid: Grid,
+        intervals: Intervals,
+        z: ca.SX,
+        physical: ca.SX,
+        *,
+        scale: Array,
+        fineness: Fineness | None = None,
+    ) -> None:
+        self.intervals, self.nz, self.n = intervals, int(z.numel()), len(scale)
+        self.ny, self.grid = len(model.outputs), grid
+        self.slope = StageSlope(model, z, physical, scale)
+        self.outputs = ShownOutputs(model, grid, intervals, z, physical, scale)
+        self._drives = Drives(model, grid, z, physical)
+        self._fineness = fineness
+        self._sweeps: Sweeps | None = None
+        if fineness is not None:
+            self._lay(fineness)
+
+    # ---- how finely
+
+    @property
+    def fineness(self) -> Fineness | None:
+        """How finely the record is integrated; None before the first propagation."""
+        return self._fineness
+
+    @property
+    def substeps(self) -> int:
+        """Most steps from one sample to the next."""
+        return 1 if self._fineness is None else self._fineness.most
+
+    def refined(self, fineness: Fineness) -> RungeKuttaPropagator:
+        """The same propagator, integrating as finely as told."""
+        other = object.__new__(RungeKuttaPropagator)
+        other.__dict__.update(self.__dict__)
+        other._lay(fineness)
+        return other
+
+    def finer(self, factor: int) -> RungeKuttaPropagator:
+        """The same propagator with every step cut into ``factor`` steps; FloatingPointError for more than 2e6 steps."""
+        now = self._fineness
+        assert now is not None, "propagated at least once"
+        return self.refined(replace(now, counts=now.counts * factor))
+
+    def adapted(self, errors: Array, ratio: float) -> RungeKuttaPropagator:
+        """The same propagator with shorter steps where most of the error arises, for an error ``ratio`` times smaller.
+
+        errors : (N-1,) that arise in the cells of the grid, see `arising`
+        """
+        now = self._fineness
+        assert now is not None, "propagated at least once"
+        share = np.where(np.isfinite(errors), errors, np.inf) / max(float(errors[np.isfinite(errors)].mean()), 1e-300)
+        factor = np.clip((share * ratio) ** (1 / now.scheme.order), 1.0, _FINER)
+        return self.refined(replace(now, counts=np.ceil(now.counts * factor).astype(np.intp)))
+
+    def arising(self, z: Array, path: RungeKuttaTrajectory) -> tuple[Array, Array]:
+        """What the steps of a path add to the error: of the outputs (R*ny, b, M), carried along, and by cells (N-1,).
+
+        Each step is compared with two of half the length; what it is off by is carried through the later ones by the
+        sensitivities. By cells it is the size of what arises there, relative to the largest state.
+        """
+        layout, plan, n, parts = self.layout, self.intervals, self.n, self.slope.parts
+        count, steps = plan.m, layout.steps
+        flat = [rows.reshape(len(rows), steps * count) for rows in (layout.low, layout.high)]
+        time, half = layout.time.ravel(), 0.5 * layout.length.ravel()
+        middle = 0.5 * (flat[0] + flat[1])
+        begun = path.begun[::parts]
+        start = np.ascontiguousarray(begun[:-1].transpose(1, 0, 2)).reshape(n, -1)
+        with np.errstate(all="ignore"):
+            x = advance(self.slope, self._scheme, z, start, flat[0], middle, time, half)
+            x = advance(self.slope, self._scheme, z, x, middle, flat[1], time + half, half)
+        own = self._scheme.richardson * (x.reshape(n, steps, count).transpose(1, 2, 0) - begun[1:].transpose(0, 2, 1))
+        own[layout.length == 0] = 0.0
+        carried = np.zeros((steps * parts + 1, count, n))
+        for k in range(steps * parts):
+            carried[k + 1] = (path.a[k] @ carried[k][..., None])[..., 0]
+            if (k + 1) % parts == 0:
+                carried[k + 1] += own[k // parts]
+        joined = np.zeros((count, n))
+        for i in range(count - 1):
+            joined[i + 1] = path.s[-1, i, :, :n] @ joined[i] + carried[-1, i]
+        carried += (path.s[..., :n] @ joined[..., None])[..., 0]
+        at = parts * layout.at[: plan.points]
+        off = (path.out[..., :n] @ carried[at, np.arange(count)][..., None])[..., 0]
+        size = np.abs(begun).max(axis=(0, 2)) + 1e-300
+        sizes = np.nan_to_num(np.abs(own / size).max(axis=-1), nan=np.inf, posinf=np.inf)
+        real = layout.cell >= 0
+        cells = np.bincount(layout.cell[real], sizes[real], minlength=self.grid.samples - 1)
+        return to_rows(plan, off.transpose(2, 0, 1)[None])[0], cells
+
+    def _lay(self, fineness: Fineness) -> None:
+        if int(fineness.counts.sum()) > MOST_STEPS + len(fineness.counts):
+            raise FloatingPointError("the equations ask for more integration steps than are allowed")
+        self._fineness = fineness
+        self.layout: StepLayout = lay_steps(self.grid, self.intervals, fineness.counts)
+        self._sweeps = Sweeps(self.slope, fineness.scheme, self.layout)
+
+    def _begin(self, z: Array, nodes: Array) -> None:
+        """Lay the first steps, by the fastest mode at the intervals' starts."""
+        plan, grid = self.intervals, self.grid
+        cells = np.minimum(plan.length * np.arange(plan.m), grid.samples - 2)
+        span = np.diff(grid.time)
+        low = grid.channels[:, cells]
+        known = self.slope.known(low, low, grid.time[cells], span[cells], 0.0, np.zeros(plan.m))
+        with np.errstate(all="ignore"):
+            by_x = self.slope.newton(np.ascontiguousarray(nodes.T), known, z)[1]
+        matrices = by_x.reshape(self.n, self.n, plan.m).T / span[cells][:, None, None]
+        fine = np.isfinite(matrices).all(axis=(1, 2))
+        rates = np.abs(np.linalg.eigvals(matrices[fine])) if fine.any() else np.zeros(1)
+        wanted = np.ceil(float(rates.max(initial=0.0)) * span / _STEP - 1e-6)
+        if wanted.max() > _STIFF:
+            self._lay(Fineness(RADAU, np.ones(len(span), np.intp)))
+        else:
+            self._lay(Fineness(RUNGE_KUTTA, np.maximum(wanted, 1).astype(np.intp)))
+
+    def _finer(self, factor: float) -> None:
+        """Steps shorter by a factor, or implicit ones where explicit steps become too many."""
+        now = self._fineness
+        assert now is not None  # laid by `propagate`
+        counts = np.ceil(now.counts * factor).astype(np.intp)
+        if not now.scheme.implicit and counts.max() > _STIFF:
+            self._lay(Fineness(RADAU, np.maximum(1, now.counts // 8)))
+        else:
+            self._lay(replace(now, counts=counts))
+
+    def drives_at(self, z: Array) -> Array:
+        """(m, N) drives of the model on the grid."""
+        return self._drives.at(z).value
+
+    # ---- forward
+
+    # A trial point of the search may be far off: what overflows is found by its result.
+    @np.errstate(all="ignore")
+    def propagate(self, z: Array, nodes: Array, order: int = 1) -> RungeKuttaTrajectory:
+        """Advance all intervals from ``nodes`` (M, n), scaled states, at z : (nz,)."""
+        z, nodes = np.asarray(z, dtype=float), np.asarray(nodes, dtype=float)
+        if self._sweeps is None:
+            self._begin(z, nodes)
+        for _ in range(_ATTEMPTS):
+            found = self._attempt(z, nodes, order)
+            if isinstance(found, RungeKuttaTrajectory):
+                return found
+            self._finer(found)
+        raise FloatingPointError("the model's state is not finite here")
+
+    def _attempt(self, z: Array, nodes: Array, order: int) -> RungeKuttaTrajectory | float:
+        """The trajectory; or by how much shorter steps have to be for one."""
+        sweeps, implicit = self._sweeps, self._scheme.implicit
+        assert sweeps is not None  # laid by `propagate`
+        begun, stages = sweeps.run(z, nodes)
+        if begun is None:
+            return 4.0  # Newton's method did not arrive
+        finite = np.isfinite(begun).all()
+        if not finite and (implicit or not self._stiff_at(z, nodes)):
+            raise FloatingPointError("the model's state is not finite here")
+        if not finite:
+            return 4.0
+        if order == 0:
+            return self._values(z, begun)
+        at_stage, by_x, by_z = sweeps.derivatives(z, begun, stages)
+        if not implicit and (growth := _growth(by_x[0])) > _UNSTABLE:
+            return min(growth / (0.4 * _UNSTABLE), 1e3)
+        return self._sensitivities(z, begun, at_stage, by_x, by_z)
+
+    @property
+    def _scheme(self) -> Tableau:
+        return RUNGE_KUTTA if self._fineness is None else self._fineness.scheme
+
+    def _stiff_at(self, z: Array, nodes: Array) -> bool:
+        """True if an explicit step may be unstable at the intervals' starts."""
+        layout = self.layout
+        known = self.slope.known(
+            layout.low[:, 0], layout.high[:, 0], layout.time[0], layout.length[0], 0.0, np.zeros(len(nodes))
+        )
+        by_x = self.slope.newton(np.ascontiguousarray(nodes.T), known, z)[1]
+        return _growth(by_x.reshape(self.n, self.n, -1).T[None]) > 0.2
+
+    def _at_samples(self, begun: Array) -> Array:
+        """(L+1, n, M) of states (S+1, n, M) at the steps' starts."""
+        at = self.slope.parts * self.layout.at
+        return np.ascontiguousarray(begun[at, :, np.arange(at.shape[1])].transpose(0, 2, 1))
+
+    def _values(self, z: Array, begun: Array) -> RungeKuttaTrajectory:
+        x, four, five = self._at_samples(begun), np.zeros((0,) * 4), np.zeros((0,) * 5)
+        y = to_rows(self.intervals, self.outputs.values(x, z)[None])
+        return RungeKuttaTrajectory(x, begun, four, four, five, five, np.zeros((0, 0, 0)), four, y, four)
+
+    def _sensitivities(
+        self, z: Array, begun: Array, at_stage: Array, by_x: Array, by_z: Array
+    ) -> RungeKuttaTrajectory:
+        n, plan = self.n, self.intervals
+        slopes, stages = stage_sensitivities(self._scheme, by_x, by_z)
+        step = step_sensitivities(self._scheme, slopes)
+        a = np.ascontiguousarray(step[..., :n])
+        s = np.zeros((len(step) + 1, plan.m, n, n + self.nz))
+        s[0, :, :, :n] = np.eye(n)
+        for k in range(len(step)):
+            np.matmul(a[k], s[k], out=s[k + 1])
+            s[k + 1, :, :, n:] += step[k, :, :, n:]
+        x = self._at_samples(begun)
+        at = self.slope.parts * self.layout.at[: plan.points]
+        value, out = self.outputs.slopes(x, z)
+        full = out[..., :n] @ s[at, np.arange(plan.m)]
+        full[..., n:] += out[..., n:]
+        y = np.concatenate([value[None], full[..., n:].transpose(3, 2, 0, 1)])
+        ys = to_rows(plan, full[..., :n].transpose(3, 2, 0, 1)).transpose(1, 2, 3, 0)
+        return RungeKuttaTrajectory(
+            x, begun, s, a, by_x, stages, at_stage, out, to_rows(plan, y), np.ascontiguousarray(ys)
+        )
+
+    # ---- second order
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def contraction(
+        self, z: Array, path: RungeKuttaTrajectory, rho: Array, lam: Array
+    ) -> tuple[Array, Array, Array]:
+        """Second derivatives of sum(rho * y) + sum(lam * end): (z, z), (z, start) and (start, start)."""
+        z, plan, n = np.asarray(z, dtype=float), self.intervals, self.n
+        weights = from_rows(plan, rho, self.ny)
+        at = self.slope.parts * self.layout.at[: plan.points]
+        pull = np.einsum("pym,pmya->pma", weights, path.out[..., :n])
+        steps = len(path.a)
+        mu = np.zeros((steps + 1, plan.m, n))
+        np.add.at(mu, (at, np.arange(plan.m)), pull)
+        mu[-1] += lam.T
+        for k in range(steps - 1, -1, -1):
+            mu[k] += (mu[k + 1][:, None, :] @ path.a[k])[:, 0]
+        total = self.outputs.contracted(path.x, z, weights, path.s[at, np.arange(plan.m)])
+        nu = stage_multipliers(self._scheme, path.by_x, mu[1:])
+        sweeps = self._sweeps
+        assert sweeps is not None  # the path was propagated
+        start = path.s[:-1]
+        for i in range(self._scheme.stages):
+            # stage values to (interval's start, z): through the step's start, and directly
+            basis = np.zeros((steps, plan.m, n + self.nz, n + self.nz))
+            basis[:, :, :n] = path.stages[i][..., :n] @ start
+            basis[:, :, :n, n:] += path.stages[i][..., n:]
+            basis[:, :, n:, n:] = np.eye(self.nz)
+            flat = np.ascontiguousarray(nu[i].transpose(2, 0, 1)).reshape(n, -1)
+            bend = self.slope.second(path.at_stage[i], sweeps.known[i], z, flat)
+            inner = bend.transpose(2, 0, 1).reshape(steps, plan.m, n + self.nz, n + self.nz)
+            total = total + (basis.swapaxes(-1, -2) @ inner @ basis).sum(axis=0)
+        return (
+            total[:, n:, n:].sum(axis=0),
+            np.ascontiguousarray(total[:, n:, :n].transpose(1, 2, 0)),
+            total[:, :n, :n],
+        )
+
+
+def _growth(by_x: Array) -> float:
+    """The largest |eigenvalue| of h df/dx at the steps' starts (S, M, n, n), from those with the largest norms."""
+    norms = np.abs(by_x).sum(axis=-1).max(axis=-1).ravel()
+    norms = np.where(np.isfinite(norms), norms, 0.0)
+    if norms.max(initial=0.0) <= _UNSTABLE and norms.max(initial=0.0) <= 0.2:
+        return float(norms.max(initial=0.0))
+    worst = np.argsort(norms)[-16:]
+    flat = by_x.reshape(-1, *by_x.shape[-2:])[worst]
+    return float(np.abs(np.linalg.eigvals(flat)).max()) if math.isfinite(float(norms.max())) else np.inf

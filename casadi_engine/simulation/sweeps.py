@@ -1,0 +1,196 @@
+"""All integration steps of a record, one after the other, and their derivatives, all at once.
+
+Explicit steps of many intervals advance together by NumPy arrays; of a few intervals, or one long simulation, by CasADi's
+virtual machine, which needs no Python for a step. Implicit steps are solved by Newton's method for all intervals together.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from casadi_engine.simulation.jets import Array
+from casadi_engine.simulation.stage_slope import StageSlope
+from casadi_engine.simulation.step_layout import StepLayout
+from casadi_engine.simulation.tableau import Tableau, newton_step
+from casadi_engine.simulation.tape import ArrayFunction
+
+# From this number of intervals on, array operations step all of them faster than CasADi's machine does.
+_WIDE = 40
+# Steps of one sweep of the virtual machine.
+_SWEEP = 256
+# Newton's method: most iterations; change, relative to the state, after which the next would be below rounding.
+_ITERATIONS, _SMALL = 20, 1e-8
+
+
+class Sweeps:
+    """The steps of a layout by one scheme. known : (rows, S*parts*M) for each stage."""
+
+    def __init__(self, slope: StageSlope, scheme: Tableau, layout: StepLayout) -> None:
+        self.slope, self.scheme = slope, scheme
+        parts = slope.parts
+        self.steps, self.count = layout.steps * parts, layout.time.shape[1]
+        low, high = (
+            np.repeat(rows, parts, axis=1).reshape(len(rows), self.steps * self.count)
+            for rows in (layout.low, layout.high)
+        )
+        time, length = (
+            np.repeat(rows, parts, axis=0).ravel() for rows in (layout.time, layout.length)
+        )
+        part = np.repeat(np.tile(np.arange(parts), layout.steps), self.count)
+        made = {c: slope.known(low, high, time, length, c, part) for c in dict.fromkeys(scheme.c.tolist())}
+        self.known = [made[c] for c in scheme.c.tolist()]
+        self._made = made
+
+    # ---- values
+
+    def run(self, z: Array, nodes: Array) -> tuple[Array | None, Array | None]:
+        """States (S+1, n, M) at the steps' starts from ``nodes`` (M, n); stage values (stages, S, n, M) of implicit
+        steps. No states where Newton's method does not arrive."""
+        if self.scheme.implicit:
+            return self._newton(z, nodes)
+        begun = np.empty((self.steps + 1, self.slope.n, self.count))
+        begun[0] = nodes.T
+        given = np.concatenate(
+            [rows.reshape(len(rows), self.steps, self.count) for rows in self._made.values()]
+        )
+        if self.count >= _WIDE:
+            step = _array_step(self.slope, self.scheme).bound(z)
+            for k in range(self.steps):
+                begun[k + 1] = step(begun[k], given[:, k])[0]
+            return begun, None
+        size = min(_SWEEP, self.steps)
+        sweep = _machine_step(self.slope, self.scheme).mapaccum(size)
+        if self.count > 1:
+            sweep = sweep.map(self.count)
+        many = np.repeat(z[:, None], self.count * size, axis=1)
+        for k in range(0, self.steps, size):
+            # The last sweep steps back over what is done rather than being of another length.
+            first = min(k, self.steps - size)
+            columns = given[:, first : first + size].transpose(0, 2, 1).reshape(len(given), -1)
+            swept = np.asarray(sweep(begun[first], columns, many), dtype=float)
+            begun[first + 1 : first + 1 + size] = swept.reshape(-1, self.count, size).transpose(2, 0, 1)
+        return begun, None
+
+    def _newton(self, z: Array, nodes: Array) -> tuple[Array | None, Array | None]:
+        n, count, size = self.slope.n, self.count, self.scheme.stages
+        begun = np.empty((self.steps + 1, n, count))
+        begun[0] = nodes.T
+        stages = np.empty((size, self.steps, n, count))
+        known = np.stack([rows.reshape(len(rows), self.steps, count) for rows in self.known])
+        function = self.slope.newton.bound(z)
+        for k in range(self.steps):
+            x = begun[k]
+            guess = np.repeat(x[None], size, axis=0)
+            given = np.concatenate(list(known[:, :, k]), axis=-1)
+            found = solve_stages(self.scheme, function, x, guess, given)
+            if found is None:
+                return None, None
+            stages[:, k], begun[k + 1] = found, found[-1]
+        return begun, stages
+
+    # ---- derivatives
+
+    def derivatives(self, z: Array, begun: Array, stages: Array | None) -> tuple[Array, Array, Array]:
+        """Stage values (stages, n, S*M), slopes' derivatives by x (stages, S, M, n, n) and z (stages, S, M, n, nz)."""
+        n, nz, size = self.slope.n, int(self.slope.z.numel()), self.scheme.stages
+        start = np.ascontiguousarray(begun[:-1].transpose(1, 0, 2)).reshape(n, -1)
+        at, by_x, by_z = [], [], []
+        slopes: list[Array] = []
+        for i in range(size):
+            if stages is None:
+                x = start + sum(
+                    (weight * slope for weight, slope in zip(self.scheme.a[i], slopes, strict=False) if weight),
+                    np.zeros(1),
+                )
+            else:
+                x = np.ascontiguousarray(stages[i].transpose(1, 0, 2)).reshape(n, -1)
+            value, in_x, in_z = self.slope.first(x, self.known[i], z)
+            slopes.append(value)
+            at.append(x)
+            by_x.append(in_x.reshape(n, n, self.steps, self.count).transpose(2, 3, 1, 0))
+            by_z.append(in_z.reshape(nz, n, self.steps, self.count).transpose(2, 3, 1, 0))
+        return np.stack(at), np.ascontiguousarray(np.stack(by_x)), np.ascontiguousarray(np.stack(by_z))
+
+
+def solve_stages(scheme: Tableau, function: object, x: Array, guess: Array, given: Array) -> Array | None:
+    """Stage values (stages, n, K) of implicit steps from x (n, K), or None where Newton's method does not arrive.
+
+    function : (stage values (n, stages*K), known (rows, stages*K)) -> slopes and their derivatives, z put in
+    """
+    size, n, count = guess.shape
+    stages = guess
+    for _ in range(_ITERATIONS):
+        columns = np.ascontiguousarray(stages.transpose(1, 0, 2)).reshape(n, -1)
+        value, slope = function(columns, given)  # type: ignore[operator]
+        value = value.reshape(n, size, count).transpose(1, 0, 2)
+        residual = stages - x - np.einsum("ij,jnk->ink", scheme.a, value)
+        by_x = slope.reshape(n, n, size, count).transpose(2, 3, 1, 0)
+        if not (np.isfinite(residual).all() and np.isfinite(by_x).all()):
+            return None
+        try:
+            change = newton_step(scheme, by_x, residual.transpose(0, 2, 1)).transpose(0, 2, 1)
+        except np.linalg.LinAlgError:
+            return None
+        stages = stages + change
+        limit = _SMALL * (np.abs(stages).max(axis=0) + np.abs(x) + 1e-30)
+        if (np.abs(change) <= limit).all():
+            return stages
+    return None
+
+
+def advance(
+    slope: StageSlope, scheme: Tableau, z: Array, x: Array, low: Array, high: Array, time: Array, length: Array
+) -> Array:
+    """Ends (n, K) of K single steps from x (n, K), each whole (with all its parts); NaN where there is none."""
+    nodes = dict.fromkeys(scheme.c.tolist())
+    for part in range(slope.parts):
+        which = np.full(len(time), part)
+        made = {c: slope.known(low, high, time, length, c, which) for c in nodes}
+        if scheme.implicit:
+            given = np.concatenate([made[c] for c in scheme.c.tolist()], axis=-1)
+            guess = np.repeat(x[None], scheme.stages, axis=0)
+            found = solve_stages(scheme, lambda s, g: slope.newton(s, g, z), x, guess, given)
+            x = np.full_like(x, np.nan) if found is None else found[-1]
+        else:
+            x = _array_step(slope, scheme)(x, np.concatenate(list(made.values())), z)[0]
+    return x
+
+
+def _step_symbols(slope: StageSlope, scheme: Tableau) -> tuple[list[ca.SX], ca.SX]:
+    """(x, known of the distinct nodes, z) and the end of an explicit step, as expressions."""
+    key = ("step", scheme.name)
+    if key not in slope.made:
+        nodes = list(dict.fromkeys(scheme.c.tolist()))
+        rows = int(slope.known_symbols.numel())
+        known = ca.SX.sym("known", rows * len(nodes))
+        phi = ca.Function("phi", [slope.x, slope.known_symbols, slope.z], [slope.expression])
+        slopes: list[ca.SX] = []
+        for i, c in enumerate(scheme.c.tolist()):
+            x = slope.x
+            for weight, made in zip(scheme.a[i], slopes, strict=False):
+                if weight:
+                    x = x + weight * made
+            place = nodes.index(c) * rows
+            slopes.append(phi(x, known[place : place + rows], slope.z))
+        end = slope.x
+        for weight, made in zip(scheme.b, slopes, strict=True):
+            end = end + weight * made
+        slope.made[key] = ([slope.x, known, slope.z], end)
+    return slope.made[key]
+
+
+def _array_step(slope: StageSlope, scheme: Tableau) -> ArrayFunction:
+    key = ("array", scheme.name)
+    if key not in slope.made:
+        inputs, end = _step_symbols(slope, scheme)
+        slope.made[key] = ArrayFunction(inputs, [end])
+    return slope.made[key]
+
+
+def _machine_step(slope: StageSlope, scheme: Tableau) -> ca.Function:
+    key = ("machine", scheme.name)
+    if key not in slope.made:
+        inputs, end = _step_symbols(slope, scheme)
+        slope.made[key] = ca.Function("step", inputs, [end])
+    return slope.made[key]

@@ -1,0 +1,170 @@
+"""Runge-Kutta schemes by their tableaus, and the derivatives of a step that follow from those of its stages.
+
+A step x -> x1 with slopes φ_i = h f(X_i) at the stages is X_i = x + sum_j a_ij φ_j, x1 = x + sum_j b_j φ_j. All
+that is needed of the model is φ with its first derivatives, and the Hessian of a weighted sum of its rows: the implicit
+function theorem gives those of the step, for explicit and implicit schemes alike (Hairer, Nørsett & Wanner, Solving
+Ordinary Differential Equations I, section II.6, and II, section IV.8).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from casadi_engine.simulation.jets import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Tableau:
+    """a : (S, S); b : (S,); c : (S,) nodes; order of the scheme; name in words."""
+
+    name: str
+    a: Array
+    b: Array
+    c: Array
+    order: int
+
+    @property
+    def implicit(self) -> bool:
+        """True if a stage needs its own slope or later ones."""
+        return bool(np.triu(self.a).any())
+
+    @property
+    def stages(self) -> int:
+        """Number of stages."""
+        return len(self.b)
+
+    @property
+    def richardson(self) -> float:
+        """The error of a step is this many times its difference from two steps of half the length."""
+        power = 2.0**self.order
+        return power / (power - 1)
+
+
+RUNGE_KUTTA = Tableau(
+    "Runge-Kutta steps of order 4",
+    np.array([[0, 0, 0, 0], [0.5, 0, 0, 0], [0, 0.5, 0, 0], [0, 0, 1.0, 0]]),
+    np.array([1, 2, 2, 1]) / 6,
+    np.array([0, 0.5, 0.5, 1.0]),
+    4,
+)
+
+
+def _radau() -> Tableau:
+    """Radau IIA with three stages: order 5, L-stable, its last stage is the step's end (Hairer & Wanner II, IV.5)."""
+    r = np.sqrt(6.0)
+    a = [
+        [(88 - 7 * r) / 360, (296 - 169 * r) / 1800, (-2 + 3 * r) / 225],
+        [(296 + 169 * r) / 1800, (88 + 7 * r) / 360, (-2 - 3 * r) / 225],
+        [(16 - r) / 36, (16 + r) / 36, 1 / 9],
+    ]
+    return Tableau(
+        "implicit Radau steps of order 5",
+        np.array(a),
+        np.array(a[2]),
+        np.array([(4 - r) / 10, (4 + r) / 10, 1.0]),
+        5,
+    )
+
+
+RADAU = _radau()
+
+
+def stage_sensitivities(scheme: Tableau, by_x: Array, by_z: Array) -> tuple[Array, Array]:
+    """Derivatives to (x, z) of the slopes and of the stage values, each (S, ..., n, n + nz).
+
+    by_x : (S, ..., n, n) and by_z : (S, ..., n, nz) derivatives of φ at the stages
+    """
+    n = by_x.shape[-1]
+    wide = n + by_z.shape[-1]
+    identity = np.zeros((n, wide))
+    identity[:, :n] = np.eye(n)
+    if scheme.implicit:
+        right = np.concatenate([by_x, by_z], axis=-1)
+        slopes = _unstacked(np.linalg.solve(_coupling(scheme, by_x), _stacked(right)), scheme.stages)
+    else:
+        slopes = np.empty((*by_x.shape[:-1], wide))
+        for i in range(scheme.stages):
+            inner = np.broadcast_to(identity, (*by_x.shape[1:-1], wide)) + _summed(scheme.a[i, :i], slopes)
+            np.matmul(by_x[i], inner, out=slopes[i])
+            slopes[i, ..., n:] += by_z[i]
+    values = np.stack([identity + _summed(scheme.a[i], slopes) for i in range(scheme.stages)])
+    return slopes, values
+
+
+def step_sensitivities(scheme: Tableau, slopes: Array) -> Array:
+    """(..., n, n + nz) derivative of the step's end to (x, z)."""
+    found = _summed(scheme.b, slopes)
+    n = found.shape[-2]
+    found[..., range(n), range(n)] += 1.0
+    return found
+
+
+def stage_multipliers(scheme: Tableau, by_x: Array, mu: Array) -> Array:
+    """(S, ..., n) multipliers ν_i of the slopes φ_i for multipliers μ (..., n) of the step's end.
+
+    ν_j = b_j μ + sum_i a_ij J_i' ν_i; second derivatives of μ·x1 are those of sum_j ν_j·φ_j at the stage values.
+    """
+    if scheme.implicit:
+        right = np.stack([weight * mu for weight in scheme.b])[..., None]
+        # rows: ν_j - sum_i a_ij J_i' ν_i
+        size, n = scheme.stages, by_x.shape[-1]
+        matrix = np.zeros((*by_x.shape[1:-2], size * n, size * n))
+        for j in range(size):
+            for i in range(size):
+                block = -scheme.a[i, j] * by_x[i].swapaxes(-1, -2)
+                matrix[..., j * n : (j + 1) * n, i * n : (i + 1) * n] = block
+        matrix += np.eye(size * n)
+        return _unstacked(np.linalg.solve(matrix, _stacked(right)), size)[..., 0]
+    found = np.empty((scheme.stages, *mu.shape))
+    for j in range(scheme.stages - 1, -1, -1):
+        found[j] = scheme.b[j] * mu
+        for i in range(j + 1, scheme.stages):
+            if scheme.a[i, j]:
+                found[j] += scheme.a[i, j] * (found[i][..., None, :] @ by_x[i])[..., 0, :]
+    return found
+
+
+def newton_step(scheme: Tableau, by_x: Array, residual: Array) -> Array:
+    """The change (S, ..., n) of the stage values that Newton's method asks for; residual : (S, ..., n) of
+    X_i - x - sum_j a_ij φ_j."""
+    size, n = scheme.stages, by_x.shape[-1]
+    matrix = np.zeros((*by_x.shape[1:-2], size * n, size * n))
+    for i in range(size):
+        for j in range(size):
+            matrix[..., i * n : (i + 1) * n, j * n : (j + 1) * n] = -scheme.a[i, j] * by_x[j]
+    matrix += np.eye(size * n)
+    return -_unstacked(np.linalg.solve(matrix, _stacked(residual[..., None])), size)[..., 0]
+
+
+def _coupling(scheme: Tableau, by_x: Array) -> Array:
+    """The matrix of the slopes' derivatives: K_i - sum_j a_ij J_i K_j."""
+    size, n = scheme.stages, by_x.shape[-1]
+    matrix = np.zeros((*by_x.shape[1:-2], size * n, size * n))
+    for i in range(size):
+        for j in range(size):
+            matrix[..., i * n : (i + 1) * n, j * n : (j + 1) * n] = -scheme.a[i, j] * by_x[i]
+    matrix += np.eye(size * n)
+    return matrix
+
+
+def _summed(weights: Array, parts: Array) -> Array:
+    """sum_j weights_j parts_j, leaving out what counts nothing."""
+    total = np.zeros(parts.shape[1:])
+    for weight, part in zip(weights, parts, strict=False):
+        if weight:
+            total += weight * part
+    return total
+
+
+def _stacked(parts: Array) -> Array:
+    """(S, ..., n, k) to (..., S n, k)."""
+    moved = np.moveaxis(parts, 0, -3)
+    return moved.reshape(*moved.shape[:-3], moved.shape[-3] * moved.shape[-2], moved.shape[-1])
+
+
+def _unstacked(rows: Array, stages: int) -> Array:
+    """The reverse of ``_stacked``."""
+    split = rows.reshape(*rows.shape[:-2], stages, rows.shape[-2] // stages, rows.shape[-1])
+    return np.ascontiguousarray(np.moveaxis(split, -3, 0))
