@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from casadi_engine.errors import SimulationError
 from casadi_engine.estimation.estimate import estimate
-from casadi_engine.estimation.options import as_number
+from casadi_engine.estimation.options import as_number, small
 from casadi_engine.experiment import Channel, Experiment
+from casadi_engine.experiment.channel import Step
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters, near_matches
 from casadi_engine.simulation.discretisation import Method
 from casadi_engine.simulation.grid import Grid, lay_grid
-from casadi_engine.simulation.intervals import cut
-from casadi_engine.simulation.propagator import make_propagator
+from casadi_engine.simulation.values import simulated
 
 Array = NDArray[np.float64]
 
@@ -32,6 +32,7 @@ def simulate(
     parameters: Parameters | Mapping[str, float] | None = None,
     initial: Mapping[str, float] | None = None,
     method: Method = "exact",
+    tolerance: float = 1e-6,
 ) -> Experiment:
     """Simulate a model over the time of an experiment; return its inputs with the simulated outputs beside them.
 
@@ -41,6 +42,10 @@ def simulate(
         States left out, or None for all, are fitted to the outputs by least squares; values given beside fitted
         ones, and those of a fit (`fit.initial`), are at the first valid sample of the outputs, the start then
     method : "exact", or "euler" for a linear model
+    tolerance : largest estimated error of an output, relative to its largest value. A linear model is solved exactly;
+        any other by steps that follow the error. Jumps in the equations (``sign``, ``if_else``) are met at
+        their instant, and dry friction holds what is at rest. The last line of the result's history says which
+        integrator ran and how far off it is
 
     Returns an Experiment with the input channels and one derived channel for each output, on the inputs' grid.
     Raises SimulationError if initial states are missing and no output was measured; ExperimentError, ModelError.
@@ -85,7 +90,7 @@ def simulate(
         given = _fitted_start(model, data, values, given, method)
     grid = _fitted_grid(model, data) if missing else _whole_grid(model, data)
     start = np.array([given[name] for name in names])
-    return _run(model, data, values, start, replace(grid, measured={}), method)
+    return _run(model, data, values, start, replace(grid, measured={}), method, small(tolerance))
 
 
 def _check_kinds(model: Any, data: Any, parameters: Any, initial: Any) -> None:
@@ -140,7 +145,7 @@ def _fitted_grid(model: Model, data: Experiment) -> Grid:
 
 
 def _whole_grid(model: Model, data: Experiment) -> Grid:
-    """The grid over all the time that the inputs cover (the outputs, if there are none), fine enough for both.
+    """The grid over all the time that the inputs cover (the outputs, if there are none), with the outputs' own times.
 
     `lay_grid` spans the valid samples of outputs: they are stood in for by ones that are valid all the time.
     """
@@ -153,40 +158,42 @@ def _whole_grid(model: Model, data: Experiment) -> Grid:
     else:
         first, last = min(c.span[0] for c in outputs), max(c.span[1] for c in outputs)
     for channel in outputs:
-        steps = (last - first) / (channel.span[1] - channel.span[0]) * (len(channel.time) - 1)
-        time = np.linspace(first, last, max(round(steps), 1) + 1)
+        time = _over(channel, first, last)
         data = data.with_channel(Channel(channel.name, channel.unit, time=time, values=np.zeros_like(time)))
     return lay_grid(model, data, outputs=tuple(channel.name for channel in outputs))
 
 
+def _over(channel: Channel, first: float, last: float) -> Array:
+    """The channel's times from ``first`` to ``last``, at its own rate beyond its span where it has one."""
+    rate = channel.rate
+    if rate is not None:
+        begin = channel.time[0] - np.floor((channel.time[0] - first) * rate + 1e-6) / rate
+        time = begin + np.arange(np.floor((last - begin) * rate + 1e-6) + 1) / rate
+    else:
+        time = channel.time[(channel.time > first) & (channel.time < last)]
+    near = 1e-6 * (last - first) / max(len(time), 1)
+    inside = time[(time > first + near) & (time < last - near)]
+    return np.concatenate([[first], inside, [last]])
+
+
 def _run(
-    model: Model, data: Experiment, values: Array, start: Array, grid: Grid, method: Method
+    model: Model,
+    data: Experiment,
+    values: Array,
+    start: Array,
+    grid: Grid,
+    method: Method,
+    tolerance: float,
 ) -> Experiment:
     """The simulation from a known start over a grid, as an experiment."""
     inputs = data.only(*[v.name for v in model.inputs]) if model.inputs else data
-    scale = np.array([state.scale for state in model.states])
-    plan = cut(grid, None)
-    propagator = make_propagator(
-        model, grid, plan, ca.SX(0, 1), ca.SX(ca.DM(values)), scale=scale, method=method
-    )
-    try:
-        with np.errstate(over="ignore", invalid="ignore"):
-            path = propagator.propagate(np.zeros(0), (start / scale)[None], 0)
-    except FloatingPointError:
-        raise SimulationError(
-            "the simulation is not finite",
-            seen=", ".join(
-                f"{n}={value:.6g}" for n, value in zip(model.parameter_names, values, strict=True)
-            ),
-            allowed="parameters and initial states that give finite numbers",
-            cure="change the parameters or the initial state",
-        ) from None
-    rows = path.y[0].reshape(len(plan.samples), len(model.outputs), plan.b).transpose(1, 2, 0)
-    outputs = rows.reshape(len(model.outputs), -1)[:, : grid.samples]
+    found = simulated(model, grid, values, start, method=method, tolerance=tolerance)
     measured = [out.name for out in model.outputs if out.name in data]
     result = inputs if model.inputs else data.only(*measured)
-    for out, row in zip(model.outputs, outputs, strict=True):
+    for out, row in zip(model.outputs, found.outputs, strict=True):
         result = result.with_channel(
             Channel(out.name, out.unit, time=grid.time, values=row, origin="derived")
         )
-    return result
+    about = found.integration.to_dict()
+    step = Step("simulate", {"model": model.name, **about}, grid.samples, grid.samples)
+    return replace(result, history=(*result.history, step))

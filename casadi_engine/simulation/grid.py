@@ -1,8 +1,9 @@
-"""The uniform time grid of one record: channels and drives on it, and where the outputs were measured.
+"""The time grid of one record: channels and drives on it, and where the outputs were measured.
 
-The grid is that of the fastest input, cut finer by a whole number where an output is faster than the inputs, so that
-it shows all that the output does. Every output keeps its own times. An output sample between two grid points is
-compared with the cubic through the four nearest grid points of its shooting interval.
+Where inputs and outputs were sampled together, or at rates that divide each other, the grid is that of the fastest input,
+cut finer by a whole number where an output is faster than the inputs. Any other record has a grid of the times at which
+anything was sampled: the outputs are evaluated where they were measured, an input has its corners where it was sampled, and the
+grid grows with the samples and not with the time between them.
 """
 
 from __future__ import annotations
@@ -28,6 +29,10 @@ _ON_GRID = 1e-2
 _LARGEST = 1e70
 # An output is faster than the inputs by more than this share.
 _FASTER = 0.1
+# An equally spaced grid has at most so many points for each that something was sampled at; else it holds gaps.
+_SPARSE = 4
+# Samples closer to each other than this share of the typical step are at one time.
+_SAME = 1e-6
 
 
 @dataclass(frozen=True)
@@ -43,7 +48,10 @@ class Measured:
 
 @dataclass(frozen=True)
 class Grid:
-    """start [s], step [s], samples N; channels (nu, N) on the grid; holds of the channels; outputs by name."""
+    """start [s], step [s], samples N; channels (nu, N) on the grid; holds of the channels; outputs by name.
+
+    times : (N,) of a grid that is not equally spaced, whose ``step`` is the typical one; else None
+    """
 
     start: float
     step: float
@@ -51,10 +59,18 @@ class Grid:
     channels: Array
     holds: tuple[str, ...]
     measured: dict[str, Measured]
+    times: Array | None = None
+
+    @property
+    def uniform(self) -> bool:
+        """True if the points are equally spaced."""
+        return self.times is None
 
     @property
     def time(self) -> Array:
         """(N,) s."""
+        if self.times is not None:
+            return self.times
         return np.asarray(self.start + self.step * np.arange(self.samples), dtype=np.float64)
 
 
@@ -81,24 +97,70 @@ def lay_grid(model: Model, experiment: Experiment, *, outputs: tuple[str, ...] |
     for channel in (*inputs, *observed):
         _check_size(channel, experiment.place)
     first, last = _span(observed) if observed else _common_span(inputs, experiment.place)
+    found = _equally_spaced(inputs, observed, first, last, experiment.place)
+    return _of_all_times(inputs, observed, first, last) if found is None else found
+
+
+def _equally_spaced(
+    inputs: list[Channel], observed: list[Channel], first: float, last: float, place: str
+) -> Grid | None:
+    """The grid of the fastest input or output, if all samples lie on it and it is not mostly empty."""
     leader = _leader(inputs or observed)
     rate = sampling_rate(leader.time, _ON_GRID)
     step = 1 / rate if rate else float(np.median(np.diff(leader.time)))
     step /= _refinement(step, observed)
     origin = leader.time[0] if rate else first
     start = origin + step * math.floor((first - origin) / step + _ON_GRID)
-    samples = math.ceil((last - start) / step - _ON_GRID) + 1
+    points = (last - start) / step
+    if points > _SPARSE * sum(len(c.time) for c in (*inputs, *observed)):
+        return None
+    samples = math.ceil(points - _ON_GRID) + 1
     if samples < 2:
-        raise SimulationError(
-            "the record is too short: there are fewer than two points of its time grid",
-            seen=f"{experiment.place}: {samples} in {last - first:.6g} s, step {step:.6g} s",
-            allowed="two or more",
-            cure="take a longer record",
-        )
+        raise _too_short(place, samples, last - first, step)
     time = np.asarray(start + step * np.arange(samples), dtype=np.float64)
-    channels = np.array([_sampled(channel, time, step) for channel in inputs]).reshape(len(inputs), samples)
     measured = {channel.name: _measured(channel, start, step) for channel in observed}
+    if not all(m.on_grid for m in measured.values()):
+        return None
+    if not all(_on_points(channel, start, step, samples) for channel in inputs):
+        return None
+    channels = np.array([_sampled(channel, time, step) for channel in inputs]).reshape(len(inputs), samples)
     return Grid(start, step, samples, channels, tuple(c.hold for c in inputs), measured)
+
+
+def _of_all_times(inputs: list[Channel], observed: list[Channel], first: float, last: float) -> Grid:
+    """The grid of all times at which anything was sampled."""
+    own = [c.time[c.mask] for c in observed] + [c.time[(c.time > first) & (c.time < last)] for c in inputs]
+    every = np.unique(np.concatenate([[first, last], *own]))
+    step = float(np.median(np.diff(every)))
+    times = every[np.concatenate([[True], np.diff(every) > _SAME * step])]
+    channels = np.array([_sampled(channel, times, step * _SAME) for channel in inputs])
+    measured = {}
+    for channel in observed:
+        index = np.flatnonzero(channel.mask)
+        at = channel.time[index]
+        near = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
+        near -= at - times[near - 1] < times[near] - at
+        measured[channel.name] = Measured(at, channel.values[index], near.astype(float), True, index)
+    holds = tuple(c.hold for c in inputs)
+    return Grid(
+        float(times[0]), step, len(times), channels.reshape(len(inputs), len(times)), holds, measured, times
+    )
+
+
+def _on_points(channel: Channel, start: float, step: float, samples: int) -> bool:
+    """True if the channel's samples within the grid lie on its points."""
+    position = (channel.time - start) / step
+    inside = position[(position > 0) & (position < samples - 1)]
+    return not inside.size or bool(np.abs(inside - np.rint(inside)).max() < _ON_GRID)
+
+
+def _too_short(place: str, samples: int, span: float, step: float) -> SimulationError:
+    return SimulationError(
+        "the record is too short: there are fewer than two points of its time grid",
+        seen=f"{place}: {samples} in {span:.6g} s, step {step:.6g} s",
+        allowed="two or more",
+        cure="take a longer record",
+    )
 
 
 def _span(channels: list[Channel]) -> tuple[float, float]:

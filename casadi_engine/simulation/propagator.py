@@ -100,6 +100,8 @@ def make_propagator(
             allowed='"exact" or "euler"',
             cure='leave it out for "exact"',
         )
+    if not grid.uniform:
+        return _unequal(model, grid, intervals, z, physical, scale, method, gain, steps)
     parts = split(model) if model.has_slot_laws or model.linear is None else None
     inner = parts.model if parts is not None else model
     if inner.linear is not None and not inner.has_slot_laws:
@@ -123,6 +125,30 @@ def make_propagator(
     if parts is not None and parts.model.has_slot_laws:
         states = ExponentialPropagator(shown, parts, grid, intervals, z, physical, scale=scale, substeps=whole)
         return ObservedPropagator(model, states, grid, z, physical)
+    fineness = steps if isinstance(steps, Fineness) else None
+    return RungeKuttaPropagator(model, grid, intervals, z, physical, scale=scale, fineness=fineness)
+
+
+def _unequal(
+    model: Model,
+    grid: Grid,
+    intervals: Intervals,
+    z: ca.SX,
+    physical: ca.SX,
+    scale: Array,
+    method: Method,
+    gain: Array | Gain | None,
+    steps: int | Fineness | None,
+) -> RungeKuttaPropagator:
+    """The propagator over a record whose samples are not equally spaced."""
+    if method != "exact" or gain is not None:
+        raise SimulationError(
+            "the samples of this record are not equally spaced, or inputs and outputs were not sampled together, and the "
+            "option needs that",
+            seen=f"method={method!r}" if method != "exact" else "a correction gain",
+            allowed='method="exact" without a gain',
+            cure="resample the inputs to the outputs' times, or leave the option out",
+        )
     fineness = steps if isinstance(steps, Fineness) else None
     return RungeKuttaPropagator(model, grid, intervals, z, physical, scale=scale, fineness=fineness)
 

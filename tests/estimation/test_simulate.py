@@ -256,7 +256,7 @@ def test_a_simulation_that_is_not_finite(run_up, refused):
         ce.errors.SimulationError,
         "the simulation is not finite",
         allowed="parameters and initial states that give finite numbers",
-        cure="change the parameters or the initial state",
+        cure="check the equations there",
     ):
         ce.simulate(
             ce.one_inertia(), run_up(), parameters={"J_eng": 1e-9, "C_eng": -1e3}, initial={"omega_eng": 1.0}

@@ -14,7 +14,8 @@ from casadi_engine.errors import SimulationError
 from casadi_engine.model import Blueprint, crankshaft, one_inertia, two_mass
 from casadi_engine.simulation import exponential_runge_kutta
 from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
-from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
+from casadi_engine.simulation.runge_kutta import Fineness, RungeKuttaPropagator
+from casadi_engine.simulation.tableau import RUNGE_KUTTA
 from casadi_engine.simulation.intervals import cut
 from casadi_engine.simulation.linear import LinearPropagator
 from casadi_engine.simulation.propagator import make_propagator
@@ -47,11 +48,11 @@ def run(model, grid, start, *, substeps=1, length=None, kind=None, p=None):
     scale = np.array([state.scale for state in model.states])
     p = ca.DM(model.parameter_vector() if p is None else p)
     plan = cut(grid, length)
-    options = {"scale": scale, "substeps": substeps}
     if kind is RungeKuttaPropagator:
-        made = RungeKuttaPropagator(model, grid, plan, ca.SX(0, 1), p, **options)
+        fineness = Fineness(RUNGE_KUTTA, np.full(grid.samples - 1, substeps))
+        made = RungeKuttaPropagator(model, grid, plan, ca.SX(0, 1), p, scale=scale, fineness=fineness)
     else:
-        made = make_propagator(model, grid, plan, ca.SX(0, 1), p, **options)
+        made = make_propagator(model, grid, plan, ca.SX(0, 1), p, scale=scale, steps=substeps)
         assert isinstance(made, ExponentialPropagator)
     nodes = np.tile(np.asarray(start, dtype=float) / scale, (plan.m, 1))
     path = made.propagate(NONE, nodes, 0)

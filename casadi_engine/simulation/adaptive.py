@@ -1,0 +1,316 @@
+"""Values of any model to a tolerance: steps that follow the error, events met at their instant, stiff equations too.
+
+Smooth pieces are integrated by the explicit scheme of order 8 of Dormand and Prince (Hairer, Nørsett & Wanner,
+Solving Ordinary Differential Equations I, section II.10), each step one CasADi call; by CVODES (Hindmarsh et al. 2005)
+from where the step is limited by stability and not by accuracy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from scipy.integrate import DOP853
+from scipy.optimize import brentq
+
+from casadi_engine.simulation.jets import Array
+from casadi_engine.simulation.switched_field import Mode, Segment, SwitchedField
+
+# Steps whose length times the fastest mode exceed this are limited by stability: the scheme's limit is about 6.
+_STABILITY = 3.5
+# So many of them, looked at every so many steps, make the equations stiff.
+_STIFF, _LOOKED = 6, 10
+# Error control: safety, least and largest change of the step's length.
+_SAFETY, _LEAST, _MOST = 0.9, 0.2, 6.0
+# A switching function counts as passed beyond this share of its largest value.
+_PASSED = 1e-12
+_MOST_STEPS, _MOST_EVENTS = 2_000_000, 50_000
+
+
+@dataclass
+class Run:
+    """States (N, n) at the knots; steps taken, events met, and whether the equations were stiff."""
+
+    states: Array
+    steps: int
+    events: int
+    stiff: bool
+
+
+def _dormand_prince(field: ca.Function) -> ca.Function:
+    """(x, t, h, segment, b, c) -> (end, its errors of order 5 and 3, α at the end)."""
+    x, t, h = ca.SX.sym("x", field.size1_in(0)), ca.SX.sym("t"), ca.SX.sym("h")
+    rest = [ca.SX.sym(name, field.size1_in(k)) for k, name in ((2, "segment"), (3, "b"), (4, "c"))]
+    slopes: list[ca.SX] = []
+    for row, node in zip(DOP853.A, DOP853.C, strict=True):
+        inner = x
+        for weight, slope in zip(row, slopes, strict=False):
+            if weight:
+                inner = inner + h * weight * slope
+        slopes.append(field(inner, t + node * h, *rest)[0])
+    end = x
+    for weight, slope in zip(DOP853.B, slopes, strict=True):
+        if weight:
+            end = end + h * weight * slope
+    last, share = field(end, t + h, *rest)
+    slopes.append(last)
+    errors = []
+    for weights in (DOP853.E5, DOP853.E3):
+        error = ca.SX.zeros(x.shape)
+        for weight, slope in zip(weights, slopes, strict=True):
+            if weight:
+                error = error + h * weight * slope
+        errors.append(error)
+    return ca.Function("step", [x, t, h, *rest], [end, *errors, share])
+
+
+class Adaptive:
+    """An integration of a field from knot to knot; between two knots the channels are straight lines."""
+
+    def __init__(self, field: SwitchedField, tolerance: float) -> None:
+        self.field, self.tolerance = field, tolerance
+        self.mode: Mode = ()
+        self.side = np.zeros(field.switches)
+        self.b = self.c = np.zeros(len(field.owner))
+        self.steps = self.events = self.limited = 0
+        self.stiff = False
+        self.h = self.time = 0.0
+
+    # ---- the whole run
+
+    def run(self, x: Array, time: Array, low: Array, high: Array) -> Run:
+        """States at the knots ``time`` (N,) from x (n,); low, high : (nu, N-1) channels at the ends of each piece.
+
+        Raises FloatingPointError where the state is not finite, or steps or events become too many.
+        """
+        states = np.empty((len(time), len(x)))
+        states[0] = x
+        self.peak, self.g_peak = np.abs(x), np.zeros(self.field.switches)
+        for k in range(len(time) - 1):
+            length = time[k + 1] - time[k]
+            segment = Segment(time[k], low[:, k], (high[:, k] - low[:, k]) / length).row
+            jumped = k == 0 or bool((low[:, k] != high[:, k - 1]).any())
+            if k == 0:
+                self.h = self._first_step(x, time[0], length, segment)
+            if self.field.switches and jumped:
+                x = self._settle(x, time[k], segment)
+            x = self._piece(x, time[k], time[k + 1], segment)
+            states[k + 1] = x
+        return Run(states, self.steps, self.events, self.stiff)
+
+    def _first_step(self, x: Array, t: float, length: float, segment: Array) -> float:
+        slope = self.field.field(())(x, t, segment, self._values(x, t, segment), self.c)[0]
+        size = np.linalg.norm(x) + 1e-6 * np.linalg.norm(slope) * length
+        return float(min(length, 0.01 * max(size, 1e-12) / max(float(np.linalg.norm(slope)), 1e-300)))
+
+    def _values(self, x: Array, t: float, segment: Array) -> Array:
+        return self.field.nodes(x, t, segment)[0] if len(self.field.owner) else self.b
+
+    def _weights(self, x: Array) -> Array:
+        return self.tolerance * (np.abs(x) + 1e-3 * self.peak) + 1e-300
+
+    def _piece(self, x: Array, t: float, end: float, segment: Array) -> Array:
+        """From one knot to the next."""
+        while t < end:
+            self.time = t
+            self._count()
+            left = end - t
+            if self.stiff:
+                h, ahead, share = left, *self._stiff_step(x, t, left, segment)
+            else:
+                h, ahead, share = self._accepted(x, t, left, segment)
+            later = end if h >= left else t + h
+            if self.field.switches:
+                found = self._event(x, t, h, ahead, share, segment)
+                if found is not None:
+                    t, x = found
+                    continue
+            t, x = later, ahead
+            self.peak = np.maximum(self.peak, np.abs(x))
+        return x
+
+    def _count(self) -> None:
+        self.steps += 1
+        if self.steps > _MOST_STEPS or self.events > _MOST_EVENTS:
+            raise FloatingPointError("too many steps or events")
+
+    # ---- explicit steps
+
+    def _step(self, x: Array, t: float, h: float, segment: Array) -> list[Array]:
+        return self.field.stepper(self.mode, _dormand_prince)(x, t, h, segment, self.b, self.c)
+
+    def _accepted(self, x: Array, t: float, left: float, segment: Array) -> tuple[float, Array, Array]:
+        """A step that meets the tolerance: its length, end, and α there."""
+        h = min(self.h, left)
+        while True:
+            ahead, fifth, third, share = self._step(x, t, h, segment)
+            weight = self._weights(np.maximum(np.abs(x), np.abs(ahead)))
+            five, three = float(np.sum((fifth / weight) ** 2)), float(np.sum((third / weight) ** 2))
+            finite = np.isfinite(five) and np.isfinite(three) and np.isfinite(ahead).all()
+            error = five / np.sqrt((five + 0.01 * three) * len(x)) if finite and five else 0.0
+            if finite and error <= 1:
+                break
+            h *= max(_LEAST, _SAFETY * error ** (-1 / 8)) if finite else _LEAST
+            self._count()
+            if h <= 1e-15 * max(abs(t), 1e-300) or h < 1e-290:
+                raise FloatingPointError("the step has become too short")
+        grown = h * min(_MOST, _SAFETY * max(error, 1e-10) ** (-1 / 8))
+        self.h = max(grown, self.h) if h >= left and h < self.h else grown
+        if self.steps % _LOOKED == 0:
+            self._look_for_stiffness(ahead, t + h, h, segment)
+        return h, ahead, share
+
+    def _look_for_stiffness(self, x: Array, t: float, h: float, segment: Array) -> None:
+        slope = self.field.jacobian(x, t, segment, self.b, self.c, self.mode)
+        if not np.isfinite(slope).all():
+            return
+        fastest = float(np.abs(np.linalg.eigvals(slope)).max()) * h
+        self.limited = self.limited + 1 if fastest > _STABILITY else 0
+        self.stiff = self.limited >= _STIFF
+
+    # ---- stiff pieces
+
+    def _stiff_step(self, x: Array, t: float, h: float, segment: Array) -> tuple[Array, Array]:
+        """The end of a stiff piece, and α there."""
+        ahead = self._stiff_end(x, t, h, segment)
+        share = self.field.field(self.mode)(ahead, t + h, segment, self.b, self.c)[1]
+        return ahead, share
+
+    def _stiff_end(self, x: Array, t: float, h: float, segment: Array) -> Array:
+        key = ("cvodes", self.mode)
+        made = self.field.__dict__.setdefault("solvers", {})
+        name = (*key, self.tolerance)
+        if name not in made:
+            made[name] = _cvodes(self.field.field_function(self.mode), self.tolerance)
+        scale = np.maximum(self.peak, 1e-30)
+        try:
+            found = made[name](x0=x / scale, p=ca.vertcat(t, h, segment, self.b, self.c, scale))["xf"]
+        except RuntimeError as failure:
+            raise FloatingPointError("CVODES gave up") from failure
+        ahead = np.asarray(found, dtype=float).ravel() * scale
+        if not np.isfinite(ahead).all():
+            raise FloatingPointError("the state is not finite")
+        return ahead
+
+    # ---- events
+
+    def _functions(self, x: Array, t: float, share: Array, segment: Array) -> Array:
+        """What has to stay positive: side * g of the free switches, and α, 1 - α of those the state stays on."""
+        g = self.field.g(x, t, segment)[0]
+        self.g_peak = np.maximum(self.g_peak, np.abs(g))
+        signed = self.side * g + _PASSED * self.g_peak
+        for place, i in enumerate(self.mode):
+            signed[i] = min(share[place], 1 - share[place]) + 1e-10
+        return signed
+
+    def _at(self, x: Array, t: float, h: float, segment: Array) -> tuple[Array, Array]:
+        if self.stiff:
+            return self._stiff_step(x, t, h, segment)
+        ahead, _, _, share = self._step(x, t, h, segment)
+        return ahead, share
+
+    def _event(
+        self, x: Array, t: float, h: float, ahead: Array, share: Array, segment: Array
+    ) -> tuple[float, Array] | None:
+        """The first event within a step, (its instant, the state after it), or None."""
+        end = self._functions(ahead, t + h, share, segment)
+        reach = h
+        if (end >= 0).all():
+            # a switch may be passed twice within a step
+            middle, there = self._at(x, t, 0.5 * h, segment)
+            if (self._functions(middle, t + 0.5 * h, there, segment) >= 0).all():
+                return None
+            reach, end = 0.5 * h, self._functions(middle, t + 0.5 * h, there, segment)
+
+        def value(i: int, length: float) -> float:
+            if length == 0.0:
+                return float(max(self._functions(x, t, self._share(x, t, segment), segment)[i], 0.0))
+            place, alpha = self._at(x, t, length, segment)
+            return float(self._functions(place, t + length, alpha, segment)[i])
+
+        instants = []
+        for i in np.flatnonzero(end < 0):
+            begin = value(int(i), 0.0)
+            found = 0.0 if begin <= 0 else brentq(
+                lambda length, i=i: value(int(i), length), 0.0, reach, xtol=1e-15 * max(abs(t), reach), rtol=1e-15
+            )  # fmt: skip
+            instants.append((found, int(i)))
+        length, _ = min(instants)
+        self.events += 1
+        where, _ = self._at(x, t, length, segment) if length > 0 else (x, share)
+        at = t + length
+        passed = [i for found, i in instants if found <= length * (1 + 1e-12)]
+        return at, self._after(where, at, segment, passed)
+
+    def _share(self, x: Array, t: float, segment: Array) -> Array:
+        return self.field.field(self.mode)(x, t, segment, self.b, self.c)[1]
+
+    def _after(self, x: Array, t: float, segment: Array, passed: list[int]) -> Array:
+        """Take the sides that hold after an event."""
+        for i in passed:
+            if i in self.mode:
+                share = self._share(x, t, segment)[self.mode.index(i)]
+                self._leave(i, 1.0 if share > 0.5 else -1.0)
+            else:
+                x = self._decide(i, x, t, segment, came_from=self.side[i])
+        self.h = max(self.h * 0.1, 1e-14 * max(abs(t), 1e-3))
+        return x
+
+    def _settle(self, x: Array, t: float, segment: Array) -> Array:
+        """Sides at a point where they are not known."""
+        self.mode, self.side = (), np.sign(self.field.g(x, t, segment)[0])
+        self.b = self._values(x, t, segment)
+        self.c = np.zeros_like(self.b)
+        g = self.field.g(x, t, segment)[0]
+        near = np.abs(g) <= 1e3 * _PASSED * np.maximum(self.g_peak, 1e-300)
+        for i in np.flatnonzero(near | (g == 0)):
+            x = self._decide(int(i), x, t, segment, came_from=0.0)
+        return x
+
+    def _decide(self, i: int, x: Array, t: float, segment: Array, *, came_from: float) -> Array:
+        """Pass a switch, turn back from it, or stay on it, by where the fields on both sides point."""
+        sizes = np.maximum(self.peak, 1e-12) + np.abs(x)
+        low, high = self.field.sides(x, t, segment, i, sizes)
+        own = self.field.owner == i
+        slope = self.field.slopes(x, t, segment)[i]
+        rates = []
+        for values in (low, high):
+            b = np.where(own, values, self.b)
+            field = self.field.field(self.mode)(x, t, segment, b, self.c)[0]
+            rates.append(float(slope[:-1] @ field + slope[-1]))
+        if rates[0] > 0 > rates[1]:
+            self.b, self.c = np.where(own, low, self.b), np.where(own, high - low, self.c)
+            self.mode = tuple(sorted((*self.mode, i)))
+            g, steep = float(self.field.g(x, t, segment)[0][i]), float(slope[:-1] @ slope[:-1])
+            return x - g * slope[:-1] / steep if steep else x
+        if rates[0] <= 0 and rates[1] <= 0:
+            side = -1.0
+        elif rates[0] >= 0 and rates[1] >= 0:
+            side = 1.0
+        else:  # both lead away
+            side = came_from if came_from else 1.0
+        self.side[i] = side
+        self.b = np.where(own, high if side > 0 else low, self.b)
+        return x
+
+    def _leave(self, i: int, side: float) -> None:
+        own = self.field.owner == i
+        self.b = np.where(own & (side > 0), self.b + self.c, self.b)
+        self.c = np.where(own, 0.0, self.c)
+        self.mode = tuple(j for j in self.mode if j != i)
+        self.side[i] = side
+
+
+def _cvodes(field: ca.Function, tolerance: float) -> ca.Function:
+    """(x0 / scale, p = [t, h, segment, b, c, scale]) -> the end after h, by CVODES in the time t + h s, s in 0..1."""
+    n = field.size1_in(0)
+    z, s, t, h = ca.SX.sym("z", n), ca.SX.sym("s"), ca.SX.sym("t"), ca.SX.sym("h")
+    rest = [ca.SX.sym(name, field.size1_in(k)) for k, name in ((2, "segment"), (3, "b"), (4, "c"))]
+    scale = ca.SX.sym("scale", n)
+    rate = h * field(z * scale, t + h * s, *rest)[0] / scale
+    options = {
+        "reltol": tolerance, "abstol": 1e-3 * tolerance, "max_num_steps": 200_000, "show_eval_warnings": False,
+    }  # fmt: skip
+    problem = {"x": z, "t": s, "p": ca.vertcat(t, h, *rest, scale), "ode": rate}
+    return ca.integrator("stiff", "cvodes", problem, 0.0, 1.0, options)

@@ -1,0 +1,168 @@
+"""A model's field f(x, u, t) with its jumps held, for integration through events and along sliding modes.
+
+Between two events every jump keeps its side, so that the field is smooth. Where the fields on both sides of a switch
+g = 0 point at it, the state stays on it (Filippov, Differential Equations with Discontinuous Righthand Sides, 1988): the jump's
+value lies between both sides such that dg/dt = 0. This is how dry friction holds a body at rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from casadi_engine.model import Model
+from casadi_engine.model.jumps import with_held_jumps
+from casadi_engine.simulation.jets import Array
+
+# A sliding mode: the numbers of the switches on which the state stays.
+Mode = tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """Channels on a straight line from ``begin`` [s] on: u = low + (t - begin) * rise."""
+
+    begin: float
+    low: Array
+    rise: Array
+
+    @property
+    def row(self) -> Array:
+        """(1 + 2 nu,)."""
+        return np.concatenate([[self.begin], self.low, self.rise])
+
+
+class SwitchedField:
+    """The equations of a model at given parameters.
+
+    f(x, t, segment, b, c) with the held jumps' values b + c α, where α keeps the state on the switches of a mode
+    switches : number of switching functions; ``owner`` : (nb,) the switch at which each held value changes
+    """
+
+    def __init__(self, model: Model, values: Array) -> None:
+        p = ca.DM(values)
+        ode, outer = model.closed_ode, ca.vertcat(model.x, model.u, model.t)
+        if model.p.numel():
+            ode = ca.substitute(ode, model.p, p)
+        self.n, nu = int(model.x.numel()), int(model.u.numel())
+        held = with_held_jumps(ode, of=outer)
+        # A corner of a recorded channel alone is no event: the channel's own samples are corners too.
+        inner = ca.vertcat(model.x, model.t)
+        plain = [ca.substitute(s.function, held.symbols, held.values) for s in held.switches]
+        wanted = [s.kind != "kink" or ca.depends_on(g, inner) for s, g in zip(held.switches, plain, strict=True)]
+        back = [k for k, at in enumerate(held.at) if not wanted[at]]
+        kept = [k for k, at in enumerate(held.at) if wanted[at]]
+        field = held.expression
+        if back:
+            field = ca.substitute(field, _rows(held.symbols, back), _rows(held.values, back))
+        numbers = {old: new for new, old in enumerate(i for i, keep in enumerate(wanted) if keep)}
+        self.owner = np.array([numbers[held.at[k]] for k in kept], dtype=np.intp)
+        self.x, self.t = model.x, model.t
+        self._segment = ca.SX.sym("segment", 1 + 2 * nu)
+        moving = self._segment[1 : 1 + nu] + (model.t - self._segment[0]) * self._segment[1 + nu :]
+        self._u, self._moving = model.u, moving
+        self._b = _rows(held.symbols, kept)
+        self._field = self._along(ca.densify(field))
+        g = [g for g, keep in zip(plain, wanted, strict=True) if keep]
+        self.switches = len(g)
+        self._g = self._along(ca.vertcat(ca.SX(0, 1), *g))
+        nodes = self._along(_rows(held.values, kept))
+        place = [self.x, self.t, self._segment]
+        self.nodes = _fast(ca.Function("nodes", place, [nodes]))
+        slope = ca.densify(ca.jacobian(self._g, ca.vertcat(self.x, self.t)))
+        self.g = _fast(ca.Function("g", place, [self._g]))
+        self._slope = ca.Function("slope", place, [slope])
+        self._made: dict[tuple[str, Mode], Callable[..., list[Array]]] = {}
+
+    def _along(self, expression: ca.SX) -> ca.SX:
+        """An expression with the channels on the segment's line."""
+        return ca.substitute(expression, self._u, self._moving) if self._u.numel() else expression
+
+    def _sliding(self, mode: Mode) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """Symbols b and c, the field in a mode, and the shares α (len(mode), 1)."""
+        b, c = ca.SX.sym("b", len(self.owner)), ca.SX.sym("c", len(self.owner))
+        if not mode:
+            return b, c, ca.substitute(self._field, self._b, b) if self._b.numel() else self._field, ca.SX(0, 1)
+        share = ca.SX.sym("share", len(mode))
+        own = [mode.index(int(at)) if int(at) in mode else None for at in self.owner]
+        values = ca.vertcat(*[b[k] if i is None else b[k] + c[k] * share[i] for k, i in enumerate(own)])
+        field = ca.substitute(self._field, self._b, values)
+        g = ca.vertcat(*[self._g[i] for i in mode])
+        rate = ca.jtimes(g, self.x, field) + ca.jacobian(g, self.t)
+        zero = ca.SX.zeros(len(mode), 1)
+        matrix, rest = ca.jacobian(rate, share), ca.substitute(rate, share, zero)
+        found = -ca.solve(ca.substitute(matrix, share, zero), rest)
+        return b, c, ca.substitute(field, share, found), found
+
+    def field_function(self, mode: Mode) -> ca.Function:
+        """(x, t, segment, b, c) -> (dx/dt, α)."""
+        b, c, field, share = self._sliding(mode)
+        return ca.Function("field", [self.x, self.t, self._segment, b, c], [ca.densify(field), ca.densify(share)])
+
+    def field(self, mode: Mode) -> Callable[..., list[Array]]:
+        """The same, on arrays."""
+        key = ("field", mode)
+        if key not in self._made:
+            self._made[key] = _fast(self.field_function(mode))
+        return self._made[key]
+
+    def stepper(self, mode: Mode, make: Callable[[ca.Function], ca.Function]) -> Callable[..., list[Array]]:
+        """A step function made of the field of a mode, once."""
+        key = (make.__name__, mode)
+        if key not in self._made:
+            self._made[key] = _fast(make(self.field_function(mode)))
+        return self._made[key]
+
+    def jacobian(self, x: Array, t: float, segment: Array, b: Array, c: Array, mode: Mode) -> Array:
+        """(n, n) df/dx."""
+        key = ("jacobian", mode)
+        if key not in self._made:
+            bs, cs, field, _ = self._sliding(mode)
+            slope = ca.densify(ca.jacobian(field, self.x))
+            self._made[key] = _fast(ca.Function("slope", [self.x, self.t, self._segment, bs, cs], [slope]))
+        return self._made[key](x, t, segment, b, c)[0].reshape(self.n, self.n).T
+
+    def slopes(self, x: Array, t: float, segment: Array) -> Array:
+        """(switches, n + 1) derivatives of the switching functions to (x, t)."""
+        return np.asarray(self._slope(x, t, segment), dtype=float).reshape(self.switches, self.n + 1)
+
+    def sides(self, x: Array, t: float, segment: Array, i: int, sizes: Array) -> tuple[Array, Array]:
+        """Held values (nb,) on the side g_i < 0 and on the side g_i > 0 of a point on the switch i.
+
+        sizes : (n,) of the states, by which a point to either side is chosen
+        """
+        slope = self.slopes(x, t, segment)[i]
+        scaled = slope[:-1] * sizes
+        norm = float(scaled @ scaled)
+        if norm > 0:
+            move = 1e-7 * sizes * scaled / np.sqrt(norm)
+            return tuple(self.nodes(x + sign * move, t, segment)[0] for sign in (-1, 1))  # type: ignore[return-value]
+        late = 1e-9 * max(abs(t), 1e-3) * (1 if slope[-1] >= 0 else -1)
+        return tuple(self.nodes(x, t + sign * late, segment)[0] for sign in (-1, 1))  # type: ignore[return-value]
+
+
+def _rows(column: ca.SX, rows: list[int]) -> ca.SX:
+    return ca.vertcat(ca.SX(0, 1), *[column[row] for row in rows])
+
+
+def _fast(function: ca.Function) -> Callable[..., list[Array]]:
+    """A CasADi function called on arrays without conversions: each call overwrites what the last one gave."""
+    buffer, call = function.buffer()
+    inputs = [np.zeros(function.numel_in(k)) for k in range(function.n_in())]
+    outputs = [np.zeros(function.numel_out(k)) for k in range(function.n_out())]
+    for k, place in enumerate(inputs):
+        buffer.set_arg(k, memoryview(place))
+    for k, place in enumerate(outputs):
+        buffer.set_res(k, memoryview(place))
+
+    def run(*arguments: Array | float) -> list[Array]:
+        for place, argument in zip(inputs, arguments, strict=True):
+            place[...] = argument
+        call()
+        return [place.copy() for place in outputs]
+
+    run.keep = (function, buffer)  # type: ignore[attr-defined]
+    return run
