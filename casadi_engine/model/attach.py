@@ -15,6 +15,7 @@ import casadi as ca
 
 from casadi_engine.model.declarations import Port, Ports, Variable
 from casadi_engine.model.effect import Attachment
+from casadi_engine.model.linearity import is_affine
 from casadi_engine.model.term import Term, read_term, takes_torque
 
 if TYPE_CHECKING:
@@ -93,10 +94,7 @@ def _with_torque(model: Model, term: Term) -> Model:
 
 def _is_affine(model: Model, value: Any) -> bool:
     """True if `value` is affine in states, drives and slots, with coefficients of parameters alone."""
-    outer = ca.vertcat(model.u, model.t)
-    return bool(ca.is_linear(value, ca.vertcat(model.x, model.d, model.w))) and not ca.depends_on(
-        value, outer
-    )
+    return is_affine(value, ca.vertcat(model.x, model.d, model.w), ca.vertcat(model.u, model.t))
 
 
 def _with_output(model: Model, term: Term) -> Model:
