@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 
-from casadi_engine.model.linearity import affine_parts
+from casadi_engine.model.linearity import is_affine
 
 if TYPE_CHECKING:
     from casadi_engine.model.model import Model
@@ -45,10 +45,17 @@ def linear_core(model: Model) -> LinearCore | None:
     """
     core, outer = ca.vertcat(model.x, model.d, model.w), ca.vertcat(model.u, model.t)
     both = ca.vertcat(model.ode, model.output_expressions)
-    parts = None if ca.depends_on(both, outer) else affine_parts(both, core, outer)
-    if parts is None:
+    if not is_affine(both, core, outer):
         return None
-    slope, rest = parts
-    n, ends = model.x.numel(), [0, model.x.numel(), model.x.numel() + model.d.numel(), core.numel()]
-    (A, C), (B, D), (G, H) = (ca.vertsplit(part, [0, n, both.numel()]) for part in ca.horzsplit(slope, ends))
-    return LinearCore(A=A, B=B, G=G, e=rest[:n], C=C, D=D, c=rest[n:], H=H)
+    zero = [ca.SX.zeros(s.numel(), 1) for s in (model.x, model.d, model.w)]
+    e, c = ca.substitute([model.ode, model.output_expressions], [model.x, model.d, model.w], zero)
+    return LinearCore(
+        A=ca.jacobian(model.ode, model.x),
+        B=ca.jacobian(model.ode, model.d),
+        G=ca.jacobian(model.ode, model.w),
+        e=e,
+        C=ca.jacobian(model.output_expressions, model.x),
+        D=ca.jacobian(model.output_expressions, model.d),
+        c=c,
+        H=ca.jacobian(model.output_expressions, model.w),
+    )

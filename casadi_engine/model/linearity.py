@@ -25,7 +25,7 @@ def affine_parts(expression: Any, inside: Any, outside: Any) -> tuple[Any, Any] 
     True
     """
     slope = ca.jacobian(expression, inside)
-    if ca.depends_on(slope, ca.vertcat(inside, outside)) or jumps_in(expression, inside):
+    if not _holds(expression, slope, inside, outside):
         return None
     rest = ca.substitute(expression, inside, ca.SX.zeros(inside.numel(), 1)) if inside.numel() else expression
     return slope, rest
@@ -38,4 +38,11 @@ def is_affine(expression: Any, inside: Any, outside: Any) -> bool:
     >>> is_affine(p * x + ca.sign(p), x, ca.SX(0, 1)), is_affine(ca.if_else(x > 0, p, -p), x, ca.SX(0, 1))
     (True, False)
     """
-    return not ca.depends_on(expression, outside) and affine_parts(expression, inside, outside) is not None
+    if ca.depends_on(expression, outside):
+        return False
+    return _holds(expression, ca.jacobian(expression, inside), inside, outside)
+
+
+def _holds(expression: Any, slope: Any, inside: Any, outside: Any) -> bool:
+    """True if the slope is the same everywhere, and no jump lies between two points."""
+    return not ca.depends_on(slope, ca.vertcat(inside, outside)) and not jumps_in(expression, inside)
