@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import casadi as ca
 import numpy as np
@@ -98,7 +99,21 @@ def lay_grid(model: Model, experiment: Experiment, *, outputs: tuple[str, ...] |
     time = np.asarray(start + step * np.arange(samples), dtype=np.float64)
     channels = np.array([_sampled(channel, time, step) for channel in inputs]).reshape(len(inputs), samples)
     measured = {channel.name: _measured(channel, start, step) for channel in observed}
-    return Grid(start, step, samples, channels, tuple(c.hold for c in inputs), measured)
+    channels, holds = with_rates(model, time, channels, tuple(c.hold for c in inputs))
+    return Grid(start, step, samples, channels, holds, measured)
+
+
+def with_rates(
+    model: Model, time: Array, channels: Array, holds: tuple[str, ...]
+) -> tuple[Array, tuple[str, ...]]:
+    """Channels (nu, N) at the times (N,) with the rates that a model needs of them behind, and the holds of all.
+
+    The rate of a channel is its central difference, whatever its hold: that of a stair is its slope over two steps.
+    """
+    names = [variable.name for variable in model.inputs]
+    order: Literal[1, 2] = 2 if len(time) > 2 else 1
+    rates = [np.gradient(channels[names.index(name)], time, edge_order=order) for name in model.rates]
+    return np.concatenate([channels, *[row[None] for row in rates]]), (*holds, *["first"] * len(rates))
 
 
 def _span(channels: list[Channel]) -> tuple[float, float]:
