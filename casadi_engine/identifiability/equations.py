@@ -116,6 +116,13 @@ def equations_of(model: Model, parameters: ParameterMap, record: str) -> Equatio
     if opened:
         both = ca.substitute(both, model.d[opened], model.drive_expressions[opened])
     both = ca.substitute(both, model.p, physical)
+    if ca.depends_on(both, model.channel_rates):
+        raise IdentifiabilityError(
+            "the exact test has no rule for the rate of a channel, which a delayed sensor shows",
+            seen=", ".join(model.rates),
+            allowed="outputs of states, channels and parameters",
+            cure="test the model without the delay of that sensor, or ask fisher for its precision",
+        )
     used = {symbol.element_hash() for symbol in ca.symvar(both)}
     driven: dict[str, Any] = {}
     for variables, column in ((model.drives, model.d), (model.inputs, model.u)):

@@ -15,6 +15,8 @@ import casadi as ca
 
 from casadi_engine.model.declarations import Port, Ports, Variable
 from casadi_engine.model.effect import Attachment
+from casadi_engine.model.linearity import is_affine
+from casadi_engine.model.rates import with_rates
 from casadi_engine.model.term import Term, read_term, takes_torque
 
 if TYPE_CHECKING:
@@ -42,7 +44,7 @@ def attach(
         wider = _with_output(wider, term)
     else:
         wider = _with_shift(wider, term)
-    return _with_rates(wider)
+    return with_rates(wider)
 
 
 def _with_states(model: Model, term: Term) -> Model:
@@ -93,10 +95,7 @@ def _with_torque(model: Model, term: Term) -> Model:
 
 def _is_affine(model: Model, value: Any) -> bool:
     """True if `value` is affine in states, drives and slots, with coefficients of parameters alone."""
-    outer = ca.vertcat(model.u, model.t)
-    return bool(ca.is_linear(value, ca.vertcat(model.x, model.d, model.w))) and not ca.depends_on(
-        value, outer
-    )
+    return is_affine(value, ca.vertcat(model.x, model.d, model.w), ca.vertcat(model.u, model.t))
 
 
 def _with_output(model: Model, term: Term) -> Model:
@@ -129,17 +128,3 @@ def _replaced(model: Model, symbol: Any, expression: Any) -> Model:
     return replace(
         model, ode=ode, laws=laws, drive_expressions=drives, output_expressions=outputs, ports=ports
     )
-
-
-def _with_rates(model: Model) -> Model:
-    """Bring the signals of the sensors up to date with the equations."""
-    rates = ca.jtimes(model.output_expressions, model.x, model.ode)
-    fresh, row = [], 0
-    for port in model.ports:
-        if port.kind == "sensor":
-            signals = {"value": model.output_expressions[row], "rate": rates[row]}
-            fresh.append(replace(port, signals=signals))
-            row += 1
-        else:
-            fresh.append(port)
-    return replace(model, ports=Ports(fresh))

@@ -13,6 +13,7 @@ import casadi as ca
 from casadi_engine.errors import ModelError
 from casadi_engine.model.declarations import PORT_KINDS, ParameterDeclaration, Port, Ports, Variable
 from casadi_engine.model.model import Model
+from casadi_engine.model.rates import with_rates
 from casadi_engine.parameters import near_matches
 
 
@@ -184,7 +185,7 @@ class Blueprint:
             drives=tuple(variable for variable, _, _ in drives.values()),
             outputs=tuple(variable for variable, _ in self._outputs.values()),
             declarations=tuple(declaration for declaration, _ in self._parameters.values()),
-            ports=self._all_ports(x, ode, outputs),
+            ports=self._all_ports(),
             x=x,
             u=u,
             d=d,
@@ -204,7 +205,7 @@ class Blueprint:
                 allowed="laws that use other slots' torques only one way",
                 cure="solve the laws for each other on paper, or put them into one port",
             )
-        return model
+        return with_rates(model)
 
     def _check_complete(self) -> None:
         for what, group, cure in (
@@ -252,17 +253,13 @@ class Blueprint:
                 found.setdefault(value.element_hash(), (value, symbol))
         return found
 
-    def _all_ports(self, x: Any, ode: Any, outputs: Any) -> Ports:
+    def _all_ports(self) -> Ports:
         ports = dict(self._ports)
         added = [
             Port(f"input_{name}", "input", f"channel {name}", {"value": symbol})
             for name, (_, symbol) in self._inputs.items()
         ]
-        rates = ca.jtimes(outputs, x, ode)
-        added += [
-            Port(f"sensor_{name}", "sensor", f"output {name}", {"value": outputs[row], "rate": rates[row]})
-            for row, name in enumerate(self._outputs)
-        ]
+        added += [Port(f"sensor_{name}", "sensor", f"output {name}") for name in self._outputs]
         added += [
             Port(f"parameter_{name}", "parameter", f"parameter {name}", {"value": symbol, "time": self._time})
             for name, (_, symbol) in self._parameters.items()

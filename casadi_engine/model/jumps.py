@@ -96,9 +96,10 @@ def with_held_jumps(expression: Any, of: Any = None) -> Held:
 
 def jumps_in(expression: Any, of: Any) -> bool:
     """True if a jump (a kink is none) in the SX expression depends on one of the symbols `of`."""
-    code, symbols, _ = _operations(expression)
-    if not any(op in _JUMPS for op, _, _ in code):
+    function = _function(expression)
+    if not any(function.instruction_id(k) in _JUMPS for k in range(function.n_instructions())):
         return False
+    code, symbols, _ = _operations(expression)
     inside = _hashes(of)
     reached: list[bool] = []
     for op, operands, payload in code:
@@ -122,19 +123,23 @@ def _hashes(column: Any) -> set[int]:
     return {symbol.element_hash() for symbol in ca.symvar(column)} if column.numel() else set()
 
 
+def _function(expression: Any) -> Any:
+    """The CasADi function of all symbols of an SX expression, in the order of `ca.symvar`."""
+    symbols = ca.vertcat(ca.SX(0, 1), *ca.symvar(expression))
+    return ca.Function("operations", [symbols], [ca.densify(ca.vec(expression))])
+
+
 # operation, operands as indices of operations before it, index of the symbol or value of the constant
 _Operation = tuple[int, tuple[int, ...], Any]
 
 
 def _operations(expression: Any) -> tuple[list[_Operation], list[Any], list[int]]:
     """The operations of an SX expression, each result once; its symbols; and for each entry its operation."""
-    symbols = ca.symvar(expression)
-    column = ca.densify(ca.vec(expression))
-    function = ca.Function("operations", [ca.vertcat(ca.SX(0, 1), *symbols)], [column])
+    symbols, function = ca.symvar(expression), _function(expression)
     code: list[_Operation] = []
     known: dict[_Operation, int] = {}
     places: list[int] = [-1] * function.sz_w()
-    outputs = [-1] * int(column.numel())
+    outputs = [-1] * function.numel_out(0)
     for k in range(function.n_instructions()):
         op, source, target = (
             function.instruction_id(k),

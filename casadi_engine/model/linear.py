@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 
+from casadi_engine.model.linearity import is_affine
+
 if TYPE_CHECKING:
     from casadi_engine.model.model import Model
 
@@ -39,11 +41,11 @@ def linear_core(model: Model) -> LinearCore | None:
     """Extract the linear core, or return None if the model is general.
 
     A model has one if its ode and its outputs are affine in (x, d, w) jointly, with coefficients
-    that depend on parameters alone (no channel, no time).
+    that depend on parameters alone (no channel, no time), and none of it jumps in (x, d, w).
     """
     core, outer = ca.vertcat(model.x, model.d, model.w), ca.vertcat(model.u, model.t)
     both = ca.vertcat(model.ode, model.output_expressions)
-    if not ca.is_linear(both, core) or (outer.numel() and ca.depends_on(both, outer)):
+    if not is_affine(both, core, outer):
         return None
     zero = [ca.SX.zeros(s.numel(), 1) for s in (model.x, model.d, model.w)]
     e, c = ca.substitute([model.ode, model.output_expressions], [model.x, model.d, model.w], zero)

@@ -102,8 +102,8 @@ class _Builder:
         full, b = self.full, self.b
         laws, outer = self._checked_laws(), self._outer()
         self._parameters([*laws.values(), *outer])
-        for variable, symbol in zip(full.inputs, ca.vertsplit(full.u), strict=True):
-            self._pair(symbol, b.input(**vars(variable)))
+        for row, variable in enumerate(full.inputs):
+            self._pair(full.channels[row], b.input(**vars(variable)))
         self._pair(full.t, b.time)
         chain = self._chain()
         for k, variable in enumerate(full.drives):

@@ -26,7 +26,7 @@ class Model:
     """Continuous-time equations ẋ = f(x, d, w, t, p), y = g(x, d, p), made by `Blueprint` or a builder.
 
     Symbols (CasADi SX columns, in the order of the name tuples):
-    x : (n, 1) states           u : (nu, 1) input channels as recorded
+    x : (n, 1) states           u : (nu, 1) input channels as recorded, then the rates of those named in `rates`
     d : (m, 1) drives, the torques made of the channels        p : (np, 1) parameters
     w : (nw, 1) slot torques [N m], one for each port that can take one        t : (1, 1) time [s]
     Expressions:
@@ -34,6 +34,7 @@ class Model:
     laws : (nw, 1) in (x, w, u, d, t, p); `slot_laws` is the same with w eliminated, zero where no law acts
     output_expressions : (ny, 1) in (x, d, p); with effects at sensors also in (w, u, t)
     effects : the effects that were added by `with_effect`
+    rates : names of the channels that an output shows at once; the output's own rate needs theirs
     """
 
     name: str
@@ -55,6 +56,17 @@ class Model:
     laws: Any
     output_expressions: Any
     effects: tuple[Attachment, ...] = ()
+    rates: tuple[str, ...] = ()
+
+    @property
+    def channels(self) -> Any:
+        """SX column of the input channels: u without rates."""
+        return self.u[: len(self.inputs)]
+
+    @property
+    def channel_rates(self) -> Any:
+        """SX column of the channels' rates, in the order of `rates`."""
+        return self.u[len(self.inputs) :]
 
     # ---- names and parameters
 

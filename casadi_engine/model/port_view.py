@@ -71,7 +71,7 @@ class PortView:
         A signal that is not affine in them counts 1.
         """
         expression, model = getattr(self, signal), self._model
-        for column, variables in ((model.x, model.states), (model.u, model.inputs)):
+        for column, variables in ((model.x, model.states), (model.channels, model.inputs)):
             slope = ca.jacobian(expression, column)
             if slope.nnz() and not ca.symvar(slope):
                 scales = np.array([variable.scale for variable in variables])

@@ -44,7 +44,12 @@ def equation_pairs(model: Model, style: Style) -> tuple[list[tuple[str, str]], l
         left.append(style.symbol(output.name))
         right.append(without_idle(model.output_expressions[row]))
     written = write_expressions(right, style=style, named=_known_parts(model))
-    return list(zip(left, written.texts, strict=True)), list(written.shared)
+    rates = [
+        (style.symbol(model.channel_rates[row].name()), style.derivative(name))
+        for row, name in enumerate(model.rates)
+        if any(ca.depends_on(value, model.channel_rates[row]) for value in right)
+    ]
+    return [*zip(left, written.texts, strict=True), *rates], list(written.shared)
 
 
 def _known_parts(model: Model) -> dict[str, Any]:

@@ -9,7 +9,8 @@ grid grows with the samples and not with the time between them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import casadi as ca
 import numpy as np
@@ -98,7 +99,10 @@ def lay_grid(model: Model, experiment: Experiment, *, outputs: tuple[str, ...] |
         _check_size(channel, experiment.place)
     first, last = _span(observed) if observed else _common_span(inputs, experiment.place)
     found = _equally_spaced(inputs, observed, first, last, experiment.place)
-    return _of_all_times(inputs, observed, first, last) if found is None else found
+    if found is None:
+        found = _of_all_times(inputs, observed, first, last)
+    channels, holds = with_rates(model, found.time, found.channels, found.holds)
+    return replace(found, channels=channels, holds=holds)
 
 
 def _equally_spaced(
@@ -125,6 +129,19 @@ def _equally_spaced(
         return None
     channels = np.array([_sampled(channel, time, step) for channel in inputs]).reshape(len(inputs), samples)
     return Grid(start, step, samples, channels, tuple(c.hold for c in inputs), measured)
+
+
+def with_rates(
+    model: Model, time: Array, channels: Array, holds: tuple[str, ...]
+) -> tuple[Array, tuple[str, ...]]:
+    """Channels (nu, N) at the times (N,) with the rates that a model needs of them behind, and the holds of all.
+
+    The rate of a channel is its central difference, whatever its hold: that of a stair is its slope over two steps.
+    """
+    names = [variable.name for variable in model.inputs]
+    order: Literal[1, 2] = 2 if len(time) > 2 else 1
+    rates = [np.gradient(channels[names.index(name)], time, edge_order=order) for name in model.rates]
+    return np.concatenate([channels, *[row[None] for row in rates]]), (*holds, *["first"] * len(rates))
 
 
 def _of_all_times(inputs: list[Channel], observed: list[Channel], first: float, last: float) -> Grid:

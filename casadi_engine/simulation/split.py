@@ -16,6 +16,7 @@ import numpy as np
 from casadi_engine.model import Model
 from casadi_engine.model.declarations import Variable
 from casadi_engine.model.linear import LinearCore
+from casadi_engine.model.linearity import affine_parts, is_affine
 
 # Own slots for more than this share of the equations: then there is no linear core worth the name.
 _MOST_OWN = 0.5
@@ -54,8 +55,7 @@ def _closed(model: Model, laws: ca.SX) -> ca.SX:
 
 def _is_affine(model: Model, row: ca.SX) -> bool:
     """True if ``row`` is affine in states, drives and slots with factors of parameters alone."""
-    core, outer = ca.vertcat(model.x, model.d, model.w), ca.vertcat(model.u, model.t)
-    return bool(ca.is_linear(row, core)) and not ca.depends_on(row, outer)
+    return is_affine(row, ca.vertcat(model.x, model.d, model.w), ca.vertcat(model.u, model.t))
 
 
 def _known_outputs(model: Model) -> Model | None:
@@ -65,11 +65,12 @@ def _known_outputs(model: Model) -> Model | None:
     for row in range(int(outputs.numel())):
         if _is_affine(model, outputs[row]):
             continue
-        slope = ca.jacobian(outputs[row], inside)
-        if ca.depends_on(slope, ca.vertcat(inside, model.u, model.d, model.t)):
+        parts = affine_parts(outputs[row], inside, ca.vertcat(model.u, model.d, model.t))
+        if parts is None:
             return None
+        slope, rest = parts
         drive = ca.SX.sym(f"shown_{model.outputs[row].name}")
-        drives.append((drive, _closed(model, ca.substitute(outputs[row], inside, ca.SX.zeros(inside.shape)))))
+        drives.append((drive, _closed(model, rest)))
         outputs[row] = slope @ inside + drive
     return replace(_with_drives(model, drives), output_expressions=outputs) if drives else model
 
@@ -113,7 +114,6 @@ def _without_simple_laws(model: Model) -> Model:
     """Affine laws put into the ode, known ones made drives; the slots that are left hold the other laws."""
     laws = model.slot_laws
     count = int(model.w.numel())
-    outside = ca.vertcat(model.x, model.u, model.d, model.t)
     known = ca.vertcat(model.u, model.d, model.t)
     put, kept, drives = ca.SX(model.w), [], []
     for row in range(count):
@@ -121,11 +121,11 @@ def _without_simple_laws(model: Model) -> Model:
         if law.is_zero():
             put[row] = 0
             continue
-        slope = ca.jacobian(law, model.x)
-        if ca.depends_on(slope, outside):
+        parts = affine_parts(law, model.x, known)
+        if parts is None:
             kept.append(row)
             continue
-        rest = ca.substitute(law, model.x, ca.SX.zeros(model.x.numel(), 1))
+        slope, rest = parts
         if known.numel() and ca.depends_on(rest, known):
             drive = ca.SX.sym(f"known_{row}")
             drives.append((drive, _closed(model, rest)))

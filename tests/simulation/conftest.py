@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -44,7 +44,7 @@ def _linear_model(rng, *, states, inputs=1, outputs=1, parameters=2, through=Tru
     for i in range(outputs):
         value = sum((number() * other for other in x), ca.SX(0)) + (number() if offsets else 0)
         b.output(f"y{i}", value + (sum((number() * d for d in drives), ca.SX(0)) if through else 0))
-    return b.model()
+    return without_rates(b.model())
 
 
 def _general_model(rng, *, states=2):
@@ -59,7 +59,12 @@ def _general_model(rng, *, states=2):
         b.ode(f"x{i}", -p[0] * x[i] + p[1] * ca.sin(near) * x[i] + rng.normal() * d - 0.1 * x[i] ** 3)
     b.output("y0", x[0] * p[1] + 0.3 * x[-1] ** 2 + 0.2 * d)
     b.output("y1", ca.tanh(x[-1]))
-    return b.model()
+    return without_rates(b.model())
+
+
+def without_rates(model):
+    """A model for grids that are made by hand, of channels alone."""
+    return replace(model, u=model.channels, rates=())
 
 
 def _switched_model():
@@ -82,6 +87,7 @@ class Made:
     linear = staticmethod(_linear_model)
     general = staticmethod(_general_model)
     switched = staticmethod(_switched_model)
+    without_rates = staticmethod(lambda model: without_rates(model))
 
     @staticmethod
     def grid(channels, *, step=0.05, samples=None, holds=None, start=0.3, measured=None):

@@ -34,7 +34,8 @@ def rubbing(rng, *, bent=False):
     b.output("y1", ca.sin(x[1] * p[0]) * (1 + d**2) if bent else x[1])
     model = b.model()
     late = model.x[0] - 0.2 * model.p[1] * model.ode[0]
-    return replace(model, output_expressions=ca.vertcat(late, model.output_expressions[1]))
+    shown = ca.vertcat(late, model.output_expressions[1])
+    return replace(model, output_expressions=shown, u=model.channels, rates=())  # grids of channels alone
 
 
 CASES = {

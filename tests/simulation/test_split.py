@@ -7,9 +7,13 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from casadi_engine.model import Blueprint
+from casadi_engine.model.effect import Amplitude, Effect
 from casadi_engine.simulation.split import split
+from tests.model.random_expressions import expressions
 
 
 def mass(law, *, rate=None, output=None):
@@ -129,3 +133,93 @@ def test_what_outputs_show_of_channels_and_time_becomes_a_drive():
 def test_an_output_that_multiplies_a_state_with_a_channel_has_no_split():
     model = mass(None)
     assert split(replace(model, output_expressions=model.x[0] * ca.sin(model.t))) is None
+
+
+SYMBOLS = [ca.SX.sym(name) for name in ("q", "v", "u", "t", "k")]
+POINT = st.lists(st.floats(-2, 2, width=16), min_size=5, max_size=5)
+REPEATABLE = settings(max_examples=100, deadline=None, derandomize=True)
+
+
+def put(expression, *values):
+    """A random expression in a model's own symbols."""
+    return ca.substitute(expression, ca.vertcat(*SYMBOLS), ca.vertcat(*values))
+
+
+def train(ode, law, effect, output, *, drive=0):
+    """Four states, so that the equation and the effect leave a linear core; everything else is as given."""
+    b = Blueprint("train")
+    q, v, r, s = (b.state(name) for name in "qvrs")
+    u, k, t = b.input("u"), b.parameter("k", 2.0), b.time
+    known = b.drive("known", put(drive, 0, 0, u, t, k))
+    slot = b.port("spring", "inertia", {"speed": v, "q": q})
+    b.ode("q", v)
+    b.ode("v", known - q + slot)
+    b.ode("r", q - r + slot)
+    b.ode("s", -s + put(ode, q, v, known, t, k))
+    b.law("spring", put(law, q, v, u, t, k))
+    b.output("y", q + put(output, q, v, known, 0, k))
+    model = b.model()
+
+    class Anything(Effect):
+        name, attaches, amplitude = "anything", ("inertia",), Amplitude("size")
+
+        def law(self, port, p, math):
+            return p.size * put(effect, port.q, port.speed, model.u, port.time, model.p)
+
+    return model.with_effect(Anything(), at="spring", values={"size": 1.5}, sharp=True)
+
+
+@REPEATABLE
+@given(*[expressions(SYMBOLS) for _ in range(5)], POINT)
+def test_a_split_model_has_the_closed_equations_whatever_jumps(ode, law, effect, output, drive, point):
+    model = train(ode, law, effect, output, drive=drive)
+    q, v, u, t, k = point
+    x, p = [q, v, 0.3, -0.4], [k, 1.5]
+    symbols = [model.x, model.u, model.t, model.p]
+    shown = replace(model, outputs=model.states, output_expressions=model.x)
+    for one in (model, shown):
+        parts = split(one)
+        if parts is None:
+            continue
+        inner, core = parts.model, parts.core
+        d = ca.substitute(inner.drive_expressions, inner.p, model.p)
+        made = [
+            core.A @ inner.x + core.B @ d + core.G @ parts.laws + core.e,
+            core.C @ inner.x + core.D @ d + core.c,
+        ]
+        found = ca.Function("split", symbols, made)(x, u, t, p)
+        expected = ca.Function("closed", symbols, [one.closed_ode, one.closed_outputs])(x, u, t, p)
+        for one_found, one_expected in zip(found, expected, strict=True):
+            np.testing.assert_allclose(one_found, one_expected, rtol=1e-12, atol=1e-12)
+
+
+@REPEATABLE
+@given(*[expressions(SYMBOLS) for _ in range(2)], POINT)
+def test_a_linear_core_is_the_model_whatever_jumps(ode, output, point):
+    model = train(ode, 0, 0, output)
+    core = model.linear
+    if core is None:
+        return
+    q, v, u, t, k = point
+    symbols = [model.x, model.u, model.t, model.p]
+    d = model.drive_expressions
+    found = ca.Function(
+        "core", symbols, [core.A @ model.x + core.B @ d + core.e, core.C @ model.x + core.D @ d + core.c]
+    )
+    bare = replace(model, laws=ca.SX.zeros(1, 1))
+    expected = ca.Function("closed", symbols, [bare.closed_ode, bare.closed_outputs])
+    point = [q, v, 0.3, -0.4], u, t, [k, 1.5]
+    for one_found, one_expected in zip(found(*point), expected(*point), strict=True):
+        np.testing.assert_allclose(one_found, one_expected, rtol=1e-12, atol=1e-12)
+
+
+def test_the_expressions_of_these_tests_leave_a_split_more_often_than_not():
+    seen = {"split": 0, "not": 0}
+
+    @settings(max_examples=60, deadline=None, derandomize=True, database=None)
+    @given(*[expressions(SYMBOLS) for _ in range(4)])
+    def count(ode, law, effect, drive):
+        seen["split" if split(train(ode, law, effect, 0, drive=drive)) is not None else "not"] += 1
+
+    count()
+    assert seen["split"] > seen["not"]

@@ -1,0 +1,83 @@
+"""Rates of outputs: what a delayed sensor needs to know of its signal.
+
+The rate of an output is its total derivative by time along the model's equations. Where an output shows a channel at
+once (an accelerometer shows the force), the channel's own rate is a part of it; no equation holds that one. It is a
+further entry of u behind the channels, and who samples the channels supplies it: the slope of the recorded values.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+
+from casadi_engine.model.declarations import Ports
+from casadi_engine.model.jumps import jumps_in
+
+if TYPE_CHECKING:
+    from casadi_engine.model.model import Model
+
+
+def with_rates(model: Model) -> Model:
+    """The model with the signals value and rate of its sensors as its equations give them.
+
+    An output without a rate, because it jumps or holds another delay already, has the signal value alone.
+    """
+    shown = model.output_expressions
+    if model.d.numel():
+        shown = ca.substitute(shown, model.d, model.drive_expressions)
+    smooth = [_has_rate(model, shown[row]) for row in range(shown.numel())]
+    model = _with_symbols(model, [shown[row] for row, good in enumerate(smooth) if good])
+    rates = _total_rates(model)
+    fresh, row = [], 0
+    for port in model.ports:
+        if port.kind == "sensor":
+            port = replace(port, signals=_signals(model, row, rates[row] if smooth[row] else None))
+            row += 1
+        fresh.append(port)
+    return replace(model, ports=Ports(fresh))
+
+
+def _signals(model: Model, row: int, rate: Any | None) -> dict[str, Any]:
+    value = {"value": model.output_expressions[row]}
+    return value if rate is None else value | {"rate": rate}
+
+
+def _has_rate(model: Model, shown: Any) -> bool:
+    """True if an output, drives put in, neither jumps nor depends on torques or rates, whose rates nobody knows."""
+    unknown = ca.vertcat(model.w, model.channel_rates)
+    return not ca.depends_on(shown, unknown) and not jumps_in(shown, ca.vertcat(model.x, model.u, model.t))
+
+
+def _with_symbols(model: Model, shown: list[Any]) -> Model:
+    """The model with a rate in u for each channel that one of these outputs shows."""
+    column = ca.vertcat(ca.SX(0, 1), *shown)
+    names = [
+        variable.name
+        for row, variable in enumerate(model.inputs)
+        if variable.name not in model.rates and ca.depends_on(column, model.channels[row])
+    ]
+    if not names:
+        return model
+    symbols = [ca.SX.sym(f"{name}_rate") for name in names]
+    return replace(model, u=ca.vertcat(model.u, *symbols), rates=(*model.rates, *names))
+
+
+def _total_rates(model: Model) -> Any:
+    """(ny, 1) SX of the outputs' total derivatives by time."""
+    known = [variable.name for variable in model.inputs]
+    channels = ca.vertcat(ca.SX(0, 1), *[model.channels[known.index(name)] for name in model.rates])
+    outputs = model.output_expressions
+    rates = ca.jtimes(outputs, model.x, model.ode) + _partial_rates(outputs, channels, model)
+    if model.d.numel():
+        rates = rates + ca.jtimes(outputs, model.d, _partial_rates(model.drive_expressions, channels, model))
+    return rates
+
+
+def _partial_rates(expression: Any, channels: Any, model: Model) -> Any:
+    """The rate of an expression at held states: by its channels and by time itself."""
+    rate = ca.jacobian(expression, model.t)
+    if channels.numel():
+        rate = rate + ca.jtimes(expression, channels, model.channel_rates)
+    return rate

@@ -1,0 +1,160 @@
+"""Rates of outputs, and delays of sensors that show a channel at once."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import casadi_engine as ce
+from casadi_engine.effects import ConstantTorque, SensorDelay, SensorOffset
+from casadi_engine.errors import EffectError, IdentifiabilityError
+from casadi_engine.experiment import Channel
+from casadi_engine.model import Blueprint
+from casadi_engine.model.parcel import pack, unpack
+
+MASS, DAMPING, LATE, STEP = 2.0, 3.0, 0.01, 1e-3
+
+
+def force(t):
+    return 5 * np.sin(2 * np.pi * 1.3 * t) + np.cos(7 * t)
+
+
+def force_rate(t):
+    return 5 * 2 * np.pi * 1.3 * np.cos(2 * np.pi * 1.3 * t) - 7 * np.sin(7 * t)
+
+
+def accelerometer(shown=lambda a, v, force, t: a, drive=lambda force, t: force):
+    b = Blueprint("accelerometer")
+    v, m, c = b.state("v", unit="m/s"), b.parameter("m", MASS), b.parameter("c", DAMPING)
+    push = b.drive("push", drive(b.input("F", unit="N"), b.time), unit="N")
+    a = (push - c * v) / m
+    b.ode("v", a)
+    b.output("a", shown(a, v, push, b.time), unit="m/s2")
+    return b.model()
+
+
+def record(hold="first", step=STEP, length=2.0):
+    t = np.arange(round(length / step) + 1) * step
+    return ce.Experiment.from_arrays("run", time=t, units={"F": "N"}, hold=hold, F=force(t))
+
+
+@pytest.fixture(scope="module")
+def speed():
+    """The speed by SciPy, from before the record on, so that a delayed output can be read off."""
+    return solve_ivp(
+        lambda t, v: (force(t) - DAMPING * v) / MASS, (-0.1, 2.1), [0.3], rtol=1e-11, atol=1e-12,
+        dense_output=True,
+    )  # fmt: skip
+
+
+def acceleration(speed, t):
+    return (force(t) - DAMPING * speed.sol(t)[0]) / MASS
+
+
+def jerk(speed, t):
+    return (force_rate(t) - DAMPING * acceleration(speed, t)) / MASS
+
+
+@pytest.mark.parametrize(("hold", "off"), [("first", 2e-5), ("zero", 6e-3)])
+def test_a_delayed_accelerometer_shows_what_was_there_before(speed, hold, off):
+    """A stair of the force is half a step late in the speed: that alone is the larger error of a zero hold."""
+    data, first = record(hold), {"v": float(speed.sol(0.0)[0])}
+    late = accelerometer().with_effect(SensorDelay(), at="sensor_a", values={"delay": LATE})
+    plain, found = (ce.simulate(model, data, initial=first)["a"] for model in (accelerometer(), late))
+    t = found.time
+    linear = acceleration(speed, t) - LATE * jerk(speed, t)
+    np.testing.assert_allclose(found.values, linear, atol=off)
+    # what the form leaves out: tau^2 y''/2
+    truth = acceleration(speed, t - LATE)
+    bend = np.abs(np.gradient(jerk(speed, t), t)).max()
+    assert np.abs(found.values - truth).max() < 0.5 * LATE**2 * bend + off
+    assert np.abs(plain.values - truth).max() > 20 * np.abs(found.values - truth).max()
+
+
+def test_a_delay_is_recovered_from_a_record_of_the_delayed_output(speed):
+    data = record()
+    t = data["F"].time
+    noise = np.random.default_rng(3).normal(scale=1e-2, size=len(t))
+    tau = 2e-3
+    data = data.with_channel(Channel("a", "m/s2", time=t, values=acceleration(speed, t - tau) + noise))
+    late = accelerometer().with_effect(SensorDelay(), at="sensor_a")
+    found = ce.estimate(late, data, parameters=late.parameters(), progress=False)
+    delay = found.estimates["sensor_a.sensor_delay.delay"]
+    assert abs(delay.value - tau) < 3 * delay.stderr
+    assert delay.stderr < 0.05 * tau
+
+
+def number(model, expression, **values):
+    symbols = ca.symvar(expression)
+    return float(ca.Function("f", symbols, [expression])(*[values[s.name()] for s in symbols]))
+
+
+def test_the_rate_counts_states_drives_and_time():
+    """y = a F t with the drive F t: dy/dt by hand."""
+    model = accelerometer(shown=lambda a, v, push, t: v * push, drive=lambda F, t: F * ca.sin(t))
+    assert model.rates == ("F",)
+    v, F, rate, t = 0.4, 1.3, -2.0, 0.7
+    push = F * np.sin(t)
+    expected = (push - DAMPING * v) / MASS * push + v * (rate * np.sin(t) + F * np.cos(t))
+    signal = model.ports["sensor_a"].signals["rate"]
+    assert number(model, signal, v=v, push=push, F=F, F_rate=rate, t=t, m=MASS, c=DAMPING) == pytest.approx(
+        expected
+    )
+
+
+def test_models_without_feedthrough_have_no_rates_of_channels():
+    for model in (ce.two_mass(), ce.crankshaft(), ce.one_inertia()):
+        assert model.rates == ()
+        assert model.u.numel() == len(model.inputs)
+
+
+@pytest.mark.parametrize(
+    "shown",
+    [
+        lambda a, v, push, t: v + ca.sign(push),
+        lambda a, v, push, t: ca.floor(100 * v) / 100,
+        lambda a, v, push, t: ca.if_else(v > 0, a, 0.0),
+    ],
+)
+def test_an_output_that_jumps_has_no_rate(shown):
+    """The slope between jumps is no rate: a delay would silently do less than it should."""
+    model = accelerometer(shown=shown)
+    assert list(model.ports["sensor_a"].signals) == ["value"]
+    with pytest.raises(EffectError, match="the port sensor_a has no such signal"):
+        model.with_effect(SensorDelay(), at="sensor_a")
+    assert model.with_effect(SensorOffset(), at="sensor_a").rates == ()
+
+
+def test_a_delayed_output_has_no_rate_of_its_own():
+    """It would need the second derivative of the force, or the rate of a law's torque."""
+    for model in (
+        accelerometer().with_effect(SensorDelay(), at="sensor_a"),
+        ce.two_mass().with_effect(SensorDelay(), at="sensor_omega"),
+    ):
+        (sensor,) = [port for port in model.ports if port.kind == "sensor"]
+        assert list(sensor.signals) == ["value"]
+
+
+def test_an_effect_behind_a_delay_is_in_the_delayed_signal():
+    model = ce.two_mass(reciprocating_speed="measured")
+    late = model.with_effect(SensorDelay(), at="sensor_omega", values={"delay": 1.0})
+    both = late.with_effect(ConstantTorque(), at="engine", values={"torque": 3.0})
+    inertia = model.parameters()["J_eng"].value
+    x, u = [1.0] * 3, [0.1] * both.u.numel()
+    found = ca.Function("c", [both.x, both.u, both.t, both.p], [both.closed_outputs])
+    without = both.parameter_vector({"engine.constant_torque.torque": 0.0})
+    moved = float(found(x, u, 0.0, both.parameter_vector()) - found(x, u, 0.0, without))
+    assert abs(moved) == pytest.approx(3.0 / inertia, rel=1e-9)
+
+
+def test_a_model_with_rates_is_sent_printed_and_not_tested_exactly():
+    late = accelerometer().with_effect(SensorDelay(), at="sensor_a", values={"delay": LATE})
+    copy = unpack(pack(late))
+    assert copy.rates == ("F",)
+    assert copy.equations() == late.equations()
+    assert late.equations().splitlines()[-1] == "F_rate = d(F)/dt"
+    assert "F_rate" not in accelerometer().equations()
+    with pytest.raises(IdentifiabilityError, match="no rule for the rate of a channel") as caught:
+        ce.identifiability(late)
+    assert "seen: F; allowed: outputs of states, channels and parameters" in str(caught.value)
+    assert "do: test the model without the delay of that sensor" in str(caught.value)
