@@ -62,7 +62,8 @@ def estimate(
     parameters : the set to start from (default: the model's); it is copied, never changed
     noise : standard deviations per output, known or "estimate" (the default), and the gain of a one-step predictor
     interval : shooting interval: "auto", "single", a number of samples, or a time such as "10 ms"
-    initial : initial states: state -> number (fixed), (low, high), "free"; or record -> such a mapping
+    initial : initial states: state -> number (fixed), (low, high), "free"; or record -> such a mapping; those of a
+        fit are taken as they are, ``initial=fit.initial`` or ``fit.initial["record"]``, and kept fixed
     loss : "square", "huber", or ("huber", knee in standard deviations)
     ties : "substitute", or "constraint" to keep ties as equality constraints of the solver: the same answer
     method : "exact", or "euler" for the forward-Euler discretisation of a linear model
