@@ -118,7 +118,7 @@ def estimate(
         setup = time.perf_counter() - begun
         several = jobs != 1 and starts + neighbours > 1
         workers = Workers(arguments, jobs, interrupts, search.tell) if several else None
-        drawn = drawn_starts(search.pmap, starts, seed)
+        drawn = drawn_starts(search.pmap, starts, seed, scale=search.coordinates.scale)
         attempts = attempts_from(search, drawn, neighbours, outcomes=workers.outcomes if workers else None)
         best = best_of(attempts)
         optima = distinct_optima(search, attempts, best)
