@@ -24,10 +24,9 @@ from casadi_engine.estimation.uncertainty import (
 Array = NDArray[np.float64]
 
 # A bound or a limit acts if the estimate is nearer to it than this many standard errors (a move that the data cannot
-# tell: it changes chi-squared by the square, 1e-3), if without it the estimate would go beyond it by more than
-# ``_BEYOND`` times as far, and if that would lower chi-squared by ``_GAIN`` (0.01 standard errors). On the limit itself
-# it acts too.
-_NEAR, _BEYOND, _GAIN = 0.03, 3.0, 1e-4
+# tell: it changes chi-squared by the square, 1e-3), and if without it the estimate would go beyond it by more than
+# ``_BEYOND`` times as far. The standard error is the one that the estimate has without bounds.
+_NEAR, _BEYOND = 0.03, 3.0
 # A variance below this share of what its parts would give is rounding: the constraints leave nothing open.
 _HELD = 1e-12
 
@@ -133,8 +132,13 @@ def uncertainty(search: Search, best: Attempt) -> Uncertainty:
     information, gradient = _information(search, best)
     limits = [(low, high) for low, high, _ in search._initial]
     fixed = np.concatenate([np.zeros(search.problem.nv, dtype=bool), *[low == high for low, high in limits]])
-    open_ = invert(information, fixed, np.zeros((0, len(information))))
-    bound = _at_bounds(search, best, open_, gradient)
+    equal = _rows(search, best.v, search.constraints.lower == search.constraints.upper, len(information))
+    open_ = invert(information, fixed, equal)
+    force = gradient.copy()
+    if search.constraints.count:  # what the bounds have to hold beside the constraints
+        pull = search.constraints.evaluate(best.v)[1].T @ best.solution.lam_g[: search.constraints.count]
+        force[: search.problem.nv] += search.problem.samples * pull
+    bound = _at_bounds(search, best, open_, force)
     x = best.solution.x.copy()
     for k, side in enumerate(bound[: search.problem.nv]):
         if side is not False:
@@ -187,11 +191,11 @@ def _acts(near: float, force: float, variance: float) -> bool:
     if near <= 0:
         return force >= 0
     shift = force * variance  # how far beyond its place the estimate would go
-    return bool(near < _NEAR * np.sqrt(variance) and shift > _BEYOND * near and force * shift > _GAIN)
+    return bool(near < _NEAR * np.sqrt(max(variance, 0.0)) and shift > _BEYOND * near)
 
 
-def _at_bounds(search: Search, best: Attempt, open_: Covariance, gradient: Array) -> list[AtBound]:
-    """For v and the initial states: False, "min" or "max"."""
+def _at_bounds(search: Search, best: Attempt, open_: Covariance, force: Array) -> list[AtBound]:
+    """For v and the initial states: False, "min" or "max"; force : slopes of half chi-squared there."""
     problem, x, found = search.problem, best.solution.x, []
     entries = list(range(problem.nv))
     for lay in problem.layouts:
@@ -199,8 +203,8 @@ def _at_bounds(search: Search, best: Attempt, open_: Covariance, gradient: Array
     for k, entry in enumerate(entries):
         low, high = x[entry] - search.lower[entry], search.upper[entry] - x[entry]
         side: AtBound = "min" if low <= high else "max"
-        force = float(gradient[k]) if side == "min" else -float(gradient[k])
-        acts = _acts(float(min(low, high)), force, float(open_.matrix[k, k]))
+        own = float(force[k]) if side == "min" else -float(force[k])
+        acts = _acts(float(min(low, high)), own, float(open_.matrix[k, k]))
         found.append(side if acts else False)
     return found
 
@@ -223,9 +227,15 @@ def _active_rows(search: Search, best: Attempt, v: Array, open_: Covariance) -> 
         for k in np.flatnonzero(acts & (user.lower < user.upper)):
             words.append(f"{user.labels[k]} at its {side} limit {limit[k] * user.scale[k]:.6g}")
         active |= acts
-    rows = np.zeros((int(active.sum()), len(open_.matrix)))
-    rows[:, :nv] = jacobian[active]
-    return rows, tuple(words)
+    return _rows(search, v, active, len(open_.matrix)), tuple(words)
+
+
+def _rows(search: Search, v: Array, which: NDArray[np.bool_], size: int) -> Array:
+    """Gradients (c, size) of these constraints on parameters."""
+    rows = np.zeros((int(which.sum()), size))
+    if len(rows):
+        rows[:, : len(v)] = search.constraints.evaluate(v)[1][which]
+    return rows
 
 
 def _names(search: Search) -> list[str]:
