@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from casadi_engine.estimation.final_check import cure, doubt, doubted, printed_cost
+from casadi_engine.estimation.final_check import cure, printed_cost, relabelled, verdict
 from casadi_engine.estimation.fit import Estimate, Fit, Innovations, Optimum, Trace
 from casadi_engine.estimation.fit_percent import fit_measures
 from casadi_engine.estimation.innovations import SizedPriors, loop_of
@@ -61,10 +61,9 @@ def make_fit(
         initial[name] = errors.initial_states(record, limits, at)
         first[name] = start * record.scale
         at += record.n
-    reason = None if stopped else doubt(search, best, errors, residuals)
-    if reason is not None:
-        status = f"not converged: {reason}"
-        errors, optima = replace(errors, optimal=False), doubted(optima, status)
+    status, reason = (best.solution.status, None) if stopped else verdict(search, best, errors, residuals)
+    if status != best.solution.status:
+        errors, optima = replace(errors, optimal=status == "converged"), relabelled(optima, status)
         best = replace(best, solution=replace(best.solution, status=status))
     cost = printed_cost(search, v, residuals)
     predictor = _predictor(search, v, best.sigma, errors)
@@ -186,9 +185,15 @@ def _integration(record: RecordTerm, v: Array, nodes: Array) -> dict[str, ErrorE
 def _coarse(integration: dict[str, ErrorEstimate], search: Search, sigma: Array) -> tuple[str, ...]:
     """What to do about integration errors that are not small beside the noise."""
     noise = dict(zip(search.records[0].outputs, sigma.tolist(), strict=True))
+    inputs = ", ".join(variable.name for variable in search.model.inputs)
+    finer = (
+        f"give {inputs} at a higher rate"
+        if inputs
+        else "add times without samples between those of the record"
+    )
     return tuple(
-        f"the integration of {record}/{name} is off by up to {error:.2g}, {error / noise[name]:.2g} of its noise: give "
-        "the inputs at a higher rate, or make the law smoother"
+        f"the integration of {record}/{name} is off by up to {error:.2g}, {error / noise[name]:.2g} of its noise: "
+        f"{finer}, or make the equations smoother"
         for record, found in integration.items()
         for name, error in zip(found.outputs, found.absolute, strict=True)
         if error > _COARSE * noise[name]
@@ -244,7 +249,11 @@ def _messages(
     for direction in errors.directions:
         found.append(
             f"the data do not determine {direction.text}: fix one of these, tie it, give it a prior, "
-            "or add a record that excites it"
+            + (
+                "or add a record that excites it"
+                if search.model.inputs
+                else "or add a record with another start"
+            )
         )
     if errors.acting:
         found.append(f"held by constraints: {', '.join(errors.acting)}; do they agree with the data?")

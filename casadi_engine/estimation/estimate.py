@@ -19,7 +19,6 @@ from casadi_engine.estimation.multistart import attempts_from, best_of, distinct
 from casadi_engine.estimation.options import chosen, small, whole
 from casadi_engine.estimation.parallel import checked_jobs
 from casadi_engine.estimation.search import Search
-from casadi_engine.estimation.starts import drawn_starts
 from casadi_engine.estimation.workers import Workers
 from casadi_engine.experiment import Experiment
 from casadi_engine.experiment.experiment import with_unique_names
@@ -118,7 +117,7 @@ def estimate(
         setup = time.perf_counter() - begun
         several = jobs != 1 and starts + neighbours > 1
         workers = Workers(arguments, jobs, interrupts, search.tell) if several else None
-        drawn = drawn_starts(search.pmap, starts, seed, scale=search.coordinates.scale)
+        drawn = search.drawn(starts, seed)
         attempts = attempts_from(search, drawn, neighbours, outcomes=workers.outcomes if workers else None)
         best = best_of(attempts)
         optima = distinct_optima(search, attempts, best)

@@ -50,7 +50,8 @@ class Blocks:
 class RecordTerm:
     """Residuals of one record over its shooting intervals.
 
-    active : entries of the global vector that this record depends on; n : states; scale : (n,) of the states
+    active : entries of the global vector that this record depends on; n : states; scale : (n,) of the states, those
+    of the model unless given
     """
 
     def __init__(
@@ -65,6 +66,7 @@ class RecordTerm:
         method: Method,
         grid: Grid | None = None,
         cores: Cores | None = None,
+        scale: Array | None = None,
     ) -> None:
         self.experiment, self.model = experiment, model
         self.symbols, self.gain, self.method = (v, physical), gain, method
@@ -72,7 +74,7 @@ class RecordTerm:
         self.grid = grid or lay_grid(model, experiment)
         self.plan: Intervals = cut(self.grid, length)
         self.observation = Observation(self.grid, self.plan, self.outputs)
-        self.scale = np.array([state.scale for state in model.states])
+        self.scale = np.array([state.scale for state in model.states]) if scale is None else scale
         plan = gain if isinstance(gain, GainPlan) else None
         needed = physical if plan is None else ca.vertcat(physical, plan.expression)
         depends = ca.which_depends(needed, v, 1, False) if v.numel() and needed.numel() else []
@@ -103,7 +105,7 @@ class RecordTerm:
         """The same record in intervals of another length (None: one), predicted with another gain or simulated."""
         other = RecordTerm(
             self.model, self.experiment, *self.symbols,
-            length=length, gain=gain, method=self.method, grid=self.grid,
+            length=length, gain=gain, method=self.method, grid=self.grid, scale=self.scale,
         )  # fmt: skip
         if self._most is not None:
             other.limit_steps(self._most)

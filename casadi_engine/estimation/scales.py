@@ -1,4 +1,4 @@
-"""The size of a parameter whose start says nothing of it, such as a start of 0: what the data feel of it."""
+"""Sizes that the data give: of parameters whose start says nothing, such as a start of 0, and of states."""
 
 from __future__ import annotations
 
@@ -17,6 +17,19 @@ Array = NDArray[np.float64]
 
 # A start is the size of its parameter unless the misfit asks for a change a million times as large.
 _NO_SIZE = 1e-6
+# A state's scale is of no use where the state is so many times as large.
+_LARGE = 1e3
+
+
+def state_factors(problem: ShootingProblem, x: Array) -> Array | None:
+    """(n,) factors on the states' scales where the start of the search is far larger than these; None without any.
+
+    The solver joins its intervals to a share of the scale: rounding forbids it for a state of 1e8 with the scale 1.
+    """
+    sizes = [np.abs(lay.take(x)).max(axis=0) for lay in problem.layouts if lay.n]
+    if not sizes or not np.isfinite(largest := np.max(sizes, axis=0)).all():
+        return None
+    return np.where(largest > _LARGE, largest, 1.0) if (largest > _LARGE).any() else None
 
 
 def felt_scale(problem: ShootingProblem, coordinates: Coordinates, z: Array, x: Array) -> Array | None:

@@ -22,7 +22,7 @@ from casadi_engine.estimation.options import initial_bounds, interval_length
 from casadi_engine.estimation.pieces import REACH, SCREENED, approach
 from casadi_engine.estimation.predictor import Predictor
 from casadi_engine.estimation.record import RecordTerm
-from casadi_engine.estimation.scales import felt_scale
+from casadi_engine.estimation.scales import felt_scale, state_factors
 from casadi_engine.estimation.shooting import ShootingProblem
 from casadi_engine.estimation.starts import chained_nodes, drawn_starts, nodes_from_measurement
 from casadi_engine.estimation.unreachable import unreachable
@@ -101,9 +101,10 @@ class Search:
         z = self._warm_values(self.pmap.start) if self.warm is not None else self.pmap.start
         self._first = (z, self._start(z, first=True))
         felt = felt_scale(self.problem, self.coordinates, *self._first)
-        if felt is not None:
+        larger = state_factors(self.problem, self._first[1]) if self.predictor.kind == "none" else None
+        if felt is not None or larger is not None:
             self._first = None
-            self._lay(noise, Coordinates(self.pmap, felt))
+            self._lay(noise, Coordinates(self.pmap, felt), larger)
             self._weigh(self.levels.first(self.warm))
         self.solver = Solver(
             self.problem,
@@ -113,8 +114,10 @@ class Search:
             interrupts=self._interrupts,
         )
 
-    def _lay(self, noise: Noise, coordinates: Coordinates) -> None:
-        """Set the problem up in these coordinates."""
+    def _lay(self, noise: Noise, coordinates: Coordinates, larger: Array | None = None) -> None:
+        """Set the problem up in these coordinates, the states' scales times ``larger`` (n,)."""
+        scale = np.array([state.scale for state in self.model.states])
+        self._scale = scale if larger is None else scale * larger
         self.coordinates = coordinates
         self._tails: dict[str, Any] = {}
         self.records, level = self._terms(self._grids, self._whole_tails, self._cut, self._method)
@@ -153,6 +156,7 @@ class Search:
                 method=method,
                 grid=grid,
                 cores=cores,
+                scale=self._scale,
             )
             records.append(term)
         return records, level
@@ -286,11 +290,15 @@ class Search:
         nv, v = self.problem.nv, solution.x[: self.problem.nv]
         if not solution.status.startswith("not converged") or not self.constraints.violated(v):
             return solution
-        starts = [v, *(self.coordinates.of(z) for z in drawn_starts(self.pmap, _TRIED, 0, scale=self.coordinates.scale))]
+        starts = [v, *(self.coordinates.of(z) for z in self.drawn(_TRIED, 0))]
         found = unreachable(self.constraints, starts, self.lower[:nv], self.upper[:nv])
         if not found:
             return solution
         return replace(solution, status=f"not converged: no values within the bounds meet {'; '.join(found)}")
+
+    def drawn(self, count: int, seed: int) -> list[Array]:
+        """Starts of z, the set's own and others around it."""
+        return drawn_starts(self.pmap, count, seed, scale=self.coordinates.scale)
 
     def _approached(self, z: Array) -> Array:
         """The start of the simulation that predictions over short pieces lead to; ``z`` itself without them."""

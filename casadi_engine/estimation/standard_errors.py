@@ -152,7 +152,7 @@ def uncertainty(search: Search, best: Attempt) -> Uncertainty:
 
 
 def _information(search: Search, best: Attempt) -> tuple[Array, Array]:
-    """The information matrix over [v; initial states], and the gradient of half chi-squared, both through continuity."""
+    """Information matrix over [v; initial states] and gradient of half chi-squared, both through continuity."""
     problem, x = search.problem, best.solution.x
     point = problem.at(x)
     check_growth(search.records, point.records)
