@@ -32,7 +32,8 @@ def apply_settings(
         "one value for each parameter",
     )
     for name, value in values:
-        result[name].set(value)
+        if value is not None:  # which _pair has seen to
+            result[name].set(value)
     result.free(*free)
     for name, value in fixed:
         result.fix(name, value)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from casadi_engine.estimation.final_check import cure, printed_cost, relabelled, verdict
 from casadi_engine.estimation.fit import Estimate, Fit, Innovations, Optimum, Trace
 from casadi_engine.estimation.fit_percent import fit_measures
 from casadi_engine.estimation.integration import integration_of
@@ -46,22 +47,28 @@ def make_fit(
     errors = uncertainty(search, best)
     v = errors.v
     z = search.coordinates.values(v)
-    traces, drives, percents, first = {}, {}, {}, {}
+    traces, drives, percents, first, residuals = {}, {}, {}, {}, []
     integration = _integration(search, errors.x)
     initial: dict[str, dict[str, Estimate]] = {}
     at = problem.nv
     for record, lay, limits in zip(search.records, problem.layouts, search._initial, strict=True):
         name, nodes = record.experiment.name, lay.take(errors.x)
         start = nodes[0]
-        traces[name] = _traces(search, record, v, start)
+        traces[name], left = _traces(search, record, v, start)
+        residuals.append(left)
         drives[name] = _drives(record, v)
         percents[name] = {key: _percent(trace) for key, trace in traces[name].items()}
         initial[name] = errors.initial_states(record, limits, at)
         first[name] = start * record.scale
         at += record.n
+    status, reason = (best.solution.status, None) if stopped else verdict(search, best, errors, residuals)
+    if status != best.solution.status:
+        errors, optima = replace(errors, optimal=status == "converged"), relabelled(optima, status)
+        best = replace(best, solution=replace(best.solution, status=status))
+    cost = printed_cost(search, v, residuals)
     predictor = _predictor(search, v, best.sigma, errors)
     # With noise covariances the search adds the likelihood of the innovations' size, zero at this fit from here on.
-    size = problem.priors.size(best.v) if isinstance(problem.priors, SizedPriors) else 0.0
+    size = problem.priors.size(v) if isinstance(problem.priors, SizedPriors) else 0.0
     timing["covariance"] = time.perf_counter() - clock
     timing["total"] = time.perf_counter() - begun
     fitted = search.parameters.copy()
@@ -79,7 +86,7 @@ def make_fit(
         undetermined=errors.directions,
         initial=initial,
         noise=_noise(search, best.sigma, pmap.values(z)),
-        cost=best.cost - size,
+        cost=(cost if np.isfinite(cost) else best.cost) - size,
         n=problem.samples,
         dof=float(problem.samples - errors.covariance.rank),
         iterations=best.iterations,
@@ -90,7 +97,7 @@ def make_fit(
         fit_percent=percents,
         timing=timing,
         options=options,
-        messages=_messages(search, best, errors, optima, stopped=stopped)
+        messages=_messages(search, best, errors, optima, reason, stopped=stopped)
         + _coarse(integration),
         states_at_start=first,
         gain=None if predictor is None else predictor.gain,
@@ -130,9 +137,11 @@ def _predictor(search: Search, v: Array, sigma: Array, errors: Uncertainty) -> I
     )
 
 
-def _traces(search: Search, record: RecordTerm, v: Array, start: Array) -> dict[str, Trace]:
-    """Measured, simulated and, with a gain, predicted outputs at the measured times."""
+def _traces(search: Search, record: RecordTerm, v: Array, start: Array) -> tuple[dict[str, Trace], Array]:
+    """Measured, simulated and, with a gain, predicted outputs at the measured times; and the weighted residual (K, M)
+    that the fit minimises, of the same trajectory."""
     simulated = _response(record, v, start)
+    left = np.where(record.weight > 0, simulated[0] - record.observation.measured, 0.0) * record.weight
     predicted = None
     if search.noise.predicts:
         predicted = simulated
@@ -151,7 +160,7 @@ def _traces(search: Search, record: RecordTerm, v: Array, start: Array) -> dict[
         ]
         measured = np.where(counts, channel.values, np.nan)
         found[name] = Trace(channel.time, measured, counts, rows[0], rows[1] if len(rows) > 1 else None)
-    return found
+    return found, left
 
 
 def _response(record: RecordTerm, v: Array, start: Array) -> tuple[Array, Any]:
@@ -218,16 +227,21 @@ def _messages(
     best: Attempt,
     errors: Uncertainty,
     optima: tuple[Optimum, ...],
+    reason: str | None,
     *,
     stopped: bool,
 ) -> tuple[str, ...]:
-    found = []
+    found = [] if reason is None else [cure(reason)]
     if best.solution.status != "converged":
         found.append("this is not an optimum: the values have no standard errors")
     for direction in errors.directions:
         found.append(
             f"the data do not determine {direction.text}: fix one of these, tie it, give it a prior, "
-            "or add a record that excites it"
+            + (
+                "or add a record that excites it"
+                if search.model.inputs
+                else "or add a record with another start"
+            )
         )
     if errors.acting:
         found.append(f"held by constraints: {', '.join(errors.acting)}; do they agree with the data?")

@@ -19,11 +19,14 @@ class Coordinates:
 
     A step in the logarithm cannot cross zero, and inertias and stiffnesses are known to a factor rather than to an
     amount; a damper may be zero and stays linear. v = 0 or 1 at the scale.
+
+    felt : (nz,) scales of those whose start says nothing of their size, which are linear too; NaN for the rest
     """
 
-    def __init__(self, pmap: ParameterMap) -> None:
-        self.scale = pmap.scale
-        self.log = (pmap.lower > 0) & (pmap.start > 0)
+    def __init__(self, pmap: ParameterMap, felt: Array | None = None) -> None:
+        felt = np.full(len(pmap.free), np.nan) if felt is None else felt
+        self.scale = np.where(np.isnan(felt), pmap.scale, felt)
+        self.log = (pmap.lower > 0) & (pmap.start > 0) & np.isnan(felt)
         self.symbol = ca.SX.sym("v", len(pmap.free))
         parts = [
             float(s) * (ca.exp(self.symbol[i]) if log else self.symbol[i])

@@ -19,7 +19,6 @@ from casadi_engine.estimation.multistart import attempts_from, best_of, distinct
 from casadi_engine.estimation.options import chosen, small, whole
 from casadi_engine.estimation.parallel import checked_jobs
 from casadi_engine.estimation.search import Search
-from casadi_engine.estimation.starts import drawn_starts
 from casadi_engine.estimation.workers import Workers
 from casadi_engine.experiment import Experiment
 from casadi_engine.experiment.experiment import with_unique_names
@@ -62,7 +61,8 @@ def estimate(
     parameters : the set to start from (default: the model's); it is copied, never changed
     noise : standard deviations per output, known or "estimate" (the default), and the gain of a one-step predictor
     interval : shooting interval: "auto", "single", a number of samples, or a time such as "10 ms"
-    initial : initial states: state -> number (fixed), (low, high), "free"; or record -> such a mapping
+    initial : initial states: state -> number (fixed), (low, high), "free"; or record -> such a mapping; those of a
+        fit are taken as they are, ``initial=fit.initial`` or ``fit.initial["record"]``, and kept fixed
     loss : "square", "huber", or ("huber", knee in standard deviations)
     ties : "substitute", or "constraint" to keep ties as equality constraints of the solver: the same answer
     method : "exact", or "euler" for the forward-Euler discretisation of a linear model
@@ -117,7 +117,7 @@ def estimate(
         setup = time.perf_counter() - begun
         several = jobs != 1 and starts + neighbours > 1
         workers = Workers(arguments, jobs, interrupts, search.tell) if several else None
-        drawn = drawn_starts(search.pmap, starts, seed)
+        drawn = search.drawn(starts, seed)
         attempts = attempts_from(search, drawn, neighbours, outcomes=workers.outcomes if workers else None)
         found = best_of(attempts)
         best = search.integrated(found)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.errors import EstimationError
+from casadi_engine.estimation.fit import Estimate
 from casadi_engine.model import Model
 from casadi_engine.parameters import near_matches
 from casadi_engine.simulation.grid import Grid
@@ -56,7 +57,8 @@ def initial_bounds(
 ) -> tuple[Array, Array, Array]:
     """(lower, upper, start) of the initial state (n,), in the states' units; NaN start where it is free.
 
-    initial : None; state -> number (fixed), (low, high) or "free"; or record -> such a mapping
+    initial : None; state -> number (fixed; an Estimate counts as one), (low, high) or "free"; or record -> such a
+        mapping, as ``fit.initial`` is
     """
     names = [state.name for state in model.states]
     lower, upper = np.full(len(names), -np.inf), np.full(len(names), np.inf)
@@ -98,7 +100,8 @@ def initial_bounds(
 
 
 def as_number(value: Any) -> float | None:
-    """A real number of any kind as a float, else None."""
+    """A real number of any kind, or the value of an Estimate such as ``fit.initial[record][state]``, else None."""
+    value = value.value if isinstance(value, Estimate) else value
     if isinstance(value, (bool, np.bool_, str)) or np.ndim(value) or value is None:
         return None
     try:

@@ -51,7 +51,8 @@ class Blocks:
 class RecordTerm:
     """Residuals of one record over its shooting intervals.
 
-    active : entries of the global vector that this record depends on; n : states; scale : (n,) of the states
+    active : entries of the global vector that this record depends on; n : states; scale : (n,) of the states, those
+    of the model unless given
     """
 
     def __init__(
@@ -67,6 +68,7 @@ class RecordTerm:
         grid: Grid | None = None,
         cores: Cores | None = None,
         steps: int | Fineness | None = None,
+        scale: Array | None = None,
     ) -> None:
         self.experiment, self.model = experiment, model
         self.symbols, self.gain, self.method = (v, physical), gain, method
@@ -74,7 +76,7 @@ class RecordTerm:
         self.grid = grid or lay_grid(model, experiment)
         self.plan: Intervals = cut(self.grid, length)
         self.observation = Observation(self.grid, self.plan, self.outputs)
-        self.scale = np.array([state.scale for state in model.states])
+        self.scale = np.array([state.scale for state in model.states]) if scale is None else scale
         plan = gain if isinstance(gain, GainPlan) else None
         needed = physical if plan is None else ca.vertcat(physical, plan.expression)
         depends = ca.which_depends(needed, v, 1, False) if v.numel() and needed.numel() else []
@@ -105,7 +107,8 @@ class RecordTerm:
         """The same record in intervals of another length (None: one), predicted with another gain or simulated."""
         other = RecordTerm(
             self.model, self.experiment, *self.symbols,
-            length=length, gain=gain, method=self.method, grid=self.grid, steps=fineness_of(self.propagator),
+            length=length, gain=gain, method=self.method, grid=self.grid, scale=self.scale,
+            steps=fineness_of(self.propagator),
         )  # fmt: skip
         if self._most is not None:
             other.limit_steps(self._most)

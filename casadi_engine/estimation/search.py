@@ -23,6 +23,7 @@ from casadi_engine.estimation.options import initial_bounds, interval_length
 from casadi_engine.estimation.pieces import REACH, SCREENED, approach
 from casadi_engine.estimation.predictor import Predictor
 from casadi_engine.estimation.record import RecordTerm
+from casadi_engine.estimation.scales import felt_scale, state_factors
 from casadi_engine.estimation.shooting import ShootingProblem
 from casadi_engine.estimation.starts import chained_nodes, drawn_starts, nodes_from_measurement
 from casadi_engine.estimation.unreachable import unreachable
@@ -87,30 +88,27 @@ class Search:
         self.warm, self._progress = _checked_warm(warm), progress
         self._approach, self._interrupts = approach, interrupts or Interrupts()
         names = tuple(record.name for record in data)
-        grids = {record.name: lay_grid(model, record) for record in data}
-        self.predictor = Predictor(noise, model, list(grids.values()), parameters)
+        self._grids = {record.name: lay_grid(model, record) for record in data}
+        self.predictor = Predictor(noise, model, list(self._grids.values()), parameters)
         wanted = (*model.parameter_names, *self.predictor.names)
         whole = compile(parameters, wanted, names, ties=ties)  # type: ignore[arg-type]
-        self.pmap, tails = self.predictor.split(whole)
+        self.pmap, self._whole_tails = self.predictor.split(whole)
         self.parameters = parameters
-        nv = len(self.pmap.free)
-        self.coordinates = Coordinates(self.pmap)
-        self._tails: dict[str, Any] = {}
-        self.records, level = self._terms(grids, tails, interval, method)
-        priors: Any = Priors(self.pmap, self.coordinates)
-        if level is not None:
-            self._check_loss()
-            priors = SizedPriors(priors, self.records, level)
-            noise = Noise(**dict(zip(self.predictor.outputs, level.tolist(), strict=True)))
-        self.constraints = ParameterConstraints(model, self.pmap, self.coordinates, self._stable())
-        self.problem = ShootingProblem(self.records, self.constraints, priors, loss, nv)
         self._initial = [initial_bounds(initial, model, name, names) for name in names]
-        self._bounds()
-        self.sigma = np.zeros(0)
-        self.levels = NoiseLevels(noise, model, self.records)
-        if nv:
+        self._cut, self._method = interval, method
+        self._first: tuple[Array, Array] | None = None  # the set's own start and its variables, once laid out
+        self._lay(noise, Coordinates(self.pmap))
+        if self.problem.nv:
             check_samples(noise, self.records, self.free_count, len(self.pmap.priors))
-        self._weigh(self.levels.first())
+        self._weigh(self.levels.first(self.warm))
+        z = self._warm_values(self.pmap.start) if self.warm is not None else self.pmap.start
+        self._first = (z, self._start(z, first=True))
+        felt = felt_scale(self.problem, self.coordinates, *self._first)
+        larger = state_factors(self.problem, self._first[1]) if self.predictor.kind == "none" else None
+        if felt is not None or larger is not None:
+            self._first = None
+            self._lay(noise, Coordinates(self.pmap, felt), larger)
+            self._weigh(self.levels.first(self.warm))
         self.solver = Solver(
             self.problem,
             max_iterations=max_iterations,
@@ -118,6 +116,24 @@ class Search:
             progress=self._report,
             interrupts=self._interrupts,
         )
+
+    def _lay(self, noise: Noise, coordinates: Coordinates, larger: Array | None = None) -> None:
+        """Set the problem up in these coordinates, the states' scales times ``larger`` (n,)."""
+        scale = np.array([state.scale for state in self.model.states])
+        self._scale = scale if larger is None else scale * larger
+        self.coordinates = coordinates
+        self._tails: dict[str, Any] = {}
+        self.records, level = self._terms(self._grids, self._whole_tails, self._cut, self._method)
+        priors: Any = Priors(self.pmap, self.coordinates)
+        if level is not None:
+            self._check_loss()
+            priors = SizedPriors(priors, self.records, level)
+            noise = Noise(**dict(zip(self.predictor.outputs, level.tolist(), strict=True)))
+        self.constraints = ParameterConstraints(self.model, self.pmap, self.coordinates, self._stable())
+        self.problem = ShootingProblem(self.records, self.constraints, priors, self.loss, len(self.pmap.free))
+        self._bounds()
+        self.sigma = np.zeros(0)
+        self.levels = NoiseLevels(noise, self.model, self.records)
 
     def _terms(
         self, grids: dict[str, Grid], tails: dict[str, Any], interval: Any, method: str
@@ -143,6 +159,7 @@ class Search:
                 method=method,
                 grid=grid,
                 cores=cores,
+                scale=self._scale,
             )
             records.append(term)
         return records, level
@@ -211,6 +228,8 @@ class Search:
         return np.clip(np.where(np.isfinite(values), values, z), self.pmap.lower, self.pmap.upper)
 
     def _start(self, z: Array, *, first: bool) -> Array:
+        if first and self._first is not None and np.array_equal(self._first[0], z):
+            return self._first[1].copy()
         x = np.zeros(self.problem.size)
         nv = self.problem.nv
         x[:nv] = self.coordinates.of(z)
@@ -298,18 +317,22 @@ class Search:
         nv, v = self.problem.nv, solution.x[: self.problem.nv]
         if not solution.status.startswith("not converged") or not self.constraints.violated(v):
             return solution
-        starts = [v, *(self.coordinates.of(z) for z in drawn_starts(self.pmap, _TRIED, 0))]
+        starts = [v, *(self.coordinates.of(z) for z in self.drawn(_TRIED, 0))]
         found = unreachable(self.constraints, starts, self.lower[:nv], self.upper[:nv])
         if not found:
             return solution
         return replace(solution, status=f"not converged: no values within the bounds meet {'; '.join(found)}")
+
+    def drawn(self, count: int, seed: int) -> list[Array]:
+        """Starts of z, the set's own and others around it."""
+        return drawn_starts(self.pmap, count, seed, scale=self.coordinates.scale)
 
     def _approached(self, z: Array) -> Array:
         """The start of the simulation that predictions over short pieces lead to; ``z`` itself without them."""
         if self._approach == "direct" or self.warm is not None or not self.problem.nv:
             return z
         self._weigh(self.levels.first())
-        drawn = drawn_starts(replace(self.pmap, start=z), 1 + SCREENED, 0, REACH)
+        drawn = drawn_starts(replace(self.pmap, start=z), 1 + SCREENED, 0, REACH, self.coordinates.scale)
         v = approach(
             self.records,
             [self.coordinates.of(point) for point in drawn],

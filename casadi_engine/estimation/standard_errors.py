@@ -13,12 +13,20 @@ from casadi_engine.estimation.growth import check_growth
 from casadi_engine.estimation.loss import Loss
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
-from casadi_engine.estimation.uncertainty import Covariance, chained_information, in_words, invert
+from casadi_engine.estimation.uncertainty import (
+    Covariance,
+    chained_gradient,
+    chained_information,
+    in_words,
+    invert,
+)
 
 Array = NDArray[np.float64]
 
-# An entry this close to its bound, and a constraint this close to its limit (in scaled units), is at it.
-_AT_LIMIT = 1e-7
+# A bound or a limit acts if the estimate is nearer to it than this many standard errors (a move that the data cannot
+# tell: it changes chi-squared by the square, 1e-3), and if without it the estimate would go beyond it by more than
+# ``_BEYOND`` times as far. The standard error is the one that the estimate has without bounds.
+_NEAR, _BEYOND = 0.03, 3.0
 # A variance below this share of what its parts would give is rounding: the constraints leave nothing open.
 _HELD = 1e-12
 
@@ -28,6 +36,7 @@ class Uncertainty:
     """What is known of the errors at the point x (size,), parameters at a bound put on it.
 
     bound : False, "min" or "max" of every entry of [v; initial states]; covariance : over the same entries
+    decrement : the fall of chi-squared that one more Gauss-Newton step promises, within bounds and constraints
     """
 
     search: Search
@@ -36,6 +45,7 @@ class Uncertainty:
     covariance: Covariance
     acting: tuple[str, ...] = ()  # constraints that hold the estimate back, with the limit that does
     optimal: bool = True
+    decrement: float = 0.0
 
     @property
     def v(self) -> Array:
@@ -118,32 +128,41 @@ class Uncertainty:
 
 
 def uncertainty(search: Search, best: Attempt) -> Uncertainty:
-    """Errors at the best point, with the noise levels found there."""
-    information = _information(search, best)
+    """Errors at the best point, with the noise levels that the search is weighted by."""
+    information, gradient = _information(search, best)
     limits = [(low, high) for low, high, _ in search._initial]
     fixed = np.concatenate([np.zeros(search.problem.nv, dtype=bool), *[low == high for low, high in limits]])
-    open_ = invert(information, fixed, np.zeros((0, len(information))))
-    bound = _at_bounds(search, best, open_)
+    equal = _rows(search, best.v, search.constraints.lower == search.constraints.upper, len(information))
+    open_ = invert(information, fixed, equal)
+    force = gradient.copy()
+    if search.constraints.count:  # what the bounds have to hold beside the constraints
+        pull = search.constraints.evaluate(best.v)[1].T @ best.solution.lam_g[: search.constraints.count]
+        force[: search.problem.nv] += search.problem.samples * pull
+    bound = _at_bounds(search, best, open_, force)
     x = best.solution.x.copy()
     for k, side in enumerate(bound[: search.problem.nv]):
         if side is not False:
             x[k] = search.lower[k] if side == "min" else search.upper[k]
-    closed = np.array([side is not False for side in bound], dtype=bool)
+    closed = fixed | np.array([side is not False for side in bound], dtype=bool)
     rows, acting = _active_rows(search, best, x[: search.problem.nv], open_)
     optimal = best.solution.status == "converged"
-    return Uncertainty(search, x, bound, invert(information, closed, rows), acting, optimal)
+    covariance = invert(information, closed, rows)
+    decrement = float(gradient @ covariance.matrix @ gradient)
+    return Uncertainty(search, x, bound, covariance, acting, optimal, decrement)
 
 
-def _information(search: Search, best: Attempt) -> Array:
-    """The information matrix over [v; initial states]."""
+def _information(search: Search, best: Attempt) -> tuple[Array, Array]:
+    """Information matrix over [v; initial states] and gradient of half chi-squared, both through continuity."""
     problem, x = search.problem, best.solution.x
     point = problem.at(x)
     check_growth(search.records, point.records)
     size = problem.nv + sum(record.n for record in search.records)
     information = np.zeros((size, size))
     information[: problem.nv, : problem.nv] = problem.priors.evaluate(x[: problem.nv])[3]
+    gradient = np.zeros(size)
+    gradient[: problem.nv] = point.gradient[: problem.nv] * problem.samples
     at = problem.nv
-    for record, found in zip(search.records, point.records, strict=True):
+    for record, found, lay in zip(search.records, point.records, problem.layouts, strict=True):
         # Huber's information is that of least squares times the efficiency of the clipped residuals.
         blocks = record.gauss_newton(found)
         own = chained_information(record, found, blocks) * _efficiency(
@@ -151,8 +170,9 @@ def _information(search: Search, best: Attempt) -> Array:
         )
         where = np.concatenate([record.active, np.arange(at, at + record.n)])
         information[np.ix_(where, where)] += own
+        gradient[where] += chained_gradient(record, found, lay.take(point.gradient) * problem.samples)
         at += record.n
-    return information
+    return information, gradient
 
 
 def _efficiency(loss: Loss, r: Array) -> float:
@@ -166,24 +186,25 @@ def _efficiency(loss: Loss, r: Array) -> float:
 def _acts(near: float, force: float, variance: float) -> bool:
     """True if a limit at the distance ``near`` holds the estimate back.
 
-    An interior-point method stops a little inside: a limit acts too if its force, let go, would carry the
-    estimate well beyond it. force : on the summed cost; variance : of the estimate across the limit
+    force : slope of half chi-squared towards the limit; variance : of the estimate across the limit
     """
-    return near < _AT_LIMIT or (near < 1e-2 and force > 0 and force * variance > 3 * near)
+    if near <= 0:
+        return force >= 0
+    shift = force * variance  # how far beyond its place the estimate would go
+    return bool(near < _NEAR * np.sqrt(max(variance, 0.0)) and shift > _BEYOND * near)
 
 
-def _at_bounds(search: Search, best: Attempt, open_: Covariance) -> list[AtBound]:
-    """For v and the initial states: False, "min" or "max"."""
+def _at_bounds(search: Search, best: Attempt, open_: Covariance, force: Array) -> list[AtBound]:
+    """For v and the initial states: False, "min" or "max"; force : slopes of half chi-squared there."""
     problem, x, found = search.problem, best.solution.x, []
     entries = list(range(problem.nv))
     for lay in problem.layouts:
         entries += range(lay.at, lay.at + lay.n)
     for k, entry in enumerate(entries):
         low, high = x[entry] - search.lower[entry], search.upper[entry] - x[entry]
-        force = float(best.solution.lam_x[entry]) * problem.samples
         side: AtBound = "min" if low <= high else "max"
-        near = float(min(low, high))
-        acts = _acts(near, -force if side == "min" else force, float(open_.matrix[k, k]))
+        own = float(force[k]) if side == "min" else -float(force[k])
+        acts = _acts(float(min(low, high)), own, float(open_.matrix[k, k]))
         found.append(side if acts else False)
     return found
 
@@ -206,9 +227,15 @@ def _active_rows(search: Search, best: Attempt, v: Array, open_: Covariance) -> 
         for k in np.flatnonzero(acts & (user.lower < user.upper)):
             words.append(f"{user.labels[k]} at its {side} limit {limit[k] * user.scale[k]:.6g}")
         active |= acts
-    rows = np.zeros((int(active.sum()), len(open_.matrix)))
-    rows[:, :nv] = jacobian[active]
-    return rows, tuple(words)
+    return _rows(search, v, active, len(open_.matrix)), tuple(words)
+
+
+def _rows(search: Search, v: Array, which: NDArray[np.bool_], size: int) -> Array:
+    """Gradients (c, size) of these constraints on parameters."""
+    rows = np.zeros((int(which.sum()), size))
+    if len(rows):
+        rows[:, : len(v)] = search.constraints.evaluate(v)[1][which]
+    return rows
 
 
 def _names(search: Search) -> list[str]:

@@ -106,8 +106,14 @@ def chained_nodes(record: RecordTerm, v: Array, first: Array) -> Array:
     return np.ascontiguousarray(path.x[: plan.m * plan.length : plan.length, :, 0])[: plan.m]
 
 
-def drawn_starts(pmap: ParameterMap, count: int, seed: int, reach: float = _REACH) -> list[Array]:
-    """``count`` starts of z: the given one, then points drawn within the bounds and a factor ``reach`` of it."""
+def drawn_starts(
+    pmap: ParameterMap, count: int, seed: int, reach: float = _REACH, scale: Array | None = None
+) -> list[Array]:
+    """``count`` starts of z: the given one, then points drawn within the bounds and a factor ``reach`` of it.
+
+    scale : (nz,) sizes in place of those of the set, for entries that are 0 or negative
+    """
+    scale = pmap.scale if scale is None else scale
     starts = [pmap.start.copy()]
     rng = np.random.default_rng(seed)
     for _ in range(count - 1):
@@ -119,7 +125,7 @@ def drawn_starts(pmap: ParameterMap, count: int, seed: int, reach: float = _REAC
                 low, high = max(low, at / reach), min(high, at * reach)
                 point[i] = low * (high / low) ** part
             else:
-                width = reach * pmap.scale[i]
+                width = reach * scale[i]
                 low, high = max(low, at - width), min(high, at + width)
                 point[i] = low + (high - low) * part
         starts.append(point)

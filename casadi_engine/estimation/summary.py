@@ -384,7 +384,9 @@ def _cure(fit: Fit, weights: object) -> str:
         for state in (variable.name for variable in fit.model.states):
             if state in name.replace("@", " ").replace("[", " ").replace("(", " ").split():
                 return f'give the initial state: initial={{"{state}": ...}}'
-    return "fix one of them, or add an experiment that excites it"
+    return "fix one of them, or add an experiment " + (
+        "that excites it" if fit.model.inputs else "with another start"
+    )
 
 
 # ---- layout -------------------------------------------------------------------------------------------

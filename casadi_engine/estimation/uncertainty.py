@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import null_space
 
+from casadi_engine.estimation.condensing import joint_multipliers
 from casadi_engine.estimation.record import Blocks, RecordPoint, RecordTerm
 
 Array = NDArray[np.float64]
@@ -50,6 +51,19 @@ def chained_information(record: RecordTerm, point: RecordPoint, blocks: Blocks) 
     total[:, :nz] += mixed.T
     total[:nz, :nz] += blocks.zz
     return total
+
+
+def chained_gradient(record: RecordTerm, point: RecordPoint, slope: Array) -> Array:
+    """Gradient (nz+n,) in a record's active parameters and initial state from that in its nodes (M, n), these
+    eliminated; the parameters' own direct part is not in it."""
+    nz, n = len(record.active), record.n
+    found = np.zeros(nz + n)
+    found[nz:] = slope[0]
+    if len(slope) > 1:
+        lam = joint_multipliers(point.path.end_s, slope)
+        found[:nz] = np.einsum("zam,am->z", point.path.end_z[:, :, :-1], lam)
+        found[nz:] += point.path.end_s[0].T @ lam[:, 0]
+    return found
 
 
 def invert(information: Array, closed: NDArray[np.bool_], active_rows: Array) -> Covariance:

@@ -178,7 +178,7 @@ def _unbounded(parameters: Parameters) -> Parameters:
     made._frequencies.clear()
     for name in made:
         if made[name].prior is not None:
-            made[name].set(prior=())
+            made[name].set(prior=None)
     return made
 
 

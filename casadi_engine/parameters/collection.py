@@ -27,8 +27,9 @@ from casadi_engine.parameters.parameter import Parameter
 class Parameters:
     """An ordered, mutable set of parameters with their ties, constraints and priors.
 
-    Works like a mapping from name to Parameter (``pars["J_eng"].set(0.39, min=0.05)``), except that an
-    unknown name raises ParameterError with near matches. The parameters given are copied.
+    Works like a mapping from name to Parameter (``pars["J_eng"].set(0.39, min=0.05)``, ``pars["J_eng"].value = 0.39``,
+    ``pars.get("J_eng")``), except that an unknown name in brackets raises ParameterError with near matches. The
+    parameters given are copied.
 
     >>> pars = Parameters([Parameter("C2", 0.04, unit="N m s/rad", min=0)])
     >>> pars.add("C_eng", 0.16, unit="N m s/rad", min=0)
@@ -39,6 +40,12 @@ class Parameters:
     C2      0.04  N m s/rad    0  inf  == C_eng/4
     C_eng   0.16  N m s/rad    0  inf
     """
+
+    # a misspelt or hopeful ``pars.K = 3`` must not vanish in an attribute that nobody reads
+    __slots__ = (
+        "_constraints", "_frequencies", "_frozen", "_items", "_references", "_resolved", "_symbols", "_text_ties",
+        "_ties",
+    )  # fmt: skip
 
     def __init__(self, parameters: Iterable[Parameter] = ()):
         self._items: dict[str, Parameter] = {}
@@ -60,6 +67,14 @@ class Parameters:
             return self._items[name]
         except (KeyError, TypeError):
             raise self._unknown(name) from None
+
+    def __setitem__(self, name: str, value: float) -> None:
+        """``pars["K"] = 3`` is ``pars["K"].set(3)``; only `add` makes a new parameter."""
+        self[name].set(value)
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """The parameter of that name, or ``default``."""
+        return self._items[name] if name in self else default
 
     def __contains__(self, name: object) -> bool:
         return isinstance(name, str) and name in self._items
@@ -153,7 +168,10 @@ class Parameters:
                 allowed="one of the two",
                 cure=f'call untie("{name}") first, or fix what it is tied to',
             )
-        parameter.set(value, vary=False)
+        if value is not None:
+            parameter.set(value, vary=False)
+        else:
+            parameter.set(vary=False)
 
     def free(self, *names: str) -> None:
         """Have parameters estimated."""
@@ -403,10 +421,10 @@ class Parameters:
     def _check_open(self) -> None:
         if self._frozen:
             raise ParameterError(
-                "this set of parameters is frozen",
-                seen="a change of it",
-                allowed="reading",
-                cure="change a copy: parameters.copy()",
+                "this set of parameters is frozen: it is part of a result",
+                seen="an attempt to change it",
+                allowed="changes of a copy",
+                cure='pars = fit.parameters.copy(), for instance, and then pars["K"].value = 3',
             )
 
     def _changed(self) -> None:

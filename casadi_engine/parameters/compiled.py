@@ -49,7 +49,8 @@ class ParameterMap:
     free : names of z (nz): the plain free parameters in the set's order, then ``name@record`` name by name,
         then, with ties="constraint", the tied ones that depend on a free one
     start, lower, upper : (nz,) in the parameters' units; lower <= start <= upper
-    scale : (nz,) > 0, the magnitude of each entry: abs(start), or at 0 the width of finite bounds, else 1
+    scale : (nz,) > 0, the magnitude of each entry: abs(start), or 1 at 0. No bound is a magnitude: a search asks the
+        data for that of an entry that starts at 0
     z : SX (nz, 1)
     physical : record -> SX (np, 1), the model's parameters in model order as expressions of z
     reported : names of every parameter of the set, with ``name@record`` where it varies
@@ -234,8 +235,7 @@ class _Layout:
         upper = np.array([p.max for p in members], dtype=float)
         start = np.array([self.values[p.name] for p in members], dtype=float)
         start = np.clip(start, lower, upper)  # a tied one's start may be outside its bounds
-        width = upper - lower
-        scale = np.where(start != 0, np.abs(start), np.where(np.isfinite(width), width, 1.0))
+        scale = np.where(start != 0, np.abs(start), 1.0)
         for array in (start, lower, upper, scale):
             array.setflags(write=False)
         return start, lower, upper, scale

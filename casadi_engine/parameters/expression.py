@@ -115,7 +115,32 @@ class _Reader:
                 return self.chain(node, depth)
             case ast.Call():
                 return self.call(node, depth)
+            case ast.Compare(left=left, comparators=[right, *_]):
+                raise self.wrong("a comparison is outside the grammar", self.between(left, right))
+            case ast.BoolOp(values=[left, right, *_]):
+                raise self.wrong("and, or are outside the grammar", self.between(left, right))
+            case ast.Tuple(elts=[left, right, *_]):
+                raise self.wrong(
+                    "several expressions are outside the grammar of one", self.between(left, right)
+                )
+            case ast.Subscript(value=inner):
+                raise self.wrong("an expression holds something outside the grammar", self.after(inner))
         raise self.wrong("an expression holds something outside the grammar", node)
+
+    def after(self, node: ast.AST) -> int:
+        """The first column after a part of the tree and its closing parentheses."""
+        end = self.column(getattr(node, "end_col_offset", 0))
+        while end < len(self.text) and self.text[end] in " )":
+            end += 1
+        return end
+
+    def between(self, left: ast.AST, right: ast.AST) -> int:
+        """The column of what stands between two operands."""
+        return min(self.after(left), self.column(getattr(right, "col_offset", 0)))
+
+    def column(self, offset: int) -> int:
+        """The column of an offset of the syntax tree, which counts the bytes of UTF-8."""
+        return len(self.text.encode()[:offset].decode(errors="ignore"))
 
     def chain(self, node: ast.BinOp, depth: int) -> Any:
         """Read ``a + b + c …``: the tree leans to the left, so a long sum is walked, not recursed into."""
@@ -128,7 +153,11 @@ class _Reader:
         for link in reversed(links):
             function = OPERATORS.get(type(link.op))
             if function is None:
-                raise self.wrong("an expression uses an operator outside the grammar", link)
+                what = "an expression uses an operator outside the grammar"
+                power = isinstance(link.op, ast.BitXor)
+                raise self.wrong(
+                    what, self.between(link.left, link.right), "a power is written **" if power else GRAMMAR
+                )
             right = self.node(link.right, depth + 1)
             if isinstance(link.op, ast.Pow) and right.is_constant() and abs(float(right)) > MAX_POWER:
                 raise self.wrong(f"a constant power is beyond {MAX_POWER}", link.right)
@@ -193,10 +222,7 @@ class _Reader:
         *,
         error: type[ParameterError] = ExpressionError,
     ) -> ParameterError:
-        if isinstance(at, int):
-            column = at
-        else:  # ast counts the bytes of UTF-8
-            column = len(self.text.encode()[: getattr(at, "col_offset", 0)].decode(errors="ignore"))
+        column = at if isinstance(at, int) else self.column(getattr(at, "col_offset", 0))
         column = min(column, len(self.text))
         shown = self.text.encode(errors="replace").decode()
         return error(

@@ -12,6 +12,9 @@ from casadi_engine.parameters.names import check_name
 if TYPE_CHECKING:
     from casadi_engine.parameters.collection import Parameters
 
+# "Leave this as it is" in ``Parameter.set``, whose None takes something away.
+_KEEP: Any = type("_Keep", (), {"__repr__": lambda _: "..."})()
+
 
 class Parameter:
     """A named number with bounds, as the model declares it and the user sets it.
@@ -26,8 +29,8 @@ class Parameter:
     prior : (mean, sigma) in `unit`, or None; `sigma` > 0
     description : one clause for tables
 
-    Raises ParameterError if a number is not finite or the order is broken. The attributes are read only;
-    `set` changes them.
+    Raises ParameterError if a number is not finite or the order is broken. ``p.value = 3``, and the same of `min`,
+    `max`, `vary`, `prior` and `tie`, is `set` of that one (or the set's `tie`); name, unit and description stay.
     """
 
     __slots__ = (
@@ -64,10 +67,15 @@ class Parameter:
     name = property(lambda self: self._name, doc="Name in the set.")
     unit = property(lambda self: self._unit, doc="Unit as text.")
     description = property(lambda self: self._description, doc="One clause for tables.")
-    min = property(lambda self: self._min, doc="Lower bound, -inf if there is none.")
-    max = property(lambda self: self._max, doc="Upper bound, inf if there is none.")
-    prior = property(lambda self: self._prior, doc="(mean, sigma) or None.")
-    tie = property(lambda self: self._tie, doc="Text of the expression that it is tied to, or None.")
+    min = property(
+        lambda self: self._min, lambda self, new: self.set(min=new), doc="Lower bound, -inf if there is none."
+    )
+    max = property(
+        lambda self: self._max, lambda self, new: self.set(max=new), doc="Upper bound, inf if there is none."
+    )
+    prior = property(
+        lambda self: self._prior, lambda self, new: self.set(prior=new), doc="(mean, sigma) or None."
+    )
 
     @property
     def value(self) -> float:
@@ -76,56 +84,99 @@ class Parameter:
             return self._owner.as_dict()[self._name]
         return self._value
 
+    @value.setter
+    def value(self, new: float) -> None:
+        self.set(new)
+
     @property
     def vary(self) -> bool:
         """True if it is estimated: neither fixed nor tied."""
         return self._vary and self._tie is None
+
+    @vary.setter
+    def vary(self, new: bool) -> None:
+        self.set(vary=new)
+
+    @property
+    def tie(self) -> str | None:
+        """Text of the expression that it is tied to, or None."""
+        return self._tie
+
+    @tie.setter
+    def tie(self, new: Any) -> None:
+        owner = self._owner
+        if owner is None:
+            raise TieError(
+                f"the parameter {self._name} is in no set, so there is nothing to tie it to",
+                seen=repr(new),
+                allowed="a tie of a parameter in a set",
+                cure="put it into Parameters([...]) first",
+            )
+        if new is not None:
+            owner.tie(self._name, new)
+        elif self._tie is not None:
+            owner.untie(self._name)
 
     @property
     def varies_by_experiment(self) -> bool:
         """True if every record has its own value; has no effect while the parameter is fixed or tied."""
         return self._varies and self.vary
 
+    def __setattr__(self, name: str, new: Any) -> None:
+        if name in ("name", "unit", "description", "varies_by_experiment"):
+            cure = (
+                f'call vary_by_experiment("{self._name}") of the set'
+                if name == "varies_by_experiment"
+                else "declare it where the parameter is made: Blueprint.parameter(...), or Parameters.add(...)"
+            )
+            raise ParameterError(
+                f"the {name} of the parameter {self._name} cannot be changed",
+                seen=f"{name} = {new!r}",
+                allowed="value, min, max, vary, prior and tie",
+                cure=cure,
+            )
+        object.__setattr__(self, name, new)
+
     def set(
         self,
-        value: float | None = None,
+        value: float = _KEEP,
         *,
-        min: float | None = None,
-        max: float | None = None,
-        vary: bool | None = None,
-        prior: tuple[float, float] | tuple[()] | None = None,
+        min: float | None = _KEEP,
+        max: float | None = _KEEP,
+        vary: bool = _KEEP,
+        prior: tuple[float, float] | tuple[()] | None = _KEEP,
     ) -> Parameter:
         """Change what is given, leave the rest, and return the parameter itself.
 
-        An empty tuple as `prior` removes the prior. Nothing is changed when ParameterError is raised:
-        numbers that are not finite, or not min <= value <= max and min < max, or a frozen set. TieError if
-        a value or `vary` is set on a tied parameter.
+        None takes away: `prior=None` the prior, `min=None` and `max=None` that bound. Nothing is changed when
+        ParameterError is raised: numbers that are not finite, or not min <= value <= max and min < max, or a frozen
+        set. TieError if a value or `vary` is set on a tied parameter.
         """
         name = self._name
         if self._owner is not None:
             self._owner._check_open()
-        if self._tie is not None and (value is not None or vary is not None):
+        if self._tie is not None and (value is not _KEEP or vary is not _KEEP):
             raise TieError(
                 f"the parameter {name} is tied, so it has no value of its own and cannot be fixed or freed",
                 seen=f"{name} == {self._tie}",
                 allowed="min, max and prior",
                 cure=f'call untie("{name}") first',
             )
-        new_value = self._value if value is None else _number(name, "value", value)
-        new_min = self._min if min is None else _number(name, "min", min, infinite=-1)
-        new_max = self._max if max is None else _number(name, "max", max, infinite=1)
-        new_vary = self._vary if vary is None else _flag(name, vary)
+        new_value = self._value if value is _KEEP else _number(name, "value", value)
+        new_min = self._min if min is _KEEP else _bound(name, "min", min, -1)
+        new_max = self._max if max is _KEEP else _bound(name, "max", max, 1)
+        new_vary = self._vary if vary is _KEEP else _flag(name, vary)
         new_prior = (
             self._prior
-            if prior is None
-            else (None if isinstance(prior, tuple) and not prior else _prior(name, prior))
+            if prior is _KEEP
+            else _prior(name, None if isinstance(prior, tuple) and not prior else prior)
         )
         if self._tie is not None:  # the stored value is out of use: it only has to fit when untied
             new_value = clip(new_value, new_min, new_max)
         _check_order(name, new_value, new_min, new_max)
         self._value, self._min, self._max = new_value, new_min, new_max
         self._vary, self._prior = new_vary, new_prior
-        if vary is not None:
+        if vary is not _KEEP:
             self._explicit = not new_vary
         self._touch()
         return self
@@ -189,6 +240,11 @@ def number(what: str, value: object, *, infinite: int = 0) -> float:
 
 def _number(name: str, what: str, value: object, *, infinite: int = 0) -> float:
     return number(f"the {what} of the parameter {name}", value, infinite=infinite)
+
+
+def _bound(name: str, what: str, value: object, side: int) -> float:
+    """A bound; None is none, the infinity of its side."""
+    return side * math.inf if value is None else _number(name, what, value, infinite=side)
 
 
 def _flag(name: str, value: object) -> bool:

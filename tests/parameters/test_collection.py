@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from casadi_engine.errors import ConstraintError, ExpressionError, ParameterError
+from casadi_engine.errors import ConstraintError, ExpressionError, ParameterError, TieError
 from casadi_engine.parameters import Parameter, Parameters
 
 NAMES = ("J_eng", "J_load", "K_el", "C_el", "C2", "C_eng")
@@ -321,6 +321,12 @@ def test_symbols_are_listed_and_read_only(engine):
 
 CHANGES = {
     "set": lambda p: p["J_eng"].set(1.0),
+    "value": lambda p: setattr(p["J_eng"], "value", 1.0),
+    "min": lambda p: setattr(p["J_eng"], "min", 0.01),
+    "prior": lambda p: setattr(p["J_eng"], "prior", (1.0, 1.0)),
+    "tie of one": lambda p: setattr(p["J_eng"], "tie", "J_load"),
+    "untie of one": lambda p: setattr(p["C2"], "tie", None),
+    "item": lambda p: p.__setitem__("J_eng", 1.0),
     "add": lambda p: p.add("x", 1.0),
     "fix": lambda p: p.fix("J_eng"),
     "free": lambda p: p.free("C_el"),
@@ -340,9 +346,9 @@ def test_a_frozen_set_refuses_every_change(change, engine, refused):
     with refused(
         ParameterError,
         "this set of parameters is frozen",
-        seen="a change of it",
-        allowed="reading",
-        cure="parameters.copy()",
+        seen="an attempt to change it",
+        allowed="changes of a copy",
+        cure="pars = fit.parameters.copy()",
     ):
         change(frozen)
     assert frozen.to_dict() == before
@@ -426,3 +432,35 @@ def test_a_prior_of_another_kind(prior):
     with pytest.raises(ParameterError, match="prior of the parameter a"):
         pars["a"].set(prior=prior)
     assert pars["a"].prior == (1.0, 0.5)
+
+
+def test_get_is_that_of_a_mapping(engine):
+    assert engine.get("J_eng") is engine["J_eng"]
+    assert engine.get("J_enh") is None
+    assert engine.get("J_enh", 3) == 3
+    assert engine.get(3, "no") == "no"
+
+
+def test_a_number_assigned_to_a_name_is_its_value(engine, refused):
+    engine["J_eng"] = 0.7
+    assert engine["J_eng"].value == 0.7
+    with refused(
+        ParameterError, "unknown parameter", seen="'J_enh'", allowed="nearest: J_eng", cure="add(...)"
+    ):
+        engine["J_enh"] = 0.7
+
+
+def test_a_misspelt_attribute_of_the_set_is_no_new_one(engine):
+    with pytest.raises(AttributeError):
+        engine.J_eng = 3
+
+
+def test_a_tie_is_assigned_and_taken_away(engine):
+    engine["C2"].tie = "C_eng/4"
+    assert engine["C2"].tie == "C_eng/4"
+    assert engine["C2"].value == pytest.approx(engine["C_eng"].value / 4)
+    engine["C2"].tie = None
+    engine["C2"].tie = None
+    assert engine["C2"].tie is None
+    with pytest.raises(TieError, match="close a cycle"):
+        engine["C2"].tie = "C2"

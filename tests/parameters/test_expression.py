@@ -70,20 +70,24 @@ def test_the_grammar(text, expected):
         ("\x00", "cannot be read", None),
         ("a\ud800", "cannot be read", None),
         ("a # note", "an expression holds a comment", 2),
-        ("a % b", "operator outside the grammar", 0),
-        ("a // b", "operator outside the grammar", 0),
-        ("a @ b", "operator outside the grammar", 0),
-        ("a + (b ^ 2)", "operator outside the grammar", 5),
+        ("a % b", "operator outside the grammar", 2),
+        ("a // b", "operator outside the grammar", 2),
+        ("a @ b", "operator outside the grammar", 2),
+        ("a + (b ^ 2)", "operator outside the grammar", 7),
         ("not a", "outside the grammar", 0),
         ("~a", "outside the grammar", 0),
-        ("a < b", "outside the grammar", 0),
+        ("a < b", "outside the grammar", 2),
         ("a if b else 1", "outside the grammar", 0),
-        ("a and b", "outside the grammar", 0),
+        ("a and b", "outside the grammar", 2),
         ("lambda: a", "outside the grammar", 0),
         ("[a]", "outside the grammar", 0),
         ("{a: b}", "outside the grammar", 0),
-        ("a, b", "outside the grammar", 0),
-        ("2*a[0]", "outside the grammar", 2),
+        ("a, b", "outside the grammar", 1),
+        ("2*a[0]", "outside the grammar", 3),
+        ("((a) ) %((b))", "operator outside the grammar", 7),
+        ("ζ*a ^ 2", "unknown name ζ", 0),
+        ("é", "unknown name é", 0),
+        ("a*(b - a)^ 2", "operator outside the grammar", 9),
         ("(a := 3)", "outside the grammar", 1),
         ("f'{a}'", "outside the grammar", 0),
         ("(x for x in a)", "outside the grammar", 0),
@@ -394,3 +398,14 @@ def test_what_the_grammar_lacks_is_not_written(expression, seen, refused):
 
 def test_a_long_sum_is_written():
     assert write_expression(_long(120, lambda e: e + B)) == "a" + " + b" * 120
+
+
+def test_a_caret_as_power_is_told_what_to_write(refused):
+    with refused(
+        ExpressionError,
+        "operator outside",
+        seen="a ^ 2\n    ^",
+        allowed="a power is written **",
+        cure="caret",
+    ):
+        parse_expression("a ^ 2", SYMBOLS)

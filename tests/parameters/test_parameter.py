@@ -151,11 +151,53 @@ def test_unit_and_description_are_text(what, refused):
         Parameter("J", 1.0, **{what: 3})
 
 
-def test_the_attributes_are_read_only():
+def test_plain_assignment_is_set():
+    parameter = Parameter("J", 1.0, min=0, max=2)
+    parameter.value, parameter.max, parameter.min = 3 / 2, 4, 1
+    parameter.vary, parameter.prior = False, (1, 0.5)
+    assert (parameter.value, parameter.min, parameter.max) == (1.5, 1.0, 4.0)
+    assert (parameter.vary, parameter.prior) == (False, (1.0, 0.5))
+    with pytest.raises(ParameterError, match="outside its bounds"):
+        parameter.value = 5
+    with pytest.raises(ParameterError, match="min of the parameter J is not acceptable"):
+        parameter.min = "low"
+    with pytest.raises(ParameterError, match="vary of the parameter J is not acceptable"):
+        parameter.vary = None
+    assert (parameter.value, parameter.min) == (1.5, 1.0)
     with pytest.raises(AttributeError):
-        Parameter("J", 1.0).value = 3
-    with pytest.raises(AttributeError):
-        Parameter("J", 1.0).valeu = 3
+        parameter.valeu = 3
+
+
+@pytest.mark.parametrize("what", ["name", "unit", "description", "varies_by_experiment"])
+def test_what_a_parameter_is_cannot_be_assigned(what, refused):
+    with refused(
+        ParameterError,
+        f"the {what} of the parameter J cannot be changed",
+        seen=f"{what} = 'x'",
+        allowed="value, min, max, vary, prior and tie",
+        cure="vary_by_experiment" if what == "varies_by_experiment" else "Blueprint.parameter(...)",
+    ):
+        setattr(Parameter("J", 1.0), what, "x")
+
+
+def test_a_tie_outside_a_set_is_refused(refused):
+    with refused(TieError, "is in no set", seen="'K'", allowed="in a set", cure="Parameters([...])"):
+        Parameter("J", 1.0).tie = "K"
+
+
+def test_none_takes_away_and_nothing_keeps():
+    parameter = Parameter("J", 1.0, min=0, max=2, prior=(1.0, 0.5))
+    assert parameter.set(1.5).prior == (1.0, 0.5)
+    assert parameter.set(prior=None).prior is None
+    assert (parameter.set(min=None).min, parameter.max) == (-math.inf, 2.0)
+    assert parameter.set(max=None).max == math.inf
+    parameter.prior = (1.0, 0.5)
+    parameter.prior = None
+    assert parameter.prior is None
+    with pytest.raises(ParameterError, match="value of the parameter J is not acceptable"):
+        parameter.set(None)
+    with pytest.raises(ParameterError, match="vary of the parameter J is not acceptable"):
+        parameter.set(vary=None)
 
 
 def test_a_tied_parameter_shows_the_value_of_its_tie(engine):

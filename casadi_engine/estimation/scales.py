@@ -1,0 +1,62 @@
+"""Sizes that the data give: of parameters whose start says nothing, such as a start of 0, and of states."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.errors import ModelError
+
+if TYPE_CHECKING:
+    from casadi_engine.estimation.coordinates import Coordinates
+    from casadi_engine.estimation.shooting import ShootingProblem
+
+Array = NDArray[np.float64]
+
+# A start is the size of its parameter unless the misfit asks for a change a million times as large.
+_NO_SIZE = 1e-6
+# A state's scale is of no use where the state is so many times as large.
+_LARGE = 1e3
+
+
+def state_factors(problem: ShootingProblem, x: Array) -> Array | None:
+    """(n,) factors on the states' scales where the start of the search is far larger than these; None without any.
+
+    The solver joins its intervals to a share of the scale: rounding forbids it for a state of 1e8 with the scale 1.
+    """
+    sizes = [np.abs(lay.take(x)).max(axis=0) for lay in problem.layouts if lay.n]
+    if not sizes or not np.isfinite(largest := np.max(sizes, axis=0)).all():
+        return None
+    return np.where(largest > _LARGE, largest, 1.0) if (largest > _LARGE).any() else None
+
+
+def felt_scale(problem: ShootingProblem, coordinates: Coordinates, z: Array, x: Array) -> Array | None:
+    """(nz,) sizes of the parameters at the start z, NaN where the start itself is one; None if it is for all.
+
+    The size is the change of the parameter that moves all weighted residuals (and priors) together by as much as
+    they are, by one standard deviation at least: about as far as the data can ask it to go, and never less than its
+    standard error. It comes from the first evaluation of the search and knows nothing of bounds. Without any slope at
+    the start it is 1.
+
+    x : (size,) variables of the problem at z. Where the model cannot be evaluated there the answer is None.
+    """
+    if not len(z):
+        return None
+    try:
+        point = problem.at(x)
+        square = 2 * point.objective * problem.samples
+        slope = np.diag(problem.priors.evaluate(x[: problem.nv])[3]).copy()
+    except (FloatingPointError, np.linalg.LinAlgError, ModelError):
+        return None
+    for lay, found in zip(problem.layouts, point.records, strict=True):
+        slope[lay.active] += np.square(found.jz).reshape(len(lay.active), -1).sum(axis=1)
+    slope /= coordinates.slope(x[: problem.nv]) ** 2
+    if not (np.isfinite(square) and np.isfinite(slope).all()):
+        return None
+    with np.errstate(divide="ignore"):
+        felt = np.where(slope > 0, np.sqrt(max(square, 1.0) / np.where(slope > 0, slope, 1.0)), 1.0)
+    blind = np.abs(z) < _NO_SIZE * felt
+    blind &= (slope > 0) | (z == 0)
+    return np.where(blind, felt, np.nan) if blind.any() else None
