@@ -16,6 +16,7 @@ from casadi_engine.estimation.estimate import estimate
 from casadi_engine.estimation.options import as_number
 from casadi_engine.experiment import Channel, Experiment
 from casadi_engine.model import Model
+from casadi_engine.model.arrival import arriving, channel_unit
 from casadi_engine.parameters import Parameters, near_matches
 from casadi_engine.simulation.discretisation import Method
 from casadi_engine.simulation.grid import Grid, lay_grid
@@ -42,7 +43,8 @@ def simulate(
         ones, and those of a fit (`fit.initial`), are at the first valid sample of the outputs, the start then
     method : "exact", or "euler" for a linear model
 
-    Returns an Experiment with the input channels and one derived channel for each output, on the inputs' grid.
+    Returns an Experiment with the input channels and one derived channel for each output, on the inputs' grid, in
+    the units that the model declares.
     Raises SimulationError if initial states are missing and no output was measured; ExperimentError, ModelError.
 
     >>> import numpy as np, casadi_engine as ce
@@ -53,6 +55,7 @@ def simulate(
     array([100.   ,  60.653,  36.788])
     """
     _check_kinds(model, data, parameters, initial)
+    data = arriving(model, data)
     names = [state.name for state in model.states]
     given = dict(initial or {})
     for name, value in given.items():
@@ -187,6 +190,6 @@ def _run(
     result = inputs if model.inputs else data.only(*measured)
     for out, row in zip(model.outputs, outputs, strict=True):
         result = result.with_channel(
-            Channel(out.name, out.unit, time=grid.time, values=row, origin="derived")
+            Channel(out.name, channel_unit(out, data), time=grid.time, values=row, origin="derived")
         )
     return result

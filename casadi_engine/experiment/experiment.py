@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from casadi_engine.errors import ExperimentError
 
-from . import arrays, conditioning, csv_writer, npz_reader, pressures, requirements, slicing, summary
+from . import arrays, arrival, conditioning, csv_writer, npz_reader, pressures, requirements, slicing, summary
 from .channel import Channel, Step
 from .header import make_request, name_list
 from .source import read_source, record_key
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 class Experiment:
     """The channels of one record, each with its own time; every verb returns a new experiment.
 
-    name : record key.  channels : tuple of :class:`Channel`, SI units.
+    name : record key.  channels : tuple of :class:`Channel`, in SI when read.
     history : what was done, one :class:`Step` a verb.  ignored : columns of the file that were not read.
     source, sha256 : file that it was read from (None when made of arrays).
     inputs : channels known to be inputs (may be empty: the model knows them).
@@ -190,12 +190,12 @@ class Experiment:
     def require(self, *, inputs: requirements.Names | None = None, outputs: requirements.Names = ()) -> None:
         """Raise unless the experiment holds what a model needs.
 
-        inputs, outputs : names, or a mapping name -> unit that the model works in; inputs left out are
+        inputs, outputs : names, or a mapping name -> unit that the model declares; inputs left out are
         those of the experiment.
 
         Raises :class:`ExperimentError` for a missing channel, a missing sample in an input (file, column
         and row in the message) and inputs that do not cover the outputs' time; :class:`UnitError` for a
-        unit of the wrong kind.
+        unit of another dimension.
         """
         requirements.require(self, inputs=self.inputs if inputs is None else inputs, outputs=outputs)
 
@@ -213,7 +213,7 @@ class Experiment:
         return summary.as_html(self)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write the experiment as a data file by the contract, in SI, atomically; gzip if it ends in .gz.
+        """Write the experiment as a data file by the contract, in the channels' units, atomically; gzip if it ends in .gz.
 
         A channel that was resampled gets empty cells. Hold, origin and history are not part of a data file.
         Raises :class:`ExperimentError` when the channels' times do not fit together, :class:`OutputError`
@@ -315,6 +315,15 @@ class Experiment:
         """Set how channels go on between their samples: with_hold(T_load="zero")."""
         done = {name: dataclasses.replace(self[name], hold=hold) for name, hold in holds.items()}
         return conditioning.changed(self, "with_hold", holds, done)
+
+    def in_units(self, units: Mapping[str, str], /) -> Experiment:
+        """Convert channels to other units of their dimension: in_units({"omega": "rpm"}).
+
+        The verbs that take a model do this by themselves, with the units that the model declares. The same
+        object is returned if nothing is to be converted.
+        Raises :class:`UnitError` for a unit of another dimension, with both.
+        """
+        return arrival.in_units(self, units)
 
     def with_inputs(self, *names: str) -> Experiment:
         """Say which channels are inputs, for ``between``, ``cycles``, ``require`` and ``describe``."""
