@@ -128,6 +128,7 @@ class Channel:
     hold : "first" (straight line between samples) or "zero" (the sample holds until the next).
     origin : "measured", "assumed" or "derived".
     rows : (N,) row of each sample in the source file (the header is row 1); empty when not from a file.
+    bridge : what it does where rows are missing, "hold" or "join"; empty if that was not said (`Experiment.bridged`).
 
     The arrays are copies and read-only. Raises :class:`ExperimentError` or :class:`UnitError` by name.
 
@@ -146,6 +147,7 @@ class Channel:
     hold: str = "first"
     origin: str = "measured"
     rows: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64), repr=False)
+    bridge: str = field(default="", repr=False)
 
     def __post_init__(self) -> None:
         check_channel_name(self.name)

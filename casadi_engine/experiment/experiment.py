@@ -10,7 +10,18 @@ from typing import TYPE_CHECKING, Any
 
 from casadi_engine.errors import ExperimentError
 
-from . import arrays, arrival, conditioning, csv_writer, npz_reader, pressures, requirements, slicing, summary
+from . import (
+    arrays,
+    arrival,
+    bridging,
+    conditioning,
+    csv_writer,
+    npz_reader,
+    pressures,
+    requirements,
+    slicing,
+    summary,
+)
 from .channel import Channel, Step
 from .header import make_request, name_list
 from .source import read_source, record_key
@@ -243,7 +254,7 @@ class Experiment:
     def moving_average(self, /, **lengths: int) -> Experiment:
         """Centred mean over an odd number of samples: moving_average(T_load=51).
 
-        Towards an end the window shrinks on both sides. Missing samples are left out and stay missing.
+        Towards an end, and towards a hole in the rows, the window shrinks on both sides. Missing samples are left out and stay missing.
         Raises :class:`ExperimentError` for an even or too long window.
         """
         return conditioning.moving_average(self, lengths)
@@ -315,6 +326,24 @@ class Experiment:
         """Set how channels go on between their samples: with_hold(T_load="zero")."""
         done = {name: dataclasses.replace(self[name], hold=hold) for name, hold in holds.items()}
         return conditioning.changed(self, "with_hold", holds, done)
+
+    def bridged(self, /, **how: str) -> Experiment:
+        """Say what channels do where rows are missing: bridged(T_load="join").
+
+        "join" : a straight line over the hole.  "hold" : the last value stays, until a usual step before the next
+        sample. Without this an input with a hole is refused by every verb that takes a model.
+        Raises :class:`ExperimentError` for an unknown channel or word.
+        """
+        return bridging.bridged(self, how)
+
+    def split_at_holes(self) -> tuple[Experiment, ...]:
+        """The pieces of a record between the holes of its inputs, called name/1, name/2, ...; times stay as they are.
+
+        A hole is a step more than five times as long as those around it. Looked at are the channels known to be
+        inputs, or all if none is. A piece with fewer than two samples of a channel is left out; a record without
+        holes comes back alone, under its name.
+        """
+        return bridging.split_at_holes(self)
 
     def in_units(self, units: Mapping[str, str], /) -> Experiment:
         """Convert channels to other units of their dimension: in_units({"omega": "rpm"}).

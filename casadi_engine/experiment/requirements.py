@@ -13,6 +13,7 @@ from casadi_engine.errors import DataFileError, ExperimentError
 from .arrival import check_dimension
 from .channel import Channel
 from .header import name_list
+from .holes import refuse_holes
 from .units import NOT_STATED, split_header
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ def require(experiment: Experiment, *, inputs: Names, outputs: Names) -> None:
                 check_dimension(experiment, experiment[name], unit)
     for name in wanted["input"]:
         _complete(experiment, experiment[name])
+        refuse_holes(experiment, experiment[name], "nothing says what the input did there")
     for name in wanted["output"]:
         _not_empty(experiment, experiment[name])
     for output in wanted["output"]:

@@ -197,7 +197,10 @@ class _Reader:
             symbol = symbol_of(token.text)
             if symbol is None:
                 raise self.refuse(
-                    f"unknown unit {token.text!r}", token.at, len(token.text), suggestion(self.text, token.text)
+                    f"unknown unit {token.text!r}",
+                    token.at,
+                    len(token.text),
+                    suggestion(self.text, token.text),
                 )
             self.factors.append((symbol, sign * self._power()))
         else:
@@ -247,7 +250,9 @@ class _Reader:
             sign = 1 if self._take().text == "+" else -1
         token = self._take()
         if token.kind != "number":
-            raise self.refuse("the power is not a number", token.at, len(token.text), "write m^2, for instance")
+            raise self.refuse(
+                "the power is not a number", token.at, len(token.text), "write m^2, for instance"
+            )
         return sign * Fraction(token.text)
 
 

@@ -112,10 +112,19 @@ def symbol_of(text: str) -> Symbol | None:
         rest = name[len(prefix) :]
         rest = _SAME.get(rest, rest)
         takes = rest in _COHERENT or (rest in _OTHERS and _OTHERS[rest][4])
+        if rest == "M" and power > -3:
+            takes = False  # MM is a slip of the pen, not a megamole per litre
         if name.startswith(prefix) and takes:
             whole = _plain(rest) if rest in _COHERENT else _other(rest)
             size = Fraction(10) ** power
-            return Symbol(whole.exponents, whole.si, whole.factor * size, whole.pi, whole.offset, text if rest == "s" else "")
+            return Symbol(
+                whole.exponents,
+                whole.si,
+                whole.factor * size,
+                whole.pi,
+                whole.offset,
+                text if rest == "s" else "",
+            )
     return None
 
 
@@ -126,7 +135,8 @@ def _spellings() -> dict[str, tuple[str, ...]]:
     able = [*_COHERENT, *(name for name, row in _OTHERS.items() if row[4])]
     found: dict[str, tuple[str, ...]] = {}
     for name in [*bare, *(prefix + name for prefix in "kMmunG" for name in able)]:
-        found[name.lower()] = (*found.get(name.lower(), ()), name)
+        if symbol_of(name) is not None and name not in found.get(name.lower(), ()):
+            found[name.lower()] = (*found.get(name.lower(), ()), name)
     return found
 
 
@@ -138,7 +148,9 @@ def suggestion(text: str, word: str) -> str:
     whole = " ".join(text.split())
     at = whole.find(word)
     end = at + len(word)
-    if whole[:at].rstrip().endswith("/"):  # a product behind a slash goes into brackets, with the power of its end
+    if (
+        whole[:at].rstrip().endswith("/")
+    ):  # a product behind a slash goes into brackets, with the power of its end
         while end < len(whole) and whole[end] in "0123456789^²³":
             end += 1
         meant = [f"({one}{whole[at + len(word) : end]})" if {" ", "/"} & set(one) else one for one in meant]
