@@ -224,9 +224,9 @@ class Experiment:
         return summary.as_html(self)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write the experiment as a data file by the contract, in the channels' units, atomically; gzip if it ends in .gz.
+        """Write the experiment as a data file by the contract, atomically; gzip if it ends in .gz.
 
-        A channel that was resampled gets empty cells. Hold, origin and history are not part of a data file.
+        Values stand in the channels' units. A channel that was resampled gets empty cells. Hold, origin and history are not part of a data file.
         Raises :class:`ExperimentError` when the channels' times do not fit together, :class:`OutputError`
         when the file cannot be written.
         """
@@ -254,7 +254,8 @@ class Experiment:
     def moving_average(self, /, **lengths: int) -> Experiment:
         """Centred mean over an odd number of samples: moving_average(T_load=51).
 
-        Towards an end, and towards a hole in the rows, the window shrinks on both sides. Missing samples are left out and stay missing.
+        Towards an end, and towards a hole in the rows, the window shrinks on both sides. Missing samples are left
+        out and stay missing.
         Raises :class:`ExperimentError` for an even or too long window.
         """
         return conditioning.moving_average(self, lengths)

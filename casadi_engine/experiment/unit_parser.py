@@ -275,8 +275,7 @@ def _gathered(text: str, factors: list[tuple[Symbol, Fraction]], reader: _Reader
         offset = factors[0][0].offset  # elsewhere a degree is a difference of temperature, as in W/(m2 degC)
     clocks = tuple(dict.fromkeys(symbol.clock for symbol, _ in factors if symbol.clock))
     found = tuple((base, power) for base, power in exponents.items() if power)
-    unit = Unit(text, _coherent(written), found, factor, pi, offset, clocks)
-    return unit
+    return Unit(text, _coherent(written), found, factor, pi, offset, clocks)
 
 
 def _coherent(written: dict[str, Fraction]) -> str:

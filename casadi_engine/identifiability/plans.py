@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from casadi_engine.errors import ExperimentError
 from casadi_engine.experiment import Experiment
-from casadi_engine.experiment.units import NOT_STATED, read_unit
 from casadi_engine.experiment.channel import sampling_rate
+from casadi_engine.experiment.units import NOT_STATED, read_unit
 from casadi_engine.identifiability.operating import PlannedExperiment
 from casadi_engine.model import Model
 from casadi_engine.model.arrival import arriving

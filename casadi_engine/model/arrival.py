@@ -26,7 +26,7 @@ def arriving(model: Model, record: Experiment) -> Experiment:
 
 
 def channel_unit(variable: Variable, record: Experiment) -> str:
-    """The unit of a channel that is made for a variable: the declared one, else that of the record's channel, else 1."""
+    """The unit of a channel made for a variable: the declared one, else that of the record's channel, else 1."""
     if variable.unit != NOT_STATED:
         return variable.unit
     return record[variable.name].unit if variable.name in record else "1"

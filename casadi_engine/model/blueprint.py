@@ -192,7 +192,7 @@ class Blueprint:
         )
         model = Model(
             name=self.name,
-            description=self.description,
+            description=self._description(),
             states=tuple(variable for variable, _ in self._states.values()),
             inputs=tuple(variable for variable, _ in self._inputs.values()),
             drives=tuple(variable for variable, _, _ in drives.values()),
@@ -220,6 +220,13 @@ class Blueprint:
             )
         return model
 
+    def _description(self) -> str:
+        """The description, and how the equations come by a number that the user did not write."""
+        if self._seconds == 1:
+            return self.description
+        said = f"odes per {self._time_unit}, divided by {self._seconds:g} for time in s"
+        return f"{self.description}; {said}" if self.description else said
+
     def _check_complete(self) -> None:
         for what, group, cure in (
             ("states", self._states, 'b.state("name", unit=...)'),
@@ -243,7 +250,9 @@ class Blueprint:
         for name in self._inputs.keys() & self._outputs.keys():
             units = [group[name][0].unit for group in (self._inputs, self._outputs)]
             known = [read_unit("1" if unit == NOT_STATED else unit) for unit in units]
-            if units[0] != units[1] and (NOT_STATED in units or known[0].steps_to(known[1]) != (1.0, 1.0, 0.0)):
+            if units[0] != units[1] and (
+                NOT_STATED in units or known[0].steps_to(known[1]) != (1.0, 1.0, 0.0)
+            ):
                 raise ModelError(
                     f"the channel {name} is declared as input and as output in two units",
                     seen=" and ".join("not stated" if unit == NOT_STATED else unit for unit in units),
@@ -252,7 +261,9 @@ class Blueprint:
                 )
         if self._time_unit is not None:
             return
-        entering = [made[0] for group in (self._parameters, self._states, self._inputs) for made in group.values()]
+        entering = [
+            made[0] for group in (self._parameters, self._states, self._inputs) for made in group.values()
+        ]
         for item in entering:
             clocks = () if item.unit == NOT_STATED else read_unit(item.unit).clocks
             if clocks:

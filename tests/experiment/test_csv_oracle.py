@@ -95,7 +95,7 @@ def columns_of(labels, required, inputs):
     """{name: (position, label, unit)} of the columns to be read, and the positions of nameless ones."""
     faults, read, nameless = [], {}, []
     names = [parts(label)[0] for label in labels]
-    if not labels or names[0] != "time" or parts(labels[0])[1] not in ("s", "ms"):
+    if not labels or names[0] != "time" or not is_time(parts(labels[0])[1]):
         raise Faults((1, None))
     for position, label in enumerate(labels):
         name, unit = parts(label)
@@ -125,6 +125,11 @@ def is_unit(text):
             factor = read_unit(text)
             FACTORS[text] = float(factor.factor) * math.pi ** float(factor.pi)
     return text in FACTORS
+
+
+def is_time(unit):
+    text = " ".join((unit or "").split())
+    return is_unit(text) and read_unit(text).si == "s"
 
 
 def rows_of(lines, labels, columns):
