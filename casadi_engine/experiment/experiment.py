@@ -226,7 +226,8 @@ class Experiment:
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write the experiment as a data file by the contract, atomically; gzip if it ends in .gz.
 
-        Values stand in the channels' units. A channel that was resampled gets empty cells. Hold, origin and history are not part of a data file.
+        Values stand in the channels' units. A channel that was resampled gets empty cells. Hold, origin and
+        history are not part of a data file.
         Raises :class:`ExperimentError` when the channels' times do not fit together, :class:`OutputError`
         when the file cannot be written.
         """
