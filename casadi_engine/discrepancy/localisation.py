@@ -29,7 +29,8 @@ _LEAST = 1e-12
 class Where:
     """Where the gap is; a part is None where the data do not single one out.
 
-    record; time : (from, to) s; cycles : numbers from 1, as a user counts them; crank_angle : (from, to) rad in
+    record; time : (from, to) s; cycles : numbers as in `Experiment.cycles`, 1 from theta = 0 on, also in a record that
+    was cut; None without a crank angle; crank_angle : (from, to) rad in
     0..4 pi, from > to where the window goes over 0; order : per revolution; excess : share of chi-squared above noise
     that each record holds
     """
@@ -136,7 +137,9 @@ def _scan(excess: Array) -> tuple[int, int]:
 
 
 def _cycles(blocks: _Blocks) -> tuple[int, ...] | None:
-    """The cycles that stand out from the others; None if none or all do."""
+    """The cycles that stand out from the others; None if none or all do, or without a crank angle."""
+    if (blocks.bin < 0).any():
+        return None
     numbers = np.unique(blocks.cycle)
     if len(numbers) < 3:
         return None

@@ -21,6 +21,7 @@ from casadi_engine.discrepancy.search import Station
 from casadi_engine.effects import candidate as candidate_of
 from casadi_engine.experiment import Channel, Experiment
 from casadi_engine.model import Model
+from casadi_engine.model.arrival import channel_unit
 from casadi_engine.model.declarations import Variable
 
 # Right in 95 % of records.
@@ -149,7 +150,7 @@ def _scores(
         for out in model.outputs:
             if out.name not in record:
                 like = record[model.outputs[0].name]
-                blank = Channel(out.name, out.unit, time=like.time, values=np.zeros(len(like.time)))
+                blank = Channel(out.name, channel_unit(out, record), time=like.time, values=np.zeros(len(like.time)))
                 record = record.with_channel(blank)
         full.append(record)
     if any("@" in name for name in fit.free) and len(data) > len(fit.data):

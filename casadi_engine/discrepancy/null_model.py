@@ -42,7 +42,7 @@ class RecordNull:
 
     residual : output -> (N,) measured less simulated, at the samples that count; time : output -> (N,) s
     index : output -> (N,) their numbers in the channel, of ``length[output]`` samples
-    cycle : output -> (N,) number of the engine cycle, from 0, or of a piece of the record
+    cycle : output -> (N,) number of the engine cycle, 0 from theta = 0 on, or of a piece of the record
     slopes : output -> (N, n_theta + n_start) in the free directions of the parameters, then the free initial states
     starts : the free initial states, and their scale (n_start,)
     """
@@ -208,12 +208,13 @@ def _record(
 
 
 def cycle_numbers(model: Model, grid: Grid, time: Array) -> Index:
-    """(N,) number from 0 of the engine cycle at the times [s]: by the channel theta, else ten equal pieces."""
+    """(N,) number of the engine cycle at the times [s], 0 from theta = 0 on, also in a piece of a record, so that it is
+    the one of `Experiment.cycles` and of a misfire less one; ten equal pieces of the record without theta."""
     names = [v.name for v in model.inputs]
     if "theta" in names:
         theta = np.interp(time, grid.time, grid.channels[names.index("theta")])
         number = np.floor(theta / FOUR_STROKE).astype(int)
-        return np.asarray(number - number.min(), dtype=np.intp)
+        return np.asarray(number, dtype=np.intp)
     span = grid.step * (grid.samples - 1)
     number = np.floor((time - grid.start) / span * _PIECES).astype(int)
     return np.asarray(np.clip(number, 0, _PIECES - 1), dtype=np.intp)

@@ -93,8 +93,8 @@ def repair(
     """
     begun = time.perf_counter()
     pars = _own(model, parameters)
-    records = _records(data)
-    others = () if fresh is None else _records(fresh)
+    records = _records(data, model)
+    others = () if fresh is None else _records(fresh, model)
     read_request(model, effects, at)
     _check(noise, alpha, holdout)
     check_choice(model, scatter, colour)

@@ -19,6 +19,7 @@ from casadi_engine.effects.combustion import CYCLE
 from casadi_engine.errors import EffectError
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
+from casadi_engine.model.arrival import arriving
 from casadi_engine.model.effect import Amplitude, Effect, check_effect
 from casadi_engine.model.port_view import Courses, PortView
 from casadi_engine.model.term import OwnState, Term, ports_for, read_term, takes_torque
@@ -160,6 +161,7 @@ def candidates(
     courses : an SX scalar of the model -> its values (N,) along each record, for effects that look at the motion
     Effects that the model has already at a port are left out there.
     """
+    record = arriving(model, record)
     vector = model.parameter_vector(parameters)
     numbers = dict(zip(model.parameter_names, (float(value) for value in vector), strict=True))
     there = {(one.at, one.effect.name) for one in model.effects}

@@ -23,6 +23,7 @@ from casadi_engine.estimation.workers import Workers
 from casadi_engine.experiment import Experiment
 from casadi_engine.experiment.experiment import with_unique_names
 from casadi_engine.model import Model
+from casadi_engine.model.arrival import arriving
 from casadi_engine.parameters import Parameters
 from casadi_engine.problem.noise import Noise
 
@@ -57,7 +58,8 @@ def estimate(
 
     Parameters
     ----------
-    model : the equations; data : one Experiment or several, each with its own initial state
+    model : the equations; data : one Experiment or several, each with its own initial state. Noise levels, initial
+        values, bounds and all that is printed are in the units that the model declares, whatever the data's are
     parameters : the set to start from (default: the model's); it is copied, never changed
     noise : standard deviations per output, known or "estimate" (the default), and the gain of a one-step predictor
     interval : shooting interval: "auto", "single", a number of samples, or a time such as "10 ms"
@@ -91,7 +93,7 @@ def estimate(
     {'J_eng': 0.4, 'C_eng': 0.5}
     """
     begun = time.perf_counter()
-    records = _records(data)
+    records = _records(data, model)
     starts = whole("starts", starts, 1)
     max_iterations = whole("max_iterations", max_iterations, 1)
     seed, tolerance = whole("seed", seed, 0), small(tolerance)
@@ -162,7 +164,8 @@ def _own(model: Model, parameters: Any) -> Parameters:
     return parameters.copy()
 
 
-def _records(data: Any) -> tuple[Experiment, ...]:
+def _records(data: Any, model: Model) -> tuple[Experiment, ...]:
+    """The records with names of their own, their channels in the units that the model declares."""
     several = isinstance(data, Iterable) and not isinstance(data, str)
     records = (data,) if isinstance(data, Experiment) else tuple(data) if several else ()
     if not records or not all(isinstance(record, Experiment) for record in records):
@@ -172,7 +175,8 @@ def _records(data: Any) -> tuple[Experiment, ...]:
             allowed="an Experiment, or a sequence of one or more",
             cure="read one by read_experiment(path)",
         )
-    return with_unique_names(records)
+    named = with_unique_names(records)
+    return tuple(arriving(model, record) for record in named) if isinstance(model, Model) else named
 
 
 def _reporter(progress: Any, starts: int, most: int) -> Any:

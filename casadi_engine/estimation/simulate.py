@@ -17,6 +17,7 @@ from casadi_engine.estimation.options import as_number, small
 from casadi_engine.experiment import Channel, Experiment
 from casadi_engine.experiment.channel import Step
 from casadi_engine.model import Model
+from casadi_engine.model.arrival import arriving, channel_unit
 from casadi_engine.parameters import Parameters, near_matches
 from casadi_engine.simulation.discretisation import Method
 from casadi_engine.simulation.grid import Grid, lay_grid
@@ -47,7 +48,8 @@ def simulate(
         their instant, and dry friction holds what is at rest. The last line of the result's history says which
         integrator ran and how far off it is
 
-    Returns an Experiment with the input channels and one derived channel for each output, on the inputs' grid.
+    Returns an Experiment with the input channels and one derived channel for each output, on the inputs' grid, in
+    the units that the model declares.
     Raises SimulationError if initial states are missing and no output was measured; ExperimentError, ModelError.
 
     >>> import numpy as np, casadi_engine as ce
@@ -58,6 +60,7 @@ def simulate(
     array([100.   ,  60.653,  36.788])
     """
     _check_kinds(model, data, parameters, initial)
+    data = arriving(model, data)
     names = [state.name for state in model.states]
     given = dict(initial or {})
     for name, value in given.items():
@@ -192,7 +195,7 @@ def _run(
     result = inputs if model.inputs else data.only(*measured)
     for out, row in zip(model.outputs, found.outputs, strict=True):
         result = result.with_channel(
-            Channel(out.name, out.unit, time=grid.time, values=row, origin="derived")
+            Channel(out.name, channel_unit(out, data), time=grid.time, values=row, origin="derived")
         )
     about = found.integration.to_dict()
     step = Step("simulate", {"model": model.name, **about}, grid.samples, grid.samples)

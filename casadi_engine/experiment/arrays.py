@@ -96,7 +96,12 @@ def _options(units: Any, hold: Any, origin: Any) -> list[tuple[str, Any]]:
 def _seconds(time: FloatArray, unit: str) -> FloatArray:
     values, kind = to_si(time, unit, where="the time")
     if kind != "s":
-        raise UnitError("the time has no unit of time", seen=unit, allowed="s, ms", cure="give it in s")
+        raise UnitError(
+            "the time has no unit of time",
+            seen=unit,
+            allowed="s, ms, min, h or another unit of time",
+            cure="give it in s",
+        )
     return frozen(values, float) if unit != "s" else time
 
 

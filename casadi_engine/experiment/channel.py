@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_engine.errors import ExperimentError, UnitError
+from casadi_engine.errors import ExperimentError
 
-from .units import SI_UNITS, FloatArray, si_unit
+from .units import FloatArray, read_unit
 
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
@@ -121,13 +121,14 @@ class Step:
 class Channel:
     """One quantity on its own time axis.
 
-    name : its key in the experiment.  unit : SI unit.
+    name : its key in the experiment.  unit : of the values; readers convert to SI, `Experiment.in_units` to any other.
     time : (N,) s, strictly increasing, N >= 2.
     values : (N,) in ``unit``; NaN where the sample is missing.
     mask : (N,) bool, True = valid sample; left out, every sample that is not NaN is valid.
     hold : "first" (straight line between samples) or "zero" (the sample holds until the next).
     origin : "measured", "assumed" or "derived".
     rows : (N,) row of each sample in the source file (the header is row 1); empty when not from a file.
+    bridge : what it does where rows are missing, "hold" or "join"; empty if that was not said (`Experiment.bridged`).
 
     The arrays are copies and read-only. Raises :class:`ExperimentError` or :class:`UnitError` by name.
 
@@ -146,17 +147,12 @@ class Channel:
     hold: str = "first"
     origin: str = "measured"
     rows: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64), repr=False)
+    bridge: str = field(default="", repr=False)
 
     def __post_init__(self) -> None:
         check_channel_name(self.name)
         what = f"channel {self.name!r}"
-        if si_unit(self.unit, where=what) != self.unit:
-            raise UnitError(
-                f"{what} must be in SI when it is made directly",
-                seen=self.unit,
-                allowed=", ".join(SI_UNITS),
-                cure="use Experiment.from_arrays, which converts, or to_si",
-            )
+        read_unit(self.unit, where=what)
         _one_of(self.hold, HOLDS, f"{what}: unknown hold")
         _one_of(self.origin, ORIGINS, f"{what}: unknown origin")
         time = numbers(self.time, what=f"the time of {what}")

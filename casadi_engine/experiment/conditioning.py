@@ -13,6 +13,7 @@ from casadi_engine.errors import ExperimentError
 
 from .channel import Channel, Step, frozen, sampling_rate
 from .header import name_list
+from .holes import holes, holes_in, refuse_holes
 from .units import FloatArray
 
 if TYPE_CHECKING:
@@ -81,6 +82,16 @@ def resample(experiment: Experiment, factors: Mapping[str, int]) -> Experiment:
             high=most,
         )
         done[name] = picked(channel, slice(None, None, number))
+        if (name in experiment.inputs or not experiment.inputs) and holes(done[name]).size < holes(
+            channel
+        ).size:
+            refuse_holes(
+                experiment,
+                channel,
+                "among fewer samples the hole would not be seen any more",
+                "split the record there by split_at_holes(); or say by with_inputs(...) which channels are inputs, if "
+                f"{name!r} is none",
+            )
     return changed(experiment, "resample", {name: int(factor) for name, factor in factors.items()}, done)
 
 
@@ -98,6 +109,13 @@ def low_pass(
         low=1,
         high=MAX_ORDER,
     )
+    for name in names:
+        refuse_holes(
+            experiment,
+            experiment[name],
+            "a low-pass would run across the hole",
+            "split the record there by split_at_holes(), and filter the pieces",
+        )
     done = {name: _low_passed(experiment[name], cutoff_hz, order) for name in names}
     arguments = {"cutoff_hz": float(cutoff_hz), "order": order, "channels": list(names)}
     return changed(experiment, "low_pass", arguments, done)
@@ -165,7 +183,7 @@ def moving_average(experiment: Experiment, lengths: Mapping[str, int]) -> Experi
 
 
 def _averaged(channel: Channel, length: int) -> FloatArray:
-    """Mean of the valid samples in a window that shrinks on both sides towards an end.
+    """Mean of the valid samples in a window that shrinks on both sides towards an end, and towards a hole.
 
     A window shrunk on both sides stays centred, so a straight line comes out unchanged up to its ends.
     """
@@ -173,7 +191,10 @@ def _averaged(channel: Channel, length: int) -> FloatArray:
     if not channel.mask.any():
         return channel.values
     index = np.arange(size)
-    reach = np.minimum(half, np.minimum(index, size - 1 - index))
+    cuts = holes_in(channel.time, channel.hold)
+    piece = np.searchsorted(cuts, index, side="left")
+    begin, end = np.append(0, cuts + 1)[piece], np.append(cuts, size - 1)[piece]
+    reach = np.minimum(half, np.minimum(index - begin, end - index))
     centre = channel.values[channel.mask].mean()  # sums of small numbers keep their last digits
     total = np.concatenate([[0.0], np.cumsum(np.where(channel.mask, channel.values - centre, 0.0))])
     count = np.concatenate([[0], np.cumsum(channel.mask)])

@@ -10,7 +10,18 @@ from typing import TYPE_CHECKING, Any
 
 from casadi_engine.errors import ExperimentError
 
-from . import arrays, conditioning, csv_writer, npz_reader, pressures, requirements, slicing, summary
+from . import (
+    arrays,
+    arrival,
+    bridging,
+    conditioning,
+    csv_writer,
+    npz_reader,
+    pressures,
+    requirements,
+    slicing,
+    summary,
+)
 from .channel import Channel, Step
 from .header import make_request, name_list
 from .source import read_source, record_key
@@ -25,7 +36,7 @@ if TYPE_CHECKING:
 class Experiment:
     """The channels of one record, each with its own time; every verb returns a new experiment.
 
-    name : record key.  channels : tuple of :class:`Channel`, SI units.
+    name : record key.  channels : tuple of :class:`Channel`, in SI when read.
     history : what was done, one :class:`Step` a verb.  ignored : columns of the file that were not read.
     source, sha256 : file that it was read from (None when made of arrays).
     inputs : channels known to be inputs (may be empty: the model knows them).
@@ -190,12 +201,12 @@ class Experiment:
     def require(self, *, inputs: requirements.Names | None = None, outputs: requirements.Names = ()) -> None:
         """Raise unless the experiment holds what a model needs.
 
-        inputs, outputs : names, or a mapping name -> unit that the model works in; inputs left out are
+        inputs, outputs : names, or a mapping name -> unit that the model declares; inputs left out are
         those of the experiment.
 
         Raises :class:`ExperimentError` for a missing channel, a missing sample in an input (file, column
         and row in the message) and inputs that do not cover the outputs' time; :class:`UnitError` for a
-        unit of the wrong kind.
+        unit of another dimension.
         """
         requirements.require(self, inputs=self.inputs if inputs is None else inputs, outputs=outputs)
 
@@ -213,9 +224,10 @@ class Experiment:
         return summary.as_html(self)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write the experiment as a data file by the contract, in SI, atomically; gzip if it ends in .gz.
+        """Write the experiment as a data file by the contract, atomically; gzip if it ends in .gz.
 
-        A channel that was resampled gets empty cells. Hold, origin and history are not part of a data file.
+        Values stand in the channels' units. A channel that was resampled gets empty cells. Hold, origin and
+        history are not part of a data file.
         Raises :class:`ExperimentError` when the channels' times do not fit together, :class:`OutputError`
         when the file cannot be written.
         """
@@ -243,7 +255,8 @@ class Experiment:
     def moving_average(self, /, **lengths: int) -> Experiment:
         """Centred mean over an odd number of samples: moving_average(T_load=51).
 
-        Towards an end the window shrinks on both sides. Missing samples are left out and stay missing.
+        Towards an end, and towards a hole in the rows, the window shrinks on both sides. Missing samples are left
+        out and stay missing.
         Raises :class:`ExperimentError` for an even or too long window.
         """
         return conditioning.moving_average(self, lengths)
@@ -315,6 +328,33 @@ class Experiment:
         """Set how channels go on between their samples: with_hold(T_load="zero")."""
         done = {name: dataclasses.replace(self[name], hold=hold) for name, hold in holds.items()}
         return conditioning.changed(self, "with_hold", holds, done)
+
+    def bridged(self, /, **how: str) -> Experiment:
+        """Say what channels do where rows are missing: bridged(T_load="join").
+
+        "join" : a straight line over the hole.  "hold" : the last value stays, until a usual step before the next
+        sample. Without this an input with a hole is refused by every verb that takes a model.
+        Raises :class:`ExperimentError` for an unknown channel or word.
+        """
+        return bridging.bridged(self, how)
+
+    def split_at_holes(self) -> tuple[Experiment, ...]:
+        """The pieces of a record between the holes of its inputs, called name/1, name/2, ...; times stay as they are.
+
+        A hole is a step more than five times as long as those around it. Looked at are the channels known to be
+        inputs, or all if none is. A piece with fewer than two samples of a channel is left out; a record without
+        holes comes back alone, under its name.
+        """
+        return bridging.split_at_holes(self)
+
+    def in_units(self, units: Mapping[str, str], /) -> Experiment:
+        """Convert channels to other units of their dimension: in_units({"omega": "rpm"}).
+
+        The verbs that take a model do this by themselves, with the units that the model declares. The same
+        object is returned if nothing is to be converted.
+        Raises :class:`UnitError` for a unit of another dimension, with both.
+        """
+        return arrival.in_units(self, units)
 
     def with_inputs(self, *names: str) -> Experiment:
         """Say which channels are inputs, for ``between``, ``cycles``, ``require`` and ``describe``."""

@@ -175,7 +175,10 @@ def _time_column(path: str, cells: Sequence[str]) -> Column:
         )
     if si_unit(unit, where=column.at(path, 1)) != "s":
         raise UnitError(
-            f"{column.at(path, 1)}: not a unit of time", seen=unit, allowed="s, ms", cure="write time [s]"
+            f"{column.at(path, 1)}: not a unit of time",
+            seen=unit,
+            allowed="s, ms, min, h or another unit of time",
+            cure="write time [s]",
         )
     return column
 

@@ -114,7 +114,10 @@ class _Archive:
             time, kind = to_si(self.get(key), unit, where=where)
             if kind != "s":
                 raise UnitError(
-                    f"{where}: not a unit of time", seen=unit, allowed="s, ms", cure="give the time in s"
+                    f"{where}: not a unit of time",
+                    seen=unit,
+                    allowed="s, ms, min, h or another unit of time",
+                    cure="give the time in s",
                 )
             self._seconds[key] = frozen(time, float)
         return self._seconds[key]

@@ -42,8 +42,8 @@ def read_experiment(
 ) -> Experiment:
     """Read one record from a data file: CSV (plain or gzip) or .npz.
 
-    A CSV file is UTF-8 text with one header line ``time [s],name [unit],...``; units are SI, rpm, deg, bar,
-    kPa, MPa, N mm, g m2 and ms, and are converted to SI. An empty cell is a missing sample.
+    A CSV file is UTF-8 text with one header line ``time [s],name [unit],...``; units such as rpm, bar, N mm,
+    L/min, mg/L or degC are converted to SI. An empty cell is a missing sample.
 
     path : the file; its name without endings is the record key unless ``name`` is given.
     assumed : columns that were not measured but made up (origin "assumed").

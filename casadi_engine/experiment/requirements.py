@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_engine.errors import DataFileError, ExperimentError, UnitError
+from casadi_engine.errors import DataFileError, ExperimentError
 
+from .arrival import check_dimension
 from .channel import Channel
 from .header import name_list
-from .units import si_unit, split_header
+from .holes import refuse_holes
+from .units import NOT_STATED, split_header
 
 if TYPE_CHECKING:
     from .experiment import Experiment
@@ -29,9 +31,11 @@ def require(experiment: Experiment, *, inputs: Names, outputs: Names) -> None:
     for role, names in wanted.items():
         for name, unit in names.items():
             _present(experiment, role, name)
-            _right_unit(experiment, experiment[name], role, unit)
+            if unit is not None and unit != NOT_STATED:
+                check_dimension(experiment, experiment[name], unit)
     for name in wanted["input"]:
         _complete(experiment, experiment[name])
+        refuse_holes(experiment, experiment[name], "nothing says what the input did there")
     for name in wanted["output"]:
         _not_empty(experiment, experiment[name])
     for output in wanted["output"]:
@@ -62,19 +66,6 @@ def _present(experiment: Experiment, role: str, name: str) -> None:
         allowed=f"a channel {name!r}",
         cure=cure,
     )
-
-
-def _right_unit(experiment: Experiment, channel: Channel, role: str, unit: str | None) -> None:
-    if unit is None:
-        return
-    expected = si_unit(unit, where=f"{role} {channel.name!r}")
-    if channel.unit != expected:
-        raise UnitError(
-            f"{experiment.place}, column {channel.name!r}: the unit is of the wrong kind",
-            seen=channel.unit,
-            allowed=f"{expected}, or a unit that is converted to it",
-            cure="correct the unit in the header, or take the right column",
-        )
 
 
 def _complete(experiment: Experiment, channel: Channel) -> None:

@@ -1,9 +1,7 @@
-"""Units: everything is kept in SI; a few customary units are converted on the way in."""
+"""Units of data: any unit is read, and kept in SI until a model asks for another one of the same dimension."""
 
 from __future__ import annotations
 
-import difflib
-import math
 import re
 from typing import Any
 
@@ -12,8 +10,11 @@ from numpy.typing import NDArray
 
 from casadi_engine.errors import UnitError
 
+from .unit_parser import RULE, Unit, parse_unit
+
 FloatArray = NDArray[np.float64]
 
+# Units that are met often; any other product of known symbols is read as well.
 SI_UNITS: tuple[str, ...] = (
     "1", "s", "m", "kg", "A", "K", "mol",
     "rad", "rad/s", "rad/s2", "Hz",
@@ -21,22 +22,13 @@ SI_UNITS: tuple[str, ...] = (
     "N", "N/m", "N s/m", "Pa", "Pa s", "J", "W", "V",
     "N m", "N m/rad", "N m s/rad", "N m/rad3", "N m s2/rad2", "kg m2", "kg m",
 )  # fmt: skip
+ALLOWED_UNITS: tuple[str, ...] = (*SI_UNITS, "rpm", "deg", "bar", "kPa", "MPa", "N mm", "g m2", "ms")
 
-# unit -> (SI unit, numerator, denominator): two numbers, so that 1 ms is 1/1000 s and not 1 * 0.001 s
-CONVERSIONS: dict[str, tuple[str, float, float]] = {
-    "rpm": ("rad/s", math.pi / 30.0, 1.0),
-    "deg": ("rad", math.pi / 180.0, 1.0),
-    "bar": ("Pa", 1e5, 1.0),
-    "kPa": ("Pa", 1e3, 1.0),
-    "MPa": ("Pa", 1e6, 1.0),
-    "N mm": ("N m", 1.0, 1e3),
-    "g m2": ("kg m2", 1.0, 1e3),
-    "ms": ("s", 1.0, 1e3),
-}
+# The unit of a model's variable of which none was said: its equations are taken to be in SI.
+NOT_STATED = "-"
 
-ALLOWED_UNITS: tuple[str, ...] = SI_UNITS + tuple(CONVERSIONS)
 _HEADER = re.compile(r"([^\[\]]*)\[([^\[\]]*)\]")
-_DIMENSIONLESS = ("", "-", "%", "none", "dimensionless")
+_DIMENSIONLESS = ("", "-", "none", "dimensionless")
 
 
 def split_header(header: str) -> tuple[str, str | None]:
@@ -52,64 +44,87 @@ def split_header(header: str) -> tuple[str, str | None]:
     return (match[1].strip(), match[2].strip()) if match else (text, None)
 
 
-def _conversion(unit: Any, where: str) -> tuple[str, float, float]:
-    text = " ".join(unit.split()) if isinstance(unit, str) else unit
-    if isinstance(text, str) and text in CONVERSIONS:
-        return CONVERSIONS[text]
-    if isinstance(text, str) and text in SI_UNITS:
-        return text, 1.0, 1.0
-    raise UnitError(
-        f"{where + ': ' if where else ''}unknown unit",
-        seen=unit if isinstance(unit, str) and unit.strip() else repr(unit),
-        allowed=", ".join(ALLOWED_UNITS),
-        cure=_cure(text),
-    )
+def read_unit(unit: Any, *, where: str = "") -> Unit:
+    """The unit of a text: its dimension, factor and offset.
 
+    Raises :class:`UnitError` when it cannot be read, with a caret under the place; ``where`` opens its message.
 
-def _cure(text: Any) -> str:
-    if not isinstance(text, str):
-        return "give the unit as text"
-    if text.lower() in _DIMENSIONLESS:
-        return "write 1 for a dimensionless quantity"
-    plain = text.replace("*", " ").replace("·", " ").replace("^", "").replace("²", "2").replace("³", "3")
-    for unit in ALLOWED_UNITS:
-        if unit.replace(" ", "") == plain.replace(" ", ""):
-            return f"did you mean {unit!r}?"
-    near = difflib.get_close_matches(plain.lower(), [unit.lower() for unit in ALLOWED_UNITS], n=1, cutoff=0.5)
-    if near:
-        match = next(unit for unit in ALLOWED_UNITS if unit.lower() == near[0])
-        return f"did you mean {match!r}? Otherwise convert the data to an SI unit"
-    return "convert the data to an SI unit"
+    >>> read_unit("L/min").dimension
+    's-1 m3'
+    """
+    opening = f"{where}: " if where else ""
+    if not isinstance(unit, str) or unit.strip().lower() in _DIMENSIONLESS:
+        raise UnitError(
+            f"{opening}unknown unit",
+            seen=repr(unit),
+            allowed=RULE,
+            cure="write 1 for a dimensionless quantity" if isinstance(unit, str) else "give the unit as text",
+        )
+    try:
+        return parse_unit(unit)
+    except UnitError as error:
+        if not where:
+            raise
+        problem = f"{opening}{error.problem}"
+        raise UnitError(problem, seen=error.seen, allowed=error.allowed, cure=error.cure) from None
 
 
 def si_unit(unit: str, *, where: str = "") -> str:
-    """SI unit text that ``unit`` is converted to.
+    """SI unit text that ``unit`` is converted to, in the same symbols: N mm becomes N m, not kg m2/s2.
 
     Raises :class:`UnitError` when the unit is not known; ``where`` opens its message.
 
-    >>> si_unit("rpm")
-    'rad/s'
+    >>> si_unit("rpm"), si_unit("mL/min"), si_unit("N m s/rad")
+    ('rad/s', 'm3/s', 'N m s/rad')
     """
-    return _conversion(unit, where)[0]
+    return read_unit(unit, where=where).si
 
 
 def to_si(values: Any, unit: str, *, where: str = "") -> tuple[FloatArray, str]:
     """Convert values to SI and name the SI unit.
 
     values : array of any shape in ``unit``; a new array is returned, also when nothing is converted.
-    unit : one of ``ALLOWED_UNITS`` (SI, rpm, deg, bar, kPa, MPa, N mm, g m2, ms).
+    unit : any product of known symbols, such as rpm, bar, L/min, mg/L, km/h, degC.
     where : opens the message of an error, for example the file and the column.
 
     Raises :class:`UnitError` when the unit is not known.
 
     >>> to_si([1200.0], "rpm")
     (array([125.66370614]), 'rad/s')
+    >>> to_si([20.0], "degC")
+    (array([293.15]), 'K')
     """
-    target, numerator, denominator = _conversion(unit, where)
+    own = read_unit(unit, where=where)
+    return _scaled(values, own, parse_unit(own.si)), own.si
+
+
+def converted(values: Any, unit: str, to: str) -> FloatArray:
+    """Values in another unit of the same dimension; a new array.
+
+    Raises :class:`UnitError` for units that cannot be read or are of different dimensions.
+
+    >>> converted([1.0, 2.0], "rad/s", "rpm").round(4)
+    array([ 9.5493, 19.0986])
+    """
+    own, other = read_unit(unit), read_unit(to)
+    if not own.compatible(other):
+        raise UnitError(
+            "the units are of different dimensions",
+            seen=f"{unit} ({own.dimension}) and {to} ({other.dimension})",
+            allowed="two units of one dimension",
+            cure="correct one of the units",
+        )
+    return _scaled(values, own, other)
+
+
+def _scaled(values: Any, own: Unit, other: Unit) -> FloatArray:
+    times, over, plus = own.steps_to(other)
     array = np.array(values, dtype=float)
-    if numerator != 1.0:
+    if times != 1.0:
         with np.errstate(over="ignore"):  # an overflow gives inf, which the callers refuse by name
-            array *= numerator
-    if denominator != 1.0:
-        array /= denominator
-    return array, target
+            array *= times
+    if over != 1.0:
+        array /= over
+    if plus:
+        array += plus
+    return array

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from casadi_engine.errors import ExperimentError, SimulationError
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
+from casadi_engine.model.arrival import arriving
 from casadi_engine.parameters import near_matches
 from casadi_engine.simulation.grid import Grid, Measured, lay_grid
 from casadi_engine.simulation.intervals import Intervals, Observation, cut
@@ -162,6 +163,7 @@ class OperatingRecord:
     """
 
     def __init__(self, model: Model, plan: PlannedExperiment, v: ca.SX, physical: ca.SX) -> None:
+        plan = replace(plan, experiment=arriving(model, plan.experiment))
         self.model, self.plan, self.v, self.physical = model, plan, v, physical
         self.outputs = _outputs_of(model, plan)
         there = tuple(name for name in self.outputs if _was_measured(plan, name))

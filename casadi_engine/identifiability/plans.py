@@ -20,8 +20,10 @@ from numpy.typing import NDArray
 from casadi_engine.errors import ExperimentError
 from casadi_engine.experiment import Experiment
 from casadi_engine.experiment.channel import sampling_rate
+from casadi_engine.experiment.units import NOT_STATED, read_unit
 from casadi_engine.identifiability.operating import PlannedExperiment
 from casadi_engine.model import Model
+from casadi_engine.model.arrival import arriving
 from casadi_engine.parameters import Parameters
 
 Array = NDArray[np.float64]
@@ -91,7 +93,7 @@ def plan(
     Raises ExperimentError for a model without these channels, or options that do not go together.
     """
     _check_kinds(model, record, parameters, {"speed": speed, "load": load, "duration": duration})
-    engine = _Engine(model, record, parameters)
+    engine = _Engine(model, arriving(model, record), parameters)
     if run_up is None:
         first = last = engine.speed if speed is None else float(speed)
     else:
@@ -250,6 +252,13 @@ def _needs(model: Model, record: Experiment) -> None:
             ", ".join(names) or "no channels",
             "make the planned channels yourself: PlannedExperiment(Experiment.from_arrays(...))",
         )
+    for variable in model.inputs:
+        if variable.unit != NOT_STATED and not read_unit(variable.unit).is_si:
+            raise _refused(
+                f"the model {model.name} declares a channel in another unit than SI, and plans are made in SI",
+                f"{variable.name} in {variable.unit}",
+                "make the planned channels yourself: PlannedExperiment(Experiment.from_arrays(...))",
+            )
     for name in names:
         if name != "omega":
             _ = record[name]

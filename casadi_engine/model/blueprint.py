@@ -10,7 +10,8 @@ from typing import Any
 
 import casadi as ca
 
-from casadi_engine.errors import ModelError
+from casadi_engine.errors import ModelError, UnitError
+from casadi_engine.experiment.units import NOT_STATED, read_unit
 from casadi_engine.model.declarations import PORT_KINDS, ParameterDeclaration, Port, Ports, Variable
 from casadi_engine.model.model import Model
 from casadi_engine.model.rates import with_rates
@@ -36,14 +37,21 @@ class Blueprint:
     >>> [variable.name for variable in model.drives]
     ['F']
 
+    ``time_unit`` : unit of time of the odes, rate constants and `time`, s if left out. With "h" an ode is a rate per
+    hour; the finished model divides it by 3600, for its own time, that of data and results, stays in s.
+    A unit that is declared for an input or output is the one that its data arrive in, whatever they were recorded in;
+    left out, they arrive in SI. Noise levels, initial values and bounds are in the declared units too.
+
     Written as a law of a port, the cubic spring leaves a linear core, which simulates faster:
     ``spring = b.port("spring", "coupling", {"stretch": q}); b.law("spring", -k3 * q**3)``, and then
     ``+ spring`` in the ode instead of the cubic term.
     """
 
-    def __init__(self, name: str, *, description: str = ""):
+    def __init__(self, name: str, *, description: str = "", time_unit: str | None = None):
         self.name = _identifier("model", name)
         self.description = description
+        self._seconds = _clock(time_unit)
+        self._time_unit = time_unit
         self._states: dict[str, tuple[Variable, Any]] = {}
         self._inputs: dict[str, tuple[Variable, Any]] = {}
         self._drives: dict[str, tuple[Variable, Any, Any]] = {}
@@ -56,8 +64,8 @@ class Blueprint:
 
     @property
     def time(self) -> Any:
-        """SX symbol of time [s]."""
-        return self._time
+        """SX expression of time, in the ``time_unit`` of the blueprint (s)."""
+        return self._time if self._seconds == 1 else self._time / self._seconds
 
     # ---- declarations: each returns the symbol to write equations with
 
@@ -79,14 +87,14 @@ class Blueprint:
         self._parameters[name] = (declaration, symbol)
         return symbol
 
-    def state(self, name: str, *, unit: str = "1", scale: float = 1.0, description: str = "") -> Any:
+    def state(self, name: str, *, unit: str = NOT_STATED, scale: float = 1.0, description: str = "") -> Any:
         """Declare a state; `scale` is its typical magnitude in `unit`."""
         self._free_name("state", _identifier("state", name))
         symbol = ca.SX.sym(name)
         self._states[name] = (Variable(name, unit, description, scale), symbol)
         return symbol
 
-    def input(self, name: str, *, unit: str = "1", scale: float = 1.0, description: str = "") -> Any:
+    def input(self, name: str, *, unit: str = NOT_STATED, scale: float = 1.0, description: str = "") -> Any:
         """Declare an input channel as it is recorded.
 
         A channel that is used directly in an ode or output becomes a drive of the same name by itself.
@@ -124,12 +132,16 @@ class Blueprint:
     # ---- equations
 
     def ode(self, state: str, expression: Any) -> None:
-        """Write the derivative of `state` by time, in states, channels or drives, slots, time, parameters."""
+        """Write the derivative of `state` by time, in states, channels or drives, slots, time, parameters.
+
+        Time runs in the ``time_unit`` of the blueprint (s).
+        """
         if state not in self._states:
             raise _unknown("state", state, self._states)
         if state in self._odes:
             raise _repeated("ode of", state)
-        self._odes[state] = _scalar(f"the ode of {state}", expression)
+        rate = _scalar(f"the ode of {state}", expression)
+        self._odes[state] = rate if self._seconds == 1 else rate / self._seconds
 
     def law(self, port: str, expression: Any) -> None:
         """Set the torque that acts in the slot of `port` [N m]; it may use other slots' symbols too."""
@@ -141,7 +153,7 @@ class Blueprint:
         self._laws[port] = _scalar(f"the law of port {port}", expression)
 
     def output(
-        self, name: str, expression: Any, *, unit: str = "1", scale: float = 1.0, description: str = ""
+        self, name: str, expression: Any, *, unit: str = NOT_STATED, scale: float = 1.0, description: str = ""
     ) -> None:
         """Declare a measured output as an expression of states, channels or drives, and parameters."""
         if _identifier("output", name) in self._outputs:
@@ -155,9 +167,11 @@ class Blueprint:
         """Check everything and return the Model.
 
         Raises ModelError for a model without states or outputs, a state without ode, an undeclared symbol, a
-        symbol where it may not be used, or laws that depend on each other in a circle.
+        symbol where it may not be used, laws that depend on each other in a circle, one name declared in two units,
+        or units per hour in equations of which nobody said whether they are per hour.
         """
         self._check_complete()
+        self._check_units()
         drives = self._with_direct_inputs()
         x, u, p = (
             _column(made[1] for made in group.values())
@@ -179,7 +193,7 @@ class Blueprint:
         )
         model = Model(
             name=self.name,
-            description=self.description,
+            description=self._description(),
             states=tuple(variable for variable, _ in self._states.values()),
             inputs=tuple(variable for variable, _ in self._inputs.values()),
             drives=tuple(variable for variable, _, _ in drives.values()),
@@ -207,6 +221,13 @@ class Blueprint:
             )
         return with_rates(model)
 
+    def _description(self) -> str:
+        """The description, and how the equations come by a number that the user did not write."""
+        if self._seconds == 1:
+            return self.description
+        said = f"odes per {self._time_unit}, divided by {self._seconds:g} for time in s"
+        return f"{self.description}; {said}" if self.description else said
+
     def _check_complete(self) -> None:
         for what, group, cure in (
             ("states", self._states, 'b.state("name", unit=...)'),
@@ -224,6 +245,36 @@ class Blueprint:
                 allowed="one ode for each state",
                 cure=f'b.ode("{missing[0]}", expression)',
             )
+
+    def _check_units(self) -> None:
+        """Refuse one name in two units, and a unit such as 1/h where the unit of the equations' time was not stated."""
+        for name in self._inputs.keys() & self._outputs.keys():
+            units = [group[name][0].unit for group in (self._inputs, self._outputs)]
+            known = [read_unit("1" if unit == NOT_STATED else unit) for unit in units]
+            if units[0] != units[1] and (
+                NOT_STATED in units or known[0].steps_to(known[1]) != (1.0, 1.0, 0.0)
+            ):
+                raise ModelError(
+                    f"the channel {name} is declared as input and as output in two units",
+                    seen=" and ".join("not stated" if unit == NOT_STATED else unit for unit in units),
+                    allowed="one unit: the data of a channel arrive in one",
+                    cure=f"give unit={next(u for u in units if u != NOT_STATED)!r} in both places",
+                )
+        if self._time_unit is not None:
+            return
+        entering = [
+            made[0] for group in (self._parameters, self._states, self._inputs) for made in group.values()
+        ]
+        for item in entering:
+            clocks = () if item.unit == NOT_STATED else read_unit(item.unit).clocks
+            if clocks:
+                raise ModelError(
+                    f"is the time of the model {self.name} in s or in {clocks[0]}? It was not stated",
+                    seen=f"{item.name} in {item.unit}; without time_unit an ode is a rate per second",
+                    allowed="time_unit=... of the Blueprint: s, ms, min, h, d",
+                    cure=f'write Blueprint("{self.name}", time_unit="{clocks[0]}") if the odes are per {clocks[0]}, or '
+                    f'time_unit="s" if they are per second and convert {item.name} themselves',
+                )
 
     def _with_direct_inputs(self) -> dict[str, tuple[Variable, Any, Any]]:
         """The drives, with one more for each channel that an ode or output uses directly."""
@@ -335,6 +386,25 @@ def _scalar(what: str, expression: Any) -> Any:
             cure="write one equation for each quantity",
         )
     return expression if expression.is_dense() else ca.densify(expression)
+
+
+def _clock(unit: Any) -> float:
+    """Seconds in a unit of time; ModelError for anything else."""
+    if unit is None:
+        return 1.0
+    try:
+        found = read_unit(unit)
+    except UnitError:
+        found = None
+    if found is None or found.si != "s":
+        raise ModelError(
+            "the time unit of a blueprint is not a unit of time",
+            seen=repr(unit),
+            allowed="s, ms, min, h, d",
+            cure='write Blueprint("name", time_unit="h") for odes that are per hour',
+        )
+    times, over, _ = found.steps_to(read_unit("s"))
+    return times / over
 
 
 def _identifier(kind: str, name: str) -> str:

@@ -10,7 +10,8 @@ from numbers import Real
 from types import MappingProxyType
 from typing import Any, overload
 
-from casadi_engine.errors import ModelError
+from casadi_engine.errors import ModelError, UnitError
+from casadi_engine.experiment.units import NOT_STATED, read_unit
 from casadi_engine.parameters import Parameter, near_matches
 
 # The kinds of ports, and whether a torque can be added there.
@@ -27,18 +28,33 @@ PORT_KINDS: Mapping[str, bool] = MappingProxyType(
 )
 
 
+def check_unit(name: str, unit: str) -> None:
+    """Raise ModelError with a caret for a declared unit that cannot be read."""
+    if unit == NOT_STATED:
+        return
+    try:
+        read_unit(unit)
+    except UnitError as error:
+        raise ModelError(
+            f"the unit of {name} cannot be read: {error.problem}",
+            seen=error.seen,
+            allowed=error.allowed,
+            cure=f'{error.cure}; it is the unit=... of the declaration of "{name}" in the Blueprint',
+        ) from None
+
+
 @dataclass(frozen=True)
 class Variable:
     """A state, input, drive or output of a model.
 
     name : identifier
-    unit : SI unit text, "1" if dimensionless
+    unit : of its numbers: any unit, "1" if dimensionless; "-" if it was not stated, and then its data come in SI
     description : one clause for tables
     scale : typical magnitude in `unit`, > 0; the solver divides by it
     """
 
     name: str
-    unit: str = "1"
+    unit: str = NOT_STATED
     description: str = ""
     scale: float = 1.0
 
@@ -51,6 +67,7 @@ class Variable:
                     allowed="text, such as rad/s; 1 if dimensionless" if key == "unit" else "text",
                     cure="write it in quotes",
                 )
+        check_unit(self.name, self.unit)
         number = isinstance(self.scale, Real) and not isinstance(self.scale, bool)
         if not (number and 0 < self.scale <= sys.float_info.max):
             raise ModelError(
@@ -75,6 +92,7 @@ class ParameterDeclaration:
 
     def __post_init__(self) -> None:
         self.parameter()  # the checks of names, numbers and bounds live there
+        check_unit(self.name, self.unit)
 
     def parameter(self) -> Parameter:
         """Return a fresh Parameter; ParameterError if name, value or bounds are not acceptable."""

@@ -20,6 +20,7 @@ from casadi_engine.errors import ExperimentError, SimulationError
 from casadi_engine.experiment import Channel, Experiment
 from casadi_engine.experiment.channel import sampling_rate
 from casadi_engine.model import Model
+from casadi_engine.model.arrival import arriving
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.tape import ArrayFunction
 
@@ -82,6 +83,7 @@ def lay_grid(model: Model, experiment: Experiment, *, outputs: tuple[str, ...] |
     SimulationError if there is nothing to take times from, or less than two samples.
     """
     wanted = tuple(v.name for v in model.outputs) if outputs is None else outputs
+    experiment = arriving(model, experiment)
     units = {v.name: v.unit for v in model.outputs}
     experiment.require(
         inputs={v.name: v.unit for v in model.inputs}, outputs={name: units[name] for name in wanted}

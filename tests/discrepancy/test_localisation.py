@@ -9,6 +9,8 @@ import casadi_engine as ce
 from casadi_engine.discrepancy.localisation import crank_angle, order_powers, where_in_data
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import null_at
+from casadi_engine.effects import cycles_of
+from casadi_engine.model.port_view import PortView
 
 DATA = Path(__file__).parents[2] / "data"
 NOISE = NoiseModel({"omega": 0.1})
@@ -84,3 +86,23 @@ def test_the_record_that_holds_the_gap_is_named(shaft, with_residual):
     assert found.order is None
     assert found.crank_angle is None
     assert order_powers(null.records[0], NoiseModel(shaft.sigma)) is None
+
+
+def test_cycles_of_a_cut_record_keep_their_numbers(with_residual):
+    """A burst in cycle 5 of the record is in cycle 5 of its cycles 4 to 8, where a misfire is counted so too."""
+    whole = ce.read_experiment(DATA / "normal_1200rpm.csv.gz", optional=("omega_load",))
+    data = whole.cycles(4, 8)
+    model = ce.two_mass()
+    pars = model.parameters()
+    for name in ("J_eng", "J_load", "K_el", "C_el"):
+        pars.fix(name)
+    start = {data.name: np.array([125.6, 125.6, -0.03])}
+    cut = null_at(model, [data], pars, np.array([pars["C_eng"].value]), start)
+    middle = np.interp(4.5 * 4 * np.pi, whole["theta"].values, whole["theta"].time)
+    null = put(with_residual, cut, lambda t, a: 0.3 * (np.abs(t - middle) < 0.02))
+    assert where_in_data(null, NOISE).cycles == (5,)
+    # A misfire of cylinder 1 in cycle 5 begins at the same angle; the combustion of cycle 4 lies just before the cut.
+    view = PortView(model, model.ports["cylinder_1"])
+    numbers = dict(zip(model.parameter_names, model.parameter_vector(), strict=True))
+    assert cycles_of(view, data, numbers) == (5, 6, 7, 8)
+    assert cycles_of(view, whole.cycles(1, 8), numbers)[-4:] == (5, 6, 7, 8)

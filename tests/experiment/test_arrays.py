@@ -60,7 +60,7 @@ def test_the_users_arrays_are_left_alone():
     [
         ({"units": {"omega": "rpm"}}, UnitError,
          ["no unit given for channel 'p1'", "units of omega", "{'p1': ...}"]),
-        ({"units": {"omega": "rpm", "p1": "psi"}}, UnitError, ["channel 'p1': unknown unit", "psi"]),
+        ({"units": {"omega": "rpm", "p1": "psig"}}, UnitError, ["channel 'p1': unknown unit", "psig"]),
         ({"units": {"omega": "rpm", "p1": "Pa", "q": "Pa"}}, BAD, ["units speaks of", "'q'", "omega, p1"]),
         ({"units": {"omega": "rpm", "p1": "Pa", "time": "Pa"}}, UnitError,
          ["the time has no unit of time", "s, ms"]),

@@ -5,6 +5,7 @@ test must refuse exactly the files with a fault, naming one of the faulty places
 digits on all others.
 """
 
+import contextlib
 import csv
 import gzip
 import math
@@ -19,7 +20,7 @@ from casadi_engine.errors import DataFileError, UnitError
 from casadi_engine.experiment.csv_reader import read_csv
 from casadi_engine.experiment.header import make_request
 from casadi_engine.experiment.source import Source
-from casadi_engine.experiment.units import SI_UNITS
+from casadi_engine.experiment.units import SI_UNITS, read_unit
 
 FACTORS = dict.fromkeys(SI_UNITS, 1.0) | {
     "ms": 1e-3,
@@ -29,6 +30,7 @@ FACTORS = dict.fromkeys(SI_UNITS, 1.0) | {
     "kPa": 1e3,
     "MPa": 1e6,
     "N mm": 1e-3,
+    "%": 1e-2,
     "g m2": 1e-3,
 }
 
@@ -93,7 +95,7 @@ def columns_of(labels, required, inputs):
     """{name: (position, label, unit)} of the columns to be read, and the positions of nameless ones."""
     faults, read, nameless = [], {}, []
     names = [parts(label)[0] for label in labels]
-    if not labels or names[0] != "time" or parts(labels[0])[1] not in ("s", "ms"):
+    if not labels or names[0] != "time" or not is_time(parts(labels[0])[1]):
         raise Faults((1, None))
     for position, label in enumerate(labels):
         name, unit = parts(label)
@@ -106,7 +108,7 @@ def columns_of(labels, required, inputs):
         if position and required is not None and name not in (*required, *inputs):
             continue
         bad = not name or bool(re.search(r'[\[\],"\x00-\x1f\x7f]', name))
-        if bad or unit is None or " ".join(unit.split()) not in FACTORS:
+        if bad or unit is None or not is_unit(" ".join(unit.split())):
             faults.append((1, label))
             continue
         read[name] = (position, label, " ".join(unit.split()))
@@ -114,6 +116,20 @@ def columns_of(labels, required, inputs):
     if faults or len(read) < 2:
         raise Faults(*faults, (1, None))
     return read, nameless
+
+
+def is_unit(text):
+    """Damaged bytes may leave another unit behind, such as pm of rpm: how those are read is tested elsewhere."""
+    if text not in FACTORS:
+        with contextlib.suppress(UnitError):
+            factor = read_unit(text)
+            FACTORS[text] = float(factor.factor) * math.pi ** float(factor.pi)
+    return text in FACTORS
+
+
+def is_time(unit):
+    text = " ".join((unit or "").split())
+    return is_unit(text) and read_unit(text).si == "s"
 
 
 def rows_of(lines, labels, columns):

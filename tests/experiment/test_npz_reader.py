@@ -110,7 +110,7 @@ def test_faulty_mappings(save, refused):
         ExperimentError, ["'p' is not three texts", "omega_time_s"], read, path, channels={"p": ("t", "p")}
     )
     refused(ExperimentError, ["'p' is not three texts"], read, path, channels={"p": "abc"})
-    refused(UnitError, ["key 'p': unknown unit", "psi"], read, path, channels={"p": ("t", "p", "psi")})
+    refused(UnitError, ["key 'p': unknown unit", "psig"], read, path, channels={"p": ("t", "p", "psig")})
     refused(BAD, ["'w' is missing"], read, path, channels={"p": ("t", "p", "Pa")}, required=["w"])
 
 

@@ -50,12 +50,19 @@ def test_a_missing_channel_that_was_ignored_on_reading(tmp_path, refused):
 
 def test_a_unit_of_the_wrong_kind(engine, refused):
     pieces = [
-        "experiment 'engine', column 'omega': the unit is of the wrong kind",
-        "seen: rad/s",
-        "allowed: Pa",
+        "experiment 'engine', column 'omega': the unit is of another dimension than the model declares",
+        "seen: rad/s in the data (dimension s-1 rad)",
+        "allowed: bar (dimension s-2 m-1 kg)",
+        "correct the unit in the header",
+        "unit='rad/s'",
     ]
     refused(UnitError, pieces, engine.require, outputs={"omega": "bar"})
-    refused(UnitError, ["input 'theta': unknown unit", "turns"], engine.require, inputs={"theta": "turns"})
+    refused(
+        UnitError,
+        ["channel 'theta': unknown unit 'turns'", "did you mean 'rev'?"],
+        engine.require,
+        inputs={"theta": "turns"},
+    )
 
 
 def test_an_empty_input_cell_names_file_column_and_row(from_file, refused):
