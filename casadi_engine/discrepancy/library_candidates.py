@@ -16,17 +16,22 @@ from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.effects import Effect, candidates
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
+from casadi_engine.model.term import NotApplicable
 from casadi_engine.simulation.candidate_sensitivities import Direction, slot_direction
 from casadi_engine.simulation.null_path import NullPath
 
 
 def library_candidates(
-    null: NullModel, data: Sequence[Experiment], effects: Sequence[Effect]
+    null: NullModel,
+    data: Sequence[Experiment],
+    effects: Sequence[Effect],
+    skipped: list[NotApplicable] | None = None,
 ) -> list[Candidate]:
     """Every effect at every port that it can attach to, over its grids, linearised at the null parameters.
 
     An effect that sits at a time or in cycles is a candidate of one record each; any other acts in all records alike,
     with the constants that each record gives. Effects at several cylinders form a group.
+    skipped : as in ``candidates``
     Raises EffectError for an effect that does not follow the protocol.
     """
     found: dict[tuple[Any, ...], Candidate] = {}
@@ -34,7 +39,7 @@ def library_candidates(
     motion = partial(courses, [record.path for record in null.records])
     for record, experiment in zip(null.records, data, strict=True):
         numbers = dict(zip(null.model.parameter_names, record.path.p.tolist(), strict=True))
-        every = candidates(null.model, effects, experiment, parameters=numbers, courses=motion)
+        every = candidates(null.model, effects, experiment, parameters=numbers, courses=motion, skipped=skipped)
         for number, made in enumerate(every):
             placed = any(grid.over in ("time", "cycle") for grid in made.effect.nuisance.values())
             several = len(null.records) > 1

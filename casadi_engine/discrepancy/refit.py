@@ -333,8 +333,9 @@ def _independent(fit: Fit) -> float:
 
 def _narrowed(one: Addition, model: Model, paths: Sequence[NullPath], share: float) -> Any:
     """An addition's effect with the corners that these simulations can follow."""
-    view = PortView(model, model.ports[one.candidate.port], partial(courses, paths))
-    return one.candidate.source.effect.narrowed(view, share)
+    effect = one.candidate.source.effect
+    view = PortView(model, model.ports[one.candidate.port], partial(courses, paths), effect=effect.name)
+    return effect.narrowed(view, share)
 
 
 def _samples(record: Experiment) -> int:

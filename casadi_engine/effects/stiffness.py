@@ -58,7 +58,6 @@ class Backlash(Effect):
 
     name = "backlash"
     attaches = ("coupling",)
-    needs = ("stiffness",)
     kin = ("cubic_stiffness", "coulomb_friction")
     sentence = "play in {port}"
 

@@ -142,7 +142,6 @@ class Effect:
 
     name : identifier; parameters are called ``port.name.parameter``
     attaches : kinds of ports: inertia, coupling, cylinder, input, sensor, parameter
-    needs : signals that the port must have besides
     kin : names of effects that look alike, for the reader of a class
     limit : name of the simpler effect that this one becomes at an end of its grid; "" for none
     sentence : one clause with {port}, for reports
@@ -163,7 +162,6 @@ class Effect:
 
     name: ClassVar[str] = ""
     attaches: ClassVar[tuple[str, ...]] = ()
-    needs: ClassVar[tuple[str, ...]] = ()
     kin: ClassVar[tuple[str, ...]] = ()
     limit: ClassVar[str] = ""
     sentence: ClassVar[str] = ""

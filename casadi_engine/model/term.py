@@ -15,7 +15,7 @@ from casadi_engine.errors import CasadiEngineError, EffectError
 from casadi_engine.model.declarations import PORT_KINDS, ParameterDeclaration, Port
 from casadi_engine.model.effect import Grid, Law, check_effect
 from casadi_engine.model.effect_math import Sharp, Smooth
-from casadi_engine.model.port_view import PortView, Values
+from casadi_engine.model.port_view import MissingSignalError, PortView, TrialView, Values
 from casadi_engine.parameters import near_matches
 
 if TYPE_CHECKING:
@@ -76,16 +76,55 @@ class Term:
         return self.symbols[0]
 
 
+@dataclass(frozen=True)
+class NotApplicable:
+    """An effect that cannot act at a port, and why.
+
+    at : name of the port, "" where the model has none of the right kind
+    missing : signals that the law reads and the port lacks; has : the signals of the port
+    """
+
+    effect: str
+    at: str
+    missing: tuple[str, ...]
+    has: tuple[str, ...]
+    why: str
+
+    def __str__(self) -> str:
+        return f"{self.effect} at {self.at}: {self.why}" if self.at else f"{self.effect}: {self.why}"
+
+
+def not_applicable(model: Model, effect: Any, port: Port) -> tuple[NotApplicable, EffectError] | None:
+    """Why an effect cannot act at a port of the right kind, with the error; None where it can.
+
+    The law is called on trial: what it reads, and whether it gives a term, is seen and not declared.
+    """
+    try:
+        read_term(model, effect, port, values=_tried_values(effect), again=True)
+    except MissingSignalError as fault:
+        why = f"the port has no {', '.join(fault.missing)}"
+        return NotApplicable(effect.name, port.name, fault.missing, fault.has, why), fault
+    except EffectError as fault:
+        why = fault.problem if fault.seen is None else f"{fault.problem} ({fault.seen})"
+        return NotApplicable(effect.name, port.name, (), tuple(port.signals), why), fault
+    return None
+
+
+def ports_of_kind(model: Model, effect: Any) -> tuple[Port, ...]:
+    """The ports of the kinds that an effect attaches to, in model order."""
+    return tuple(port for port in model.ports if port.kind in effect.attaches)
+
+
 def ports_for(model: Model, effect: Any) -> tuple[Port, ...]:
-    """The ports of a model that an effect can attach to, in model order."""
-    return tuple(port for port in model.ports if _fits(port, effect))
+    """The ports of a model that an effect can act at, in model order: of its kinds, with the signals its law reads."""
+    return tuple(port for port in ports_of_kind(model, effect) if not_applicable(model, effect, port) is None)
 
 
 def find_port(model: Model, effect: Any, at: Any) -> Port:
     """The port `at`; EffectError that lists the right ports if it does not exist or does not fit."""
     name = at.name if isinstance(at, Port) else at
-    right = [port.name for port in ports_for(model, effect)]
     if name not in model.ports.names:
+        right = [port.name for port in ports_for(model, effect)]
         raise EffectError(
             f"{effect.name} is to act at a port that the model {model.name} does not have",
             seen=repr(name),
@@ -93,11 +132,10 @@ def find_port(model: Model, effect: Any, at: Any) -> Port:
             cure="print(model.ports) lists all ports",
         )
     port = model.ports[name]
-    if not _fits(port, effect):
-        lacking = [signal for signal in getattr(effect, "needs", ()) if signal not in port.signals]
-        why = f", which has no {', '.join(lacking)}" if port.kind in effect.attaches else ""
+    if port.kind not in effect.attaches:
+        right = [port.name for port in ports_for(model, effect)]
         raise EffectError(
-            f"{effect.name} cannot act at the port {port.name}{why}",
+            f"{effect.name} cannot act at the port {port.name}",
             seen=f"a port of the kind {port.kind}",
             allowed=near_matches(name, right),
             cure=f"choose one of these ports ({', '.join(effect.attaches)})",
@@ -112,23 +150,26 @@ def read_term(
     *,
     values: Mapping[str, float] | None = None,
     sharp: bool = False,
+    again: bool = False,
 ) -> Term:
     """Read an effect's law at a port with fresh symbols for its parameters.
 
     values : start values of parameters; those that are whole numbers must be given
     sharp : the law without rounding
-    EffectError for an effect, port, value or law that does not fit.
+    again : True where the model may have the effect there already
+    EffectError for an effect, port, value or law that does not fit; MissingSignalError names all signals that the law
+    reads and the port lacks.
     """
     check_effect(effect)
     port = find_port(model, effect, at)
-    if any(one.at == port.name and one.effect.name == effect.name for one in model.effects):
+    if not again and any(one.at == port.name and one.effect.name == effect.name for one in model.effects):
         raise EffectError(
             f"the model {model.name} has {effect.name} at {port.name} already",
             seen=f"{effect.name} twice at {port.name}",
             allowed="an effect once at each port",
             cure="leave it out, or attach it at another port",
         )
-    view = PortView(model, port)
+    view = TrialView(model, port, effect=effect.name)
     given = _checked_values(effect, values or {})
     declarations = _declarations(effect, view, given, _unit(model, port))
     symbols = tuple(ca.SX.sym(declared.name) for declared in declarations)
@@ -137,14 +178,17 @@ def read_term(
     try:
         law = effect.law(view, Values(effect.name, known | constants), Sharp if sharp else Smooth)
     except CasadiEngineError:
+        view.check()
         raise
     except Exception as fault:
+        view.check()
         raise EffectError(
             f"the law of {effect.name} at {port.name} fails",
             seen=f"{type(fault).__name__}: {fault}",
             allowed="an expression of the port's signals, p and math",
             cure="correct the method law of the effect",
         ) from fault
+    view.check()
     value, states = _read_law(effect, port, view, law)
     term = Term(effect, port, value, states, declarations, symbols, constants, sharp)
     _check_symbols(model, term)
@@ -152,10 +196,14 @@ def read_term(
     return term
 
 
-def _fits(port: Port, effect: Any) -> bool:
-    return port.kind in effect.attaches and all(
-        signal in port.signals for signal in getattr(effect, "needs", ())
-    )
+def _tried_values(effect: Any) -> dict[str, float]:
+    """A whole number for each parameter that needs one: the first cycle, or the middle of its grid."""
+    found = {}
+    for name, grid in effect.nuisance.items():
+        if grid.whole:
+            values = grid.values(cycles=(1,))
+            found[name] = values[len(values) // 2]
+    return found
 
 
 def _estimated(effect: Any) -> list[str]:
@@ -292,7 +340,25 @@ def _scalar(what: str, value: Any) -> Any:
             allowed="a scalar expression of the port's signals and the parameters",
             cure="return one torque, or one change of the port's value",
         )
+    if _holds_nan(value):
+        raise EffectError(
+            f"{what} is not a number",
+            seen="nan, whatever the states are",
+            allowed="a scalar expression that is finite along a motion",
+            cure="look for 0/0, or the root or logarithm of a negative constant, in the method law of the effect",
+        )
     return ca.densify(value)
+
+
+def _holds_nan(value: Any) -> bool:
+    """True if a constant of the expression is no number."""
+    function = ca.Function("value", ca.symvar(value), [value])
+    constants = (
+        function.instruction_constant(k)
+        for k in range(function.n_instructions())
+        if function.instruction_id(k) == ca.OP_CONST
+    )
+    return any(math.isnan(float(constant)) for constant in constants)
 
 
 def _check_symbols(model: Model, term: Term) -> None:

@@ -282,7 +282,7 @@ def test_a_port_of_a_wrong_kind_is_refused_with_the_right_ports():
     assert "a port of the kind inertia" in str(caught.value)
     assert caught.value.allowed == "coupling"
     with pytest.raises(
-        EffectError, match="misfire cannot act at the port cylinders, which has no firing_offset"
+        EffectError, match="misfire cannot act at the port cylinders, which has no signal firing_offset"
     ):
         MODELS["two"].with_effect(Misfire(), at="cylinders", values=CYCLES)
     with pytest.raises(EffectError, match="a port of the kind internal"):
