@@ -8,17 +8,15 @@ from functools import partial
 from typing import Any
 
 import casadi as ca
-import numpy as np
-from numpy.typing import NDArray
 
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.effects import Effect, candidates
+from casadi_engine.estimation.corner_widths import courses
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.model.term import NotApplicable
 from casadi_engine.simulation.candidate_sensitivities import Direction, slot_direction
-from casadi_engine.simulation.null_path import NullPath
 
 
 def library_candidates(
@@ -39,7 +37,9 @@ def library_candidates(
     motion = partial(courses, [record.path for record in null.records])
     for record, experiment in zip(null.records, data, strict=True):
         numbers = dict(zip(null.model.parameter_names, record.path.p.tolist(), strict=True))
-        every = candidates(null.model, effects, experiment, parameters=numbers, courses=motion, skipped=skipped)
+        every = candidates(
+            null.model, effects, experiment, parameters=numbers, courses=motion, skipped=skipped
+        )
         for number, made in enumerate(every):
             placed = any(grid.over in ("time", "cycle") for grid in made.effect.nuisance.values())
             several = len(null.records) > 1
@@ -63,16 +63,6 @@ def library_candidates(
                 source=made,
             )
     return list(found.values())
-
-
-def courses(paths: Sequence[NullPath], signal: ca.SX) -> list[NDArray[np.float64]]:
-    """A scalar of the model (N,) at the samples of each path."""
-    found = []
-    for path in paths:
-        points = path.at_samples()
-        values = path.function([signal])(*points.arguments)[0][0]
-        found.append(np.array(np.broadcast_to(values, points.t.shape[1])))
-    return found
 
 
 def direction_of(made: Any) -> Direction:

@@ -96,7 +96,7 @@ class Screened:
     alpha: float
     share: float
     threshold_p: float
-    request: Request = Request((), {})
+    request: Request = field(default_factory=lambda: Request((), {}))
     seed: int = 0
     timing: Mapping[str, float] = field(default_factory=dict)
 

@@ -133,9 +133,7 @@ def candidate(
     given = dict(values or {})
     given.pop(effect.amplitude.name, None)
     term = read_term(model, effect, at, values=given, sharp=sharp)
-    numbers = {
-        name: declared.value for name, declared in zip(_names(effect)[1:], term.declarations[1:], strict=True)
-    }
+    numbers = {one.name.rpartition(".")[2]: one.value for one in term.declarations[1:]}
     value = _per_amplitude(term, size)
     if numbers:
         value = ca.substitute(value, ca.vertcat(*term.symbols[1:]), ca.SX(ca.DM(list(numbers.values()))))
@@ -238,10 +236,6 @@ def cycles_of(view: PortView, record: Experiment, numbers: Mapping[str, float]) 
     first = math.ceil((float(theta[0]) - offset) / CYCLE - 1e-9)
     last = math.floor((float(theta[-1]) - _INSIDE - offset) / CYCLE)
     return tuple(number + 1 for number in range(first, last + 1))
-
-
-def _names(effect: Effect) -> list[str]:
-    return [effect.amplitude.name, *(name for name, grid in effect.nuisance.items() if not grid.whole)]
 
 
 def _per_amplitude(term: Term, size: float | None) -> Any:

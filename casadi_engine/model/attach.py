@@ -26,7 +26,7 @@ def attach(
 ) -> Model:
     """Return `model` with an effect at the port `at`; see `Model.with_effect`."""
     term = read_term(model, effect, at, values=values, sharp=sharp)
-    made = Attachment(effect, term.port.name, sharp, dict(term.constants))
+    made = Attachment(effect, term.port.name, sharp, dict(term.constants), term.width)
     words = f"{effect.name} at {term.port.name}"
     wider = replace(
         model,

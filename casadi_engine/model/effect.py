@@ -171,8 +171,9 @@ class Effect:
     def law(self, port: Any, p: Any, math: Any) -> Any:
         """What the effect adds at the port: an SX scalar, or a `Law`.
 
-        port : signals as attributes (``port.speed``), ``port.time``, ``port.typical(signal)`` and
-            ``port.state(name)``
+        port : signals as attributes (``port.speed``), ``port.time``, ``port.typical(signal)``,
+            ``port.width(default)`` for corners and ``port.state(name)``. A signal that is read is needed: the effect
+            cannot act at a port without it. ``port.has(signal)`` asks first
         p : amplitude and nuisance parameters as attributes
         math : sign, step, abs, positive, dead_zone and elementary functions; smooth in fits, sharp in simulation
         """
@@ -203,7 +204,7 @@ class Effect:
         return self
 
     def narrowed(self, port: Any, share: float = 1.0) -> Effect:
-        """The effect with corners as sharp as the records pass them, for a refit; by default itself.
+        """The effect with its corners' ``width`` as sharp as the records pass them; by default itself.
 
         port : with its courses, ``port.courses("speed")``: the signal (N,) along the simulation of each record
         share : of that width, where the refit finds that the data tell it from a sharper one
@@ -227,6 +228,8 @@ class Attachment:
     at: str
     sharp: bool
     constants: Mapping[str, float]
+    # name of the parameter that is the width of its corners, "" without one
+    width: str = ""
 
     @property
     def key(self) -> str:

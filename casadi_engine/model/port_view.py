@@ -72,6 +72,15 @@ class PortView:
             self.states[name] = ca.SX.sym(f"{stem}.{name}")
         return self.states[name]
 
+    def width(self, default: float, *, unit: str = "1") -> Any:
+        """The width over which a corner of the law is rounded: a fixed parameter ``port.effect.width`` of the model.
+
+        default : its value before there is a record, in ``unit``; ``estimate`` sets it by the motion on the records,
+        see ``Effect.narrowed``. Outside a law this is the default itself.
+        """
+        del unit
+        return default
+
     def number(self, signal: str, values: Mapping[str, float]) -> float:
         """The number of a signal that is made of parameters alone, at these values by name."""
         expression = getattr(self, signal)
@@ -105,9 +114,16 @@ class TrialView(PortView):
     def __init__(self, model: Model, port: Port, *, effect: str):
         super().__init__(model, port, effect=effect)
         self._stand_ins: dict[str, Any] = {}
+        # symbol, default and unit of the width of the law's corners, once the law has asked for one
+        self.corner: tuple[Any, float, str] | None = None
 
     def _absent(self, signal: str) -> Any:
         return self._stand_ins.setdefault(signal, ca.SX.sym(signal))
+
+    def width(self, default: float, *, unit: str = "1") -> Any:
+        if self.corner is None:
+            self.corner = (ca.SX.sym(f"{self.name}.{self._effect}.width"), default, unit)
+        return self.corner[0]
 
     def check(self) -> None:
         """Raise MissingSignalError if a signal was read that is not there."""

@@ -58,7 +58,8 @@ class Term:
     """What an effect adds at a port.
 
     value : SX scalar in the model's symbols, the parameters' and the own states'
-    declarations, symbols : of the effect's parameters, the amplitude first        constants : whole numbers
+    declarations, symbols : of the effect's parameters, the amplitude first, the width of its corners last
+    constants : whole numbers        width : name of the width among the parameters, "" without one
     """
 
     effect: Any
@@ -69,6 +70,7 @@ class Term:
     symbols: tuple[Any, ...]
     constants: Mapping[str, float]
     sharp: bool
+    width: str = ""
 
     @property
     def amplitude(self) -> Any:
@@ -190,7 +192,12 @@ def read_term(
         ) from fault
     view.check()
     value, states = _read_law(effect, port, view, law)
-    term = Term(effect, port, value, states, declarations, symbols, constants, sharp)
+    name = ""
+    if view.corner is not None and _uses(view.corner[0], value, states):
+        symbol, default, unit = view.corner
+        name = symbol.name()
+        declarations, symbols = (*declarations, _width(name, default, unit)), (*symbols, symbol)
+    term = Term(effect, port, value, states, declarations, symbols, constants, sharp, name)
     _check_symbols(model, term)
     _check_null(term)
     return term
@@ -272,6 +279,16 @@ def _declarations(
                 )
             )
     return tuple(made)
+
+
+def _uses(symbol: Any, value: Any, states: Iterable[OwnState]) -> bool:
+    return bool(ca.depends_on(ca.vertcat(value, *(state.rate for state in states)), symbol))
+
+
+def _width(name: str, default: float, unit: str) -> ParameterDeclaration:
+    """The width of a law's corners as a fixed parameter; far narrower than its default nothing can follow it."""
+    words = "corners are rounded over it; where records pass them, estimate sets it by the motion"
+    return ParameterDeclaration(name, default, unit, 1e-9 * default, math.inf, False, words)
 
 
 def _unit(model: Model, port: Port) -> str:
