@@ -15,7 +15,7 @@ from casadi_engine.effects import Effect, candidates
 from casadi_engine.estimation.corner_widths import courses
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
-from casadi_engine.model.term import NotApplicable
+from casadi_engine.model.term import NotApplicable, unit_at
 from casadi_engine.simulation.candidate_sensitivities import Direction, slot_direction
 
 
@@ -89,13 +89,6 @@ def _group(made: Any, kind: str, port: str) -> str | None:
 
 
 def _unit(model: Model, made: Any) -> str:
-    """The unit of the amplitude; of the port's value where the effect leaves it open."""
-    unit = made.amplitude.unit
-    if unit is not None:
-        return str(unit)
-    name = made.at.partition("_")[2]
-    for variables in (model.outputs, model.inputs, model.declarations):
-        for variable in variables:
-            if variable.name == name:
-                return str(variable.unit)
-    return "N m"
+    """The unit of the amplitude, as its port has it; of the port's value where the effect leaves it open."""
+    port, unit = model.ports[made.at], made.amplitude.unit
+    return unit_at(model, port) if unit is None else port.in_its_unit(unit)

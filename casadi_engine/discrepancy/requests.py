@@ -78,12 +78,12 @@ def read_request(model: Model, effects: Any, at: Sequence[str] | str | None = No
         fits[name], left_out = _tried(model, effect, where[name], held)
         skipped += left_out
     if not any(fits.values()):
-        lacking = [one for one in skipped if one.missing]
+        lacking = [one for one in skipped if one.at]
         raise EffectError(
             f"none of these effects can act anywhere in the model {model.name}",
             seen="; ".join(map(str, lacking)) or ", ".join(found) or "no effects",
             allowed="effects that attach to ports of the model" + ("" if at is None else f" among {at}"),
-            cure="give the port these signals where the model is written, b.port(name, kind, {signal: ...})"
+            cure="put the port right where the model is written, b.port(name, kind, {signal: ...})"
             if lacking
             else "print(model.ports) lists the ports; leave effects out for the whole library",
         )

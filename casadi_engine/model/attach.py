@@ -15,7 +15,7 @@ import casadi as ca
 
 from casadi_engine.model.declarations import Port, Ports, Variable
 from casadi_engine.model.effect import Attachment
-from casadi_engine.model.term import Term, read_term, takes_torque
+from casadi_engine.model.term import Term, check_side, read_term, takes_torque
 
 if TYPE_CHECKING:
     from casadi_engine.model.model import Model
@@ -26,6 +26,7 @@ def attach(
 ) -> Model:
     """Return `model` with an effect at the port `at`; see `Model.with_effect`."""
     term = read_term(model, effect, at, values=values, sharp=sharp)
+    check_side(model, term.port)
     made = Attachment(effect, term.port.name, sharp, dict(term.constants), term.width)
     words = f"{effect.name} at {term.port.name}"
     wider = replace(

@@ -103,6 +103,7 @@ def not_applicable(model: Model, effect: Any, port: Port) -> tuple[NotApplicable
     """
     try:
         read_term(model, effect, port, values=_tried_values(effect), again=True)
+        check_side(model, port)
     except MissingSignalError as fault:
         why = f"the port has no {', '.join(fault.missing)}"
         return NotApplicable(effect.name, port.name, fault.missing, fault.has, why), fault
@@ -110,6 +111,45 @@ def not_applicable(model: Model, effect: Any, port: Port) -> tuple[NotApplicable
         why = fault.problem if fault.seen is None else f"{fault.problem} ({fault.seen})"
         return NotApplicable(effect.name, port.name, (), tuple(port.signals), why), fault
     return None
+
+
+def check_side(model: Model, port: Port) -> None:
+    """Raise EffectError where the slot of a port acts the other way round: friction would drive.
+
+    What acts in an inertia's slot must raise its speed; in a coupling's, pull the twist back. Tried at the start values
+    of the parameters.
+    """
+    if port.slot is None or port.kind not in ("inertia", "coupling"):
+        return
+    sign = 1 if port.kind == "inertia" else -1
+    signal = "speed" if port.kind == "inertia" else "twist_rate" if "twist_rate" in port.signals else "twist"
+    if signal not in port.signals:
+        return
+    moved, ode = port.signals[signal], ca.substitute(model.ode, model.d, ca.SX.zeros(model.d.shape))
+    rates = 2 if signal == "twist" else 1
+    for _ in range(rates):
+        moved = ca.jtimes(moved, model.x, ode)
+    slope = ca.Function(
+        "slope",
+        [model.x, model.u, model.d, model.w, model.t, model.p],
+        [ca.jacobian(moved, port.slot)],
+        {"allow_free": True},
+    )
+    if slope.get_free():
+        return
+    values = np.array([one.value for one in model.declarations])
+    found = []
+    for share in (0.3, 0.7):
+        x = np.array([share * variable.scale for variable in model.states])
+        found.append(float(slope(x, 0, 0, 0, 0.0, values)))
+    if all(math.isfinite(one) and sign * one < 0 for one in found):
+        raise EffectError(
+            f"the slot of the port {port.name} acts the other way round: friction there would drive",
+            seen=f"a positive torque or force in it {'slows' if sign > 0 else 'widens'} {signal}",
+            allowed="one that raises the speed of an inertia, and pulls back the twist of a coupling",
+            cure=f"exchange the sign of the slot of {port.name} in the ode (and of its law, if it has one), or of "
+            f"the signal {signal}",
+        )
 
 
 def ports_of_kind(model: Model, effect: Any) -> tuple[Port, ...]:
@@ -173,7 +213,7 @@ def read_term(
         )
     view = TrialView(model, port, effect=effect.name)
     given = _checked_values(effect, values or {})
-    declarations = _declarations(effect, view, given, _unit(model, port))
+    declarations = _declarations(effect, port, view, given, unit_at(model, port))
     symbols = tuple(ca.SX.sym(declared.name) for declared in declarations)
     known = dict(zip(_estimated(effect), symbols, strict=True))
     constants = {name: given[name] for name, grid in effect.nuisance.items() if grid.whole}
@@ -196,7 +236,10 @@ def read_term(
     if view.corner is not None and _uses(view.corner[0], value, states):
         symbol, default, unit = view.corner
         name = symbol.name()
-        declarations, symbols = (*declarations, _width(name, default, unit)), (*symbols, symbol)
+        declarations, symbols = (
+            (*declarations, _width(name, default, port.in_its_unit(unit))),
+            (*symbols, symbol),
+        )
     term = Term(effect, port, value, states, declarations, symbols, constants, sharp, name)
     _check_symbols(model, term)
     _check_null(term)
@@ -254,14 +297,14 @@ def _checked_values(effect: Any, values: Mapping[str, float]) -> dict[str, float
 
 
 def _declarations(
-    effect: Any, view: PortView, values: Mapping[str, float], unit: str
+    effect: Any, port: Port, view: PortView, values: Mapping[str, float], unit: str
 ) -> tuple[ParameterDeclaration, ...]:
     key, amplitude = f"{view.name}.{effect.name}", effect.amplitude
     made = [
         ParameterDeclaration(
             f"{key}.{amplitude.name}",
             values.get(amplitude.name, 0.0),
-            unit if amplitude.unit is None else amplitude.unit,
+            unit if amplitude.unit is None else port.in_its_unit(amplitude.unit),
             amplitude.min,
             amplitude.max,
             True,
@@ -275,7 +318,13 @@ def _declarations(
             value = values.get(name, middle)
             made.append(
                 ParameterDeclaration(
-                    f"{key}.{name}", value, grid.unit, min(low, value), max(high, value), True, words
+                    f"{key}.{name}",
+                    value,
+                    port.in_its_unit(grid.unit),
+                    min(low, value),
+                    max(high, value),
+                    True,
+                    words,
                 )
             )
     return tuple(made)
@@ -291,7 +340,7 @@ def _width(name: str, default: float, unit: str) -> ParameterDeclaration:
     return ParameterDeclaration(name, default, unit, 1e-9 * default, math.inf, False, words)
 
 
-def _unit(model: Model, port: Port) -> str:
+def unit_at(model: Model, port: Port) -> str:
     """The unit of what an effect adds at a port."""
     name = port.name.partition("_")[2]
     groups: dict[str, Iterable[Any]] = {
@@ -300,7 +349,7 @@ def _unit(model: Model, port: Port) -> str:
         "parameter": model.declarations,
     }
     found = [item.unit for item in groups.get(port.kind, ()) if item.name == name]
-    return found[0] if found else "N m"
+    return found[0] if found else port.unit
 
 
 def _range(grid: Grid, view: PortView) -> tuple[float, float, float]:
@@ -357,25 +406,25 @@ def _scalar(what: str, value: Any) -> Any:
             allowed="a scalar expression of the port's signals and the parameters",
             cure="return one torque, or one change of the port's value",
         )
-    if _holds_nan(value):
+    if not _is_finite(value):
         raise EffectError(
             f"{what} is not a number",
-            seen="nan, whatever the states are",
+            seen="a constant in it that is nan or infinite",
             allowed="a scalar expression that is finite along a motion",
-            cure="look for 0/0, or the root or logarithm of a negative constant, in the method law of the effect",
+            cure="look for a division by 0, or the root or logarithm of a negative constant, in the method law",
         )
     return ca.densify(value)
 
 
-def _holds_nan(value: Any) -> bool:
-    """True if a constant of the expression is no number."""
+def _is_finite(value: Any) -> bool:
+    """False if a constant of the expression is no finite number."""
     function = ca.Function("value", ca.symvar(value), [value])
     constants = (
         function.instruction_constant(k)
         for k in range(function.n_instructions())
         if function.instruction_id(k) == ca.OP_CONST
     )
-    return any(math.isnan(float(constant)) for constant in constants)
+    return all(math.isfinite(float(constant)) for constant in constants)
 
 
 def _check_symbols(model: Model, term: Term) -> None:
