@@ -39,6 +39,11 @@ _MAY_HIDE = (
     "what the noise is taken to be is coloured: an effect that the library lacks may hide in it; a level of the noise "
     "that is stated, ce.Noise(...), or colour=False has it judged"
 )
+_BLIND = (
+    "no physical effect could be looked for: the model has no port at which one can act, and errors of sensors alone "
+    "were tested; declare ports where the model is written (Blueprint.port), or ask for errors of sensors by name, "
+    'effects=["sensor_offset", "sensor_delay"]'
+)
 Pairs = list[tuple[Fit, NullModel]]
 
 
@@ -75,6 +80,10 @@ class Answer:
         last = proof.kept[-1]
         found, withdrawn = self._timed("certificate", lambda: _effects(proof, self.search.stations))
         unknown = self._timed("leftover", lambda: _unknown(last, null, found, withdrawn))
+        if null.screened.request.blind:
+            self.messages.append(_BLIND)
+            if len(self.search.stations) > 1:
+                unknown = _behind_a_sensor(null, self.search.stations[1])
         verdict = _verdict(found, unknown)
         self._say(null, last, proof)
         blank = Repair(
@@ -113,6 +122,7 @@ class Answer:
             matrix=class_matrix(screened),
             where=place,
             not_found=not_found(last.screened),
+            not_applicable=screened.not_applicable,
             next_experiment=split,
             equation=equation_of(last.fit.model, null.fit.model) if blank.effects else None,
             noise=noise_found(last.screened, null.fit.noise),
@@ -136,6 +146,9 @@ class Answer:
     def _confirmation(self) -> Confirmation:
         """Take back the effects that fresh data refuse, the last one first."""
         stations = self.search.stations
+        if stations[0].screened.request.blind:
+            # none of these stations adds physics: what they found is told, and not claimed
+            stations = [self.search.plainly(stations[0])]
         if not self.portion.fresh:
             return Confirmation(tuple(stations), (), None)
         self.tell("fresh data")
@@ -282,6 +295,14 @@ def _unknown(
         words = f"{label} scores beyond chance, but no refit with it is better than none"
         return Unknown(words, {label: screened.pooled(best)})
     return None
+
+
+def _behind_a_sensor(null: Station, station: Station) -> Unknown:
+    """Something is missing, and what describes it best is an error of a sensor, beside which nothing was tested."""
+    one = station.effects[-1]
+    words = f"{one.label} describes the gap best, but no physical effect could be tested against it"
+    assert station.lead is not None
+    return Unknown(words, {one.label: null.screened.pooled(station.lead)})
 
 
 def _verdict(found: Sequence[FoundEffect], unknown: Unknown | None) -> Verdict:

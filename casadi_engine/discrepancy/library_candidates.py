@@ -8,25 +8,28 @@ from functools import partial
 from typing import Any
 
 import casadi as ca
-import numpy as np
-from numpy.typing import NDArray
 
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.effects import Effect, candidates
+from casadi_engine.estimation.corner_widths import courses
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
+from casadi_engine.model.term import NotApplicable, unit_at
 from casadi_engine.simulation.candidate_sensitivities import Direction, slot_direction
-from casadi_engine.simulation.null_path import NullPath
 
 
 def library_candidates(
-    null: NullModel, data: Sequence[Experiment], effects: Sequence[Effect]
+    null: NullModel,
+    data: Sequence[Experiment],
+    effects: Sequence[Effect],
+    skipped: list[NotApplicable] | None = None,
 ) -> list[Candidate]:
     """Every effect at every port that it can attach to, over its grids, linearised at the null parameters.
 
     An effect that sits at a time or in cycles is a candidate of one record each; any other acts in all records alike,
     with the constants that each record gives. Effects at several cylinders form a group.
+    skipped : as in ``candidates``
     Raises EffectError for an effect that does not follow the protocol.
     """
     found: dict[tuple[Any, ...], Candidate] = {}
@@ -34,7 +37,9 @@ def library_candidates(
     motion = partial(courses, [record.path for record in null.records])
     for record, experiment in zip(null.records, data, strict=True):
         numbers = dict(zip(null.model.parameter_names, record.path.p.tolist(), strict=True))
-        every = candidates(null.model, effects, experiment, parameters=numbers, courses=motion)
+        every = candidates(
+            null.model, effects, experiment, parameters=numbers, courses=motion, skipped=skipped
+        )
         for number, made in enumerate(every):
             placed = any(grid.over in ("time", "cycle") for grid in made.effect.nuisance.values())
             several = len(null.records) > 1
@@ -58,16 +63,6 @@ def library_candidates(
                 source=made,
             )
     return list(found.values())
-
-
-def courses(paths: Sequence[NullPath], signal: ca.SX) -> list[NDArray[np.float64]]:
-    """A scalar of the model (N,) at the samples of each path."""
-    found = []
-    for path in paths:
-        points = path.at_samples()
-        values = path.function([signal])(*points.arguments)[0][0]
-        found.append(np.array(np.broadcast_to(values, points.t.shape[1])))
-    return found
 
 
 def direction_of(made: Any) -> Direction:
@@ -94,13 +89,6 @@ def _group(made: Any, kind: str, port: str) -> str | None:
 
 
 def _unit(model: Model, made: Any) -> str:
-    """The unit of the amplitude; of the port's value where the effect leaves it open."""
-    unit = made.amplitude.unit
-    if unit is not None:
-        return str(unit)
-    name = made.at.partition("_")[2]
-    for variables in (model.outputs, model.inputs, model.declarations):
-        for variable in variables:
-            if variable.name == name:
-                return str(variable.unit)
-    return "N m"
+    """The unit of the amplitude, as its port has it; of the port's value where the effect leaves it open."""
+    port, unit = model.ports[made.at], made.amplitude.unit
+    return unit_at(model, port) if unit is None else port.in_its_unit(unit)

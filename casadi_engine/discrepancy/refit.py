@@ -12,7 +12,6 @@ import numpy as np
 
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.compression import compress
-from casadi_engine.discrepancy.library_candidates import courses
 from casadi_engine.discrepancy.linear_algebra import basis, without
 from casadi_engine.discrepancy.noise_choice import NoiseChoice, scatter_of
 from casadi_engine.discrepancy.null_model import null_model
@@ -21,15 +20,14 @@ from casadi_engine.discrepancy.start import Start
 from casadi_engine.effects import Effect
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation import Estimate, Fit, estimate
+from casadi_engine.estimation.corner_widths import FACTOR, FELT, cost_along, courses, paths_of
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.model.port_view import PortView
-from casadi_engine.parameters import Parameters, compile
+from casadi_engine.parameters import Parameters
 from casadi_engine.problem.noise import Noise
-from casadi_engine.simulation.candidate_sensitivities import at_measurements
 from casadi_engine.simulation.exponential_runge_kutta import MOST_SUBSTEPS
-from casadi_engine.simulation.grid import lay_grid
-from casadi_engine.simulation.null_path import NullPath, null_path
+from casadi_engine.simulation.null_path import NullPath
 
 # Shares of the predicted amplitude at which it is held, one after the other, where a free start fails.
 _SHARES = (0.1, 0.3, 0.6, 1.0)
@@ -41,8 +39,8 @@ _ITERATIONS, _FEWER = 60, 30
 # Intervals into which a record is cut for laws with sharp corners.
 _INTERVALS = 400
 _ROUNDING = 1e-3
-# Corners are sharpened by this factor, at most so often, as long as chi-squared feels it by more than this.
-_FACTOR, _SHARPER, _FELT = 4.0, 3, 0.25
+# Corners are sharpened at most so often.
+_SHARPER = 3
 # And as long as all records together are not integrated in more steps than this.
 _STEPS = 1e5
 
@@ -233,29 +231,29 @@ class Refitter:
         """
         steps = max((one.substeps for one in fit.integration.values()), default=0)
         allowed = min(MOST_SUBSTEPS, _STEPS / sum(map(_samples, self.data)))
-        most = int(math.log(max(allowed / max(steps, 1), 1.0), _FACTOR) + 1e-9)
+        most = int(math.log(max(allowed / max(steps, 1), 1.0), FACTOR) + 1e-9)
         if not steps or not most:
             return fit
         paths, before = paths_of(fit), dict(self._narrow)
-        levels, costs = [before], [_cost(fit, paths)]
+        levels, costs = [before], [cost_along(fit, paths)]
         for level in range(1, min(most, _SHARPER) + 1):
             finer = dict(before)
             for one in effects:
-                share = before[one.label][1] / _FACTOR**level
+                share = before[one.label][1] / FACTOR**level
                 finer[one.label] = (_narrowed(one, fit.model, paths, share), share)
             if all(finer[one.label][0] == before[one.label][0] for one in effects):
                 return fit
             self._narrow.update(finer)
             levels.append(finer)
-            costs.append(_cost(fit, paths_of(fit, self.extended(effects))))
+            costs.append(cost_along(fit, paths_of(fit, self.extended(effects))))
         worth = _independent(fit)
-        chosen = next(k for k, cost in enumerate(costs) if worth * abs(cost - costs[-1]) < _FELT)
+        chosen = next(k for k, cost in enumerate(costs) if worth * abs(cost - costs[-1]) < FELT)
         self._narrow.update(levels[chosen])
         if not chosen:
             return fit
         model = self.extended(effects)
         again = self._try(model, self._parameters(model, effects), Start.of(fit), short=True)
-        if again is not None and again.converged and merit(again) < merit(fit) + _FELT:
+        if again is not None and again.converged and merit(again) < merit(fit) + FELT:
             return again
         self._narrow.update(before)
         return fit
@@ -298,32 +296,6 @@ class Refitter:
         return fit
 
 
-def paths_of(fit: Fit, model: Model | None = None) -> list[NullPath]:
-    """The simulations of a fit's records; model : in place of the fit's, with the same parameters."""
-    model = fit.model if model is None else model
-    pmap = compile(fit.parameters, model.parameter_names, tuple(record.name for record in fit.data))
-    found = []
-    for record in fit.data:
-        measured = tuple(out.name for out in model.outputs if out.name in record)
-        first = np.array([e.value for e in fit.initial[record.name].values()])
-        grid = lay_grid(model, record, outputs=measured)
-        found.append(null_path(model, grid, pmap.unpack(fit.z, record.name), first))
-    return found
-
-
-def _cost(fit: Fit, paths: Sequence[NullPath]) -> float:
-    """Chi-squared of simulations at a fit's noise level, in units of what the fit leaves."""
-    total = 0.0
-    for path in paths:
-        model, grid = path.model, path.grid
-        out = path.function([model.output_expressions])(*path.at_samples().arguments)[0]
-        shown = at_measurements(path, np.broadcast_to(out, (len(model.outputs), grid.samples))[None])
-        for name, (sigma, _) in fit.noise.items():
-            if name in grid.measured:
-                total += float((((grid.measured[name].values - shown[name][0]) / sigma) ** 2).sum())
-    return total / max(fit.cost / fit.n, 1.0)
-
-
 def _independent(fit: Fit) -> float:
     """The share of a fit's samples that its residuals are worth: less than 1 where they are coloured."""
     found = [trace.residual for traces in fit.traces.values() for trace in traces.values()]
@@ -333,8 +305,9 @@ def _independent(fit: Fit) -> float:
 
 def _narrowed(one: Addition, model: Model, paths: Sequence[NullPath], share: float) -> Any:
     """An addition's effect with the corners that these simulations can follow."""
-    view = PortView(model, model.ports[one.candidate.port], partial(courses, paths))
-    return one.candidate.source.effect.narrowed(view, share)
+    effect = one.candidate.source.effect
+    view = PortView(model, model.ports[one.candidate.port], partial(courses, paths), effect=effect.name)
+    return effect.narrowed(view, share)
 
 
 def _samples(record: Experiment) -> int:

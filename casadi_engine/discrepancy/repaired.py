@@ -15,6 +15,7 @@ from casadi_engine.discrepancy.random_families import Course
 from casadi_engine.estimation.fit import Estimate, Fit, Trace
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
+from casadi_engine.model.term import NotApplicable
 from casadi_engine.parameters import Parameters
 
 Array = NDArray[np.float64]
@@ -234,6 +235,7 @@ class Repair:
     effects : found, in the order in which they were; withdrawn : found first and then refused by fresh data
     alpha : false-alarm rate over the whole library; threshold : its |z|; threshold_p : the p-value of a single test
     candidates : how many were tested; scores : of every candidate against the null model
+    not_applicable : effects that could not be looked for at a port, and why
     data, fresh : records of the search, and those (or held-out cycles) of the confirmation
     latent : a torque of unknown course per port before the repair, the one that explains most first
     timing : seconds of each part and "total"; messages : what the user should know
@@ -256,6 +258,7 @@ class Repair:
     gaps: Gaps | None = None
     unknown: Unknown | None = None
     not_found: tuple[NotFound, ...] = ()
+    not_applicable: tuple[NotApplicable, ...] = ()
     next_experiment: NextExperiment | None = None
     equation: Equation | None = None
     noise: NoiseFound | None = None

@@ -7,25 +7,32 @@ from dataclasses import dataclass
 from typing import Any
 
 from casadi_engine.discrepancy.candidate import Candidate
-from casadi_engine.effects import Effect, library, ports_for
+from casadi_engine.effects import Effect, library
 from casadi_engine.errors import EffectError, EstimationError
 from casadi_engine.estimation.options import as_number
 from casadi_engine.model import Model
 from casadi_engine.model.effect import check_effect
-from casadi_engine.model.term import find_port
+from casadi_engine.model.port_view import MissingSignalError
+from casadi_engine.model.term import NotApplicable, find_port, not_applicable, ports_of_kind
 
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """effects : each once; where : effect name -> the ports that were asked for, None for all that fit."""
+    """What is looked for, and where.
+
+    effects : each once; where : effect name -> ports at which it is looked for
+    skipped : effects that cannot act at a port, and why
+    blind : True if the whole library was asked for and no effect of it can act inside the model, on its sensors alone
+    """
 
     effects: tuple[Effect, ...]
-    where: dict[str, tuple[str, ...] | None]
+    where: dict[str, tuple[str, ...]]
+    skipped: tuple[NotApplicable, ...] = ()
+    blind: bool = False
 
     def wants(self, candidate: Candidate) -> bool:
         """True if this candidate was asked for."""
-        ports = self.where[candidate.effect]
-        return ports is None or candidate.port in ports
+        return candidate.port in self.where[candidate.effect]
 
 
 def read_request(model: Model, effects: Any, at: Sequence[str] | str | None = None) -> Request:
@@ -33,8 +40,10 @@ def read_request(model: Model, effects: Any, at: Sequence[str] | str | None = No
 
     effects : None for the library, or a sequence of effects, names of the library, or pairs (effect or name, port)
     at : names of ports to which the search is held, None for all
+    An effect whose law reads a signal that a port lacks is left out there, and listed as not applicable.
     Raises EffectError for an effect that does not follow the protocol, for one that is there twice, for a port that
-    does not exist or that no effect fits, and where nothing is left to be tested.
+    does not exist, for a pair whose effect cannot act at its port, for an effect of the user's own whose law fails or
+    that no port has the signals for, and where nothing is left to be tested.
     """
     if effects is not None and (
         isinstance(effects, Mapping) or not isinstance(effects, (Effect, str, Iterable))
@@ -63,19 +72,51 @@ def read_request(model: Model, effects: Any, at: Sequence[str] | str | None = No
             )
         found[effect.name] = effect
         where[effect.name] = ports if ports is None else (*(where.get(effect.name) or ()), *ports)
-    if held is not None:
-        where = {name: tuple(p for p in held if ports is None or p in ports) for name, ports in where.items()}
-    fits = {name: [port.name for port in ports_for(model, effect)] for name, effect in found.items()}
-    if not any(
-        port in (where[name] or fits[name]) and where[name] != () for name in fits for port in fits[name]
-    ):
+    fits: dict[str, tuple[str, ...]] = {}
+    skipped: list[NotApplicable] = []
+    for name, effect in found.items():
+        fits[name], left_out = _tried(model, effect, where[name], held)
+        skipped += left_out
+    if not any(fits.values()):
+        lacking = [one for one in skipped if one.at]
         raise EffectError(
             f"none of these effects can act anywhere in the model {model.name}",
-            seen=", ".join(found) or "no effects",
+            seen="; ".join(map(str, lacking)) or ", ".join(found) or "no effects",
             allowed="effects that attach to ports of the model" + ("" if at is None else f" among {at}"),
-            cure="print(model.ports) lists the ports; leave effects out for the whole library",
+            cure="put the port right where the model is written, b.port(name, kind, {signal: ...})"
+            if lacking
+            else "print(model.ports) lists the ports; leave effects out for the whole library",
         )
-    return Request(tuple(found.values()), where)
+    inside = any(model.ports[port].slot is not None for ports in fits.values() for port in ports)
+    return Request(tuple(found.values()), fits, tuple(skipped), effects is None and at is None and not inside)
+
+
+def _tried(
+    model: Model, effect: Effect, asked: tuple[str, ...] | None, held: tuple[str, ...] | None
+) -> tuple[tuple[str, ...], list[NotApplicable]]:
+    """The ports at which an effect can act, by a call of its law on trial, and where it cannot.
+
+    asked : the ports that it was paired with; held : those to which the search is held
+    """
+    there = [port for port in ports_of_kind(model, effect) if asked is None or port.name in asked]
+    there = [port for port in there if held is None or port.name in held]
+    if not there and held is None:
+        kinds = " or ".join(effect.attaches)
+        return (), [NotApplicable(effect.name, "", (), (), f"the model has no port of the kind {kinds}")]
+    fine, left_out, faults = [], [], []
+    for port in there:
+        why = not_applicable(model, effect, port)
+        if why is None:
+            fine.append(port.name)
+            continue
+        left_out.append(why[0])
+        faults.append(why[1])
+    broken = [fault for fault in faults if not isinstance(fault, MissingSignalError)]
+    if asked is not None and faults:
+        raise faults[0]
+    if type(effect) not in {type(one) for one in library()} and faults and (broken or not fine):
+        raise (broken or faults)[0]
+    return tuple(fine), left_out
 
 
 def _pair(item: Any) -> tuple[Any, Any]:

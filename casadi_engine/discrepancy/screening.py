@@ -40,11 +40,12 @@ from casadi_engine.discrepancy.random_families import (
     family_course,
     family_row,
 )
-from casadi_engine.discrepancy.requests import check_alpha, read_request
+from casadi_engine.discrepancy.requests import Request, check_alpha, read_request
 from casadi_engine.discrepancy.score import Scores, score
 from casadi_engine.errors import EffectError, EstimationError
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.options import whole
+from casadi_engine.model.term import NotApplicable
 
 # Degrees of freedom below which a score tells little.
 _FEW = 5
@@ -82,6 +83,7 @@ class Screened:
     compressed, scores : of the candidates; law : their smallest p-value under the null
     alpha : false-alarm rate of the library's tests and the leftover's together; share : that of the library alone
     threshold_p : p-value of one test at which the library's smallest falls with probability ``share``
+    request : what was looked for, and what could not act where
     """
 
     null: NullModel
@@ -94,6 +96,7 @@ class Screened:
     alpha: float
     share: float
     threshold_p: float
+    request: Request = field(default_factory=lambda: Request((), {}))
     seed: int = 0
     timing: Mapping[str, float] = field(default_factory=dict)
 
@@ -105,12 +108,18 @@ class Screened:
             label, p = self.candidates[k].label, float(self.scores.p_value[k])
             lines.append(f"  {label:<60}{float(self.scores.statistic[k]):>10.2f}  p = {p:.2g}")
         lines += [f"  {name}: p = {p:.2g}" for name, p in self.leftover.alarms.items()]
+        lines += [f"Not applicable: {one}" for one in self.not_applicable]
         return "\n".join([*lines, *(f"Note: {text}" for text in self.choice.messages)])
 
     @property
     def noise(self) -> NoiseModel:
         """The noise of the tests."""
         return self.choice.noise
+
+    @property
+    def not_applicable(self) -> tuple[NotApplicable, ...]:
+        """The effects that cannot act at a port, and why."""
+        return self.request.skipped
 
     @property
     def threshold(self) -> float:
@@ -185,10 +194,10 @@ def screen(
         return screen_in_turn(
             fit, effects, at=at, alpha=alpha, colour=colour, scatter=scatter, seed=seed, wait=False
         )
-    null, candidates, columns = _linearised(fit, effects, at)
+    null, candidates, columns, request = _linearised(fit, effects, at)
     random = scatter_of(null, fit.data, scatter) if noise.scatter else ()
     return _scored(
-        null, candidates, columns, NoiseChoice(noise, random, scatter), alpha, whole("seed", seed, 0)
+        null, candidates, columns, NoiseChoice(noise, random, scatter), alpha, whole("seed", seed, 0), request
     )
 
 
@@ -207,23 +216,26 @@ def screen_in_turn(
     residual of a model that lacks it, and a refit with the effect tells that sooner than a search for the colour.
     ``coloured`` goes on where it does not."""
     seed = whole("seed", seed, 0)
-    null, candidates, columns = _linearised(fit, effects, at)
+    null, candidates, columns, request = _linearised(fit, effects, at)
     choice = choose_noise(
         null, candidates, columns, fit.noise, data=fit.data, cylinders=scatter, colour=colour, wait=wait
     )
-    return _scored(null, candidates, columns, choice, alpha, seed)
+    return _scored(null, candidates, columns, choice, alpha, seed, request)
 
 
 def _linearised(
     fit: Fit, effects: Any, at: Any
-) -> tuple[NullModel, tuple[Candidate, ...], dict[str, dict[str, Array]]]:
-    """The null model, the candidates that are wanted, and their columns."""
+) -> tuple[NullModel, tuple[Candidate, ...], dict[str, dict[str, Array]], Request]:
+    """The null model, the candidates that are wanted, their columns, and what was asked for."""
     request = read_request(fit.model, effects, at)
     null = null_model(fit)
-    candidates = [c for c in library_candidates(null, fit.data, request.effects) if request.wants(c)]
+    skipped: list[NotApplicable] = []
+    every = library_candidates(null, fit.data, request.effects, skipped)
+    request = replace(request, skipped=(*request.skipped, *dict.fromkeys(skipped)))
+    candidates = [one for one in every if request.wants(one)]
     columns = {record.name: candidate_columns(record, candidates) for record in null.records}
     _check_columns(candidates, columns)
-    return null, tuple(candidates), columns
+    return null, tuple(candidates), columns, request
 
 
 def _check(fit: Any, noise: Any, alpha: Any) -> None:
@@ -263,7 +275,7 @@ def rescored(screened: Screened, choice: NoiseChoice) -> Screened:
     """The same scores with another noise."""
     one = screened
     choice = replace(choice, compressed=None)
-    return _scored(one.null, one.candidates, one.columns, choice, one.alpha, one.seed)
+    return _scored(one.null, one.candidates, one.columns, choice, one.alpha, one.seed, one.request)
 
 
 def whitely(screened: Screened, fit: Fit) -> Screened:
@@ -281,7 +293,7 @@ def _chosen_again(screened: Screened, fit: Fit, colour: ColourChoice) -> Screene
     choice = choose_noise(
         one.null, one.candidates, one.columns, fit.noise, data=fit.data, cylinders=one.choice.cylinders, colour=colour
     )  # fmt: skip
-    return _scored(one.null, one.candidates, one.columns, choice, one.alpha, one.seed)
+    return _scored(one.null, one.candidates, one.columns, choice, one.alpha, one.seed, one.request)
 
 
 def _scored(
@@ -291,6 +303,7 @@ def _scored(
     choice: NoiseChoice,
     alpha: float,
     seed: int,
+    request: Request,
 ) -> Screened:
     compressed = choice.compressed
     if compressed is None:
@@ -310,6 +323,7 @@ def _scored(
         alpha,
         share,
         law.threshold(share),
+        request,
         seed,
     )
 

@@ -22,6 +22,7 @@ def summary(repair: Repair) -> str:
     if repair.verdict is not None:
         lines += [*_found(repair), *_where(repair), *_unknown(repair), *_gap(repair)]
         lines += [*_shifts(repair), *_equation(repair), *_not_found(repair)]
+        lines += _not_applicable(repair)
     notes = [line for note in repair.messages[:_NOTES] for line in wrapped(f"Note: {note}", "      ")]
     last = wrapped(f"Next: {next_step(repair)}", "      ")
     kept = lines[: LINES - len(last) - min(len(notes), 6)]
@@ -184,6 +185,16 @@ def _not_found(repair: Repair) -> list[str]:
     text = "; ".join(parts) + (f"; and {count(more)} more" if more > 0 else "")
     text += f"; {rest} not testable with these data" if rest else ""
     return wrapped(f"Would have been found from a size of (95 %): {text}", "  ")
+
+
+def _not_applicable(repair: Repair) -> list[str]:
+    """Effects that a port lacks signals for; those that have no port of their kind are counted."""
+    at_ports = [one for one in repair.not_applicable if one.at]
+    rest = len(repair.not_applicable) - len(at_ports)
+    parts = [str(one) for one in at_ports[:_MISSED]]
+    parts += [f"{count(len(at_ports) - _MISSED)} more at other ports"] if len(at_ports) > _MISSED else []
+    parts += [f"{count(rest)} without a port of the right kind"] if rest else []
+    return wrapped(f"Not applicable: {'; '.join(parts)}", "  ") if at_ports else []
 
 
 def next_step(repair: Repair) -> str:

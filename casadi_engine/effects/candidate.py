@@ -16,13 +16,14 @@ import casadi as ca
 import numpy as np
 
 from casadi_engine.effects.combustion import CYCLE
-from casadi_engine.errors import EffectError
+from casadi_engine.errors import CasadiEngineError, EffectError
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.model.arrival import arriving
+from casadi_engine.model.declarations import Port
 from casadi_engine.model.effect import Amplitude, Effect, check_effect
-from casadi_engine.model.port_view import Courses, PortView
-from casadi_engine.model.term import OwnState, Term, ports_for, read_term, takes_torque
+from casadi_engine.model.port_view import Courses, MissingSignalError, PortView
+from casadi_engine.model.term import NotApplicable, OwnState, Term, ports_for, read_term, takes_torque
 from casadi_engine.parameters import Parameters
 
 # A combustion counts as a cycle of the record if at least this much of it is inside [rad].
@@ -133,9 +134,7 @@ def candidate(
     given = dict(values or {})
     given.pop(effect.amplitude.name, None)
     term = read_term(model, effect, at, values=given, sharp=sharp)
-    numbers = {
-        name: declared.value for name, declared in zip(_names(effect)[1:], term.declarations[1:], strict=True)
-    }
+    numbers = {one.name.rpartition(".")[2]: one.value for one in term.declarations[1:]}
     value = _per_amplitude(term, size)
     if numbers:
         value = ca.substitute(value, ca.vertcat(*term.symbols[1:]), ca.SX(ca.DM(list(numbers.values()))))
@@ -153,13 +152,16 @@ def candidates(
     parameters: Parameters | Mapping[str, float] | None = None,
     sharp: bool = False,
     courses: Courses | None = None,
+    skipped: list[NotApplicable] | None = None,
 ) -> tuple[Candidate, ...]:
     """Return all candidates of effects at all ports of a model, over the grids of their nuisance parameters.
 
     record : gives time grids their span, cycle grids their cycles, and cylinders their motored trace
     parameters : as in `Model.parameter_vector`, for constants that hang on them
     courses : an SX scalar of the model -> its values (N,) along each record, for effects that look at the motion
-    Effects that the model has already at a port are left out there.
+    skipped : a list to which effects are added whose other methods read signals that a port lacks; None raises
+    MissingSignalError for them
+    Effects that the model has already at a port are left out there, and ports that lack a signal which the law reads.
     """
     record = arriving(model, record)
     vector = model.parameter_vector(parameters)
@@ -171,12 +173,43 @@ def candidates(
         for port in ports_for(model, effect):
             if (port.name, effect.name) in there:
                 continue
-            view = PortView(model, port, courses)
-            own = effect.fitted(view, record, numbers)
-            for values in own.choices(view, grid_values(own, view, record, numbers)):
-                for size in (None, *own.sizes(view, numbers)):
-                    found.append(candidate(model, own, port, values, size=size, sharp=sharp))
+            try:
+                found += _at_port(model, effect, port, record, numbers, courses, sharp)
+            except MissingSignalError as fault:
+                if skipped is None:
+                    raise
+                why = f"the port has no {', '.join(fault.missing)}"
+                skipped.append(NotApplicable(effect.name, port.name, fault.missing, fault.has, why))
     return tuple(found)
+
+
+def _at_port(
+    model: Model,
+    effect: Effect,
+    port: Port,
+    record: Experiment,
+    numbers: Mapping[str, float],
+    courses: Courses | None,
+    sharp: bool,
+) -> list[Candidate]:
+    """The candidates of one effect at one port; EffectError where a method of the effect fails."""
+    view = PortView(model, port, courses, effect=effect.name)
+    try:
+        own = effect.fitted(view, record, numbers)
+        points = own.choices(view, grid_values(own, view, record, numbers))
+        sizes = (None, *own.sizes(view, numbers))
+    except CasadiEngineError:
+        raise
+    except Exception as fault:
+        raise EffectError(
+            f"a method of {effect.name} fails at {port.name}",
+            seen=f"{type(fault).__name__}: {fault}",
+            allowed="fitted, choices and sizes as ce.Effect describes them",
+            cure="correct that method of the effect, or leave it out",
+        ) from fault
+    return [
+        candidate(model, own, port, values, size=size, sharp=sharp) for values in points for size in sizes
+    ]
 
 
 def grid_values(
@@ -205,10 +238,6 @@ def cycles_of(view: PortView, record: Experiment, numbers: Mapping[str, float]) 
     first = math.ceil((float(theta[0]) - offset) / CYCLE - 1e-9)
     last = math.floor((float(theta[-1]) - _INSIDE - offset) / CYCLE)
     return tuple(number + 1 for number in range(first, last + 1))
-
-
-def _names(effect: Effect) -> list[str]:
-    return [effect.amplitude.name, *(name for name, grid in effect.nuisance.items() if not grid.whole)]
 
 
 def _per_amplitude(term: Term, size: float | None) -> Any:

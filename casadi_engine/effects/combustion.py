@@ -68,7 +68,6 @@ class Misfire(Effect):
 
     name = "misfire"
     attaches = ("cylinder",)
-    needs = ("firing_offset",)
     kin = ("cylinder_imbalance", "load_step")
     sentence = "combustion in {port} that is lost in some cycles"
     amplitude = Amplitude("lost", unit="1", min=0)
@@ -79,6 +78,7 @@ class Misfire(Effect):
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
         """−(lost) times the combustion torque, in the chosen cycles."""
+        _ = port.firing_offset  # cycles are counted by one cylinder's own firing, so that it must have one
         if p.last < p.first:
             raise EffectError(
                 "the cycles of a misfire are in the wrong order",
@@ -107,7 +107,7 @@ class Misfire(Effect):
 def _pegged(port: Any, record: Any, values: Mapping[str, float]) -> Motored | None:
     """The motored trace of a record's cylinder; None if the record lacks channels or a compression for it."""
     channel = f"p{port.name.rpartition('_')[2]}"
-    if not port.has("firing_offset") or "theta" not in record or channel not in record:
+    if not (port.has("firing_offset") and port.has("rod_ratio")) or "theta" not in record or channel not in record:
         return None
     theta, pressure = record["theta"], record[channel]
     angle = np.interp(pressure.time[pressure.mask], theta.time, theta.values)

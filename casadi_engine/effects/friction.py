@@ -29,11 +29,14 @@ def motion(port: Any) -> tuple[str, int]:
     return ("twist_rate", 1) if port.kind == "coupling" else ("speed", -1)
 
 
-def rounding(port: Any, width: float | None) -> float:
-    """The width over which a sign of the motion is rounded, in the motion's unit."""
+def rounding(port: Any, width: float | None) -> Any:
+    """The width over which a sign of the motion is rounded, in the motion's unit: a number that was given, else a
+    parameter of the model that starts at a small share of the motion's magnitude."""
+    if width is not None:
+        return width
     signal, _ = motion(port)
     share = RATE_WIDTH if signal == "twist_rate" else SPEED_WIDTH
-    return float(f"{share * port.typical(signal):.2g}") if width is None else width
+    return port.width(float(f"{share * port.typical(signal):.2g}"), unit="rad/s")
 
 
 class _Rounded(Effect):

@@ -58,7 +58,6 @@ class Backlash(Effect):
 
     name = "backlash"
     attaches = ("coupling",)
-    needs = ("stiffness",)
     kin = ("cubic_stiffness", "coulomb_friction")
     sentence = "play in {port}"
 
@@ -70,11 +69,13 @@ class Backlash(Effect):
     def law(self, port: Any, p: Any, math: Any) -> Any:
         """K (dz(twist) − twist), written with torques so that the rounding does not depend on K."""
         torque, edge = port.stiffness * port.twist, port.stiffness * p.gap
-        return math.dead_zone(torque, edge, width=self._wide) - torque
+        given = self.width is not None or self.torques is not None
+        width = self._wide if given else port.width(self._wide, unit="N m")
+        return math.dead_zone(torque, edge, width=width) - torque
 
     @property
     def _wide(self) -> float:
-        """The width of the corners [N m]."""
+        """The width of the corners [N m]; where nothing was given it is where a parameter of the model starts."""
         largest = _LARGEST if self.torques is None else max(self.torques)
         return _WIDTH * largest if self.width is None else self.width
 

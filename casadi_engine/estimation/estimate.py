@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.answer import make_fit
+from casadi_engine.estimation.corner_widths import follow_motion
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.loss import read_loss
@@ -113,10 +115,46 @@ def estimate(
         "tolerance": tolerance,
         "warm": warm,
     }
+    run = partial(
+        _searched,
+        seed=seed,
+        jobs=jobs,
+        progress=progress,
+        shown={
+            "interval": interval,
+            "loss": loss if isinstance(loss, str) else repr(loss),
+            "approach": approach,
+            "starts": starts,
+            "neighbours": neighbours,
+        },
+    )
+    fit = run(arguments, starts, neighbours, begun)
+
+    def again(pars: Parameters, warm: Fit, length: int) -> Fit:
+        interval_of = length if interval == "auto" else interval
+        changed = {"parameters": pars, "warm": warm, "interval": interval_of, "approach": "direct"}
+        return run(arguments | changed, 1, 0, begun)
+
+    return follow_motion(fit, arguments["parameters"], again)
+
+
+def _searched(
+    arguments: dict[str, Any],
+    starts: int,
+    neighbours: int,
+    begun: float,
+    *,
+    seed: int,
+    jobs: int | None,
+    progress: Any,
+    shown: Mapping[str, Any],
+) -> Fit:
+    """One estimate from its checked arguments; shown : options as the user gave them."""
+    entered = time.perf_counter()
     with Interrupts() as interrupts:
-        report = _reporter(progress, starts + 2 * neighbours, max_iterations)
+        report = _reporter(progress, starts + 2 * neighbours, arguments["max_iterations"])
         search = Search(**arguments, progress=report, interrupts=interrupts)
-        setup = time.perf_counter() - begun
+        setup = time.perf_counter() - entered
         several = jobs != 1 and starts + neighbours > 1
         workers = Workers(arguments, jobs, interrupts, search.tell) if several else None
         drawn = search.drawn(starts, seed)
@@ -125,18 +163,11 @@ def estimate(
         best = search.integrated(found)
         attempts = [best if attempt is found else attempt for attempt in attempts]
         optima = distinct_optima(search, attempts, best)
-        timing = {"setup": setup, "solve": time.perf_counter() - begun - setup}
+        timing = {"setup": setup, "solve": time.perf_counter() - entered - setup}
         options = {
-            "interval": interval,
-            "loss": loss if isinstance(loss, str) else repr(loss),
-            "ties": ties,
-            "method": method,
-            "approach": approach,
-            "starts": starts,
+            **{name: arguments[name] for name in ("ties", "method", "max_iterations", "tolerance")},
             "seed": seed,
-            "neighbours": neighbours,
-            "max_iterations": max_iterations,
-            "tolerance": tolerance,
+            **shown,
         }
         stopped = interrupted(attempts) or interrupts.stopped
         fit = make_fit(search, best, optima, options, timing, begun, stopped=stopped)

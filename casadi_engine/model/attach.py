@@ -17,7 +17,7 @@ from casadi_engine.model.declarations import Port, Ports, Variable
 from casadi_engine.model.effect import Attachment
 from casadi_engine.model.linearity import is_affine
 from casadi_engine.model.rates import with_rates
-from casadi_engine.model.term import Term, read_term, takes_torque
+from casadi_engine.model.term import Term, check_side, read_term, takes_torque
 
 if TYPE_CHECKING:
     from casadi_engine.model.model import Model
@@ -28,7 +28,8 @@ def attach(
 ) -> Model:
     """Return `model` with an effect at the port `at`; see `Model.with_effect`."""
     term = read_term(model, effect, at, values=values, sharp=sharp)
-    made = Attachment(effect, term.port.name, sharp, dict(term.constants))
+    check_side(model, term.port)
+    made = Attachment(effect, term.port.name, sharp, dict(term.constants), term.width)
     words = f"{effect.name} at {term.port.name}"
     wider = replace(
         model,

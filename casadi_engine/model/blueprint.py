@@ -43,8 +43,8 @@ class Blueprint:
     left out, they arrive in SI. Noise levels, initial values and bounds are in the declared units too.
 
     Written as a law of a port, the cubic spring leaves a linear core, which simulates faster:
-    ``spring = b.port("spring", "coupling", {"stretch": q}); b.law("spring", -k3 * q**3)``, and then
-    ``+ spring`` in the ode instead of the cubic term.
+    ``spring = b.port("spring", "coupling", {"twist": q, "twist_rate": v}); b.law("spring", k3 * q**3)``, and then
+    ``- spring`` in the ode instead of the cubic term: what acts in a coupling pulls its two sides together.
     """
 
     def __init__(self, name: str, *, description: str = "", time_unit: str | None = None):
@@ -116,18 +116,57 @@ class Blueprint:
         return symbol
 
     def port(
-        self, name: str, kind: str, signals: Mapping[str, Any] | None = None, *, description: str = ""
+        self,
+        name: str,
+        kind: str,
+        signals: Mapping[str, Any] | None = None,
+        *,
+        unit: str | None = None,
+        description: str = "",
     ) -> Any:
-        """Declare a port; returns its slot symbol [N m] to be put into the ode, or None if it takes none.
+        """Declare a port; returns its slot symbol to be put into the ode, or None if it takes none.
 
-        Ports of the kinds input, sensor and parameter are made by `model()` itself.
+        kind : inertia, coupling, cylinder or internal; those of input, sensor and parameter are made by `model()`
+        signals : name -> expression, what is known there. An effect can act where the signals are that its law reads;
+            those of the library read
+
+            ========= ============================================ ==========================================
+            kind      signals                                      effects
+            ========= ============================================ ==========================================
+            inertia   speed [rad/s]                                coulomb_friction, viscous_friction,
+                                                                   quadratic_drag, stribeck_friction
+            inertia   (none)                                       constant_torque, load_step
+            coupling  twist_rate [rad/s]                           coulomb_friction, viscous_friction
+            coupling  twist [rad]                                  cubic_stiffness
+            coupling  twist [rad], stiffness [N m/rad]             backlash
+            cylinder  combustion_torque [N m]                      cylinder_imbalance
+            cylinder  combustion_torque, angle, firing_offset      misfire
+            ========= ============================================ ==========================================
+
+            On what moves in metres the names are the same: ``speed`` [m/s] of a mass, ``twist`` [m] and ``twist_rate``
+            [m/s] of a spring or damper. The slot accelerates an inertia: it enters the ode of ``speed`` with +. At a
+            coupling it pulls the sides together: it enters the ode of the side that a positive twist is ahead with -
+        unit : of the slot; None takes N m, N where the signals are states in m or m/s, and "-" where they are in
+            neither. Amplitudes of effects follow it: N s/m for N m s/rad
         """
         if _identifier("port", name) in self._ports:
             raise _repeated("port", name)
         slot = ca.SX.sym(f"w_{name}") if isinstance(kind, str) and PORT_KINDS.get(kind, False) else None
         made = {key: _scalar(f"signal {key} of port {name}", value) for key, value in (signals or {}).items()}
-        self._ports[name] = Port(name, kind, description, made, slot)
+        self._ports[name] = Port(name, kind, description, made, slot, self._slot_unit(made, unit))
         return slot
+
+    def _slot_unit(self, signals: Mapping[str, Any], given: str | None) -> str:
+        """The unit of a slot: the one given, or that which goes with the units of the states among the signals."""
+        if given is not None:
+            return Variable("slot", given).unit
+        symbols = {symbol.element_hash() for value in signals.values() for symbol in ca.symvar(value)}
+        units = {made.unit for made, symbol in self._states.values() if symbol.element_hash() in symbols} - {
+            "1"
+        }
+        if units <= {"rad", "rad/s"}:
+            return "N m"
+        return "N" if units <= {"m", "m/s"} else "-"
 
     # ---- equations
 

@@ -115,9 +115,10 @@ class Port:
     kind : one of inertia, coupling, cylinder, internal, input, sensor, parameter
     description : one clause for tables
     signals : the quantities known there, as scalar SX expressions of the model's symbols
-    slot : scalar SX, the torque [N m] that a law may add there, or None. Positive accelerates an inertia or
-        the crank (kinds inertia, cylinder, internal); at a coupling it acts on the first side, and its
-        opposite on the other.
+    slot : scalar SX, the torque [N m] that a law may add there, or None; a force [N] on what moves in metres.
+        Positive accelerates an inertia or the crank (kinds inertia, cylinder, internal); at a coupling it acts on the
+        first side, and its opposite on the other.
+    unit : of the slot
     """
 
     name: str
@@ -125,6 +126,7 @@ class Port:
     description: str = ""
     signals: Mapping[str, Any] = field(default_factory=dict)
     slot: Any = None
+    unit: str = "N m"
 
     def __post_init__(self) -> None:
         if not isinstance(self.kind, str) or self.kind not in PORT_KINDS:
@@ -135,6 +137,18 @@ class Port:
                 cure="choose the kind by what is attached there",
             )
         object.__setattr__(self, "signals", MappingProxyType(dict(self.signals)))
+
+    def in_its_unit(self, text: str) -> str:
+        """A unit that is written for torques and angles, as it reads at this port; "-" where that is not known.
+
+        >>> Port("mass", "inertia", unit="N").in_its_unit("N m s2/rad2")
+        'N s2/m2'
+        """
+        if self.unit == "N m":
+            return text
+        if self.unit == "N":
+            return text.replace("N m", "N").replace("rad", "m")
+        return "-" if "N m" in text or "rad" in text else text
 
     def __str__(self) -> str:
         return f"{self.name} ({self.kind}): {', '.join(self.signals)}"
@@ -183,9 +197,11 @@ class Ports(Sequence[Port]):
         return item in self._by_name or any(item is port for port in self._ports)
 
     def __str__(self) -> str:
-        rows = [("port", "kind", "torque", "signals")]
+        rows = [("port", "kind", "slot", "signals")]
         for port in self._ports:
-            rows.append((port.name, port.kind, "-" if port.slot is None else "yes", ", ".join(port.signals)))
+            rows.append(
+                (port.name, port.kind, "-" if port.slot is None else port.unit, ", ".join(port.signals))
+            )
         widths = [max(len(row[column]) for row in rows) for column in range(3)]
         return "\n".join(
             "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=False)) + "  " + row[3]

@@ -142,7 +142,6 @@ class Effect:
 
     name : identifier; parameters are called ``port.name.parameter``
     attaches : kinds of ports: inertia, coupling, cylinder, input, sensor, parameter
-    needs : signals that the port must have besides
     kin : names of effects that look alike, for the reader of a class
     limit : name of the simpler effect that this one becomes at an end of its grid; "" for none
     sentence : one clause with {port}, for reports
@@ -163,7 +162,6 @@ class Effect:
 
     name: ClassVar[str] = ""
     attaches: ClassVar[tuple[str, ...]] = ()
-    needs: ClassVar[tuple[str, ...]] = ()
     kin: ClassVar[tuple[str, ...]] = ()
     limit: ClassVar[str] = ""
     sentence: ClassVar[str] = ""
@@ -173,8 +171,9 @@ class Effect:
     def law(self, port: Any, p: Any, math: Any) -> Any:
         """What the effect adds at the port: an SX scalar, or a `Law`.
 
-        port : signals as attributes (``port.speed``), ``port.time``, ``port.typical(signal)`` and
-            ``port.state(name)``
+        port : signals as attributes (``port.speed``), ``port.time``, ``port.typical(signal)``,
+            ``port.width(default)`` for corners and ``port.state(name)``. A signal that is read is needed: the effect
+            cannot act at a port without it. ``port.has(signal)`` asks first
         p : amplitude and nuisance parameters as attributes
         math : sign, step, abs, positive, dead_zone and elementary functions; smooth in fits, sharp in simulation
         """
@@ -205,7 +204,7 @@ class Effect:
         return self
 
     def narrowed(self, port: Any, share: float = 1.0) -> Effect:
-        """The effect with corners as sharp as the records pass them, for a refit; by default itself.
+        """The effect with its corners' ``width`` as sharp as the records pass them; by default itself.
 
         port : with its courses, ``port.courses("speed")``: the signal (N,) along the simulation of each record
         share : of that width, where the refit finds that the data tell it from a sharper one
@@ -229,6 +228,8 @@ class Attachment:
     at: str
     sharp: bool
     constants: Mapping[str, float]
+    # name of the parameter that is the width of its corners, "" without one
+    width: str = ""
 
     @property
     def key(self) -> str:

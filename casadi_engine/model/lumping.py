@@ -111,7 +111,9 @@ class _Builder:
             self._pair(full.d[k], b.drive(expression=value, **vars(variable)))
         for port in self.others:
             signals = {key: self._lumped(value) for key, value in port.signals.items()}
-            self._pair(port.slot, b.port(port.name, port.kind, signals, description=port.description))
+            self._pair(
+                port.slot, b.port(port.name, port.kind, signals, unit=port.unit, description=port.description)
+            )
         write_chain(b, chain, [self._lumped(torque) for torque in outer])
         for row in self.more_states:
             b.ode(full.states[row].name, self._lumped(full.ode[row]))

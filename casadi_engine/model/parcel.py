@@ -17,13 +17,13 @@ _SYMBOLIC = ("x", "u", "d", "w", "t", "p", "ode", "drive_expressions", "laws", "
 
 @dataclass(frozen=True)
 class Parcel:
-    """A model's plain fields, its ports (name, kind, description, signals, slot), and CasADi's text of all symbols.
+    """A model's plain fields, its ports (name, kind, description, unit, signals, slot), and CasADi's text of symbols.
 
     The text holds the columns of ``_SYMBOLIC``, then signals and slot of port after port: what they share stays shared.
     """
 
     plain: dict[str, Any]
-    ports: tuple[tuple[str, str, str, tuple[str, ...], bool], ...]
+    ports: tuple[tuple[str, str, str, str, tuple[str, ...], bool], ...]
     text: str
 
 
@@ -35,7 +35,9 @@ def pack(model: Model) -> Parcel:
     for port in plain.pop("ports"):
         symbols += [ca.SX(signal) for signal in port.signals.values()]
         symbols += [] if port.slot is None else [ca.SX(port.slot)]
-        ports.append((port.name, port.kind, port.description, tuple(port.signals), port.slot is not None))
+        ports.append(
+            (port.name, port.kind, port.description, port.unit, tuple(port.signals), port.slot is not None)
+        )
     writer = ca.StringSerializer()
     writer.pack(symbols)
     return Parcel(plain, tuple(ports), writer.encode())
@@ -48,7 +50,7 @@ def unpack(parcel: Parcel) -> Model:
     symbols = iter(ca.StringDeserializer(parcel.text).unpack())
     columns = {name: next(symbols) for name in _SYMBOLIC}
     ports = []
-    for name, kind, description, signals, slot in parcel.ports:
-        port = Port(name, kind, description, {key: next(symbols) for key in signals})
+    for name, kind, description, unit, signals, slot in parcel.ports:
+        port = Port(name, kind, description, {key: next(symbols) for key in signals}, unit=unit)
         ports.append(replace(port, slot=next(symbols)) if slot else port)
     return Model(**parcel.plain, ports=Ports(ports), **columns)

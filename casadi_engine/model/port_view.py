@@ -20,16 +20,35 @@ if TYPE_CHECKING:
     from casadi_engine.model.model import Model
 
 
+class MissingSignalError(EffectError):
+    """An effect reads signals that its port does not have.
+
+    missing : their names        has : the signals of the port
+    """
+
+    def __init__(self, effect: str, port: Port, missing: Sequence[str]):
+        self.missing, self.has = tuple(missing), tuple(port.signals)
+        words = ", ".join(missing)
+        super().__init__(
+            f"{effect or 'the effect'} cannot act at the port {port.name}, which has no signal {words}",
+            seen=f"{port.name} has the signals {', '.join(self.has) or '(none)'}",
+            allowed=near_matches(missing[0], self.has) if self.has else "a port that has them",
+            cure=f"give the port what the law reads where the model is written: "
+            f"b.port({port.name!r}, {port.kind!r}, {{{', '.join(f'{name!r}: ...' for name in missing)}}})",
+        )
+
+
 class PortView:
     """A port as a law reads it; every signal is an attribute (``port.speed``).
 
     name, kind : of the port        time : SX symbol [s]
     courses : what gives the values (N,) of an SX scalar along the model's simulation of each record, if there is one
+    effect : name of the effect that looks at it, for messages and for its states
     """
 
-    def __init__(self, model: Model, port: Port, courses: Courses | None = None):
+    def __init__(self, model: Model, port: Port, courses: Courses | None = None, *, effect: str = ""):
         self.name, self.kind, self.time = port.name, port.kind, model.t
-        self._model, self._port, self._courses = model, port, courses
+        self._model, self._port, self._courses, self._effect = model, port, courses, effect
         self.states: dict[str, Any] = {}
 
     def has(self, signal: str) -> bool:
@@ -40,19 +59,27 @@ class PortView:
         if signal.startswith("__"):
             raise AttributeError(signal)
         if signal not in self._port.signals:
-            raise EffectError(
-                f"the port {self.name} has no such signal",
-                seen=repr(signal),
-                allowed=near_matches(signal, self._port.signals),
-                cure="print(model.ports) lists the signals; an effect names those it needs in `needs`",
-            )
+            return self._absent(signal)
         return self._port.signals[signal]
+
+    def _absent(self, signal: str) -> Any:
+        raise MissingSignalError(self._effect, self._port, (signal,))
 
     def state(self, name: str) -> Any:
         """The SX symbol of a state of the effect's own; its start and rate go into `Law(states=...)`."""
         if name not in self.states:
-            self.states[name] = ca.SX.sym(f"{self.name}.{name}")
+            stem = f"{self.name}.{self._effect}" if self._effect else self.name
+            self.states[name] = ca.SX.sym(f"{stem}.{name}")
         return self.states[name]
+
+    def width(self, default: float, *, unit: str = "1") -> Any:
+        """The width over which a corner of the law is rounded: a fixed parameter ``port.effect.width`` of the model.
+
+        default : its value before there is a record, in ``unit``; ``estimate`` sets it by the motion on the records,
+        see ``Effect.narrowed``. Outside a law this is the default itself.
+        """
+        del unit
+        return default
 
     def number(self, signal: str, values: Mapping[str, float]) -> float:
         """The number of a signal that is made of parameters alone, at these values by name."""
@@ -78,6 +105,30 @@ class PortView:
                 found = float(np.linalg.norm(np.array(ca.DM(ca.densify(slope))).ravel() * scales))
                 return found if found > 0 else 1.0
         return 1.0
+
+
+class TrialView(PortView):
+    """A port that notes the signals which a law reads and it does not have, and gives a symbol in their place: one call
+    of the law tells them all."""
+
+    def __init__(self, model: Model, port: Port, *, effect: str):
+        super().__init__(model, port, effect=effect)
+        self._stand_ins: dict[str, Any] = {}
+        # symbol, default and unit of the width of the law's corners, once the law has asked for one
+        self.corner: tuple[Any, float, str] | None = None
+
+    def _absent(self, signal: str) -> Any:
+        return self._stand_ins.setdefault(signal, ca.SX.sym(signal))
+
+    def width(self, default: float, *, unit: str = "1") -> Any:
+        if self.corner is None:
+            self.corner = (ca.SX.sym(f"{self.name}.{self._effect}.width"), default, unit)
+        return self.corner[0]
+
+    def check(self) -> None:
+        """Raise MissingSignalError if a signal was read that is not there."""
+        if self._stand_ins:
+            raise MissingSignalError(self._effect, self._port, tuple(self._stand_ins))
 
 
 def port_view(model: Model, at: str) -> PortView:

@@ -15,7 +15,7 @@ from casadi_engine.errors import CasadiEngineError, EffectError
 from casadi_engine.model.declarations import PORT_KINDS, ParameterDeclaration, Port
 from casadi_engine.model.effect import Grid, Law, check_effect
 from casadi_engine.model.effect_math import Sharp, Smooth
-from casadi_engine.model.port_view import PortView, Values
+from casadi_engine.model.port_view import MissingSignalError, PortView, TrialView, Values
 from casadi_engine.parameters import near_matches
 
 if TYPE_CHECKING:
@@ -58,7 +58,8 @@ class Term:
     """What an effect adds at a port.
 
     value : SX scalar in the model's symbols, the parameters' and the own states'
-    declarations, symbols : of the effect's parameters, the amplitude first        constants : whole numbers
+    declarations, symbols : of the effect's parameters, the amplitude first, the width of its corners last
+    constants : whole numbers        width : name of the width among the parameters, "" without one
     """
 
     effect: Any
@@ -69,6 +70,7 @@ class Term:
     symbols: tuple[Any, ...]
     constants: Mapping[str, float]
     sharp: bool
+    width: str = ""
 
     @property
     def amplitude(self) -> Any:
@@ -76,16 +78,95 @@ class Term:
         return self.symbols[0]
 
 
+@dataclass(frozen=True)
+class NotApplicable:
+    """An effect that cannot act at a port, and why.
+
+    at : name of the port, "" where the model has none of the right kind
+    missing : signals that the law reads and the port lacks; has : the signals of the port
+    """
+
+    effect: str
+    at: str
+    missing: tuple[str, ...]
+    has: tuple[str, ...]
+    why: str
+
+    def __str__(self) -> str:
+        return f"{self.effect} at {self.at}: {self.why}" if self.at else f"{self.effect}: {self.why}"
+
+
+def not_applicable(model: Model, effect: Any, port: Port) -> tuple[NotApplicable, EffectError] | None:
+    """Why an effect cannot act at a port of the right kind, with the error; None where it can.
+
+    The law is called on trial: what it reads, and whether it gives a term, is seen and not declared.
+    """
+    try:
+        read_term(model, effect, port, values=_tried_values(effect), again=True)
+        check_side(model, port)
+    except MissingSignalError as fault:
+        why = f"the port has no {', '.join(fault.missing)}"
+        return NotApplicable(effect.name, port.name, fault.missing, fault.has, why), fault
+    except EffectError as fault:
+        why = fault.problem if fault.seen is None else f"{fault.problem} ({fault.seen})"
+        return NotApplicable(effect.name, port.name, (), tuple(port.signals), why), fault
+    return None
+
+
+def check_side(model: Model, port: Port) -> None:
+    """Raise EffectError where the slot of a port acts the other way round: friction would drive.
+
+    What acts in an inertia's slot must raise its speed; in a coupling's, pull the twist back. Tried at the start values
+    of the parameters.
+    """
+    if port.slot is None or port.kind not in ("inertia", "coupling"):
+        return
+    sign = 1 if port.kind == "inertia" else -1
+    signal = "speed" if port.kind == "inertia" else "twist_rate" if "twist_rate" in port.signals else "twist"
+    if signal not in port.signals:
+        return
+    moved, ode = port.signals[signal], ca.substitute(model.ode, model.d, ca.SX.zeros(model.d.shape))
+    rates = 2 if signal == "twist" else 1
+    for _ in range(rates):
+        moved = ca.jtimes(moved, model.x, ode)
+    slope = ca.Function(
+        "slope",
+        [model.x, model.u, model.d, model.w, model.t, model.p],
+        [ca.jacobian(moved, port.slot)],
+        {"allow_free": True},
+    )
+    if slope.get_free():
+        return
+    values = np.array([one.value for one in model.declarations])
+    found = []
+    for share in (0.3, 0.7):
+        x = np.array([share * variable.scale for variable in model.states])
+        found.append(float(slope(x, 0, 0, 0, 0.0, values)))
+    if all(math.isfinite(one) and sign * one < 0 for one in found):
+        raise EffectError(
+            f"the slot of the port {port.name} acts the other way round: friction there would drive",
+            seen=f"a positive torque or force in it {'slows' if sign > 0 else 'widens'} {signal}",
+            allowed="one that raises the speed of an inertia, and pulls back the twist of a coupling",
+            cure=f"exchange the sign of the slot of {port.name} in the ode (and of its law, if it has one), or of "
+            f"the signal {signal}",
+        )
+
+
+def ports_of_kind(model: Model, effect: Any) -> tuple[Port, ...]:
+    """The ports of the kinds that an effect attaches to, in model order."""
+    return tuple(port for port in model.ports if port.kind in effect.attaches)
+
+
 def ports_for(model: Model, effect: Any) -> tuple[Port, ...]:
-    """The ports of a model that an effect can attach to, in model order."""
-    return tuple(port for port in model.ports if _fits(port, effect))
+    """The ports of a model that an effect can act at, in model order: of its kinds, with the signals its law reads."""
+    return tuple(port for port in ports_of_kind(model, effect) if not_applicable(model, effect, port) is None)
 
 
 def find_port(model: Model, effect: Any, at: Any) -> Port:
     """The port `at`; EffectError that lists the right ports if it does not exist or does not fit."""
     name = at.name if isinstance(at, Port) else at
-    right = [port.name for port in ports_for(model, effect)]
     if name not in model.ports.names:
+        right = [port.name for port in ports_for(model, effect)]
         raise EffectError(
             f"{effect.name} is to act at a port that the model {model.name} does not have",
             seen=repr(name),
@@ -93,11 +174,10 @@ def find_port(model: Model, effect: Any, at: Any) -> Port:
             cure="print(model.ports) lists all ports",
         )
     port = model.ports[name]
-    if not _fits(port, effect):
-        lacking = [signal for signal in getattr(effect, "needs", ()) if signal not in port.signals]
-        why = f", which has no {', '.join(lacking)}" if port.kind in effect.attaches else ""
+    if port.kind not in effect.attaches:
+        right = [port.name for port in ports_for(model, effect)]
         raise EffectError(
-            f"{effect.name} cannot act at the port {port.name}{why}",
+            f"{effect.name} cannot act at the port {port.name}",
             seen=f"a port of the kind {port.kind}",
             allowed=near_matches(name, right),
             cure=f"choose one of these ports ({', '.join(effect.attaches)})",
@@ -112,50 +192,68 @@ def read_term(
     *,
     values: Mapping[str, float] | None = None,
     sharp: bool = False,
+    again: bool = False,
 ) -> Term:
     """Read an effect's law at a port with fresh symbols for its parameters.
 
     values : start values of parameters; those that are whole numbers must be given
     sharp : the law without rounding
-    EffectError for an effect, port, value or law that does not fit.
+    again : True where the model may have the effect there already
+    EffectError for an effect, port, value or law that does not fit; MissingSignalError names all signals that the law
+    reads and the port lacks.
     """
     check_effect(effect)
     port = find_port(model, effect, at)
-    if any(one.at == port.name and one.effect.name == effect.name for one in model.effects):
+    if not again and any(one.at == port.name and one.effect.name == effect.name for one in model.effects):
         raise EffectError(
             f"the model {model.name} has {effect.name} at {port.name} already",
             seen=f"{effect.name} twice at {port.name}",
             allowed="an effect once at each port",
             cure="leave it out, or attach it at another port",
         )
-    view = PortView(model, port)
+    view = TrialView(model, port, effect=effect.name)
     given = _checked_values(effect, values or {})
-    declarations = _declarations(effect, view, given, _unit(model, port))
+    declarations = _declarations(effect, port, view, given, unit_at(model, port))
     symbols = tuple(ca.SX.sym(declared.name) for declared in declarations)
     known = dict(zip(_estimated(effect), symbols, strict=True))
     constants = {name: given[name] for name, grid in effect.nuisance.items() if grid.whole}
     try:
         law = effect.law(view, Values(effect.name, known | constants), Sharp if sharp else Smooth)
     except CasadiEngineError:
+        view.check()
         raise
     except Exception as fault:
+        view.check()
         raise EffectError(
             f"the law of {effect.name} at {port.name} fails",
             seen=f"{type(fault).__name__}: {fault}",
             allowed="an expression of the port's signals, p and math",
             cure="correct the method law of the effect",
         ) from fault
+    view.check()
     value, states = _read_law(effect, port, view, law)
-    term = Term(effect, port, value, states, declarations, symbols, constants, sharp)
+    name = ""
+    if view.corner is not None and _uses(view.corner[0], value, states):
+        symbol, default, unit = view.corner
+        name = symbol.name()
+        declarations, symbols = (
+            (*declarations, _width(name, default, port.in_its_unit(unit))),
+            (*symbols, symbol),
+        )
+    term = Term(effect, port, value, states, declarations, symbols, constants, sharp, name)
     _check_symbols(model, term)
     _check_null(term)
     return term
 
 
-def _fits(port: Port, effect: Any) -> bool:
-    return port.kind in effect.attaches and all(
-        signal in port.signals for signal in getattr(effect, "needs", ())
-    )
+def _tried_values(effect: Any) -> dict[str, float]:
+    """A whole number for each parameter that needs one: the first cycle, or the middle of its grid."""
+    found = {}
+    for name, grid in effect.nuisance.items():
+        if grid.whole:
+            values = grid.values(cycles=(1,))
+            found[name] = values[len(values) // 2]
+    return found
 
 
 def _estimated(effect: Any) -> list[str]:
@@ -199,14 +297,14 @@ def _checked_values(effect: Any, values: Mapping[str, float]) -> dict[str, float
 
 
 def _declarations(
-    effect: Any, view: PortView, values: Mapping[str, float], unit: str
+    effect: Any, port: Port, view: PortView, values: Mapping[str, float], unit: str
 ) -> tuple[ParameterDeclaration, ...]:
     key, amplitude = f"{view.name}.{effect.name}", effect.amplitude
     made = [
         ParameterDeclaration(
             f"{key}.{amplitude.name}",
             values.get(amplitude.name, 0.0),
-            unit if amplitude.unit is None else amplitude.unit,
+            unit if amplitude.unit is None else port.in_its_unit(amplitude.unit),
             amplitude.min,
             amplitude.max,
             True,
@@ -220,13 +318,29 @@ def _declarations(
             value = values.get(name, middle)
             made.append(
                 ParameterDeclaration(
-                    f"{key}.{name}", value, grid.unit, min(low, value), max(high, value), True, words
+                    f"{key}.{name}",
+                    value,
+                    port.in_its_unit(grid.unit),
+                    min(low, value),
+                    max(high, value),
+                    True,
+                    words,
                 )
             )
     return tuple(made)
 
 
-def _unit(model: Model, port: Port) -> str:
+def _uses(symbol: Any, value: Any, states: Iterable[OwnState]) -> bool:
+    return bool(ca.depends_on(ca.vertcat(value, *(state.rate for state in states)), symbol))
+
+
+def _width(name: str, default: float, unit: str) -> ParameterDeclaration:
+    """The width of a law's corners as a fixed parameter; far narrower than its default nothing can follow it."""
+    words = "corners are rounded over it; where records pass them, estimate sets it by the motion"
+    return ParameterDeclaration(name, default, unit, 1e-9 * default, math.inf, False, words)
+
+
+def unit_at(model: Model, port: Port) -> str:
     """The unit of what an effect adds at a port."""
     name = port.name.partition("_")[2]
     groups: dict[str, Iterable[Any]] = {
@@ -235,7 +349,7 @@ def _unit(model: Model, port: Port) -> str:
         "parameter": model.declarations,
     }
     found = [item.unit for item in groups.get(port.kind, ()) if item.name == name]
-    return found[0] if found else "N m"
+    return found[0] if found else port.unit
 
 
 def _range(grid: Grid, view: PortView) -> tuple[float, float, float]:
@@ -292,7 +406,25 @@ def _scalar(what: str, value: Any) -> Any:
             allowed="a scalar expression of the port's signals and the parameters",
             cure="return one torque, or one change of the port's value",
         )
+    if not _is_finite(value):
+        raise EffectError(
+            f"{what} is not a number",
+            seen="a constant in it that is nan or infinite",
+            allowed="a scalar expression that is finite along a motion",
+            cure="look for a division by 0, or the root or logarithm of a negative constant, in the method law",
+        )
     return ca.densify(value)
+
+
+def _is_finite(value: Any) -> bool:
+    """False if a constant of the expression is no finite number."""
+    function = ca.Function("value", ca.symvar(value), [value])
+    constants = (
+        function.instruction_constant(k)
+        for k in range(function.n_instructions())
+        if function.instruction_id(k) == ca.OP_CONST
+    )
+    return all(math.isfinite(float(constant)) for constant in constants)
 
 
 def _check_symbols(model: Model, term: Term) -> None:

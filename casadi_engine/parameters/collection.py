@@ -325,11 +325,13 @@ class Parameters:
     def extended(self, other: Any) -> Parameters:
         """A copy with all settings kept and the names that only `other` has added, free.
 
-        `other` is a set, or a model, whose fresh set is taken (``model.parameters()``).
+        `other` is a set, or a model, whose fresh set is taken (``model.parameters()``); what a model declares as fixed,
+        such as the width of an effect's corners, stays so.
 
         Ties of the added names come along, and constraints of `other` that refer to one of them.
         """
-        if not isinstance(other, Parameters) and callable(getattr(other, "parameters", None)):
+        declared = not isinstance(other, Parameters)
+        if declared and callable(getattr(other, "parameters", None)):
             other = other.parameters()
         if not isinstance(other, Parameters):
             raise ParameterError(
@@ -342,7 +344,7 @@ class Parameters:
         new = [name for name in other._items if name not in self._items]
         for name in new:
             added = other._items[name]._copy(None)
-            added._vary, added._explicit, added._tie = True, False, None
+            added._vary, added._explicit, added._tie = not declared or added._vary, False, None
             result._insert(added, other._symbols[name])
         mine = [result._symbols.get(name, symbol) for name, symbol in other._symbols.items()]
         theirs = ca.vertcat(*other._symbols.values())

@@ -52,6 +52,10 @@ def _(result: Repair) -> dict[str, Any]:
             | {"unit": one.unit, "testable": bool(one.testable)}
             for one in result.not_found
         ],
+        "not_applicable": [
+            {"name": one.effect, "at": one.at, "missing": list(one.missing), "has": list(one.has), "why": one.why}
+            for one in result.not_applicable
+        ],
         "next_experiment": _next(result),
         "equation": None
         if result.equation is None

@@ -65,9 +65,9 @@ def test_ports_print_as_a_table():
         [Port("engine", "inertia", "", {"speed": a}, b), Port("sensor_y", "sensor", "", {"value": a})]
     )
     assert str(ports).splitlines() == [
-        "port      kind     torque  signals",
-        "engine    inertia  yes     speed",
-        "sensor_y  sensor   -       value",
+        "port      kind     slot  signals",
+        "engine    inertia  N m   speed",
+        "sensor_y  sensor   -     value",
     ]
     assert repr(ports) == "Ports(engine, sensor_y)"
     assert str(ports["engine"]) == "engine (inertia): speed"

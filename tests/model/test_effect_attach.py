@@ -153,12 +153,14 @@ def test_names_settings_and_extension_of_parameters():
     pars.fix("C_el", 2.0)
     model = base.with_effect(CoulombFriction(), at="coupling").with_effect(LoadStep(), at="load")
     wide = pars.extended(model)
-    assert wide.names[-3:] == (
+    assert wide.names[-4:] == (
         "coupling.coulomb_friction.torque",
+        "coupling.coulomb_friction.width",
         "load.load_step.torque",
         "load.load_step.time",
     )
-    assert all(wide[name].vary for name in wide.names[-3:])
+    assert [wide[name].vary for name in wide.names[-4:]] == [True, False, True, True]
+    assert model.parameters()["coupling.coulomb_friction.width"].value == 0.02
     assert wide["J_eng"].value == 0.4
     assert not wide["C_el"].vary
     assert wide["coupling.coulomb_friction.torque"].min == 0.0
@@ -179,7 +181,10 @@ def test_print_shows_the_terms():
     lines = model.equations().splitlines()
     law = next(line for line in lines if line.startswith("w_coupling"))
     friction, spring = law.removeprefix("w_coupling = ").split(" + ")
-    assert friction == "coupling.coulomb_friction.torque*tanh((omega_load - omega_eng)/0.02)"
+    assert (
+        friction
+        == "coupling.coulomb_friction.torque*tanh((omega_load - omega_eng)/coupling.coulomb_friction.width)"
+    )
     assert spring in (f"coupling.cubic_stiffness.stiffness*{cube}" for cube in ("twist**3", "twist*twist**2"))
     assert "omega = omega_eng + sensor_omega.sensor_offset.offset" in lines
     assert any("w_coupling" in line for line in lines if line.startswith("d(omega_load)"))
@@ -282,7 +287,7 @@ def test_a_port_of_a_wrong_kind_is_refused_with_the_right_ports():
     assert "a port of the kind inertia" in str(caught.value)
     assert caught.value.allowed == "coupling"
     with pytest.raises(
-        EffectError, match="misfire cannot act at the port cylinders, which has no firing_offset"
+        EffectError, match="misfire cannot act at the port cylinders, which has no signal firing_offset"
     ):
         MODELS["two"].with_effect(Misfire(), at="cylinders", values=CYCLES)
     with pytest.raises(EffectError, match="a port of the kind internal"):

@@ -164,7 +164,7 @@ def with_law(law):
     [
         (
             lambda _s, port, p, _m: p.coefficient * port.speeed,
-            r"the port load has no such signal.*nearest: speed",
+            r"cannot act at the port load, which has no signal speeed.*nearest: speed",
         ),
         (lambda _s, port, p, _m: p.coeficient * port.speed, r"has no such parameter.*nearest: coefficient"),
         (lambda _s, port, p, _m: port.speed * (1 + p.coefficient), "does not vanish at amplitude 0"),

@@ -1,0 +1,178 @@
+"""Corners of laws in fits, as sharp as the data can tell: widths follow the motion on the records.
+
+A law with a corner (dry friction, a play) is rounded over a width, so that it has derivatives. The width is a bias:
+friction that holds a shaft lets it creep at width · atanh(T/T_f). So what `with_effect` declares, a share of a typical
+magnitude, is a start. The simulation of the first fit shows how fast its signal passes the corner (`Effect.narrowed`);
+then the widths are divided until chi-squared does not feel it, or the integrator can follow no further.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.errors import CasadiEngineError
+from casadi_engine.estimation.fit import Fit
+from casadi_engine.model import Model
+from casadi_engine.model.port_view import PortView
+from casadi_engine.parameters import Parameters, compile
+from casadi_engine.simulation.candidate_sensitivities import at_measurements
+from casadi_engine.simulation.exponential_runge_kutta import MOST_SUBSTEPS
+from casadi_engine.simulation.grid import lay_grid
+from casadi_engine.simulation.null_path import NullPath, null_path
+
+Array = NDArray[np.float64]
+
+# Corners are sharpened by this factor, at most so often, as long as chi-squared feels it by more than this: a quarter
+# is a bias of half a standard error at most.
+FACTOR, SHARPER, FELT = 4.0, 4, 0.25
+# Steps of the integrator over all records that a sharper corner may cost.
+_STEPS = 1e6
+# Intervals into which a record is cut then: the integrator takes them side by side.
+_INTERVALS = 400
+
+
+def follow_motion(fit: Fit, parameters: Parameters, again: Callable[[Parameters, Fit, Any], Fit]) -> Fit:
+    """The fit with the widths of its effects' corners as the motion on the records asks for.
+
+    parameters : the set of the fit before it; again(parameters, warm, interval) : makes a fit
+    A width that was given a value of its own stays; one that no record passes keeps its default, at no cost.
+    """
+    widths = _open_widths(fit.model, parameters)
+    if not widths or not fit.converged or fit.gain is not None:
+        return fit
+    wide = {name: parameters[name].value for name in widths}
+    first = _by_motion(fit, widths, paths_of(fit))
+    found: Fit | None = fit if first == wide else _refitted(fit, parameters, first, again)
+    for _ in range(SHARPER):
+        if found is None or not found.converged:
+            break
+        finer = _sharper(found, first)
+        if finer is None:
+            break
+        sharper = _refitted(found, parameters, finer, again)
+        if sharper is None or not sharper.converged:
+            break
+        found, first = sharper, finer
+    return _told(found, first) if found is not None and found.converged else fit
+
+
+def _told(fit: Fit, widths: Mapping[str, float]) -> Fit:
+    """The fit, with a message if twice its widths change chi-squared: as much may be left by what they are."""
+    twice = {name: 2 * width for name, width in widths.items()}
+    change = abs(cost_along(fit, paths_of(fit, moved=twice)) - cost_along(fit, paths_of(fit)))
+    if change < FELT:
+        return fit
+    names = ", ".join(f"{name} = {width:.2g}" for name, width in widths.items())
+    words = (
+        f"the data feel how corners are rounded ({names}: twice as wide they change chi-squared by {change:.2g}), and "
+        f"the integrator follows no sharper ones: estimates may be off by about {math.sqrt(change):.2g} standard errors"
+    )
+    return replace(fit, messages=(*fit.messages, words))
+
+
+def _open_widths(model: Model, parameters: Parameters) -> dict[str, Any]:
+    """Name -> the effect's attachment, of widths that are as the model declares them."""
+    declared = {one.name: one.value for one in model.declarations}
+    return {
+        one.width: one
+        for one in model.effects
+        if one.width and one.width in parameters and _untouched(parameters[one.width], declared[one.width])
+    }
+
+
+def _untouched(parameter: Any, value: float) -> bool:
+    return not parameter.vary and parameter.tie is None and bool(parameter.value == value)
+
+
+def _by_motion(fit: Fit, widths: Mapping[str, Any], paths: Sequence[NullPath]) -> dict[str, float]:
+    """The width of each corner by the motion along these simulations."""
+    found = {}
+    for name, one in widths.items():
+        port = fit.model.ports[one.at]
+        view = PortView(fit.model, port, partial(courses, paths), effect=one.effect.name)
+        width = getattr(one.effect.narrowed(view), "width", None)
+        found[name] = fit.parameters[name].value if width is None else min(width, fit.parameters[name].value)
+    return found
+
+
+def _refitted(
+    fit: Fit,
+    parameters: Parameters,
+    widths: Mapping[str, float],
+    again: Callable[[Parameters, Fit, Any], Fit],
+) -> Fit | None:
+    pars = parameters.copy()
+    for name, width in widths.items():
+        pars[name].set(width, min=min(width, pars[name].min))
+    longest = max(path.grid.samples for path in paths_of(fit))
+    try:
+        with np.errstate(all="ignore"):
+            return again(pars, fit, max(2, longest // _INTERVALS))
+    except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
+        return None  # too sharp for the integrator
+
+
+def _sharper(fit: Fit, widths: Mapping[str, float]) -> dict[str, float] | None:
+    """Widths that the data do not tell from sharper ones; None for those of the fit."""
+    steps = max((one.substeps for one in fit.integration.values()), default=0)
+    samples = sum(len(record[record.names[0]].time) for record in fit.data)
+    allowed = min(MOST_SUBSTEPS, _STEPS / samples)
+    most = int(math.log(max(allowed / max(steps, 1), 1.0), FACTOR) + 1e-9)
+    levels = [{name: width / FACTOR**k for name, width in widths.items()} for k in range(most + 1)]
+    if len(levels) == 1:
+        return None
+    costs = [cost_along(fit, paths_of(fit, moved=level)) for level in levels]
+    chosen = next(k for k, cost in enumerate(costs) if abs(cost - costs[-1]) < FELT)
+    return levels[chosen] if chosen else None
+
+
+def paths_of(
+    fit: Fit, model: Model | None = None, *, moved: Mapping[str, float] | None = None
+) -> list[NullPath]:
+    """The simulations of a fit's records.
+
+    model : in place of the fit's, with the same parameters; moved : name -> value of parameters in place of the fit's
+    """
+    model = fit.model if model is None else model
+    pmap = compile(fit.parameters, model.parameter_names, tuple(record.name for record in fit.data))
+    found = []
+    for record in fit.data:
+        measured = tuple(out.name for out in model.outputs if out.name in record)
+        first = np.array([e.value for e in fit.initial[record.name].values()])
+        grid = lay_grid(model, record, outputs=measured)
+        p = np.array(pmap.unpack(fit.z, record.name))
+        for name, value in (moved or {}).items():
+            p[model.parameter_names.index(name)] = value
+        found.append(null_path(model, grid, p, first))
+    return found
+
+
+def courses(paths: Sequence[NullPath], signal: ca.SX) -> list[Array]:
+    """A scalar of the model (N,) at the samples of each path."""
+    found = []
+    for path in paths:
+        points = path.at_samples()
+        values = path.function([signal])(*points.arguments)[0][0]
+        found.append(np.array(np.broadcast_to(values, points.t.shape[1])))
+    return found
+
+
+def cost_along(fit: Fit, paths: Sequence[NullPath]) -> float:
+    """Chi-squared of simulations at a fit's noise level, in units of what the fit leaves."""
+    total = 0.0
+    for path in paths:
+        model, grid = path.model, path.grid
+        out = path.function([model.output_expressions])(*path.at_samples().arguments)[0]
+        shown = at_measurements(path, np.broadcast_to(out, (len(model.outputs), grid.samples))[None])
+        for name, (sigma, _) in fit.noise.items():
+            if name in grid.measured:
+                total += float((((grid.measured[name].values - shown[name][0]) / sigma) ** 2).sum())
+    return total / max(fit.cost / fit.n, 1.0)

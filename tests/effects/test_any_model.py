@@ -1,0 +1,271 @@
+"""The library at models that are no engines: an effect acts, or says by name why it cannot."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import casadi_engine as ce
+from casadi_engine.discrepancy import screen
+from casadi_engine.errors import EffectError
+from casadi_engine.model.term import NotApplicable, ports_for
+
+FRICTION = {"coulomb_friction", "viscous_friction"}
+AT_SPEED = FRICTION | {"quadratic_drag", "stribeck_friction", "constant_torque", "load_step"}
+
+
+def mass():
+    b = ce.Blueprint("mass")
+    m = b.parameter("m", 2.0, unit="kg", min=1e-3)
+    v, force = b.state("v", unit="m/s"), b.input("F", unit="N")
+    slot = b.port("body", "inertia", {"speed": v})
+    b.ode("v", (force + slot) / m)
+    b.output("speed", v, unit="m/s")
+    return b.model()
+
+
+def pendulum():
+    b = ce.Blueprint("pendulum")
+    g = b.parameter("w2", 9.81, unit="rad2/s2", min=0)
+    q, w = b.state("q", unit="rad"), b.state("w", unit="rad/s")
+    slot = b.port("pivot", "inertia", {"speed": w, "angle": q})
+    b.ode("q", w)
+    b.ode("w", slot - g * ca.sin(q))
+    b.output("angle", q, unit="rad")
+    return b.model()
+
+
+def cart():
+    b = ce.Blueprint("cart")
+    m, c = b.parameter("m", 1.0, unit="kg", min=0.1), b.parameter("c", 0.2, unit="N s/m", min=0)
+    x, v = b.state("x", unit="m"), b.state("v", unit="m/s")
+    slot = b.port("wheels", "inertia", {"speed": v})
+    b.ode("x", v)
+    b.ode("v", (b.input("F", unit="N") + slot - c * v) / m)
+    b.output("place", x, unit="m")
+    return b.model()
+
+
+def circuit():
+    b = ce.Blueprint("circuit")
+    tau = b.parameter("tau", 0.2, unit="s", min=1e-3)
+    u = b.state("u", unit="V")
+    b.ode("u", (b.input("source", unit="V") - u) / tau)
+    b.output("voltage", u, unit="V")
+    return b.model()
+
+
+def tank():
+    b = ce.Blueprint("tank")
+    k, h = b.parameter("k", 0.3, min=0), b.state("h", unit="m")
+    slot = b.port("inflow", "internal")
+    b.ode("h", b.input("q", unit="m/s") + slot - k * ca.sqrt(ca.fabs(h) + 1e-3))
+    b.output("level", h, unit="m")
+    return b.model()
+
+
+def thermal():
+    b = ce.Blueprint("thermal")
+    g, temperature = b.parameter("g", 0.1, unit="1/s", min=0), b.state("T", unit="K", scale=300)
+    slot = b.port("body", "inertia", {"temperature": temperature})
+    b.ode("T", slot + b.input("heat", unit="K/s") - g * (temperature - 293))
+    b.output("T_meas", temperature, unit="K")
+    return b.model()
+
+
+def duffing(signals=("stretch",), sign=-1, unit=None):
+    b = ce.Blueprint("duffing")
+    k, q, v = b.parameter("k", 4.0, unit="N/m", min=0), b.state("q", unit="m"), b.state("v", unit="m/s")
+    known = {"stretch": q, "twist": q, "twist_rate": v, "stiffness": k, "stretch_rate": v}
+    slot = b.port("spring", "coupling", {name: known[name] for name in signals}, unit=unit)
+    b.ode("q", v)
+    b.ode("v", b.input("F", unit="N") - k * q - 0.1 * v + sign * slot)
+    b.output("position", q, unit="m")
+    return b.model()
+
+
+def several():
+    """A port with signals that no effect knows, and two of one kind."""
+    b = ce.Blueprint("several")
+    a, c, f = b.state("a", unit="rad/s"), b.state("c", unit="rad/s"), b.input("T", unit="N m")
+    k = b.parameter("k", 1.0, unit="N m s/rad", min=0)
+    first = b.port("first", "inertia", {"speed": a, "power": f * a, "oil": a**2})
+    second = b.port("second", "inertia", {"speed": c})
+    b.ode("a", f + first - k * (a - c))
+    b.ode("c", second - k * (c - a))
+    b.output("w", c, unit="rad/s")
+    return b.model()
+
+
+SENSORS = {"sensor_offset", "sensor_delay"}
+CASES = {
+    "mass": (mass(), {"body": AT_SPEED}),
+    "pendulum": (pendulum(), {"pivot": AT_SPEED}),
+    "cart": (cart(), {"wheels": AT_SPEED}),
+    "circuit": (circuit(), {}),
+    "tank": (tank(), {}),
+    "thermal": (thermal(), {"body": {"constant_torque", "load_step"}}),
+    "stretch alone": (duffing(), {}),
+    "twist": (duffing(("twist",)), {"spring": {"cubic_stiffness"}}),
+    "twist and more": (
+        duffing(("twist", "twist_rate", "stiffness")),
+        {"spring": FRICTION | {"cubic_stiffness", "backlash"}},
+    ),
+    "several": (several(), {"first": AT_SPEED, "second": AT_SPEED}),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_every_effect_acts_or_says_why_it_cannot(name):
+    model, expected = CASES[name]
+    rng = np.random.default_rng(0)
+    for effect in ce.effects.library():
+        for port in model.ports:
+            acts = effect.name in expected.get(port.name, set())
+            acts = acts or (port.kind == "sensor" and effect.name in SENSORS)
+            assert (port in ports_for(model, effect)) == acts, (effect.name, port.name)
+            if not acts:
+                with pytest.raises(EffectError, match=f"{effect.name} cannot act at the port {port.name}"):
+                    model.with_effect(effect, at=port.name)
+                continue
+            for sharp in (False, True):
+                made = model.with_effect(effect, at=port.name, sharp=sharp)
+                values = {made.effects[-1].amplitude: 0.1}
+                f = ca.Function("f", [made.x, made.u, made.t, made.p], [made.closed_ode, made.closed_outputs])
+                point = (rng.uniform(0.1, 1, made.x.numel()), rng.uniform(0.1, 1, made.u.numel()), 0.3)
+                ode, out = f(*point, made.parameter_vector(values))
+                assert np.isfinite(np.array(ode)).all()
+                assert np.isfinite(np.array(out)).all()
+
+
+def test_amplitudes_have_the_units_of_their_port():
+    def units(model, effect, at):
+        made = model.with_effect(ce.effects.library(effect)[0], at=at)
+        return {n.rpartition(".")[2]: made.parameters()[n].unit for n in made.parameter_names if effect in n}
+
+    assert units(mass(), "coulomb_friction", "body") == {"torque": "N", "width": "m/s"}
+    assert units(mass(), "viscous_friction", "body") == {"coefficient": "N s/m"}
+    assert units(mass(), "quadratic_drag", "body") == {"coefficient": "N s2/m2", "width": "m/s"}
+    assert units(mass(), "stribeck_friction", "body") == {"torque": "N", "fading": "m/s", "width": "m/s"}
+    assert units(duffing(("twist",)), "cubic_stiffness", "spring") == {"stiffness": "N/m3"}
+    assert units(pendulum(), "viscous_friction", "pivot") == {"coefficient": "N m s/rad"}
+    assert units(thermal(), "constant_torque", "body") == {"torque": "-"}  # unknown rather than wrong
+    assert units(duffing(("twist",), unit="kN"), "cubic_stiffness", "spring") == {"stiffness": "-"}
+    assert "spring           coupling   N     twist" in str(duffing(("twist",)).ports)
+
+
+def test_a_missing_signal_is_named_with_its_cure():
+    with pytest.raises(EffectError) as caught:
+        duffing().with_effect(ce.effects.Backlash(), at="spring")
+    assert str(caught.value) == (
+        "backlash cannot act at the port spring, which has no signal stiffness, twist; "
+        "seen: spring has the signals stretch; allowed: stretch; do: give the port what the law reads where the "
+        "model is written: b.port('spring', 'coupling', {'stiffness': ..., 'twist': ...})"
+    )
+
+
+def test_a_slot_that_acts_the_other_way_round_is_refused():
+    wrong = duffing(("twist", "twist_rate"), sign=1)
+    for name in ("coulomb_friction", "cubic_stiffness"):
+        with pytest.raises(
+            EffectError, match=r"acts the other way round.*exchange the sign of the slot of spring"
+        ):
+            wrong.with_effect(ce.effects.library(name)[0], at="spring")
+    with pytest.raises(EffectError, match="acts the other way round"):
+        duffing(("twist",), sign=1).with_effect(ce.effects.CubicStiffness(), at="spring")
+
+
+def test_what_a_user_s_own_subclass_declares_as_needed_does_no_harm():
+    class Old(ce.effects.ViscousFriction):
+        name, needs = "old", ("speed",)
+
+    assert mass().with_effect(Old(), at="body").parameter_names[-1] == "body.old.coefficient"
+
+
+class Broken(ce.Effect):
+    name, attaches, amplitude = "broken", ("inertia",), ce.effects.Amplitude("size")
+    result = "text"
+
+    def law(self, port, p, math):
+        if self.result == "raises":
+            return p.size * (1 / (1 - 1))
+        made = {
+            "text": "text",
+            "nan": p.size * float("nan"),
+            "infinite": p.size / 0,
+            "vector": p.size * ca.DM([1, 2]),
+        }
+        return made[self.result]
+
+
+def record(model, n=300, seed=0, **values):
+    """Noisy outputs of a model under its inputs."""
+    t, rng = np.arange(n) * 0.02, np.random.default_rng(seed)
+    inputs = {u.name: 2 * np.sin(1.3 * t) + np.sin(3.1 * t) for u in model.inputs}
+    units = {v.name: v.unit for v in (*model.inputs, *model.outputs)}
+    exp = ce.Experiment.from_arrays("run", time=t, units={n: units[n] for n in inputs}, **inputs)
+    run = ce.simulate(model, exp, parameters=values, initial={s.name: 0.3 for s in model.states})
+    out = {o.name: run[o.name].values + 0.01 * rng.standard_normal(n) for o in model.outputs}
+    return ce.Experiment.from_arrays("run", time=t, units=units, **inputs, **out)
+
+
+@pytest.mark.parametrize(
+    ("result", "message"),
+    [
+        ("text", "is not a scalar expression; seen: str"),
+        ("vector", r"is not a scalar expression; seen: SX \(2, 1\)"),
+        ("nan", "is not a number; seen: a constant in it that is nan or infinite"),
+        ("infinite", "is not a number; seen: a constant in it that is nan or infinite"),
+        ("raises", "fails; seen: ZeroDivisionError"),
+    ],
+)
+def test_a_broken_law_of_ones_own_is_refused_by_name_before_the_fit(result, message):
+    effect = Broken()
+    effect.result = result
+    with pytest.raises(EffectError, match=f"^the law of broken at body {message}"):
+        mass().with_effect(effect, at="body")
+    with pytest.raises(EffectError, match=f"^the law of broken at body {message}"):
+        ce.repair(mass(), record(mass()), effects=[*ce.effects.library(), effect], progress=False)
+
+
+def test_a_search_leaves_out_what_cannot_act_and_lists_it():
+    model = duffing(("stretch", "twist", "twist_rate"))
+    data = record(model)
+    noise = ce.Noise(position=0.01)
+    screened = screen(ce.estimate(model, data, noise=noise, progress=False))
+    assert {one.port for one in screened.candidates} == {"spring", "sensor_position"}
+    left_out = {one.effect: one for one in screened.not_applicable}
+    assert left_out["backlash"] == NotApplicable(
+        "backlash", "spring", ("stiffness",), ("stretch", "twist", "twist_rate"), "the port has no stiffness"
+    )
+    assert left_out["quadratic_drag"].why == "the model has no port of the kind inertia"
+    assert "Not applicable: backlash at spring: the port has no stiffness" in str(screened)
+
+
+def test_a_pair_that_cannot_act_is_an_error_by_name():
+    for request in ({"effects": [("cubic_stiffness", "spring")]}, {"effects": ["cubic_stiffness"]}):
+        with pytest.raises(EffectError, match=r"cubic_stiffness.*at.*spring.*has no.*twist"):
+            ce.repair(duffing(), record(duffing()), progress=False, **request)
+
+
+@pytest.mark.parametrize("make", [duffing, circuit])
+def test_a_search_without_ports_to_act_at_claims_no_physics(make):
+    model = make()
+    data = record(model)
+    name = model.outputs[0].name
+    moved = data[name].values + 0.1
+    data = ce.Experiment.from_arrays(
+        "run",
+        time=data[name].time,
+        units={v.name: v.unit for v in (*model.inputs, *model.outputs)},
+        **{u.name: data[u.name].values for u in model.inputs},
+        **{name: moved},
+    )
+    found = ce.repair(model, data, noise=ce.Noise(**{name: 0.01}), starts=1, progress=False)
+    assert found.verdict == "unnamed"
+    assert found.effects == ()
+    assert "no physical effect could be tested against it" in found.unknown.sentence
+    assert any("no physical effect could be looked for" in text for text in found.messages)
+    asked = ce.repair(
+        model, data, effects=["sensor_offset"], noise=ce.Noise(**{name: 0.01}), starts=1, progress=False
+    )
+    assert asked.verdict == "named"
