@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from casadi_engine.estimation.fit import AtBound, Direction, Estimate
 from casadi_engine.estimation.growth import check_growth
 from casadi_engine.estimation.loss import Loss
+from casadi_engine.estimation.parameter_errors import ParameterErrors
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.uncertainty import Covariance, chained_information, in_words, invert
@@ -60,6 +61,15 @@ class Uncertainty:
         matrix[unknown, :] = np.nan
         matrix[:, unknown] = np.nan
         return matrix
+
+    def as_prior(self) -> ParameterErrors | None:
+        """The errors of the free vector z as a prior for other data; None if the search did not end at an optimum."""
+        if not self.optimal:
+            return None
+        scale, nv = self.search.coordinates.slope(self.v), self.search.problem.nv
+        unknown = np.array([d[:nv] for d in self.covariance.directions]).reshape(-1, nv).T if nv else np.zeros((0, 0))
+        covariance = self.covariance.matrix[:nv, :nv] * np.outer(scale, scale)
+        return ParameterErrors.of(self.search.pmap.free, covariance, unknown * scale[:, None], scale)
 
     def estimates(self) -> dict[str, Estimate]:
         """Every reported parameter with its error, propagated through ties to first order."""
