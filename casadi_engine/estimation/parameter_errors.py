@@ -23,21 +23,26 @@ _SAME = 1e-9
 class ParameterErrors:
     """Errors of the free vector z of a fit, of which ``names`` are the entries.
 
-    rows : (r, nz) with rows @ (z_true - z) ~ N(0, I), one for each direction that the data determine
-    held : (h, nz) directions in which bounds and constraints hold z, one typical size of the entries long
-    What neither spans, the data do not determine.
+    rows : (r, nz) with rows @ (z_true - z - shift) ~ N(0, I), one for each direction that the data determine
+    held : (h, nz) directions in which equalities hold z, one typical size of the entries long
+    shift : (nz,) from the estimate to where it were without the bounds that act: its error is normal about there, and
+    one-sided at the bound
+    What neither rows nor held spans, the data do not determine.
     """
 
     names: tuple[str, ...]
     rows: Array
     held: Array
+    shift: Array
 
     @staticmethod
-    def of(names: Sequence[str], covariance: Array, unknown: Array, scale: Array) -> ParameterErrors:
+    def of(
+        names: Sequence[str], covariance: Array, unknown: Array, scale: Array, shift: Array
+    ) -> ParameterErrors:
         """From the covariance (nz, nz) of the directions determined, those that are not (nz, k), and the size (nz,) of
         the entries, all in the units of z."""
         if not len(scale):
-            return ParameterErrors((), np.zeros((0, 0)), np.zeros((0, 0)))
+            return ParameterErrors((), np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0))
         blind = unknown / scale[:, None]
         blind = blind[:, np.linalg.norm(blind, axis=0) > _PART]
         known = null_space(blind.T, rcond=_PART) if blind.size else np.eye(len(scale))
@@ -51,18 +56,18 @@ class ParameterErrors:
         scaled = known / size[:, None]
         rows = (vectors[:, moves] / np.sqrt(values[moves])).T @ scaled
         held = vectors[:, ~moves].T @ known
-        return ParameterErrors(tuple(names), rows, held)
+        return ParameterErrors(tuple(names), rows, held, shift)
 
-    def over(self, names: Sequence[str]) -> Array:
-        """(r', len(names)) rows over some of the entries alone, whatever the other ones are; zero columns for names
-        that are no entries."""
+    def over(self, names: Sequence[str]) -> tuple[Array, Array]:
+        """(r', len(names)) rows over some of the entries alone, whatever the other ones are, zero columns for names
+        that are no entries; and (r',) where they see the shift."""
         return self._over(self.rows, names)
 
     def held_over(self, names: Sequence[str]) -> Array:
         """(h', len(names)) of the directions held, in the same way."""
-        return self._over(self.held, names)
+        return self._over(self.held, names)[0]
 
-    def _over(self, rows: Array, names: Sequence[str]) -> Array:
+    def _over(self, rows: Array, names: Sequence[str]) -> tuple[Array, Array]:
         here = [k for k, name in enumerate(names) if name in self.names]
         mine = [self.names.index(names[k]) for k in here]
         others = [k for k, name in enumerate(self.names) if name not in names]
@@ -71,4 +76,4 @@ class ParameterErrors:
             rows = null_space(gone.T, rcond=_SAME).T @ rows
         found = np.zeros((len(rows), len(names)))
         found[:, here] = rows[:, mine]
-        return found
+        return found, rows @ self.shift

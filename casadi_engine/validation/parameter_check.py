@@ -54,7 +54,7 @@ class ParameterCheck:
     ``why`` where there is nothing to compare
     explained : share of the gap, beyond the noise of the fit, that errors of the parameters explain; None where there is
     no such gap. chi2 : chi-squared per sample at the fitted parameters, and within their errors
-    moved : name -> Moved; kept : parameters at a bound, kept there; free : entries that the fit does not tell
+    moved : name -> Moved; at_bound : parameters that were at a bound in the fit
     """
 
     statistic: float | None
@@ -63,7 +63,7 @@ class ParameterCheck:
     explained: float | None = None
     chi2: tuple[float, float] | None = None
     moved: Mapping[str, Moved] | None = None
-    kept: tuple[str, ...] = ()
+    at_bound: tuple[str, ...] = ()
     why: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
@@ -78,7 +78,7 @@ class ParameterCheck:
                 name: {"fitted": one.fitted[0], "stderr": one.fitted[1], "fresh": one.fresh, "unit": one.unit}
                 for name, one in (self.moved or {}).items()
             },
-            "kept": list(self.kept),
+            "at_bound": list(self.at_bound),
             "why": self.why,
         }
 
@@ -129,12 +129,9 @@ class _Problem:
         self.fit, self.held = fit, held
         parameters = fit.parameters.copy()
         used = parameters.references(held.model.parameter_names)
-        self.kept = tuple(
-            name for name in fit.free if "@" not in name and fit.estimates[name].at_bound is not False
-        )
         for name in parameters:
-            if parameters[name].vary and (name not in used or name in self.kept):
-                parameters.fix(name)  # gains, levels of noise; one-sided errors
+            if parameters[name].vary and name not in used:
+                parameters.fix(name)  # gains, levels of noise
         outputs: dict[str, Any] = dict(held.residual_level)
         self.shots = SingleShots(
             held.model, held.data, parameters, Noise(gain=held.gain, **outputs),
@@ -147,11 +144,15 @@ class _Problem:
             [fit.values.get(name, values.get(name, values.get(name.partition("@")[0], 0.0))) for name in free]
         )
         errors = fit.errors
-        self.rows = np.zeros((0, len(free))) if errors is None else errors.over(free)
-        self.still = np.zeros((0, len(free))) if errors is None else errors.held_over(free)
+        nothing = np.zeros((0, len(free)))
+        self.rows, self.shift = (nothing, np.zeros(0)) if errors is None else errors.over(free)
+        self.still = nothing if errors is None else errors.held_over(free)
         first = {record.name: held.states_at_start[record.name] for record in held.data}
         now = {name: values.get(name, value) for name, value in zip(free, self.fitted, strict=True)}
         self.begin = self.shots.start(now, first)
+        x_fitted = self.shots.start(dict(zip(free, self.fitted, strict=True)), first)
+        # Normal in the solver's coordinates: what must be positive is known to a factor.
+        self.centre, self.units = x_fitted[: len(free)], self.shots.units(x_fitted)
         self.freedom: dict[str, float] = {}
 
     # ---- search
@@ -217,11 +218,11 @@ class _Problem:
         return np.concatenate([residual, prior]), np.vstack([slopes, slope])
 
     def _prior(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        rows = np.vstack([self.rows, self.still / _KEPT])
-        moved = self.shots.values(x) - self.fitted
+        rows = np.vstack([self.rows, self.still / _KEPT]) * self.units
+        shift = np.concatenate([self.shift, np.zeros(len(self.still))])
         slope = np.zeros((len(rows), len(x)))
-        slope[:, : len(moved)] = rows * self.shots.units(x)
-        return rows @ moved, slope
+        slope[:, : len(self.centre)] = rows
+        return rows @ (x[: len(self.centre)] - self.centre) - shift, slope
 
     def _levels(self, x: FloatArray, sigma: Mapping[str, float]) -> dict[str, float]:
         """Levels of the outputs that are estimated: from what no parameters and no initial states explain."""
@@ -246,14 +247,10 @@ class _Problem:
         """The test at x, and the residuals there."""
         self.shots.weigh(sigma)
         residual, slopes = self.shots.evaluate(x)
-        count = len(self.shots.free)
-        moved = self.shots.values(x) - self.fitted
-        units = self.shots.units(x)
         # directions that are held take no part: the columns are those that keep them
-        turn = _kept(self.still * units, slopes.shape[1])
-        rows = np.zeros((len(self.rows), slopes.shape[1]))
-        rows[:, :count] = self.rows * units
-        split = PriorSplit.of(-residual, slopes @ turn, rows @ turn, self.rows @ moved)
+        turn = _kept(self.still * self.units, slopes.shape[1])
+        offset, rows = (part[: len(self.rows)] for part in self._prior(x))
+        split = PriorSplit.of(-residual, slopes @ turn, rows @ turn, offset)
         fresh_freedom = math.inf if not self.estimated else max(float(len(residual) - split.rank), 1.0)
         known = not any(free for _, free in self.fit.noise.values())
         p_value = split.p_value(math.inf if known else max(self.fit.dof, 1.0), fresh_freedom)
@@ -265,7 +262,7 @@ class _Problem:
             p_value,
             *gap,
             self._moved(x),
-            self.kept,
+            tuple(name for name, one in self.fit.estimates.items() if one.at_bound is not False),
             why,
         )
         level = {place: sigma[place[1]] for place in self.shots.places}

@@ -135,9 +135,10 @@ def _notes(fit: Fit, held: Fit, again: Refit | None, alpha: float) -> tuple[str,
     if again is None:
         return tuple(said)
     said += what_was_freed(fit, held)
-    if again.check.kept:
+    if again.check.at_bound:
         said.append(
-            f"{', '.join(again.check.kept)} was at a bound in the fit and is kept there: its error is one-sided"
+            f"at a bound in the fit: {', '.join(again.check.at_bound)}; simulated with that value, while the tests let "
+            "it leave the bound as far as the errors of the fit allow"
         )
     for output, (fresh, own) in again.levels.items():
         if own > 0 and (chance := noise_changed(fit, again, output)) < alpha:
