@@ -120,18 +120,25 @@ def parameter_words(validation: Validation) -> list[str]:
                 f"{word} with those of the fit within their errors: p {p_text(check)} "
                 f"(chi2 {check.statistic:.3g} in {check.dof} direction{'s' if check.dof != 1 else ''})"
             )
-        said += [_gap_words(check)] if check.chi2 is not None else []
+        said += [_gap_words(check, "parameters" in validation.failed)] if check.chi2 is not None else []
         said += _moved_words(check)
     return [*said, *(f"Note: {note}" for note in validation.notes)]
 
 
-def _gap_words(check: ParameterCheck) -> str:
+def _gap_words(check: ParameterCheck, beyond: bool) -> str:
+    """beyond : the parameters would have to move farther than their errors allow"""
     before, after = check.chi2 or (math.nan, math.nan)
     if check.explained is None:
         return f"no gap beyond the noise of the fit: chi2/N {before:.3g}"
+    share = f"{100 * check.explained:.3g} %"
+    if beyond:
+        return (
+            f"the errors of the parameters do not explain the gap to the simulation: parameters moved beyond them take "
+            f"{share} of it, chi2/N from {before:.3g} to {after:.3g}"
+        )
     return (
-        f"of the gap to the simulation, {100 * check.explained:.3g} % is explained by the errors of the parameters: "
-        f"chi2/N {before:.3g}, within these errors {after:.3g}"
+        f"of the gap to the simulation, {share} is explained by the errors of the parameters: chi2/N {before:.3g}, "
+        f"within these errors {after:.3g}"
     )
 
 
