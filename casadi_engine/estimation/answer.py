@@ -103,6 +103,7 @@ def make_fit(
         gain=None if predictor is None else predictor.gain,
         innovations=predictor,
         integration=integration,
+        errors=errors.as_prior(),
     )
 
 

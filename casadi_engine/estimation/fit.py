@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.estimation.parameter_errors import ParameterErrors
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
@@ -121,6 +122,7 @@ class Fit:
     integration : record -> estimated error of the integration at the optimum, empty for models that are solved exactly
     innovations : the predictor, with K and its errors, None for output error; with process noise ``noise`` holds the
     levels of the measurement alone
+    errors : the errors of z as a prior for other data, whatever directions are not determined; None without an optimum
     """
 
     model: Model
@@ -151,6 +153,7 @@ class Fit:
     gain: Array | None = None
     innovations: Innovations | None = None
     integration: Mapping[str, ErrorEstimate] = field(default_factory=dict)
+    errors: ParameterErrors | None = None
 
     def __str__(self) -> str:
         from casadi_engine.estimation.summary import summary
@@ -173,6 +176,21 @@ class Fit:
     def values(self) -> dict[str, float]:
         """Name -> value of every parameter."""
         return {name: estimate.value for name, estimate in self.estimates.items()}
+
+    def values_for(self, record: str) -> dict[str, float]:
+        """Name -> value of every parameter in a record of this name.
+
+        A parameter that varies by experiment has its own value in each record of the fit, and the records' mean in
+        any other one (``averaged_for`` names those).
+        """
+        plain = self.parameters.as_dict()
+        found = {name: self.values.get(f"{name}@{record}", self.values.get(name)) for name in plain}
+        return {name: plain[name] if value is None else value for name, value in found.items()}
+
+    def averaged_for(self, record: str) -> tuple[str, ...]:
+        """Parameters that vary by experiment and of which a record of this name has no value of its own."""
+        values = self.values
+        return tuple(n for n in self.parameters.names if n not in values and f"{n}@{record}" not in values)
 
     @property
     def stderr(self) -> dict[str, float | None]:

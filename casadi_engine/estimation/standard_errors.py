@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from casadi_engine.estimation.fit import AtBound, Direction, Estimate
 from casadi_engine.estimation.growth import check_growth
 from casadi_engine.estimation.loss import Loss
+from casadi_engine.estimation.parameter_errors import ParameterErrors
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.uncertainty import (
@@ -32,6 +33,15 @@ _HELD = 1e-12
 
 
 @dataclass(frozen=True)
+class Released:
+    """The errors of the estimate as they were without the bounds and inequalities that act, and the force (N,) of these
+    on the summed loss: covariance @ force is how far the estimate would move if they let it go."""
+
+    covariance: Covariance
+    force: Array
+
+
+@dataclass(frozen=True)
 class Uncertainty:
     """What is known of the errors at the point x (size,), parameters at a bound put on it.
 
@@ -46,6 +56,7 @@ class Uncertainty:
     acting: tuple[str, ...] = ()  # constraints that hold the estimate back, with the limit that does
     optimal: bool = True
     decrement: float = 0.0
+    released: Released | None = None  # where bounds or inequalities act: the errors if they did not
 
     @property
     def v(self) -> Array:
@@ -70,6 +81,17 @@ class Uncertainty:
         matrix[unknown, :] = np.nan
         matrix[:, unknown] = np.nan
         return matrix
+
+    def as_prior(self) -> ParameterErrors | None:
+        """The errors of the free vector z as a prior for other data; None if the search did not end at an optimum."""
+        if not self.optimal:
+            return None
+        scale, nv = self.search.coordinates.slope(self.v), self.search.problem.nv
+        known = self.covariance if self.released is None else self.released.covariance
+        unknown = np.array([d[:nv] for d in known.directions]).T if known.directions else np.zeros((nv, 0))
+        covariance = known.matrix[:nv, :nv] * np.outer(scale, scale)
+        shift = np.zeros(nv) if self.released is None else known.matrix[:nv] @ self.released.force * scale
+        return ParameterErrors.of(self.search.pmap.free, covariance, unknown * scale[:, None], scale, shift)
 
     def estimates(self) -> dict[str, Estimate]:
         """Every reported parameter with its error, propagated through ties to first order."""
@@ -146,9 +168,28 @@ def uncertainty(search: Search, best: Attempt) -> Uncertainty:
     closed = fixed | np.array([side is not False for side in bound], dtype=bool)
     rows, acting = _active_rows(search, best, x[: search.problem.nv], open_)
     optimal = best.solution.status == "converged"
-    covariance = invert(information, closed, rows)
-    decrement = float(gradient @ covariance.matrix @ gradient)
-    return Uncertainty(search, x, bound, covariance, acting, optimal, decrement)
+    found = invert(information, closed, rows)
+    decrement = float(gradient @ found.matrix @ gradient)
+    acts = bool(closed[: search.problem.nv].any()) or bool(acting)
+    released = _released(search, best, information, closed, x[: search.problem.nv]) if acts else None
+    return Uncertainty(search, x, bound, found, acting, optimal, decrement, released)
+
+
+def _released(
+    search: Search, best: Attempt, information: Array, closed: NDArray[np.bool_], v: Array
+) -> Released:
+    """The errors without the bounds of parameters and the inequalities between them; equalities stay."""
+    nv, samples, user = search.problem.nv, search.problem.samples, search.constraints
+    force = np.zeros(len(information))
+    force[:nv] = np.where(closed[:nv], best.solution.lam_x[:nv] * samples, 0.0)
+    rows = np.zeros((0, len(information)))
+    if user.count:
+        _, jacobian = user.evaluate(v)
+        equal = user.lower == user.upper
+        force[:nv] += (best.solution.lam_g[: user.count] * samples * ~equal) @ jacobian
+        rows = np.zeros((int(equal.sum()), len(information)))
+        rows[:, :nv] = jacobian[equal]
+    return Released(invert(information, np.concatenate([np.zeros(nv, dtype=bool), closed[nv:]]), rows), force)
 
 
 def _information(search: Search, best: Attempt) -> tuple[Array, Array]:

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
+from typing import TYPE_CHECKING, Any
 
-from casadi_engine.estimation.summary import COLUMNS, LINES, aligned, limited, number, short, wrapped
+from casadi_engine.estimation.summary import COLUMNS, LINES, aligned, limited, number, short, with_error, wrapped
 from casadi_engine.validation.residual_tests import ResidualTest
 
 if TYPE_CHECKING:
+    from casadi_engine.validation.parameter_check import ParameterCheck
     from casadi_engine.validation.validate import Validation
 
 # Rows of outputs, and of reasons why a test could not be made, at most.
 OUTPUTS, REASONS = 16, 4
+# Parameters of which it is said where fresh data move them.
+MOVED = 3
 
 
 def summary(validation: Validation) -> str:
@@ -27,6 +31,8 @@ def summary(validation: Validation) -> str:
     if len(rows) > OUTPUTS:
         lines.append(f"  … and {len(rows) - OUTPUTS} more: validation.records")
     lines += ["", *_drives(validation)]
+    for line in parameter_words(validation):
+        lines += limited(wrapped(line, "    "), 4)
     reasons = list(dict.fromkeys(untested(validation)))
     for reason in reasons[:REASONS]:
         lines += limited(wrapped(f"  not tested: {reason}", "    "), 2)
@@ -57,7 +63,7 @@ def output_rows(validation: Validation) -> list[tuple[str, ...]]:
     ]
 
 
-def p_text(test: ResidualTest) -> str:
+def p_text(test: ResidualTest | ParameterCheck) -> str:
     """Write a p-value, or a dash where there is no test.
 
     >>> p_text(ResidualTest(30.0, 25, 0.2236, 1000)), p_text(ResidualTest(3e3, 25, 1e-300, 1000))
@@ -80,13 +86,15 @@ def cross_rows(validation: Validation) -> list[tuple[str, str, str, str]]:
     ]
 
 
-def all_tests(validation: Validation) -> dict[str, ResidualTest]:
-    """Every test by the name that ``failed`` uses: "record/output/whiteness" or "record/output/drive"."""
-    found: dict[str, ResidualTest] = {}
+def all_tests(validation: Validation) -> dict[str, Any]:
+    """Every test by the name that ``failed`` uses: "record/output/whiteness", "record/output/drive", "parameters"."""
+    found: dict[str, Any] = {}
     for record, outputs in validation.records.items():
         for output, check in outputs.items():
             found[f"{record}/{output}/whiteness"] = check.whiteness
             found |= {f"{record}/{output}/{drive}": test for drive, test in check.cross.items()}
+    if validation.parameters is not None:
+        found["parameters"] = validation.parameters
     return found
 
 
@@ -94,12 +102,61 @@ def verdict(validation: Validation) -> str:
     """The verdict in one sentence, with the false-alarm rate it was made at."""
     tests = all_tests(validation)
     made = sum(test.p_value is not None for test in tests.values())
-    level = f"{made} residual tests at alpha = {validation.alpha:g}"
+    level = f"{made} tests at alpha = {validation.alpha:g}"
     if validation.passed:
         return f"PASSED: nothing is left in the residuals that these tests can see ({level})"
     failed = validation.failed
     which = f": {'; '.join(failed[:2])}" + (f" and {len(failed) - 2} more" if len(failed) > 2 else "")
     return f"FAILED: {len(failed)} of {level}{which if failed else ''}"
+
+
+def parameter_words(validation: Validation) -> list[str]:
+    """Whether fresh data agree with the parameters of the fit, what these explain of the gap, and the notes."""
+    check, said = validation.parameters, []
+    if check is not None:
+        if check.p_value is not None:
+            word = "parameters disagree" if "parameters" in validation.failed else "parameters agree"
+            said.append(
+                f"{word} with those of the fit within their errors: p {p_text(check)} "
+                f"(chi2 {check.statistic:.3g} in {check.dof} direction{'s' if check.dof != 1 else ''})"
+            )
+        said += [_gap_words(check, "parameters" in validation.failed)] if check.chi2 is not None else []
+        said += _moved_words(check)
+    return [*said, *(f"Note: {note}" for note in validation.notes)]
+
+
+def _gap_words(check: ParameterCheck, beyond: bool) -> str:
+    """beyond : the parameters would have to move farther than their errors allow"""
+    before, after = check.chi2 or (math.nan, math.nan)
+    if check.explained is None:
+        return f"no gap beyond the noise of the fit: chi2/N {before:.3g}"
+    share = f"{100 * check.explained:.3g} %"
+    if beyond:
+        return (
+            f"the errors of the parameters do not explain the gap to the simulation: parameters moved beyond them take "
+            f"{share} of it, chi2/N from {before:.3g} to {after:.3g}"
+        )
+    return (
+        f"of the gap to the simulation, {share} is explained by the errors of the parameters: chi2/N {before:.3g}, "
+        f"within these errors {after:.3g}"
+    )
+
+
+def _moved_words(check: ParameterCheck) -> list[str]:
+    """The parameters that fresh data move by more than a standard error, the farthest ones."""
+    far = {
+        name: abs(one.fresh - one.fitted[0]) / one.fitted[1]
+        for name, one in (check.moved or {}).items()
+        if one.fitted[1]
+    }
+    names = [name for name in sorted(far, key=lambda name: -far[name]) if far[name] > 1.0][:MOVED]
+    if not names or check.explained is None:
+        return []
+    moved = check.moved or {}
+    words = [
+        f"{name} {with_error(*moved[name].fitted)} to {moved[name].fresh:.4g} {moved[name].unit}" for name in names
+    ]
+    return [f"these data, beside the fit, move {'; '.join(words)}"]
 
 
 def untested(validation: Validation) -> list[str]:
@@ -115,6 +172,8 @@ def next_step(validation: Validation) -> str:
     """What to type next."""
     if validation.passed:
         return 'keep it: ce.report(validation, "report.html")'
+    if validation.failed == ("parameters",):
+        return "fit these data beside the old ones, ce.estimate(model, [old, fresh]): one set may suit both, or something lacks"
     return "look at the residual: ce.plot(validation); it says what the model lacks"
 
 

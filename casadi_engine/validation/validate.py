@@ -17,6 +17,8 @@ from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
 from casadi_engine.problem.noise import Noise
 from casadi_engine.validation.correlation import Correlation
+from casadi_engine.validation.held import held_on, what_was_freed
+from casadi_engine.validation.parameter_check import ParameterCheck, Refit, noise_changed, refit
 from casadi_engine.validation.residual_tests import ResidualTest, check_residual, rejected
 
 Array = NDArray[np.float64]
@@ -46,9 +48,10 @@ class OutputCheck:
 class Validation:
     """The answer of ``validate``.
 
-    records : record -> output -> OutputCheck; passed : no residual test is rejected at ``alpha`` over all of them
-    (Holm); failed : the rejected ones as "record/output/whiteness" or "record/output/drive"; fit : the parameters
-    held and the initial states found on these data
+    records : record -> output -> OutputCheck; passed : no test is rejected at ``alpha`` over all of them (Holm);
+    failed : the rejected ones as "record/output/whiteness", "record/output/drive" or "parameters"; fit : the parameters
+    held and the initial states found on these data; parameters : whether fresh data agree with the parameters within
+    their errors, None for a fit's own data and for parameters that were given; notes : what the user should know
     """
 
     records: Mapping[str, Mapping[str, OutputCheck]]
@@ -56,6 +59,8 @@ class Validation:
     failed: tuple[str, ...]
     alpha: float
     fit: Fit
+    parameters: ParameterCheck | None = None
+    notes: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         from casadi_engine.validation.summary import summary
@@ -74,8 +79,13 @@ def validate(
 ) -> Validation:
     """Test a fit on data: fit percentages (2.32), residual sizes (2.34), whiteness and independence of the drives.
 
+    On fresh data percentages and sizes are those of the simulation with the fit's parameters. The tests count with the
+    errors of these: whether the parameters that suit the fresh data agree with the fit's within both errors, and
+    whether what no parameters explain is white and independent of the drives.
+
     fit : a Fit; or a model, with ``parameters`` and ``data``
-    data : fresh experiments, on which only initial states are found; None tests the fit on its own data
+    data : fresh experiments, on which only initial states are found, and parameters that vary by experiment where a
+    record has another name than those of the fit; None tests the fit on its own data
     parameters : other values than the fit's; noise : other noise levels than the fit's
     alpha : false-alarm rate of the verdict over all tests together; lags : of the tests
 
@@ -98,17 +108,45 @@ def validate(
             cure="give alpha=0.01, for instance, for one false alarm in a hundred",
         )
     held = _hold(fit, data, parameters, noise)
-    tests: dict[str, ResidualTest] = {}
+    again = refit(fit, held) if isinstance(fit, Fit) and data is not None and parameters is None else None
+    tests: dict[str, ResidualTest | ParameterCheck] = {}
     records: dict[str, dict[str, OutputCheck]] = {}
     for name, traces in held.traces.items():
         records[name] = {}
         for output, trace in traces.items():
-            check = _check(held, name, output, trace, lags)
+            check = _check(held, name, output, trace, lags, again)
             records[name][output] = check
             tests[f"{name}/{output}/whiteness"] = check.whiteness
             tests.update({f"{name}/{output}/{drive}": test for drive, test in check.cross.items()})
+    if again is not None:
+        tests["parameters"] = again.check
     failed = rejected(tests, alpha=alpha)
-    return Validation(records, not failed, tuple(failed), alpha, held)
+    notes = _notes(fit, held, again, alpha) if isinstance(fit, Fit) else ()
+    return Validation(
+        records, not failed, tuple(failed), alpha, held, None if again is None else again.check, notes
+    )
+
+
+def _notes(fit: Fit, held: Fit, again: Refit | None, alpha: float) -> tuple[str, ...]:
+    """What the user should know beside the tests."""
+    said = []
+    if held is not fit and not held.converged:
+        said.append(f"the initial states were not found on these data: {held.status}; the tests are of that point")
+    if again is None:
+        return tuple(said)
+    said += what_was_freed(fit, held)
+    if again.check.at_bound:
+        said.append(
+            f"at a bound in the fit: {', '.join(again.check.at_bound)}; simulated with that value, while the tests let "
+            "it leave the bound as far as the errors of the fit allow"
+        )
+    for output, (fresh, own) in again.levels.items():
+        if own > 0 and (chance := noise_changed(fit, again, output)) < alpha:
+            said.append(
+                f"what is left of {output} on these data is {fresh / own:.3g} times its noise in the fit "
+                f"(p {chance:.2g}): other noise, or something the model lacks that looks like noise"
+            )
+    return tuple(said)
 
 
 def _hold(fit: Fit | Model, data: Any, parameters: Parameters | None, noise: Noise | None) -> Fit:
@@ -116,10 +154,12 @@ def _hold(fit: Fit | Model, data: Any, parameters: Parameters | None, noise: Noi
     if isinstance(fit, Fit):
         if data is None and parameters is None and noise is None:
             return fit
-        model, source = fit.model, fit.parameters if parameters is None else parameters
         records = fit.data if data is None else data
         levels = noise or _noise_of(fit)
         method = str(fit.options.get("method", "exact"))
+        if parameters is None:
+            return held_on(fit, records, noise=levels, method=method)
+        model, source = fit.model, parameters
     else:
         if not isinstance(fit, Model):
             raise EstimationError(
@@ -163,13 +203,25 @@ def held_parameters(model: Model, source: Parameters) -> Parameters:
     return held
 
 
-def _check(fit: Fit, record: str, output: str, trace: Trace, lags: int) -> OutputCheck:
+def _check(
+    fit: Fit, record: str, output: str, trace: Trace, lags: int, again: Refit | None
+) -> OutputCheck:
     model = trace.simulated if trace.predicted is None else trace.predicted
     sizes = fit_measures(trace.measured, model, mask=trace.mask)
     drives = {
         name: np.interp(trace.time, values[0], values[1]) for name, values in fit.drives[record].items()
     }
-    checks = check_residual(trace.residual, drives, mask=trace.mask, lags=lags)
+    residual, mask, jacobian = trace.residual, trace.mask, None
+    place = (record, output)
+    if again is not None and place in again.index:
+        index = again.index[place]
+        mask = np.zeros(len(trace.time), dtype=bool)
+        mask[index] = True
+        residual = np.full(len(trace.time), np.nan)
+        residual[index] = again.residual[place]
+        jacobian = np.zeros((len(trace.time), again.slopes[place].shape[1]))
+        jacobian[index] = again.slopes[place]
+    checks = check_residual(residual, drives, mask=mask, jacobian=jacobian, lags=lags)
     return OutputCheck(
         fit.fit_percent[record][output],
         sizes.rmse,

@@ -1,0 +1,107 @@
+"""Residuals of records and their slopes in free parameters and initial states, each record simulated in one piece."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.estimation.loss import read_loss
+from casadi_engine.estimation.search import Search
+from casadi_engine.experiment import Experiment
+from casadi_engine.model import Model
+from casadi_engine.parameters import Parameters
+from casadi_engine.problem.noise import Noise
+
+Array = NDArray[np.float64]
+Place = tuple[str, str]
+
+
+class SingleShots:
+    """Simulated (or, with a gain, predicted) residuals of records at x = [coordinates of z (nv,); first states, scaled].
+
+    free : names of z; lower, upper : (nx,) of x; places : the rows (record, output) -> slice; index : the samples'
+    numbers in their channels
+    Raises what ``estimate`` raises for such arguments.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        data: Sequence[Experiment],
+        parameters: Parameters,
+        noise: Noise,
+        *,
+        method: str = "exact",
+    ) -> None:
+        self._search = Search(
+            model, tuple(data), parameters, noise, interval="single", initial=None, loss=read_loss("square"),
+            ties="substitute", method=method, max_iterations=1, tolerance=1e-9, warm=None, progress=None,
+        )  # fmt: skip
+        self.free = self._search.pmap.free
+        self.lower, self.upper = self._search.lower, self._search.upper
+        self.states = tuple(state.name for state in model.states)
+        self._sigma = dict.fromkeys(self._search.records[0].outputs, 1.0)
+        self.places: dict[Place, slice] = {}
+        self.index: dict[Place, NDArray[np.intp]] = {}
+        at = 0
+        for record in self._search.records:
+            valid = record.observation.valid.ravel()
+            for output, where in record.observation.where.items():
+                place = (record.experiment.name, output)
+                counts = valid[where]
+                self.index[place] = record.grid.measured[output].index[counts]
+                self.places[place] = slice(at, at + int(counts.sum()))
+                at += int(counts.sum())
+        self.count = at
+
+    def weigh(self, sigma: Mapping[str, float]) -> None:
+        """Divide residuals and slopes by the standard deviations of the outputs."""
+        self._sigma = dict(sigma)
+
+    def start(self, z: Mapping[str, float], first: Mapping[str, Array]) -> Array:
+        """x (nx,) of parameters name -> value and of first states record -> (n,), moved into the bounds."""
+        v = self._search.coordinates.of(np.array([z[name] for name in self.free], dtype=float))
+        states = [first[r.experiment.name] / r.scale for r in self._search.records]
+        return np.clip(np.concatenate([v, *states]), self.lower, self.upper)
+
+    def values(self, x: Array) -> Array:
+        """z (nz,) in the parameters' units."""
+        return self._search.coordinates.values(x[: len(self.free)])
+
+    def units(self, x: Array) -> Array:
+        """dz/dx (nz,), diagonal."""
+        return self._search.coordinates.slope(x[: len(self.free)])
+
+    def columns(self, record: str) -> NDArray[np.intp]:
+        """Entries of x that act in a record: all of z, and its own first states."""
+        names = [one.experiment.name for one in self._search.records]
+        n = len(self.states)
+        begin = len(self.free) + n * names.index(record)
+        return np.concatenate([np.arange(len(self.free)), np.arange(begin, begin + n)])
+
+    def evaluate(self, x: Array) -> tuple[Array, Array]:
+        """Residuals (K,), model less measured, and their slopes (K, nx), both in standard deviations.
+
+        Raises FloatingPointError where the model is not finite.
+        """
+        v = x[: len(self.free)]
+        residual, slopes = np.zeros(self.count), np.zeros((self.count, len(x)))
+        for record, lay in zip(self._search.records, self._search.problem.layouts, strict=True):
+            found = record.evaluate(v, lay.take(x))
+            valid = record.observation.valid.ravel()
+            js = found.js.reshape(-1, record.n)
+            weight = record.weight.ravel()
+            for output, where in record.observation.where.items():
+                here = where[valid[where]]
+                rows = self.places[(record.experiment.name, output)]
+                level = weight[here] * self._sigma[output]  # the terms come weighted by levels of their own
+                residual[rows] = found.r.ravel()[here] / level
+                slopes[rows.start : rows.stop, record.active] = (
+                    found.jz.reshape(len(found.jz), -1)[:, here] / level
+                ).T
+                slopes[rows.start : rows.stop, lay.at : lay.at + record.n] = js[here] / self._sigma[output]
+        if not (np.isfinite(residual).all() and np.isfinite(slopes).all()):
+            raise FloatingPointError("the sensitivities are not finite here")
+        return residual, slopes

@@ -1,0 +1,327 @@
+"""Do fresh data agree with the parameters of a fit, within the errors of these? The refit that the tests look at.
+
+A fit knows its parameters to a covariance, and on a longer or stronger record their errors may be far larger than its
+noise: simulated with the parameters held, the right model then fails every test. So the parameters are fitted to the
+fresh data once more, with what the fit knows of them as a prior, and initial states free. How far they move is a test
+of its own, and the residual is tested for what no parameters explain; see `parameter_prior`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import stats
+from scipy.optimize import least_squares
+
+from casadi_engine.errors import CasadiEngineError
+from casadi_engine.estimation import Fit
+from casadi_engine.estimation.fit_percent import FloatArray
+from casadi_engine.estimation.single_shots import Place, SingleShots
+from casadi_engine.problem.noise import Noise
+from casadi_engine.validation.parameter_prior import PriorSplit
+
+# A direction that bounds or constraints hold is kept to this share of the parameters' size.
+_KEPT = 1e-6
+# Noise levels that are estimated are settled in rounds, to this share.
+_ROUNDS, _SETTLED = 6, 1e-4
+# Steps of a search in which the residual is evaluated once or twice each.
+_EVALUATIONS = 60
+# A gap is called beyond the noise from this many standard deviations of chi-squared.
+_BEYOND = 3.0
+# Residual in standard deviations that stands for a point at which the model cannot be simulated.
+_REFUSED = 1e6
+
+
+@dataclass(frozen=True)
+class Moved:
+    """One parameter of a fit on fresh data: fitted : (value, standard error or None); fresh : where prior and fresh data
+    together put it; unit"""
+
+    fitted: tuple[float, float | None]
+    fresh: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class ParameterCheck:
+    """The test "the parameters agree with those of the fit" on fresh data.
+
+    statistic : chi-squared by which the parameters disagree, dof : directions compared, p_value : its chance; None with
+    ``why`` where there is nothing to compare
+    explained : share of the gap, beyond the noise of the fit, that errors of the parameters explain; None where there is
+    no such gap. chi2 : chi-squared per sample at the fitted parameters, and within their errors
+    moved : name -> Moved; at_bound : parameters that were at a bound in the fit
+    """
+
+    statistic: float | None
+    dof: int | None
+    p_value: float | None
+    explained: float | None = None
+    chi2: tuple[float, float] | None = None
+    moved: Mapping[str, Moved] | None = None
+    at_bound: tuple[str, ...] = ()
+    why: str | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers for result.json."""
+        return {
+            "statistic": self.statistic,
+            "dof": self.dof,
+            "p_value": self.p_value,
+            "explained": self.explained,
+            "chi2_per_sample": None if self.chi2 is None else {"fitted": self.chi2[0], "within_errors": self.chi2[1]},
+            "moved": {
+                name: {"fitted": one.fitted[0], "stderr": one.fitted[1], "fresh": one.fresh, "unit": one.unit}
+                for name, one in (self.moved or {}).items()
+            },
+            "at_bound": list(self.at_bound),
+            "why": self.why,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """The check, and by (record, output) what the tests of the residual need: the samples' numbers (K,), the residual
+    [output's unit] (K,), and its slopes (K, p).
+
+    levels : output -> standard deviation of what no parameters explain of the fresh data, and that of the fit's noise,
+    for outputs of which both are estimated; freedom : output -> degrees of freedom of the first one
+    """
+
+    check: ParameterCheck
+    index: Mapping[Place, Any]
+    residual: Mapping[Place, FloatArray]
+    slopes: Mapping[Place, FloatArray]
+    levels: Mapping[str, tuple[float, float]]
+    freedom: Mapping[str, float]
+
+
+def noise_changed(fit: Fit, again: Refit, output: str) -> float:
+    """Chance of a ratio of the two noise levels of an output that is as far from one (two-sided, Fisher's F)."""
+    fresh, own = again.levels[output]
+    law = stats.f(max(again.freedom[output], 1.0), max(fit.dof, 1.0))
+    ratio = (fresh / own) ** 2
+    return float(min(1.0, 2.0 * min(law.cdf(ratio), law.sf(ratio))))
+
+
+def refit(fit: Fit, held: Fit) -> Refit:
+    """Fit the parameters to fresh data beside what a fit knows of them.
+
+    fit : the errors are its; held : its parameters on the fresh data, initial states found
+    """
+    try:
+        problem = _Problem(fit, held)
+        x, sigma = problem.settled()
+        return problem.answer(x, sigma)
+    except (CasadiEngineError, FloatingPointError) as error:
+        why = f"the parameters could not be fitted to the fresh data ({str(error).splitlines()[0]})"
+        return Refit(ParameterCheck(None, None, None, why=why), {}, {}, {}, {}, {})
+
+
+class _Problem:
+    """The refit as nonlinear least squares in x = [coordinates of z; first states]."""
+
+    def __init__(self, fit: Fit, held: Fit) -> None:
+        self.fit, self.held = fit, held
+        parameters = fit.parameters.copy()
+        used = parameters.references(held.model.parameter_names)
+        for name in parameters:
+            if parameters[name].vary and name not in used:
+                parameters.fix(name)  # gains, levels of noise
+        outputs: dict[str, Any] = dict(held.residual_level)
+        self.shots = SingleShots(
+            held.model, held.data, parameters, Noise(gain=held.gain, **outputs),
+            method=str(held.options.get("method", "exact")),
+        )  # fmt: skip
+        self.estimated = {name for name, (_, free) in held.noise.items() if free}
+        free = self.shots.free
+        values = held.values
+        self.fitted = np.array(
+            [fit.values.get(name, values.get(name, values.get(name.partition("@")[0], 0.0))) for name in free]
+        )
+        errors = fit.errors
+        nothing = np.zeros((0, len(free)))
+        self.rows, self.shift = (nothing, np.zeros(0)) if errors is None else errors.over(free)
+        self.still = nothing if errors is None else errors.held_over(free)
+        first = {record.name: held.states_at_start[record.name] for record in held.data}
+        now = {name: values.get(name, value) for name, value in zip(free, self.fitted, strict=True)}
+        self.begin = self.shots.start(now, first)
+        x_fitted = self.shots.start(dict(zip(free, self.fitted, strict=True)), first)
+        # Normal in the solver's coordinates: what must be positive is known to a factor.
+        self.centre, self.units = x_fitted[: len(free)], self.shots.units(x_fitted)
+        self.freedom: dict[str, float] = {}
+
+    # ---- search
+
+    def settled(self) -> tuple[FloatArray, dict[str, float]]:
+        """The point x, and the noise levels of the fresh data."""
+        x = self.begin
+        sigma = dict(self.held.residual_level)
+        sigma |= {name: self.fit.residual_level.get(name, sigma[name]) for name in self.estimated}
+        for _ in range(_ROUNDS):
+            x = self._solved(x, sigma)
+            found = self._levels(x, sigma)
+            change = max((abs(found[name] / sigma[name] - 1) for name in sigma), default=0.0)
+            sigma = found
+            if change < _SETTLED:
+                break
+        return x, sigma
+
+    def _solved(self, x: FloatArray, sigma: Mapping[str, float]) -> FloatArray:
+        self.shots.weigh(sigma)
+        stored: dict[bytes, tuple[FloatArray, FloatArray]] = {}
+
+        def at(point: FloatArray) -> tuple[FloatArray, FloatArray]:
+            key = point.tobytes()
+            if key not in stored:
+                stored.clear()
+                stored[key] = self._joint(point)
+            return stored[key]
+
+        open_ = self.shots.lower < self.shots.upper
+        if not open_.any():
+            return x
+
+        def whole(part: FloatArray) -> FloatArray:
+            point = x.copy()
+            point[open_] = part
+            return point
+
+        lower, upper = self.shots.lower[open_], self.shots.upper[open_]
+        inside = np.clip(x[open_], np.nextafter(lower, np.inf), np.nextafter(upper, -np.inf))
+        found = least_squares(
+            lambda part: at(whole(part))[0],
+            inside,
+            jac=lambda part: at(whole(part))[1][:, open_],
+            bounds=(lower, upper),
+            x_scale="jac",
+            xtol=1e-10,
+            ftol=1e-10,
+            max_nfev=_EVALUATIONS,
+        )
+        return whole(found.x)
+
+    def _joint(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Residuals of data and prior, and their slopes."""
+        prior, slope = self._prior(x)
+        try:
+            residual, slopes = self.shots.evaluate(x)
+        except FloatingPointError:
+            if np.array_equal(x, self.begin):
+                raise
+            residual = np.full(self.shots.count, _REFUSED)
+            slopes = np.zeros((self.shots.count, len(x)))
+        return np.concatenate([residual, prior]), np.vstack([slopes, slope])
+
+    def _prior(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        rows = np.vstack([self.rows, self.still / _KEPT]) * self.units
+        shift = np.concatenate([self.shift, np.zeros(len(self.still))])
+        slope = np.zeros((len(rows), len(x)))
+        slope[:, : len(self.centre)] = rows
+        return rows @ (x[: len(self.centre)] - self.centre) - shift, slope
+
+    def _levels(self, x: FloatArray, sigma: Mapping[str, float]) -> dict[str, float]:
+        """Levels of the outputs that are estimated: from what no parameters and no initial states explain."""
+        residual, slopes = self.shots.evaluate(x)
+        found = dict(sigma)
+        for name in sorted(self.estimated):
+            total, freedom = 0.0, 0
+            for (record, output), rows in self.shots.places.items():
+                if output == name:
+                    own = slopes[rows][:, self.shots.columns(record)]
+                    left = PriorSplit.of(residual[rows], own, np.zeros((0, own.shape[1])), np.zeros(0))
+                    total += float(left.noise @ left.noise)
+                    freedom += len(left.noise) - left.rank
+            self.freedom[name] = float(freedom)
+            if freedom > 0 and total > 0:
+                found[name] = sigma[name] * math.sqrt(total / freedom)
+        return found
+
+    # ---- answer
+
+    def answer(self, x: FloatArray, sigma: Mapping[str, float]) -> Refit:
+        """The test at x, and the residuals there."""
+        self.shots.weigh(sigma)
+        residual, slopes = self.shots.evaluate(x)
+        # directions that are held take no part: the columns are those that keep them
+        turn = _kept(self.still * self.units, slopes.shape[1])
+        offset, rows = (part[: len(self.rows)] for part in self._prior(x))
+        split = PriorSplit.of(-residual, slopes @ turn, rows @ turn, offset)
+        fresh_freedom = math.inf if not self.estimated else max(float(len(residual) - split.rank), 1.0)
+        known = not any(free for _, free in self.fit.noise.values())
+        p_value = split.p_value(math.inf if known else max(self.fit.dof, 1.0), fresh_freedom)
+        why = None if p_value is not None else self._why_not()
+        gap = self._gap(sigma, split)
+        check = ParameterCheck(
+            None if p_value is None else split.value,
+            None if p_value is None else split.dof,
+            p_value,
+            *gap,
+            self._moved(x),
+            tuple(name for name, one in self.fit.estimates.items() if one.at_bound is not False),
+            why,
+        )
+        level = {place: sigma[place[1]] for place in self.shots.places}
+        return Refit(
+            check,
+            self.shots.index,
+            {place: -residual[rows] * level[place] for place, rows in self.shots.places.items()},
+            {
+                place: slopes[rows][:, self.shots.columns(place[0])] * level[place]
+                for place, rows in self.shots.places.items()
+            },
+            {
+                name: (sigma[name], self.fit.residual_level[name])
+                for name in sorted(self.estimated)
+                if name in self.fit.residual_level and self.freedom.get(name, 0.0) > 0
+            },
+            self.freedom,
+        )
+
+    def _why_not(self) -> str:
+        if self.fit.errors is None:
+            return "the fit is no optimum, so that its parameters have no errors"
+        if not self.fit.free:
+            return "the parameters were given, not estimated: they have no errors"
+        return "no direction of the parameters is determined by the fit and by the fresh data both"
+
+    def _gap(
+        self, sigma: Mapping[str, float], split: PriorSplit
+    ) -> tuple[float | None, tuple[float, float] | None]:
+        """Share of the gap that errors of the parameters explain, by the noise that the fit found; chi-squared per
+        sample without and with them."""
+        own = {name: self.fit.residual_level.get(name, sigma[name]) for name in sigma}
+        ratio = np.concatenate(
+            [np.full(rows.stop - rows.start, sigma[output] / own[output]) for (_, output), rows in self.shots.places.items()]
+        )
+        self.shots.weigh(own)
+        before, _ = self.shots.evaluate(self.begin)
+        after = split.within * ratio
+        total, rest, n = float(before @ before), float(after @ after), len(before)
+        chi2 = (total / n, rest / n)
+        if total - n < _BEYOND * math.sqrt(2.0 * n):
+            return None, chi2
+        return float(np.clip((total - rest) / (total - min(rest, n)), 0.0, 1.0)), chi2
+
+    def _moved(self, x: FloatArray) -> dict[str, Moved]:
+        found = {}
+        for name, value in zip(self.shots.free, self.shots.values(x), strict=True):
+            one = self.fit.estimates.get(name)
+            unit = self.fit.parameters[name.partition("@")[0]].unit
+            fitted = (one.value, one.stderr) if one is not None else (self.held.values.get(name, math.nan), None)
+            found[name] = Moved(fitted, float(value), unit)
+        return found
+
+
+def _kept(still: FloatArray, size: int) -> FloatArray:
+    """(size, k) orthonormal columns that move none of the directions held (h, nz)."""
+    if not len(still):
+        return np.eye(size)
+    wide = np.zeros((len(still), size))
+    wide[:, : still.shape[1]] = still
+    _, strength, right = np.linalg.svd(wide, full_matrices=True)
+    return np.asarray(right[int(np.sum(strength > 1e-9 * strength[0])) :].T)
