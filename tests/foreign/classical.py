@@ -64,7 +64,9 @@ class Classical:
         """A record without inputs: it says by its outputs when to answer."""
         names = [f"out{k + 1}" for k in range(len(self.start))]
         channels = {name: np.zeros(len(self.time)) for name in names}
-        return ce.Experiment.from_arrays(self.name, time=self.time, units=dict.fromkeys(names, "1"), **channels)
+        return ce.Experiment.from_arrays(
+            self.name, time=self.time, units=dict.fromkeys(names, "1"), **channels
+        )
 
     def initial(self) -> dict[str, float]:
         """State -> value."""

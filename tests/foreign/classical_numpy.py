@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_MASS = np.array([0.000954786104043, 0.000285583733151, 0.0000437273164546, 0.0000517759138449, 0.00000277777777778])
+_MASS = np.array(
+    [0.000954786104043, 0.000285583733151, 0.0000437273164546, 0.0000517759138449, 0.00000277777777778]
+)
 
 
 def _lower(rates: Array) -> Array:
@@ -90,7 +92,28 @@ def pyrolysis(t: float, y: Array) -> Array:
 
 
 def pollu(t: float, y: Array) -> Array:
-    (no2, no, o3p, o3, ho2, oh, hcho, _co, ald, meo2, c2o3, _co2, pan, ch3o, _hno3, o1d, so2, _so4, no3, n2o5) = y
+    (
+        no2,
+        no,
+        o3p,
+        o3,
+        ho2,
+        oh,
+        hcho,
+        _co,
+        ald,
+        meo2,
+        c2o3,
+        _co2,
+        pan,
+        ch3o,
+        _hno3,
+        o1d,
+        so2,
+        _so4,
+        no3,
+        n2o5,
+    ) = y
     r1, r2, r3 = 0.35 * no2, 26.6 * no * o3, 1.23e4 * ho2 * no
     r4, r5, r6 = 8.6e-4 * hcho, 8.2e-4 * hcho, 1.5e4 * hcho * oh
     r7, r8, r9, r10 = 1.3e-4 * ald, 2.4e4 * ald * oh, 1.65e4 * c2o3 * no, 9e3 * c2o3 * no2

@@ -58,8 +58,8 @@ def row(problem: Classical) -> str:
     else:
         found = f"{answer.error:.1e}" if answer.error <= LIMIT else f"**{answer.error:.1e}**"
     return (
-        f"| {problem.name} | {len(problem.start)} | {found} | {steps_of(answer)} | {spent:.3f} s | {error:.1e} | {steps} "
-        f"| {other:.3f} s |"
+        f"| {problem.name} | {len(problem.start)} | {found} | {steps_of(answer)} | {spent:.3f} s "
+        f"| {error:.1e} | {steps} | {other:.3f} s |"
     )
 
 
@@ -70,7 +70,8 @@ def main(arguments: list[str]) -> None:
     lines = [
         "# The classical test problems",
         "",
-        f"{datetime.date.today()}, `python tests/foreign/classical_table.py --write`; {platform.machine()}, one thread.",
+        f"{datetime.date.today()}, `python tests/foreign/classical_table.py --write`; "
+        f"{platform.machine()}, one thread.",
         "",
         "Error: largest along the run, relative to each component's largest value; above 1e-5 in bold.",
         "",

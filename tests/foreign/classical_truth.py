@@ -1,6 +1,6 @@
 """Make classical_truth.json again: the stiff problems by SciPy's Radau, held against the published end values.
 
-    OPENBLAS_NUM_THREADS=1 python tests/foreign/classical_truth.py
+OPENBLAS_NUM_THREADS=1 python tests/foreign/classical_truth.py
 """
 
 from __future__ import annotations

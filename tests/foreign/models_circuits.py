@@ -35,7 +35,11 @@ def resonant_circuit():
 
     def build(p):
         b = ce.Blueprint("resonant_circuit")
-        r, ell, c = b.parameter("R", p["R"], min=0), b.parameter("L", p["L"], min=1e-6), b.parameter("C", p["C"], min=1e-9)
+        r, ell, c = (
+            b.parameter("R", p["R"], min=0),
+            b.parameter("L", p["L"], min=1e-6),
+            b.parameter("C", p["C"], min=1e-9),
+        )
         source = b.input("u", unit="V")
         i, v = b.state("i", unit="A", scale=1e-2), b.state("v", unit="V")
         b.ode("i", (source - r * i - v) / ell)
@@ -255,7 +259,10 @@ def thermostat():
 
     def build(p):
         b = ce.Blueprint("thermostat")
-        delay, power = b.parameter("delay", p["delay"], unit="s", min=0, max=200), b.parameter("P", p["P"], unit="W")
+        delay, power = (
+            b.parameter("delay", p["delay"], unit="s", min=0, max=200),
+            b.parameter("P", p["P"], unit="W"),
+        )
         temp = b.state("T", unit="K", scale=20.0)
         b.ode("T", (ca.if_else(b.time > delay, power, 0) - 8 * temp) / 4000)
         b.output("over", temp, unit="K", scale=20.0)

@@ -166,7 +166,10 @@ def spring_rotor(name, time, free, guess):
 
     def build(p):
         b = ce.Blueprint(name)
-        c, k = b.parameter("c", p["c"], unit="N m s/rad", min=0), b.parameter("k", p["k"], unit="N m/rad", min=0)
+        c, k = (
+            b.parameter("c", p["c"], unit="N m s/rad", min=0),
+            b.parameter("k", p["k"], unit="N m/rad", min=0),
+        )
         torque = b.input("T", unit="N m")
         a, w = b.state("a", unit="rad", scale=0.1), b.state("w", unit="rad/s")
         b.ode("a", w)

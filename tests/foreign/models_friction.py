@@ -123,7 +123,11 @@ def play():
         b = ce.Blueprint("play")
         gap = b.parameter("gap", p["gap"], unit="rad", min=0)
         torque = b.input("T", unit="N m")
-        twist, w1, w2 = b.state("twist", unit="rad", scale=0.1), b.state("w1", unit="rad/s"), b.state("w2", unit="rad/s")
+        twist, w1, w2 = (
+            b.state("twist", unit="rad", scale=0.1),
+            b.state("w1", unit="rad/s"),
+            b.state("w2", unit="rad/s"),
+        )
         wound = ca.fmax(twist - gap, 0) + ca.fmin(twist + gap, 0)
         coupling = 60 * wound
         b.ode("twist", w1 - w2)
@@ -150,7 +154,10 @@ def limited_actuator():
 
     def build(p):
         b = ce.Blueprint("limited_actuator")
-        rate, k = b.parameter("rate", p["rate"], unit="1/s", min=0), b.parameter("k", p["k"], unit="1/s", min=0)
+        rate, k = (
+            b.parameter("rate", p["rate"], unit="1/s", min=0),
+            b.parameter("k", p["k"], unit="1/s", min=0),
+        )
         target = b.input("r")
         z = b.state("z")
         b.ode("z", ca.fmin(ca.fmax(k * (target - z), -rate), rate))
@@ -227,6 +234,6 @@ def relay():
 
     return Case(
         "relay", build, lambda t, x, p, u, s: [-p["P"] * s - 0.2 * x[0], x[0] - 0.3 * x[1]],
-        {"signal": lambda t, x, p, u: x[1]}, {"P": 1.5}, {"x": 2.0, "y": 1.0}, {"signal": "1"}, equal(6.0, 61), "P", 1.0,
-        switch=lambda x, p: x[0] + 0.5 * x[1], known_start=True, cause=SHARP,
+        {"signal": lambda t, x, p, u: x[1]}, {"P": 1.5}, {"x": 2.0, "y": 1.0}, {"signal": "1"}, equal(6.0, 61), "P",
+        1.0, switch=lambda x, p: x[0] + 0.5 * x[1], known_start=True, cause=SHARP,
     )  # fmt: skip

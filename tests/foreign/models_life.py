@@ -52,7 +52,10 @@ def two_compartments():
 def michaelis_menten():
     def build(p):
         b = ce.Blueprint("michaelis_menten")
-        top, half = b.parameter("vmax", p["vmax"], unit="kg/m3/s", min=0), b.parameter("km", p["km"], unit="kg/m3")
+        top, half = (
+            b.parameter("vmax", p["vmax"], unit="kg/m3/s", min=0),
+            b.parameter("km", p["km"], unit="kg/m3"),
+        )
         c = b.state("c", unit="kg/m3")
         b.ode("c", -top * c / (half + c))
         b.output("conc", c, unit="kg/m3")
@@ -71,7 +74,10 @@ def infusion():
 
     def build(p):
         b = ce.Blueprint("infusion")
-        ke, volume = b.parameter("ke", p["ke"], unit="1/s", min=0), b.parameter("V", p["V"], unit="m3", min=1e-4)
+        ke, volume = (
+            b.parameter("ke", p["ke"], unit="1/s", min=0),
+            b.parameter("V", p["V"], unit="m3", min=1e-4),
+        )
         pump = b.input("pump", unit="kg/s")
         blood = b.state("blood", unit="kg", scale=1e-4)
         b.ode("blood", pump - ke * blood)
@@ -186,7 +192,10 @@ def stirred_reactor():
 
     def rates(t, x, p, u):
         reaction = p["k0"] * np.exp(8750 * (1 / 350 - 1 / x[1])) * x[0]
-        return [(1 - x[0]) / 60 - reaction, (350 - x[1]) / 60 + 209 * reaction + p["UA"] * (u["water"] - x[1])]
+        return [
+            (1 - x[0]) / 60 - reaction,
+            (350 - x[1]) / 60 + 209 * reaction + p["UA"] * (u["water"] - x[1]),
+        ]
 
     return Case(
         "stirred_reactor", build, rates, {"vessel": lambda t, x, p, u: x[1]}, {"k0": 0.0166, "UA": 0.035},
@@ -272,8 +281,8 @@ def nerve():
     return Case(
         "nerve", build,
         lambda t, x, p, u: [x[0] - x[0] ** 3 / 3 - x[1] + u["I"], p["eps"] * (x[0] + p["shift"] - 0.8 * x[1])],
-        {"voltage": lambda t, x, p, u: x[0]}, {"eps": 0.08, "shift": 0.7}, {"v": -1.2, "w": -0.62}, {"I": "1", "voltage": "1"},
-        jittered(80.0, 120), "eps", 0.07,
+        {"voltage": lambda t, x, p, u: x[0]}, {"eps": 0.08, "shift": 0.7}, {"v": -1.2, "w": -0.62},
+        {"I": "1", "voltage": "1"}, jittered(80.0, 120), "eps", 0.07,
         inputs={"I": (np.linspace(0, 80, 9), [0.0, 0.5, 0.5, 0.5, 0.5, 0.0, 0.5, 0.5, 0.5])}, hold="zero",
     )  # fmt: skip
 

@@ -47,7 +47,10 @@ def coast_down():
 
     def build(p):
         b = ce.Blueprint("coast_down")
-        roll, drag = b.parameter("roll", p["roll"], min=0, max=0.1), b.parameter("cda", p["cda"], unit="m2", min=0)
+        roll, drag = (
+            b.parameter("roll", p["roll"], min=0, max=0.1),
+            b.parameter("cda", p["cda"], unit="m2", min=0),
+        )
         v = b.state("v", unit="m/s", scale=10.0)
         b.ode("v", -roll * 9.81 - 0.5 * 1.2 * cda_over_mass(drag) * v * ca.fabs(v))
         b.output("speed", v, unit="m/s", scale=10.0)
@@ -59,7 +62,7 @@ def coast_down():
     return Case(
         "coast_down", build, lambda t, x, p, u: [-p["roll"] * G - 0.6 * p["cda"] / 1400 * x[0] * np.abs(x[0])],
         {"speed": lambda t, x, p, u: x[0]}, {"roll": 0.011, "cda": 0.65}, {"v": 33.0}, {"speed": "km/h"}, twelve(120.0),
-        "cda", 0.3, level=0.005,
+        "cda", 0.3,
     )  # fmt: skip
 
 
@@ -69,7 +72,10 @@ def geared_car():
 
     def build(p):
         b = ce.Blueprint("geared_car")
-        ratio, mass = b.parameter("ratio", p["ratio"], min=1, max=30), b.parameter("m", p["m"], unit="kg", min=1)
+        ratio, mass = (
+            b.parameter("ratio", p["ratio"], min=1, max=30),
+            b.parameter("m", p["m"], unit="kg", min=1),
+        )
         torque = b.input("T", unit="N m", scale=100.0)
         v = b.state("v", unit="m/s", scale=10.0)
         b.ode("v", (torque * ratio / 0.3 - 150 - 0.4 * v**2) / mass)
@@ -183,8 +189,15 @@ def double_pendulum():
         bottom = 3 - ca.cos(2 * d)
         b.ode("a", v)
         b.ode("c", w)
-        b.ode("v", (-3 * 9.81 * ca.sin(a) - 9.81 * ca.sin(a - 2 * c)
-                    - 2 * ca.sin(d) * (w**2 * l2 + v**2 * ca.cos(d))) / bottom)
+        b.ode(
+            "v",
+            (
+                -3 * 9.81 * ca.sin(a)
+                - 9.81 * ca.sin(a - 2 * c)
+                - 2 * ca.sin(d) * (w**2 * l2 + v**2 * ca.cos(d))
+            )
+            / bottom,
+        )
         b.ode("w", 2 * ca.sin(d) * (2 * v**2 + 2 * 9.81 * ca.cos(a) + w**2 * l2 * ca.cos(d)) / (l2 * bottom))
         b.output("upper", a, unit="rad")
         b.output("lower", c, unit="rad")

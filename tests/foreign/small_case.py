@@ -70,14 +70,15 @@ class Case:
     switch: Callable[..., Any] | None = None
     known_start: bool = False
     method: str = "DOP853"
-    level: float = 0.01
+    level: float = 2e-3
     cause: tuple[str, ...] = ()
 
     @property
     def pieces(self) -> Pieces:
         """The inputs in SI, between whose samples SciPy starts anew."""
         made = {
-            name: (np.asarray(t, dtype=float), to_si(v, self.units[name])) for name, (t, v) in self.inputs.items()
+            name: (np.asarray(t, dtype=float), to_si(v, self.units[name]))
+            for name, (t, v) in self.inputs.items()
         }
         return Pieces(made, self.hold)
 
@@ -101,9 +102,7 @@ class Case:
     def sigma(self) -> dict[str, float]:
         """Standard deviation of the noise of each output, in the record's unit."""
         made = self.truth(self.time)
-        return {
-            name: self.level * float(np.ptp(from_si(y, self.units[name]))) for name, y in made.items()
-        }
+        return {name: self.level * float(np.ptp(from_si(y, self.units[name]))) for name, y in made.items()}
 
     def record(self, *, noisy: bool) -> ce.Experiment:
         """The experiment that the user has."""

@@ -1,6 +1,6 @@
 """What becomes of each small model, as a dated Markdown table; names of models as arguments choose some of them.
 
-    OPENBLAS_NUM_THREADS=1 python tests/foreign/small_table.py --write
+OPENBLAS_NUM_THREADS=1 python tests/foreign/small_table.py --write
 """
 
 from __future__ import annotations
@@ -36,10 +36,11 @@ def main(arguments: list[str]) -> None:
     lines = [
         "# Small models, as a new user writes them",
         "",
-        f"{datetime.date.today()}, `python tests/foreign/small_table.py --write`; {platform.machine()}, one thread.",
+        f"{datetime.date.today()}, `python tests/foreign/small_table.py --write`; "
+        f"{platform.machine()}, one thread.",
         "",
-        "Simulated: to 1e-5 of the largest value of SciPy's solution. Recovered: one parameter from noise of 1 % of the",
-        "output's range, within three of its standard errors, and these within a factor of three of the expected ones.",
+        "Simulated: to 1e-5 of the largest value of SciPy's. Recovered: one parameter from noise of 0.2 % of the output",
+        "range, within three of its standard errors, and these within a factor of three of the expected ones.",
         "",
         f"Outcomes: {told}.",
         "",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -61,7 +62,7 @@ def solve(
     stops = np.unique(stops[(stops >= first) & (stops <= last)])
     x, made, mode = np.array(x0, dtype=float), np.empty((len(x0), len(time))), 0
     size = np.maximum(np.abs(x), 1e-3)
-    for a, b in zip(stops[:-1], stops[1:], strict=True):
+    for a, b in itertools.pairwise(stops.tolist()):
         inside = (time >= a) & (time <= b)
         u = pieces.between(a, b)
         if switch is None:
@@ -76,7 +77,11 @@ def solve(
 
 
 def _inside(
-    rates: Callable[..., Any], p: Mapping[str, float], u: Callable[[float], dict[str, float]], a: float, b: float
+    rates: Callable[..., Any],
+    p: Mapping[str, float],
+    u: Callable[[float], dict[str, float]],
+    a: float,
+    b: float,
 ) -> Callable[[float, Array], Array]:
     """The rates on one piece: a jump at either end belongs to the neighbour, so the ends are seen from inside."""
     first, last = a + 1e-12 * (b - a), b - 1e-12 * (b - a)
@@ -98,7 +103,12 @@ def _smooth(
     method: str = "DOP853",
 ) -> Any:
     """One smooth piece."""
-    options: dict[str, Any] = {"rtol": RELATIVE, "atol": RELATIVE * size, "dense_output": True, "events": events}
+    options: dict[str, Any] = {
+        "rtol": RELATIVE,
+        "atol": RELATIVE * size,
+        "dense_output": True,
+        "events": events,
+    }
     answer = solve_ivp(f, (a, b), x, method=method, **options)
     if not answer.success:
         raise RuntimeError(answer.message)

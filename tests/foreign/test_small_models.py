@@ -45,7 +45,9 @@ def test_oracle_meets_a_closed_form_with_stops():
 def test_oracle_starts_anew_at_the_samples_of_an_input():
     """Held samples through a first-order lag, against the exact recursion."""
     t, v = np.arange(6.0), np.array([1.0, -1.0, 2.0, 0.0, 1.0, 1.0])
-    found = solve(lambda t, x, p, u: [u["a"] - x[0]], {}, np.zeros(1), 0.0, t, Pieces({"a": (t, v)}, "zero"))[0]
+    found = solve(lambda t, x, p, u: [u["a"] - x[0]], {}, np.zeros(1), 0.0, t, Pieces({"a": (t, v)}, "zero"))[
+        0
+    ]
     known = [0.0]
     for k in range(5):
         known.append(v[k] + (known[-1] - v[k]) * np.exp(-1))

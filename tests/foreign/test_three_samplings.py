@@ -13,7 +13,9 @@ def test_meets_the_truth(name, hardening):
     assert fit.status == "converged"
     for key, true in TRUE.items():
         found = fit.estimates[key]
-        assert abs(found.value - true) < 0.2 * found.stderr, f"{key}: {found.value} ± {found.stderr} for {true}"
+        assert abs(found.value - true) < 0.2 * found.stderr, (
+            f"{key}: {found.value} ± {found.stderr} for {true}"
+        )
 
 
 @pytest.mark.parametrize("hardening", [0.0, 20.0], ids=["linear", "hardening spring"])

@@ -1,7 +1,7 @@
 """One rotor at three samplings: a driven rotor on a spring with a damper, 20 Hz, its speed measured three ways.
 
-equal : 150 Hz. jittered : the same number of samples, each off by up to 40 % of a step. teeth : the mean rate of a wheel of
-teeth, at each tooth of a shaft whose speed varies by half (instants that never meet the torque's samples).
+equal : 150 Hz. jittered : the same number of samples, each off by up to 40 % of a step. teeth : at each tooth of a
+shaft whose speed varies by half (instants that never meet the torque's samples).
 The torque is recorded at 200 Hz and joined by lines. Truth: SciPy, started anew at each sample of the torque.
 Noise-free, so that what differs between the fits is the arithmetic; standard errors from a stated noise.
 """
@@ -59,7 +59,7 @@ def samplings() -> dict[str, Array]:
 
 
 @functools.cache
-def fits(hardening: float) -> dict[str, ce.estimate]:  # type: ignore[valid-type]
+def fits(hardening: float) -> dict[str, Any]:
     """Name -> Fit from starts 30 % off."""
     made = {}
     pieces = Pieces({"T": (TORQUE_TIME, TORQUE)}, "first")
