@@ -39,8 +39,8 @@ def main(arguments: list[str]) -> None:
         f"{datetime.date.today()}, `python tests/foreign/small_table.py --write`; "
         f"{platform.machine()}, one thread.",
         "",
-        "Simulated: to 1e-5 of the largest value of SciPy's. Recovered: one parameter from noise of 0.2 % of the output",
-        "range, within three of its standard errors, and these within a factor of three of the expected ones.",
+        "Simulated: to 1e-5 of the largest value of SciPy's. Recovered: one parameter from noise of 0.2 % of the",
+        "output's range, within three of its standard errors, and these within a factor of three of the expected ones.",
         "",
         f"Outcomes: {told}.",
         "",

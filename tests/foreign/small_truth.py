@@ -147,6 +147,7 @@ def _switched(
         up, down = drift(t, x, 1.0), drift(t, x, -1.0)
         return (up + down) / (down - up)
 
+    mode = 0 if mode == 2 else mode  # an input may have jumped: what held may slide now
     for _ in range(500):
         if mode == 0:
             value = g(a, x)
