@@ -2,7 +2,8 @@
 
 A colour fitted with the whole library in the model has nothing left at low frequencies and comes out too white there:
 false alarms. Fitted without any effect, it takes a large one for noise. So effects are held beside the noise one by
-one, each only if its own score, with the colour that is fitted beside it, is beyond chance.
+one, each only if the likelihood of both together, each with the colour that is fitted beside it, is beyond chance: by
+its own score alone, a step whose colour has no slow part left would always beat a slow wander.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.combustion_scatter import Scatter
 from casadi_engine.discrepancy.compression import Compressed, Reduced, compress
 from casadi_engine.discrepancy.linear_algebra import Array
-from casadi_engine.discrepancy.noise_model import NoiseModel, estimated_noise
+from casadi_engine.discrepancy.noise_model import NoiseModel, deviance, estimated_noise
 from casadi_engine.discrepancy.null_distribution import NullDistribution, library_rows
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.score import Scores, scores_of, upper_tail
@@ -25,7 +26,7 @@ Columns = Mapping[str, Mapping[str, Array]]
 # Effects held at most; candidates tried for each, the best by coloured and by white noise; of those alike, one.
 _EFFECTS, _TRIED, _ALIKE = 4, 3, 0.95
 # An effect is held if chance does as much, anywhere in the library, less often than this.
-_CHANCE = 0.1
+_CHANCE = 0.01
 
 
 def coloured_noise(
@@ -49,12 +50,16 @@ def coloured_noise(
             break
         law = NullDistribution(library_rows(scores))
         tried = dict.fromkeys([*_best(scores), *_best(_given(white, held))])
+        before = deviance(null, noise, beside(null, columns, held), random)
         found: list[tuple[float, int, NoiseModel]] = []
         for k in tried:
-            own = estimated_noise(
-                null, explained=beside(null, columns, [*held, k]), scatter=random, colour=True, start=noise
-            )
-            found.append((_alone(null, candidates, columns, own, scatter, held, k), k, own))
+            left = beside(null, columns, [*held, k])
+            own = estimated_noise(null, explained=left, scatter=random, colour=True, start=noise)
+            if _allowed(null, candidates, columns, own, scatter, held, k):
+                freedom = np.inf if scores.freedom is None else float(scores.freedom[k])
+                sides = 2 if candidates[k].side == 0 else 1
+                gain = before - deviance(null, own, left, random)
+                found.append((sides * _by_likelihood(gain, freedom), k, own))
         if not found:
             break
         p, k, own = min(found, key=lambda one: one[0])
@@ -101,7 +106,19 @@ def _best(scores: Scores) -> list[int]:
     return chosen
 
 
-def _alone(
+def _by_likelihood(gain: float, freedom: float) -> float:
+    """The one-sided p-value of an amplitude that lowers -2 log likelihood by ``gain``.
+
+    The noise was estimated with the amplitude and without it, with so many degrees of freedom: Student's t, of which
+    the gain is a function.
+    """
+    if not np.isfinite(freedom):
+        return float(upper_tail(np.sqrt(max(gain, 0.0)), None))
+    squared = freedom * np.expm1(min(max(gain, 0.0) / (freedom + 1), 700.0))
+    return float(upper_tail(np.sqrt(squared), freedom))
+
+
+def _allowed(
     null: NullModel,
     candidates: Sequence[Candidate],
     columns: Columns,
@@ -109,14 +126,10 @@ def _alone(
     scatter: Sequence[Scatter],
     held: Sequence[int],
     k: int,
-) -> float:
-    """The p-value of one candidate beside the held ones."""
+) -> bool:
+    """True if one candidate beside the held ones can be tested and has an amplitude of the allowed sign."""
     members = [*held, k]
     own = {record: {o: c[:, members] for o, c in outputs.items()} for record, outputs in columns.items()}
     compressed = compress(null, [candidates[j] for j in members], noise, scatter=scatter, columns=own)
     scores = _given(compressed, range(len(held)))
-    if not scores.testable[-1]:
-        return 1.0
-    freedom = None if scores.freedom is None else scores.freedom[-1]
-    sides = 2 if candidates[k].side == 0 else 1
-    return float(sides * upper_tail(scores.statistic[-1], freedom))
+    return bool(scores.testable[-1] and scores.statistic[-1] > 0)

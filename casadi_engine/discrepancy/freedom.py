@@ -1,6 +1,6 @@
 """How well the variance of each score is known where level and colour of the noise were estimated.
 
-The variance v of a score depends on the noise's parameters phi (levels, coefficients of the autoregressions); with
+The variance v of a score depends on the noise's parameters phi (levels, colours); with
 their covariance C, log v has the variance g'C g, g = d(log v)/d(phi), as a chi-squared variable over its degrees of
 freedom nu has 2/nu: so the score is Student's t with nu = 2/(g'C g) (Satterthwaite 1946; Kenward & Roger 1997). How the
 weights of the estimate move with phi does not count: they are at an optimum. A direction of low frequency has few
@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from scipy import linalg
+from scipy import fft
 
 from casadi_engine.discrepancy.linear_algebra import Array, basis, without
 from casadi_engine.discrepancy.noise_model import Colour, NoiseModel
@@ -21,6 +21,8 @@ from casadi_engine.validation.whitening import Whitener
 
 # Below this share of its norm left after the parameters took theirs, a column has no direction.
 _NOTHING = 1e-6
+# Points of a spectrum for each sample, which keep its ends apart; columns at a time.
+_FINE, _BLOCK = 4, 16
 
 Columns = Mapping[str, Mapping[str, Array]]
 
@@ -104,25 +106,20 @@ def _directions(
 
 
 def _slopes(colour: Colour, direction: Array) -> Array:
-    """(k, p) d(log variance)/d(a_i) of scores with whitened directions (n, k).
+    """(k, m) d(log variance)/d(what was estimated) of scores with whitened directions (n, k).
 
-    With x = W^-1 d it is -x' (dV^-1/da_i) x: 2 sum d(t) x(t - i) from sample p on, and before it the derivative of the
-    inverse covariance of p samples, in the form of Gohberg and Semencul (Galbraith & Galbraith 1974).
+    With x = W'd it is x'(dV)x, the power of x weighted by the slope of the spectrum.
     """
-    order, size = colour.order, len(direction)
+    size = len(direction)
     # no sample is missing here: what fills the gaps is in the whitened rows
-    matrix = Whitener(colour.predictors, colour.variances, np.ones(size, dtype=bool)).matrix
-    bands = np.zeros((order + 1, size))
-    for below in range(order + 1):
-        bands[below, : size - below] = matrix.diagonal(-below)
-    x = linalg.solve_banded((order, 0), bands, direction, check_finite=False)
-    start, predictor = x[:order], colour.predictors[-1]
-    ahead, back = (linalg.toeplitz(c, np.zeros(order)) for c in (predictor[:-1], predictor[:0:-1]))
-    found = []
-    for i in range(1, order + 1):
-        slope = 2 * (direction[order:] * x[order - i : size - i]).sum(axis=0)
-        ahead_i, back_i = -np.eye(order, k=-i), -np.eye(order, k=i - order)
-        slope -= 2 * ((ahead_i.T @ start) * (ahead.T @ start)).sum(axis=0)
-        slope += 2 * ((back_i.T @ start) * (back.T @ start)).sum(axis=0)
-        found.append(slope)
-    return np.stack(found, axis=1)
+    whitener = Whitener(colour.predictors, colour.variances, np.ones(size, dtype=bool))
+    points = fft.next_fast_len(_FINE * size, real=True)
+    frequency = 2 * np.pi * np.arange(points // 2 + 1) / points
+    weight = colour.density(frequency) * np.where((frequency > 0) & (frequency < np.pi), 2.0, 1.0) / points
+    slope = colour.slopes(frequency) * weight
+    x = whitener.matrix.T @ direction
+    power = (
+        np.abs(fft.rfft(part, points, axis=0)) ** 2
+        for part in np.array_split(x, -(-x.shape[1] // _BLOCK), axis=1)
+    )
+    return np.concatenate([part.T @ slope.T for part in power])

@@ -16,10 +16,11 @@ from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.colour_choice import beside, coloured_noise
 from casadi_engine.discrepancy.combustion_scatter import Scatter, assumed_cylinders, combustion_scatter
 from casadi_engine.discrepancy.compression import Compressed, compress, scatter_columns, white_levels
-from casadi_engine.discrepancy.linear_algebra import Array
+from casadi_engine.discrepancy.linear_algebra import Array, basis
 from casadi_engine.discrepancy.noise_model import NoiseModel, estimated_noise, left_over
-from casadi_engine.discrepancy.null_model import NullModel
+from casadi_engine.discrepancy.null_model import Index, NullModel
 from casadi_engine.discrepancy.score import score
+from casadi_engine.discrepancy.wander import spectrum, wander_of
 from casadi_engine.errors import EstimationError
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
@@ -32,6 +33,9 @@ ColourChoice = Literal["auto"] | bool
 _MOST, _SHARE, _ALIKE = 60, 0.05, 0.9
 # A known level is wrong if chance would do as much less often than this; a residual is coloured.
 _SURE, _COLOURED_P = 1e-4, 0.01
+# A wander has two parameters: by Akaike's criterion it is there from this drop of -2 log likelihood, which chance makes
+# in one white record of twenty. A weak slow one is otherwise seen by no test over a few lags, and raises false alarms.
+_WANDER = 4.0
 # A coloured residual is larger than a stated noise by so many standard errors; it is that of at least so many swings.
 _LARGER, _SWINGS = 4.0, 20
 # Samples of every channel from which a colour may wait: there the whiteness test sees any that would change a score.
@@ -239,10 +243,30 @@ def _is_white(null: NullModel, noise: NoiseModel, explained: Columns, random: Co
             held = explained[record.name][output]
             if random is not None:
                 held = np.concatenate([held, random[record.name][output]], axis=1)
+            if wanders(record.index[output], record.length[output], left[record.name][output], held):
+                return False
             p = white_p(record, output, left[record.name][output], held)
             if p is not None:
                 tests, smallest = tests + 1, min(smallest, p)
     return bool(smallest * tests >= _COLOURED_P)
+
+
+def wanders(index: Index, length: int, residual: Array, held: Array) -> bool:
+    """True if Akaike's criterion prefers white noise plus a slow wander to white noise alone.
+
+    held : (N, k) columns that were fitted
+    """
+    full = np.zeros((length, 1 + held.shape[1]))
+    frame = basis(held)
+    valid = np.zeros(length, dtype=bool)
+    valid[index] = True
+    full[index, 0], full[index, 1 : 1 + frame.shape[1]] = residual, frame
+    power = spectrum(full, valid, np.ones(length))
+    found = None if power is None else wander_of(power, 1)
+    if power is None or found is None:
+        return False
+    gain = power.deviance(np.ones(len(power.frequency))) - power.deviance(found.density(power.frequency))
+    return bool(gain > _WANDER)
 
 
 def _too_large(null: NullModel, noise: NoiseModel, known: Mapping[str, float]) -> tuple[tuple[str, str], ...]:
@@ -289,10 +313,9 @@ def innovation_p(
     white = noise.whiten(record, output, np.column_stack([residual, jacobian]))
     valid = np.zeros(length, dtype=bool)
     valid[record.index[output]] = True
-    whole = valid.copy()  # samples whose whole past is there
-    for lag in range(1, colour.order + 1):
+    whole = valid.copy()  # samples whose past is there; before the first there is none to miss
+    for lag in range(1, colour.reach + 1):
         whole[lag:] &= valid[:-lag]
-    whole[: colour.order] = False
     if np.count_nonzero(whole) < 2:
         return None
     return whiteness(white[:, 0], mask=whole, jacobian=white[:, 1:]).p_value

@@ -1,7 +1,8 @@
 """The noise of the null residuals: level, colour, and the scatter of combustion from cycle to cycle.
 
-V = sigma^2 (colour) + sum tau_c^2 g_c g_c^T: white or autoregressive measurement noise of each output, and random
-amplitudes of known shapes g_c (the combustion of one cylinder in one cycle), which are eliminated with their prior.
+V = sigma^2 (colour) + sum tau_c^2 g_c g_c^T: white or coloured measurement noise of each output (an autoregression, or
+white noise plus slow wanders), and random amplitudes of known shapes g_c (the combustion of one cylinder in one cycle),
+which are eliminated with their prior.
 """
 
 from __future__ import annotations
@@ -18,25 +19,31 @@ from casadi_engine.discrepancy.autoregression import autoregression
 from casadi_engine.discrepancy.combustion_scatter import scatter_level
 from casadi_engine.discrepancy.linear_algebra import REPEATED, Array, basis, triangle, without
 from casadi_engine.discrepancy.null_model import Index, NullModel, RecordNull
+from casadi_engine.discrepancy.wander import Spectrum, Wander, information, spectrum, wander_of
 from casadi_engine.validation.whitening import Whitener
 
 _LOWEST = 1e-6
 _FINE = 4096
+# Of a prediction, what is forgotten.
+_LITTLE = 1e-3
 _ROUNDS = 3
-# Rounds of level and colour; they end when no coefficient moves by this share of its standard error.
-_COLOUR_ROUNDS, _CLOSE = 12, 0.05
+# Rounds of level and colour; they end when no spectrum moves by this share of its standard error.
+_COLOUR_ROUNDS, _CLOSE, _COARSE = 12, 0.05, 33
 
 
 @dataclass(frozen=True, eq=False)
 class Colour:
-    """An autoregression: predictors (1, -a_1, ..., -a_j) of order j = 0..p and their variances, as in Whitener.
+    """Linear predictors (1, -a_1, ..., -a_j) of order j = 0..p and their variances, as in Whitener.
 
-    covariance : (p, p) of the estimated a_1 ... a_p; None if they are known
+    wander : white noise plus wanders, whose predictors these are; None for an autoregression
+    covariance : (m, m) of what was estimated, a_1 ... a_p or the logarithms of the wanders' variances and time
+    constants; None if it is known
     """
 
     predictors: tuple[Array, ...] = (np.ones(1),)
     variances: Array = field(default_factory=lambda: np.ones(1))
     covariance: Array | None = None
+    wander: Wander | None = None
 
     @property
     def order(self) -> int:
@@ -47,8 +54,27 @@ class Colour:
     def memory(self) -> float:
         """By how much the mean square of this noise varies more than that of white noise: the sum of its squared
         autocorrelations."""
-        density = 1 / np.abs(np.fft.rfft(self.predictors[-1], _FINE)) ** 2
+        density = self.density(np.linspace(0, np.pi, _FINE))
         return float(np.mean(density**2) / np.mean(density) ** 2)
+
+    @property
+    def reach(self) -> int:
+        """From how far back a sample is predicted, but for a small share."""
+        rest = np.cumsum(self.predictors[-1][::-1] ** 2)[::-1]
+        return int(np.count_nonzero(rest[1:] > _LITTLE))
+
+    def density(self, frequency: Array) -> Array:
+        """Spectrum (F,) at frequencies in rad per sample, of innovations of unit variance."""
+        return np.asarray(1 / np.abs(_transfer(self.predictors[-1], frequency)) ** 2)
+
+    def slopes(self, frequency: Array) -> Array:
+        """(m, F) of the logarithm of the density in what was estimated, the innovations' variance held."""
+        if self.wander is not None:
+            grid = np.linspace(0, np.pi, _FINE)
+            mean = self.wander.slopes((grid[1:] + grid[:-1]) / 2).mean(axis=1)
+            return np.asarray(self.wander.slopes(frequency) - mean[:, None])
+        turn = np.exp(-1j * np.outer(np.arange(1, self.order + 1), frequency))
+        return np.asarray(2 * (turn / _transfer(self.predictors[-1], frequency)).real)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,10 +118,23 @@ class NoiseModel:
         return np.asarray(cycle[np.clip(at, 0, len(cycle) - 1)], dtype=np.intp)
 
 
-def fitted_colour(residual: Array, index: Index, length: int, uncertain: Array | None = None) -> Colour:
-    """The autoregression of a residual (N,) at the samples ``index`` of a channel, its order by Akaike's criterion.
+def _transfer(predictor: Array, frequency: Array) -> Array:
+    return np.asarray(np.polyval(predictor[::-1], np.exp(-1j * frequency)))
+
+
+def fitted_colour(
+    residual: Array,
+    index: Index,
+    length: int,
+    uncertain: Array | None = None,
+    before: tuple[float, Colour] | None = None,
+) -> Colour:
+    """The colour of a residual (N,) at the samples ``index`` of a channel.
+
+    It is an autoregression, or white noise plus one or two slow wanders, by Akaike's criterion.
 
     uncertain : (N, q) the square root of the covariance with which the noise is known, given the data; None for zero
+    before : level and colour of the noise with which that was found
     """
     valid = np.zeros(length, dtype=bool)
     valid[index] = True
@@ -104,7 +143,31 @@ def fitted_colour(residual: Array, index: Index, length: int, uncertain: Array |
     if uncertain is not None:
         full[valid, 1:] = uncertain
     found = autoregression(full, valid)
-    return Colour(found.predictors, found.variances, found.covariance)
+    made = Colour(found.predictors, found.variances, found.covariance)
+    if not valid.all():
+        full = Whitener(found.predictors, found.variances, valid).filled(full)
+    level, old = (1.0, Colour()) if before is None else before
+    power = spectrum(full, valid, level**2 * old.density(np.pi * np.arange(length) / length))
+    return made if power is None else _best_of(made, power, length)
+
+
+def _best_of(made: Colour, power: Spectrum, length: int) -> Colour:
+    """The autoregression, or the wanders if Akaike's criterion prefers them."""
+    least = float(power.deviance(made.density(power.frequency))) + 2 * made.order
+    best: Wander | None = None
+    start = None
+    for count in (1, 2):
+        start = wander_of(power, count, start)
+        if start is None:
+            break
+        value = float(power.deviance(start.density(power.frequency))) + 4 * count
+        if value < least:
+            best, least = start, value
+    if best is None:
+        return made
+    predictors, variances = best.predictors(length)
+    covariance: Array = np.linalg.inv(information(power, best)).astype(float)
+    return Colour(predictors, variances / variances[-1], covariance, best)
 
 
 def estimated_noise(
@@ -123,7 +186,7 @@ def estimated_noise(
     explained : record -> output -> (N, k) these columns: the null slopes, and those of effects that are not to be
     counted as noise
     scatter : record -> output -> (N, g) columns of random amplitudes of one kind, or None
-    colour : estimate an autoregression per record and output; sigma : known levels, kept as they are
+    colour : estimate a colour per record and output; sigma : known levels, kept as they are
     start : a noise to begin with
 
     Level, colour and scatter are settled in turn, each given the others.
@@ -136,7 +199,7 @@ def estimated_noise(
     for _ in range(_COLOUR_ROUNDS if colour else _ROUNDS if scatter else 1):
         tau = _scatter_of(null, noise, explained, scatter) if scatter else 0.0
         left = _left(null, noise, explained, scatter, tau)
-        before, colours = noise.colour, _colours(null, left) if colour else {}
+        before, colours = noise.colour, _colours(null, noise, left) if colour else {}
         noise = NoiseModel(levels, colours, {kind: tau} if scatter else {}, "estimated")
         if sigma is None:
             levels, count = _levels(null, noise, left)
@@ -146,27 +209,30 @@ def estimated_noise(
     return noise
 
 
-def _colours(null: NullModel, left: _Left) -> dict[tuple[str, str], Colour]:
+def _colours(null: NullModel, noise: NoiseModel, left: _Left) -> dict[tuple[str, str], Colour]:
     found = {}
     for record in null.records:
         for output in record.outputs:
             e, uncertain = left.noise[record.name][output], left.uncertain[record.name][output]
-            colour = fitted_colour(e, record.index[output], record.length[output], uncertain)
+            old = noise.sigma[output], noise.colour.get((record.name, output), Colour())
+            colour = fitted_colour(e, record.index[output], record.length[output], uncertain, old)
             if colour.order:
                 found[record.name, output] = colour
     return found
 
 
 def _settled(before: Mapping[tuple[str, str], Colour], after: Mapping[tuple[str, str], Colour]) -> bool:
-    """True if no coefficient has moved by more than a small share of its standard error."""
+    """True if no spectrum has moved by more than a small share of its standard error."""
     if before.keys() != after.keys():
         return False
+    grid = np.linspace(0, np.pi, _COARSE)
     for key, colour in after.items():
-        old = before[key].predictors[-1]
-        if colour.covariance is None or len(old) != colour.order + 1:
+        if colour.covariance is None or (colour.wander is None) != (before[key].wander is None):
             return False
-        error = np.sqrt(np.diag(colour.covariance))
-        if (np.abs(old[1:] - colour.predictors[-1][1:]) > _CLOSE * error).any():
+        slope = colour.slopes(grid)
+        error = np.sqrt(np.einsum("if,ij,jf->f", slope, colour.covariance, slope))
+        moved = np.abs(np.log(colour.density(grid) / before[key].density(grid)))
+        if (moved > _CLOSE * error + _LITTLE).any():
             return False
     return True
 
@@ -181,6 +247,39 @@ def left_over(
     ``estimated_noise``."""
     tau = max(noise.scatter.values(), default=0.0) if scatter else 0.0
     return _left(null, noise, explained, scatter, tau).noise
+
+
+def deviance(
+    null: NullModel,
+    noise: NoiseModel,
+    explained: Mapping[str, Mapping[str, Array]],
+    scatter: Mapping[str, Mapping[str, Array]] | None = None,
+) -> float:
+    """-2 log likelihood of the residuals, the columns' coefficients at their best.
+
+    Arguments as in ``estimated_noise``.
+    """
+    tau = max(noise.scatter.values(), default=0.0) if scatter else 0.0
+    found = 0.0
+    for record in null.records:
+        rows = _stacked(noise, record, explained, scatter)
+        given = next(iter(explained[record.name].values())).shape[1]
+        if tau > 0:
+            random = np.concatenate([rows[:, given:-1] * tau, np.eye(rows.shape[1] - 1 - given)])
+            found += 2 * float(np.log(np.abs(np.diag(np.linalg.qr(random, mode="r")))).sum())
+            padded = np.zeros((len(random), rows.shape[1]))
+            padded[: len(rows)] = rows
+            rows = without(np.linalg.qr(random)[0], padded)
+        rest = without(basis(rows[:, :given]), rows[:, -1:])
+        found += float((rest**2).sum())
+        for output in record.outputs:
+            colour = noise.colour.get((record.name, output))
+            found += 2 * len(record.residual[output]) * math.log(noise.sigma[output])
+            if colour is not None:
+                valid = np.zeros(record.length[output], dtype=bool)
+                valid[record.index[output]] = True
+                found += Whitener(colour.predictors, colour.variances, valid).log_determinant
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -62,7 +62,23 @@ class Whitener:
 
     def apply(self, columns: FloatArray) -> FloatArray:
         """Whiten (n, k) columns that hold zeros at missing samples, as if only the others existed."""
-        return columns if self.order == 0 else _whiten(columns, self.valid, self.matrix, self.order)
+        return columns if self.order == 0 else np.asarray(self.matrix @ self.filled(columns))
+
+    @property
+    def log_determinant(self) -> float:
+        """Return the logarithm of the determinant of the present samples' covariance, per innovation variance."""
+        start = np.log(self.variances[:-1] / self.variances[-1])[: self.valid.size]
+        found = float(start.sum())
+        if self.order and not self.valid.all():
+            _, bands = _gap_precision(self.valid, self.matrix, self.order)
+            found += 2 * float(np.log(linalg.cholesky_banded(bands, lower=True)[0]).sum())
+        return found
+
+    def filled(self, columns: FloatArray) -> FloatArray:
+        """Return (n, k) columns with their missing samples as the others predict them."""
+        if self.order == 0 or self.valid.all():
+            return columns
+        return _filled(columns, self.valid, self.matrix, self.order)
 
 
 def _autoregression(e: FloatArray, valid: BoolArray) -> tuple[tuple[FloatArray, ...], FloatArray]:
@@ -125,20 +141,26 @@ def _whitening_matrix(
     return sparse.csr_array(placed, shape=(size, size))
 
 
-def _whiten(columns: FloatArray, valid: BoolArray, matrix: sparse.csr_array, order: int) -> FloatArray:
-    """Whiten columns that hold zeros at missing samples, as if only the present samples existed.
+def _filled(columns: FloatArray, valid: BoolArray, matrix: sparse.csr_array, order: int) -> FloatArray:
+    """Fill columns that hold zeros at missing samples so that they whiten as if only the present samples existed.
 
     With W the whitening matrix, filling the gaps so that ‖W x‖ is least gives xᵀ V⁻¹ x of the present
     samples exactly (Schur complement of the banded precision WᵀW), for all columns in one banded solve.
     """
-    if valid.all():
-        return np.asarray(matrix @ columns)
+    gaps, bands = _gap_precision(valid, matrix, order)
+    filled = columns.copy()
+    filled[~valid] = -linalg.solveh_banded(bands, gaps.T @ (matrix @ columns), lower=True)
+    return filled
+
+
+def _gap_precision(
+    valid: BoolArray, matrix: sparse.csr_array, order: int
+) -> tuple[sparse.csc_array, FloatArray]:
+    """Return the map's columns at missing samples, and their products in bands below the diagonal."""
     gaps = matrix.tocsc()[:, ~valid]
     precision = gaps.T @ gaps
     size = precision.shape[0]
     bands = np.zeros((min(order, size - 1) + 1, size))
     for below in range(bands.shape[0]):
         bands[below, : size - below] = precision.diagonal(-below)
-    filled = columns.copy()
-    filled[~valid] = -linalg.solveh_banded(bands, gaps.T @ (matrix @ columns), lower=True)
-    return np.asarray(matrix @ filled)
+    return gaps, bands

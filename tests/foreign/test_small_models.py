@@ -1,0 +1,86 @@
+"""Small models as a new user writes them: simulated to 1e-5 and one parameter recovered, or refused with the cause."""
+
+import functools
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from small_models import CASES
+from small_outcome import linearised, recovered, simulated
+from small_truth import Pieces, solve
+
+
+def test_there_are_forty_and_each_has_its_own_name():
+    assert len(CASES) >= 40
+    assert all(case.free in case.p and case.guess != case.p[case.free] for case in CASES.values())
+
+
+@pytest.mark.parametrize("name", list(CASES))
+def test_simulated(name):
+    """To 1e-5 of the largest value of each output, wherever it was answered."""
+    outcome = simulated(CASES[name])
+    assert outcome.passes, f"{outcome.kind}: {outcome.detail}"
+
+
+@pytest.mark.parametrize("name", list(CASES))
+def test_recovered(name):
+    """One parameter from a noisy record, within three of its standard errors, which are of the right size."""
+    outcome = recovered(CASES[name])
+    assert outcome.passes, f"{outcome.kind}: {outcome.detail}"
+
+
+# ---- the oracle itself
+
+
+def test_oracle_meets_a_closed_form_with_stops():
+    """A sliding mass that dry friction stops, and that a push starts again: parabolas."""
+    pieces = Pieces({"F": (np.array([0.0, 2.0, 4.0]), np.array([0.0, 3.0, 3.0]))}, "zero")
+    rates = lambda t, x, p, u, s: [u["F"] - p["mu"] * s]  # noqa: E731
+    time = np.linspace(0, 4, 81)
+    found = solve(rates, {"mu": 2.0}, np.array([1.0]), 0.0, time, pieces, (), lambda x, p: x[0])[0]
+    known = np.where(time < 2, np.maximum(1 - 2 * time, 0), time - 2)
+    assert np.abs(found - known).max() < 1e-9
+
+
+def test_oracle_starts_anew_at_the_samples_of_an_input():
+    """Held samples through a first-order lag, against the exact recursion."""
+    t, v = np.arange(6.0), np.array([1.0, -1.0, 2.0, 0.0, 1.0, 1.0])
+    found = solve(lambda t, x, p, u: [u["a"] - x[0]], {}, np.zeros(1), 0.0, t, Pieces({"a": (t, v)}, "zero"))[
+        0
+    ]
+    known = [0.0]
+    for k in range(5):
+        known.append(v[k] + (known[-1] - v[k]) * np.exp(-1))
+    np.testing.assert_allclose(found, known, atol=1e-10)
+
+
+def test_expected_errors_are_those_of_least_squares():
+    """The linearised standard error of a decay with a free start, by hand."""
+    case = CASES["michaelis_menten"]
+    time, sigma = case.time, case.sigma()["conc"]
+
+    def path(km, c0):
+        rate = lambda t, c: -case.p["vmax"] * c / (km + c)  # noqa: E731
+        return solve_ivp(rate, (0, time[-1]), [c0], t_eval=time, rtol=1e-11, atol=1e-14).y[0]
+
+    km, c0 = case.p["km"], case.start["c"]
+    columns = [
+        (path(km * 1.0001, c0) - path(km * 0.9999, c0)) / (2e-4 * km),
+        (path(km, c0 * 1.0001) - path(km, c0 * 0.9999)) / (2e-4 * c0),
+    ]
+    jacobian = np.array(columns).T / sigma
+    known = np.sqrt(np.linalg.inv(jacobian.T @ jacobian)[0, 0])
+    assert abs(linearised(case) / known - 1) < 1e-3
+
+
+@functools.cache
+def _truth(name):
+    return CASES[name].truth(CASES[name].time)
+
+
+@pytest.mark.parametrize("name", list(CASES))
+def test_truth_moves_and_is_finite(name):
+    """No case asks for a constant."""
+    for y in _truth(name).values():
+        assert np.isfinite(y).all()
+        assert np.ptp(y) > 1e-3 * np.abs(y).max()
