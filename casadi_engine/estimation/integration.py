@@ -23,6 +23,7 @@ from casadi_engine.simulation.error_estimate import (
     signed_error,
     summed_up,
 )
+from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 
 Array = NDArray[np.float64]
 
@@ -64,7 +65,11 @@ def shorten_steps(records: Sequence[RecordTerm], v: Array, nodes: Sequence[Array
         finer = shortened(record.propagator, found, min(4 * shift / limit, 1e8))
         if finer is not None:
             record.propagator = finer
-            changed = True
+        elif not isinstance(record.propagator, RungeKuttaPropagator):
+            record.step_in_places()
+        else:
+            continue
+        changed = True
     return changed
 
 

@@ -19,7 +19,7 @@ from casadi_engine.simulation.grid import Grid, lay_grid
 from casadi_engine.simulation.intervals import Intervals, Observation, cut
 from casadi_engine.simulation.linear import LinearPropagator
 from casadi_engine.simulation.propagator import after_missing, fineness_of, make_propagator, starts_afresh
-from casadi_engine.simulation.runge_kutta import Fineness
+from casadi_engine.simulation.runge_kutta import Fineness, RungeKuttaPropagator
 from casadi_engine.simulation.shared_core import Cores
 
 Array = NDArray[np.float64]
@@ -87,6 +87,7 @@ class RecordTerm:
             gain=gain.build(gain.expression, local) if isinstance(gain, GainPlan) else gain,
             used=None if plan is None else plan.used, cores=cores, steps=steps,
         )  # fmt: skip
+        self._local = local
         self.n = len(self.scale)
         if isinstance(gain, np.ndarray) and starts_afresh(model, gain, self.scale):
             self.observation.leave_out(after_missing(self.grid))
@@ -98,6 +99,12 @@ class RecordTerm:
     def linear(self) -> bool:
         """True if the state at an interval's end is affine in that at its start."""
         return isinstance(self.propagator, LinearPropagator)
+
+    def step_in_places(self) -> None:
+        """Integrate by steps that may differ from sample to sample, in place of those of the linear core."""
+        self.propagator = RungeKuttaPropagator(
+            self.model, self.grid, self.plan, self._local, self.symbols[1], scale=self.scale
+        )
 
     def single(self) -> RecordTerm:
         """The same record as one interval, for simulation."""

@@ -302,6 +302,7 @@ class ExponentialPropagator:
                     known = current[n : n + i * nw].reshape(i * nw, -1)
                     np.matmul(feeds[i], known, out=feed.reshape(ns, -1))
                     stage += feed
+                torque[self.laws.without_signals] = 0.0
                 for entry, (law, signal, opens) in enumerate(self.laws.pattern):
                     if opens:
                         np.multiply(by_signal[k, i, entry], stage[signal], out=torque[law])

@@ -65,6 +65,8 @@ class Laws:
         self.entries = _entries(slope.sparsity())
         picked = ca.vertcat(*[slope[int(i), int(j)] for i, j in zip(*self.entries, strict=True)])
         opens = np.diff(self.entries[0], prepend=-1) > 0
+        # laws of channels and time alone
+        self.without_signals = np.setdiff1d(np.arange(self.count), self.entries[0])
         # (law, signal, first of its law) of each entry
         self.pattern = [(int(i), int(j), bool(o)) for i, j, o in zip(*self.entries, opens, strict=True)]
         self._slopes = ArrayFunction([s, given, z], [picked, ca.densify(ca.jacobian(rest, free))])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Protocol
 
 import casadi as ca
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.errors import SimulationError
 from casadi_engine.model import Model
+from casadi_engine.model.jumps import jumps_in
 from casadi_engine.simulation.discretisation import Method
 from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
 from casadi_engine.simulation.gain import Gain, Seen, StatedGain
@@ -21,7 +23,7 @@ from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.linear import LinearPropagator
 from casadi_engine.simulation.observed import ObservedPropagator, with_states_shown
 from casadi_engine.simulation.shared_core import Cores
-from casadi_engine.simulation.split import split
+from casadi_engine.simulation.split import split, timed_drives
 
 
 class _CorePropagator(LinearPropagator):
@@ -100,9 +102,12 @@ def make_propagator(
             allowed='"exact" or "euler"',
             cure='leave it out for "exact"',
         )
-    if not grid.uniform:
-        return _unequal(model, grid, intervals, z, physical, scale, method, gain, steps)
-    parts = split(model) if model.has_slot_laws or model.linear is None else None
+    fineness = steps if isinstance(steps, Fineness) else None
+    if not grid.uniform or fineness is not None or switches_in_time(model):
+        _check_options(grid, method, gain)
+        return RungeKuttaPropagator(model, grid, intervals, z, physical, scale=scale, fineness=fineness)
+    bent = model.has_slot_laws or model.linear is None or timed_drives(model)
+    parts = split(model) if bent else None
     inner = parts.model if parts is not None else model
     if inner.linear is not None and not inner.has_slot_laws:
         made = _linear(
@@ -125,32 +130,30 @@ def make_propagator(
     if parts is not None and parts.model.has_slot_laws:
         states = ExponentialPropagator(shown, parts, grid, intervals, z, physical, scale=scale, substeps=whole)
         return ObservedPropagator(model, states, grid, z, physical)
-    fineness = steps if isinstance(steps, Fineness) else None
-    return RungeKuttaPropagator(model, grid, intervals, z, physical, scale=scale, fineness=fineness)
+    return RungeKuttaPropagator(model, grid, intervals, z, physical, scale=scale)
 
 
-def _unequal(
-    model: Model,
-    grid: Grid,
-    intervals: Intervals,
-    z: ca.SX,
-    physical: ca.SX,
-    scale: Array,
-    method: Method,
-    gain: Array | Gain | None,
-    steps: int | Fineness | None,
-) -> RungeKuttaPropagator:
-    """The propagator over a record whose samples are not equally spaced."""
-    if method != "exact" or gain is not None:
-        raise SimulationError(
-            "the samples of this record are not equally spaced, or inputs and outputs were not sampled together, and the "
-            "option needs that",
-            seen=f"method={method!r}" if method != "exact" else "a correction gain",
-            allowed='method="exact" without a gain',
-            cure="resample the inputs to the outputs' times, or leave the option out",
-        )
-    fineness = steps if isinstance(steps, Fineness) else None
-    return RungeKuttaPropagator(model, grid, intervals, z, physical, scale=scale, fineness=fineness)
+@lru_cache(maxsize=64)
+def switches_in_time(model: Model) -> bool:
+    """True if the equations jump at instants that time or a channel decides: steps are cut there."""
+    return jumps_in(model.closed_ode, ca.vertcat(model.u, model.t))
+
+
+def _check_options(grid: Grid, method: Method, gain: Array | Gain | None) -> None:
+    """Refuse what asks for a linear model on equal steps."""
+    if method == "exact" and gain is None:
+        return
+    why = (
+        "the equations jump in time"
+        if grid.uniform
+        else "the samples of this record are not equally spaced, or inputs and outputs were not sampled together"
+    )
+    raise SimulationError(
+        f"{why}, and the option is for linear models on equal steps",
+        seen=f"method={method!r}" if method != "exact" else "a correction gain",
+        allowed='method="exact" without a gain',
+        cure="resample the inputs to the outputs' times, or leave the option out",
+    )
 
 
 def _linear(

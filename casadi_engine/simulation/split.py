@@ -1,8 +1,9 @@
 """A model split for the exponential integrator: a linear core, and the laws that no linear core can hold.
 
 Laws that are affine in the states with constant factors (a viscous damper, an absorber) join the core, and laws that
-hang on channels and time alone (a misfire, a torque ripple) become drives: what is left of many effects is a linear
-model. The other way round, an equation that is not affine (an effect's own state with a nonlinear rate) keeps its
+depend on channels alone (a misfire, a torque ripple) become drives: what is left of many effects is a linear model. What depends
+on time itself is no drive: between two samples it is not the straight line through them, but known; it is a law, which the integrator
+evaluates where it needs it. The other way round, an equation that is not affine (an effect's own state with a nonlinear rate) keeps its
 linear part in the core and gives the rest to a slot of its own.
 """
 
@@ -34,6 +35,7 @@ class Split:
 
 def split(model: Model) -> Split | None:
     """The split of a model, or None for a model without a useful linear core."""
+    model = _timed_drives_as_laws(model)
     if model.linear is None:
         read = _known_outputs(model)
         own = None if read is None else _own_slots(read)
@@ -85,6 +87,23 @@ def _with_drives(model: Model, drives: list[tuple[ca.SX, ca.SX]]) -> Model:
     )
 
 
+def timed_drives(model: Model) -> list[int]:
+    """Numbers of the drives that depend on time itself."""
+    return [j for j in range(model.d.numel()) if ca.depends_on(model.drive_expressions[j], model.t)]
+
+
+def _timed_drives_as_laws(model: Model) -> Model:
+    """The model with slots in its ode for drives that depend on time itself; outputs show these drives still."""
+    timed = [j for j in timed_drives(model) if ca.depends_on(model.ode, model.d[j])]
+    if not timed:
+        return model
+    slots = ca.vertcat(*[ca.SX.sym(f"w_{model.drives[j].name}") for j in timed])
+    drives = ca.vertcat(*[model.d[j] for j in timed])
+    laws = ca.vertcat(model.slot_laws, *[model.drive_expressions[j] for j in timed])
+    ode = ca.substitute(model.ode, drives, slots)
+    return replace(model, ode=ode, w=ca.vertcat(model.w, slots), laws=laws)
+
+
 def _own_slots(model: Model) -> Model | None:
     """The model with a slot of its own for every equation that is not affine."""
     n = int(model.x.numel())
@@ -112,7 +131,7 @@ def _finite(model: Model, row: ca.SX) -> bool:
 
 def _without_simple_laws(model: Model) -> Model:
     """Affine laws put into the ode, known ones made drives; the slots that are left hold the other laws."""
-    laws = model.slot_laws
+    laws = ca.SX(model.slot_laws)
     count = int(model.w.numel())
     known = ca.vertcat(model.u, model.d, model.t)
     put, kept, drives = ca.SX(model.w), [], []
@@ -126,11 +145,16 @@ def _without_simple_laws(model: Model) -> Model:
             kept.append(row)
             continue
         slope, rest = parts
-        if known.numel() and ca.depends_on(rest, known):
+        closed = _closed(model, rest)
+        if ca.depends_on(closed, model.t):
+            kept.append(row)
+            laws[row], put[row] = rest, slope @ model.x + model.w[row]
+        elif known.numel() and ca.depends_on(rest, known):
             drive = ca.SX.sym(f"known_{row}")
-            drives.append((drive, _closed(model, rest)))
-            rest = drive
-        put[row] = slope @ model.x + rest
+            drives.append((drive, closed))
+            put[row] = slope @ model.x + drive
+        else:
+            put[row] = slope @ model.x + rest
     if not count:
         return model
     left = ca.vertcat(*[model.w[row] for row in kept]) if kept else ca.SX(0, 1)

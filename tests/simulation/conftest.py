@@ -77,7 +77,7 @@ def _switched_model():
     b.ode("v", u - x - 0.3 * v * x**2 - load + 0.4 * ca.sign(ca.sin(rate * b.time + 0.3)))
     b.output("x", x)
     b.output("power", v * (x + u))
-    return b.model()
+    return without_rates(b.model())
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class Made:
     @staticmethod
     def experiment(model, time, *, outputs=None, hold="first", **values):
         """A record on one time axis, units from the model."""
-        units = {v.name: v.unit for v in (*model.inputs, *model.outputs)}
+        units = {v.name: v.unit.replace("-", "1") for v in (*model.inputs, *model.outputs)}
         holds = hold if isinstance(hold, dict) else dict.fromkeys(values, hold)
         channels = []
         for name, row in values.items():

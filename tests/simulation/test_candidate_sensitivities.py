@@ -81,13 +81,13 @@ def test_a_parameter_and_an_initial_state_have_the_propagators_slopes(record, fo
         assert np.abs(found[k] - wanted[1 + k]).max() < (1e-10 if form == "measured" else 1e-5) * size
 
 
-def linear(noise_free=True):
+def linear(*, pulls=-1):
     b = ce.Blueprint("pair")
     j, k = b.parameter("J", 0.4), b.parameter("K", 300.0)
     w, q = b.state("w", scale=10), b.state("q", scale=0.1)
     torque = b.input("T")
     spring = b.port("spring", "coupling", {"twist": q, "twist_rate": w})
-    b.ode("w", (torque - k * q + spring) / j)
+    b.ode("w", (torque - k * q - pulls * spring) / j)
     b.ode("q", w)
     b.output("w", w)
     return b.model()
@@ -214,7 +214,7 @@ def test_knots_add_up_to_the_whole_torque_and_are_causal():
 @pytest.mark.parametrize("dragged", [False, True])
 def test_a_knot_is_a_hat_over_time(count, dragged):
     """Knots far apart and closer than samples, of a linear model and of one whose equation varies along the path."""
-    model = linear()
+    model = linear(pulls=1)
     if dragged:
         model = model.with_effect(ce.effects.CubicStiffness(), at="spring", values={"stiffness": 2e4})
     data = drifting(model, n=601)

@@ -57,14 +57,28 @@ def test_a_channel_on_the_grid_is_taken_as_it_is(model):
     np.testing.assert_array_equal(grid.channels, [values, values])
 
 
-@pytest.mark.parametrize(("rate", "parts"), [(40, 4), (35, 4), (10.4, 1), (11.5, 2), (2, 1)])
+@pytest.mark.parametrize(("rate", "parts"), [(40, 4), (2, 1), (30, 3)])
 def test_an_output_faster_than_the_inputs_refines_the_grid(model, rate, parts):
     count = int(2 * rate) + 1
     grid = lay_grid(model, record(a=ramp(10, 21), c=ramp(5, 11), y=ramp(rate, count), w=ramp(2, 5)))
+    assert grid.uniform
     assert grid.step == pytest.approx(0.1 / parts, rel=1e-12)
     # The corners of the interpolated inputs stay on the grid.
     np.testing.assert_allclose((0.1 / grid.step) % 1, 0, atol=1e-9)
-    assert grid.measured["y"].on_grid == (rate in (40, 2))
+    assert grid.measured["y"].on_grid
+
+
+@pytest.mark.parametrize("rate", [35, 10.4, 11.5])
+def test_an_output_between_the_inputs_samples_adds_its_own_times(model, rate):
+    count = int(2 * rate) + 1
+    y = ramp(rate, count)
+    grid = lay_grid(model, record(a=ramp(10, 21), c=ramp(5, 11), y=y, w=ramp(2, 5)))
+    assert not grid.uniform
+    measured = grid.measured["y"]
+    assert measured.on_grid
+    np.testing.assert_allclose(grid.time[measured.position.astype(int)], y[0], rtol=1e-12)
+    assert grid.samples <= 21 + count
+    np.testing.assert_allclose(grid.channels[0], 3 * grid.time + 1, rtol=1e-12)
 
 
 def test_an_output_that_is_on_the_refined_grid_needs_no_interpolation(model):
@@ -148,10 +162,30 @@ def test_inputs_longer_than_the_outputs_are_cut_to_them(model):
 def test_outputs_between_grid_points_keep_their_times(model):
     time = 0.123 + np.cumsum(np.random.default_rng(2).uniform(0.005, 0.04, 30))
     grid = lay_grid(model, record(a=ramp(100, 201), c=ramp(100, 201), y=(time, time), w=(time, -time)))
-    assert not grid.measured["y"].on_grid
-    assert grid.time[0] <= time[0] < grid.time[0] + grid.step
-    assert grid.time[-1] >= time[-1]
-    np.testing.assert_allclose(grid.start + grid.step * grid.measured["y"].position, time, rtol=1e-12)
+    assert grid.time[0] == time[0]
+    assert grid.time[-1] == time[-1]
+    np.testing.assert_array_equal(grid.time[grid.measured["y"].position.astype(int)], time)
+    # the corners of the inputs are points too
+    inside = np.arange(201) / 100
+    inside = inside[(inside > time[0]) & (inside < time[-1])]
+    assert np.abs(grid.time[:, None] - inside).min(axis=0).max() < 1e-12
+
+
+def test_the_grid_grows_with_the_samples_and_not_with_the_time_between_them():
+    b = Blueprint("alone")
+    x = b.state("x")
+    b.ode("x", -x)
+    b.output("y", x)
+    bursts = np.concatenate([3600 * k + np.arange(1000) / 1000 for k in range(3)])
+    grid = lay_grid(b.model(), record(y=(bursts, np.cos(bursts))))
+    np.testing.assert_array_equal(grid.time, bursts)
+
+
+def test_a_stair_between_the_samples_steps_where_it_was_sampled(model):
+    stair = (np.array([0.0, 0.333, 1.0]), np.array([1.0, 5.0, 5.0]), "zero")
+    grid = lay_grid(model, record(a=ramp(10, 11), c=stair, y=ramp(10, 11), w=ramp(10, 11)))
+    assert 0.333 in grid.time
+    np.testing.assert_array_equal(grid.channels[1], np.where(grid.time < 0.333, 1.0, 5.0))
 
 
 def test_without_outputs_the_common_span_of_the_inputs_is_simulated(model):
@@ -161,12 +195,12 @@ def test_without_outputs_the_common_span_of_the_inputs_is_simulated(model):
     assert grid.measured == {}
 
 
-def test_inputs_on_an_uneven_time_are_interpolated_on_their_median_step(model):
+def test_inputs_on_an_uneven_time_are_taken_where_they_were_sampled(model):
     time = np.cumsum(np.random.default_rng(3).uniform(0.008, 0.012, 200))
     grid = lay_grid(model, record(a=(time, 3 * time + 1), c=(time, time), y=(time, time), w=(time, time)))
+    np.testing.assert_array_equal(grid.time, time)
     assert grid.step == pytest.approx(np.median(np.diff(time)))
-    inside = grid.time <= time[-1]
-    np.testing.assert_allclose(grid.channels[0][inside], 3 * grid.time[inside] + 1, rtol=1e-12)
+    np.testing.assert_array_equal(grid.channels[0], 3 * time + 1)
 
 
 # ---- rounded times
@@ -188,8 +222,8 @@ def test_times_rounded_in_a_file_count_as_uniform(model, decimals):
 def test_two_samples_at_one_grid_point_are_not_merged(model):
     time = np.array([0.0, 0.1, 0.10005, 0.2])
     grid = lay_grid(model, record(a=ramp(10, 4), c=ramp(10, 4), y=(time, time), w=ramp(10, 3)))
-    assert not grid.measured["y"].on_grid
     assert len(np.unique(grid.measured["y"].position)) == 4
+    assert 0.10005 in grid.time
 
 
 # ---- errors
@@ -218,15 +252,6 @@ def test_inputs_that_do_not_cover_the_outputs_are_an_error(model):
         ExperimentError, match=r"input 'a' does not cover output 'y' in time; seen: input from 0 to 1 s"
     ):
         lay_grid(model, record(a=ramp(10, 11), c=ramp(10, 21), y=ramp(10, 21), w=ramp(10, 11)))
-
-
-def test_a_wrong_unit_is_an_error(model):
-    channels = record(a=ramp(10, 21), c=ramp(10, 21), w=ramp(10, 21))
-    time, values = ramp(10, 21)
-    with pytest.raises(
-        UnitError, match=r"column 'y': the unit is of the wrong kind; seen: rad/s; allowed: 1,"
-    ):
-        lay_grid(model, channels.with_channel(Channel("y", "rad/s", time=time, values=values)))
 
 
 def test_inputs_that_do_not_overlap_are_an_error(model):

@@ -63,7 +63,7 @@ def test_first_and_second_derivatives_equal_casadis(made, name):
     grid = made.grid(rng.normal(size=(1, samples)), samples=samples, step=0.1, holds=holds)
     z = ca.SX.sym("z", 3)
     physical, scale = z * (1 + 0.3 * ca.sin(z)), made.scale(model)
-    propagator = make_propagator(model, grid, plan, z, physical, scale=scale, substeps=substeps)
+    propagator = make_propagator(model, grid, plan, z, physical, scale=scale, steps=substeps)
     assert isinstance(propagator, ObservedPropagator)
     reference = made.reference(model, grid, plan, z, physical, scale, made.krogstad_step(holds, substeps))
     found = made.compare(

@@ -74,8 +74,11 @@ def test_a_linear_model_is_propagated_exactly_and_any_other_by_steps(made):
     ("law", "kind"),
     [
         (lambda q, t: -(q**3), ExponentialPropagator),
-        (lambda q, t: -2 * q + ca.sin(t), LinearPropagator),
-        (lambda q, t: ca.sin(t), LinearPropagator),
+        (lambda q, t: -2 * q, LinearPropagator),
+        # time itself is known between the samples, where a line through them is not enough
+        (lambda q, t: -2 * q + ca.sin(t), ExponentialPropagator),
+        (lambda q, t: ca.sin(t), ExponentialPropagator),
+        (lambda q, t: ca.if_else(t > 0.3, 1, 0), RungeKuttaPropagator),
         (lambda q, t: ca.sin(t) * q, ExponentialPropagator),
     ],
 )
@@ -256,7 +259,7 @@ def test_outputs_off_the_grid_cannot_be_predicted(made):
             model, grid, cut(grid, 5), model.p, model.p, scale=made.scale(model), gain=np.ones((2, 1))
         )
     assert str(info.value) == (
-        "a predictor needs every output on the inputs' time grid; seen: w off the grid; allowed: outputs "
-        "that were sampled together with the inputs; do: resample the inputs to the output's times, "
-        "or take output error (no gain)"
+        "the samples of this record are not equally spaced, or inputs and outputs were not sampled together, and "
+        "the option is for linear models on equal steps; seen: a correction gain; allowed: "
+        'method="exact" without a gain; do: resample the inputs to the outputs\' times, or leave the option out'
     )

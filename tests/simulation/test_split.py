@@ -44,8 +44,10 @@ def rates(parts, x, u=0.7, t=0.3, p=2.0):
 KINDS = {
     # law, slots left, drives of the split model
     "affine": (lambda q, v, u, t, k: -k * v + 0.5, 0, 1),
-    "known": (lambda q, v, u, t, k: k * ca.sin(t) * u**2, 0, 2),
-    "affine and known": (lambda q, v, u, t, k: -k * v + ca.sin(t), 0, 2),
+    "known": (lambda q, v, u, t, k: k * u**2, 0, 2),
+    "affine and known": (lambda q, v, u, t, k: -k * v + ca.sin(u), 0, 2),
+    "known in time": (lambda q, v, u, t, k: k * ca.sin(t) * u**2, 1, 1),
+    "affine and known in time": (lambda q, v, u, t, k: -k * v + ca.sin(t), 1, 1),
     "nonlinear": (lambda q, v, u, t, k: -k * q**3, 1, 1),
     "affine with a factor of time": (lambda q, v, u, t, k: ca.sin(t) * q, 1, 1),
     "nonlinear and known": (lambda q, v, u, t, k: -(q**3) + u, 1, 1),
