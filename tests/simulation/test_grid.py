@@ -19,7 +19,7 @@ def model():
     x = b.state("x")
     a, c = b.input("a"), b.input("c")
     b.ode("x", a + c - x)
-    b.output("y", x)
+    b.output("y", x, unit="1")
     b.output("w", 2 * x)
     return b.model()
 
@@ -224,7 +224,9 @@ def test_a_wrong_unit_is_an_error(model):
     channels = record(a=ramp(10, 21), c=ramp(10, 21), w=ramp(10, 21))
     time, values = ramp(10, 21)
     with pytest.raises(
-        UnitError, match=r"column 'y': the unit is of the wrong kind; seen: rad/s; allowed: 1,"
+        UnitError,
+        match=r"column 'y': the unit is of another dimension than the model declares; seen: rad/s in the data "
+        r"\(dimension s-1 rad\); allowed: 1 \(dimension 1\),",
     ):
         lay_grid(model, channels.with_channel(Channel("y", "rad/s", time=time, values=values)))
 
