@@ -13,7 +13,12 @@ import casadi as ca
 from casadi_engine.errors import ModelError
 from casadi_engine.experiment.units import NOT_STATED
 from casadi_engine.model.declarations import PORT_KINDS, ParameterDeclaration, Port, Ports, Variable
-from casadi_engine.model.declared_units import check_shared_units, refuse_other_clocks, seconds_in
+from casadi_engine.model.declared_units import (
+    check_crank_angle,
+    check_shared_units,
+    refuse_other_clocks,
+    seconds_in,
+)
 from casadi_engine.model.model import Model
 from casadi_engine.parameters import near_matches
 
@@ -173,6 +178,7 @@ class Blueprint:
         self._check_complete()
         inputs, outputs = ([made[0] for made in group.values()] for group in (self._inputs, self._outputs))
         check_shared_units(inputs, outputs)
+        check_crank_angle(inputs)
         if self._time_unit is None:
             others = [made[0] for group in (self._parameters, self._states) for made in group.values()]
             refuse_other_clocks(self.name, [*others, *inputs])

@@ -47,6 +47,20 @@ def check_shared_units(inputs: Sequence[Variable], outputs: Sequence[Variable]) 
         )
 
 
+def check_crank_angle(inputs: Sequence[Variable]) -> None:
+    """Raise ModelError for an input theta in degrees: cycles are counted by it, in rad, wherever a record turns."""
+    for variable in inputs:
+        if variable.name == "theta" and variable.unit != NOT_STATED:
+            unit = read_unit(variable.unit)
+            if unit.dimension == "rad" and not unit.is_si:
+                raise ModelError(
+                    "an input called theta is the crank angle, and that is in rad",
+                    seen=f"theta in {variable.unit}",
+                    allowed="rad",
+                    cure='declare it with unit="rad" (the data may be in any unit of angle), or call it otherwise',
+                )
+
+
 def refuse_other_clocks(name: str, entering: Sequence[Variable | ParameterDeclaration]) -> None:
     """Raise ModelError for a unit such as 1/h in equations of which nobody said whether they are per hour."""
     for item in entering:
