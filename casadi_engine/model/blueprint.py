@@ -100,7 +100,7 @@ class Blueprint:
         return symbol
 
     def input(self, name: str, *, unit: str = NOT_STATED, scale: float = 1.0, description: str = "") -> Any:
-        """Declare an input channel as it is recorded.
+        """Declare an input channel; its data arrive in `unit`, whatever they were recorded in.
 
         A channel that is used directly in an ode or output becomes a drive of the same name by itself.
         """

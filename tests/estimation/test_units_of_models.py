@@ -179,6 +179,14 @@ def test_another_dimension_is_refused_by_name(tmp_path):
             assert piece in str(caught.value)
 
 
+def test_gravity_and_grams_are_told_apart():
+    data = record(T=("N m", T), speed=("g", T))
+    with pytest.raises(UnitError, match="g is the gram: write gn"):
+        arriving(shaft(unit="m/s2"), data)
+    data = record(T=("N m", T), speed=("gn", T))
+    assert arriving(shaft(unit="m/s2"), data)["speed"].values == pytest.approx(9.80665 * T)
+
+
 def test_one_stands_for_dimensionless_and_nothing_for_si():
     turning = record(T=("N mm", np.full(400, 2000.0)), speed=("rpm", 4 * RISE * 30 / np.pi))
     fit = ce.estimate(shaft(unit=None), turning, progress=False)  # not stated: the equations are in SI
