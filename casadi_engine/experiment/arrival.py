@@ -10,7 +10,7 @@ from casadi_engine.errors import UnitError
 
 from .channel import Channel
 from .conditioning import changed
-from .units import NOT_STATED, converted, read_unit, si_unit
+from .units import NOT_STATED, converted, read_unit
 
 if TYPE_CHECKING:
     from .experiment import Experiment
@@ -21,7 +21,7 @@ def in_units(experiment: Experiment, units: Mapping[str, str]) -> Experiment:
     done: dict[str, Channel] = {}
     for name, unit in units.items():
         channel = experiment[name]
-        target = si_unit(channel.unit) if unit == NOT_STATED else unit
+        target = read_unit(channel.unit).si if unit == NOT_STATED else unit
         if channel.unit == target:
             continue
         check_dimension(experiment, channel, target)
@@ -44,6 +44,8 @@ def check_dimension(experiment: Experiment, channel: Channel, unit: str) -> None
         "correct the unit in the header if the data are in another one, or declare the variable in the model with "
         f"unit={own.si!r}, or another unit of that dimension"
     )
+    if own.si == "kg" and wanted.si == "m/s2":
+        cure = "g is the gram: write gn for the acceleration of gravity as a unit"
     if _without_angle(own.exponents) == _without_angle(wanted.exponents):
         cure = "1/s may count revolutions: write rad/s, rpm or rev/s in both places, or 1/s in both"
     raise UnitError(

@@ -12,7 +12,7 @@ from casadi_engine.errors import ExperimentError
 
 from .channel import Channel, Step
 from .conditioning import changed, picked
-from .holes import holes
+from .holes import LONGER, holes
 
 if TYPE_CHECKING:
     from .experiment import Experiment
@@ -54,7 +54,9 @@ def _held(channel: Channel) -> Channel:
     found = holes(channel)
     if channel.hold == "zero" or not found.size:
         return channel
-    usual = float(np.median(np.diff(channel.time)))
+    step = np.diff(channel.time)
+    beside = np.minimum(step[np.maximum(found - 1, 0)], step[np.minimum(found + 1, step.size - 1)])
+    usual = np.minimum(beside, step[found] / LONGER)  # shorter than that it is, or the hole would be none
     rows = np.insert(channel.rows, found + 1, channel.rows[found]) if channel.rows.size else channel.rows
     return dataclasses.replace(
         channel,

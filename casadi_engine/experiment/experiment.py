@@ -350,8 +350,7 @@ class Experiment:
     def in_units(self, units: Mapping[str, str], /) -> Experiment:
         """Convert channels to other units of their dimension: in_units({"omega": "rpm"}).
 
-        The verbs that take a model do this by themselves, with the units that the model declares. The same
-        object is returned if nothing is to be converted.
+        Verbs that take a model do this themselves. The same object comes back if nothing is to be converted.
         Raises :class:`UnitError` for a unit of another dimension, with both.
         """
         return arrival.in_units(self, units)

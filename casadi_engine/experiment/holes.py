@@ -62,7 +62,7 @@ def refuse_holes(experiment: Experiment, channel: Channel, why: str, cure: str |
         return
     name, at = channel.name, int(found[0])
     before, after = float(channel.time[at]), float(channel.time[at + 1])
-    usual = float(np.median(np.diff(channel.time)))
+    usual = float(np.median(np.diff(channel.time[max(at - AROUND, 0) : at + AROUND + 2])))
     where = f"after row {channel.rows[at]}" if channel.rows.size else f"after sample {at}"
     more = f"; {found.size} holes in all" if found.size > 1 else ""
     raise ExperimentError(

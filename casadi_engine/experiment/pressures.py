@@ -12,6 +12,7 @@ import numpy as np
 from casadi_engine.errors import ExperimentError
 
 from .channel import Channel, Step, check_channel_name
+from .holes import refuse_holes
 from .slicing import crank_angle, finite
 from .units import FloatArray
 
@@ -49,6 +50,13 @@ def shift_pressures(
     made: list[Channel] = []
     for new, old in pairs.items():
         _check_pair(experiment, new, old)
+        for name in (old, theta):
+            refuse_holes(
+                experiment,
+                experiment[name],
+                "the shifted pressure would run across the hole",
+                "split the record there by split_at_holes(), and shift the pressures of the pieces",
+            )
         shift = _offset(tdc, new) - _offset(tdc, old)
         made.append(_shifted(experiment, new, experiment[old], shift, theta, cycle_length))
     rows = max(len(channel) for channel in made)

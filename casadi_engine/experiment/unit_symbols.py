@@ -18,13 +18,15 @@ _PREFIXES = {
 _COHERENT = {
     "s": (1,), "m": (0, 1), "A": (0, 0, 0, 1), "K": (0, 0, 0, 0, 1), "mol": (0, 0, 0, 0, 0, 1),
     "cd": (0, 0, 0, 0, 0, 0, 1), "rad": (0, 0, 0, 0, 0, 0, 0, 1), "Hz": (-1,), "N": (-2, 1, 1),
-    "Pa": (-2, -1, 1), "J": (-2, 2, 1), "W": (-3, 2, 1), "C": (1, 0, 0, 1), "V": (-3, 2, 1, -1),
-    "F": (4, -2, -1, 2), "Ohm": (-3, 2, 1, -2), "S": (3, -2, -1, 2), "Wb": (-2, 2, 1, -1), "T": (-2, 0, 1, -1),
+    "Pa": (-2, -1, 1), "J": (-2, 2, 1), "W": (-3, 2, 1), "V": (-3, 2, 1, -1),
+    "Ohm": (-3, 2, 1, -2), "S": (3, -2, -1, 2), "Wb": (-2, 2, 1, -1), "T": (-2, 0, 1, -1),
     "H": (-2, 2, 1, -2),
 }  # fmt: skip
 
 # symbol -> (SI symbols with powers, factor, power of pi, offset, takes prefixes)
 _OTHERS: dict[str, tuple[str, str, int, str, bool]] = {
+    # not C and F themselves: a record in "C" is one of a temperature more often than not
+    "C": ("A s", "1", 0, "0", True), "F": ("A s V-1", "1", 0, "0", True),
     "g": ("kg", "1/1000", 0, "0", True), "t": ("kg", "1000", 0, "0", False), "L": ("m3", "1/1000", 0, "0", True),
     "bar": ("Pa", "100000", 0, "0", True), "atm": ("Pa", "101325", 0, "0", False),
     "mmHg": ("Pa", "133.322387415", 0, "0", False), "psi": ("Pa", "6894.757293168361", 0, "0", False),
@@ -36,7 +38,7 @@ _OTHERS: dict[str, tuple[str, str, int, str, bool]] = {
     "gn": ("m s-2", "9.80665", 0, "0", False), "in": ("m", "0.0254", 0, "0", False),
     "ft": ("m", "0.3048", 0, "0", False), "mi": ("m", "1609.344", 0, "0", False),
     "lb": ("kg", "0.45359237", 0, "0", False), "lbf": ("N", "4.4482216152605", 0, "0", False),
-    "cal": ("J", "4.184", 0, "0", True), "Wh": ("J", "3600", 0, "0", True), "Ah": ("C", "3600", 0, "0", True),
+    "cal": ("J", "4.184", 0, "0", True), "Wh": ("J", "3600", 0, "0", True), "Ah": ("A s", "3600", 0, "0", True),
     "eV": ("J", "1.602176634e-19", 0, "0", True), "PS": ("W", "735.49875", 0, "0", False),
 }  # fmt: skip
 _SAME = {"l": "L", "\u03a9": "Ohm", "\u2126": "Ohm", "ohm": "Ohm", "°": "deg", "°C": "degC", "°F": "degF"}

@@ -28,6 +28,8 @@ ALLOWED_UNITS: tuple[str, ...] = (*SI_UNITS, "rpm", "deg", "bar", "kPa", "MPa", 
 NOT_STATED = "-"
 
 _HEADER = re.compile(r"([^\[\]]*)\[([^\[\]]*)\]")
+# What a header most likely means by these letters, which are the coulomb and the farad.
+_TEMPERATURES = {"C": ("degC", "A s"), "F": ("degF", "A s/V")}
 _DIMENSIONLESS = ("", "-", "none", "dimensionless")
 
 
@@ -69,6 +71,20 @@ def read_unit(unit: Any, *, where: str = "") -> Unit:
         raise UnitError(problem, seen=error.seen, allowed=error.allowed, cure=error.cure) from None
 
 
+def read_data_unit(unit: Any, *, where: str = "") -> Unit:
+    """The unit of data; as `read_unit`, but C and F alone are refused, for they may be meant as temperatures."""
+    text = unit.strip() if isinstance(unit, str) else ""
+    if text in _TEMPERATURES:
+        degree, other = _TEMPERATURES[text]
+        raise UnitError(
+            f"{where + ': ' if where else ''}{text} may be meant as a temperature or as a unit of electricity",
+            seen=repr(text),
+            allowed=RULE,
+            cure=f"write {degree} for a temperature, {other} otherwise",
+        )
+    return read_unit(unit, where=where)
+
+
 def si_unit(unit: str, *, where: str = "") -> str:
     """SI unit text that ``unit`` is converted to, in the same symbols: N mm becomes N m, not kg m2/s2.
 
@@ -77,7 +93,7 @@ def si_unit(unit: str, *, where: str = "") -> str:
     >>> si_unit("rpm"), si_unit("mL/min"), si_unit("N m s/rad")
     ('rad/s', 'm3/s', 'N m s/rad')
     """
-    return read_unit(unit, where=where).si
+    return read_data_unit(unit, where=where).si
 
 
 def to_si(values: Any, unit: str, *, where: str = "") -> tuple[FloatArray, str]:
@@ -94,7 +110,7 @@ def to_si(values: Any, unit: str, *, where: str = "") -> tuple[FloatArray, str]:
     >>> to_si([20.0], "degC")
     (array([293.15]), 'K')
     """
-    own = read_unit(unit, where=where)
+    own = read_data_unit(unit, where=where)
     return _scaled(values, own, parse_unit(own.si)), own.si
 
 

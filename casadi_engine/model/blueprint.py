@@ -10,9 +10,15 @@ from typing import Any
 
 import casadi as ca
 
-from casadi_engine.errors import ModelError, UnitError
-from casadi_engine.experiment.units import NOT_STATED, read_unit
+from casadi_engine.errors import ModelError
+from casadi_engine.experiment.units import NOT_STATED
 from casadi_engine.model.declarations import PORT_KINDS, ParameterDeclaration, Port, Ports, Variable
+from casadi_engine.model.declared_units import (
+    check_crank_angle,
+    check_shared_units,
+    refuse_other_clocks,
+    seconds_in,
+)
 from casadi_engine.model.model import Model
 from casadi_engine.model.rates import with_rates
 from casadi_engine.parameters import near_matches
@@ -50,7 +56,7 @@ class Blueprint:
     def __init__(self, name: str, *, description: str = "", time_unit: str | None = None):
         self.name = _identifier("model", name)
         self.description = description
-        self._seconds = _clock(time_unit)
+        self._seconds = seconds_in(time_unit)
         self._time_unit = time_unit
         self._states: dict[str, tuple[Variable, Any]] = {}
         self._inputs: dict[str, tuple[Variable, Any]] = {}
@@ -95,7 +101,7 @@ class Blueprint:
         return symbol
 
     def input(self, name: str, *, unit: str = NOT_STATED, scale: float = 1.0, description: str = "") -> Any:
-        """Declare an input channel as it is recorded.
+        """Declare an input channel; its data arrive in `unit`, whatever they were recorded in.
 
         A channel that is used directly in an ode or output becomes a drive of the same name by itself.
         """
@@ -210,7 +216,12 @@ class Blueprint:
         or units per hour in equations of which nobody said whether they are per hour.
         """
         self._check_complete()
-        self._check_units()
+        inputs, outputs = ([made[0] for made in group.values()] for group in (self._inputs, self._outputs))
+        check_shared_units(inputs, outputs)
+        check_crank_angle(inputs)
+        if self._time_unit is None:
+            others = [made[0] for group in (self._parameters, self._states) for made in group.values()]
+            refuse_other_clocks(self.name, [*others, *inputs])
         drives = self._with_direct_inputs()
         x, u, p = (
             _column(made[1] for made in group.values())
@@ -284,36 +295,6 @@ class Blueprint:
                 allowed="one ode for each state",
                 cure=f'b.ode("{missing[0]}", expression)',
             )
-
-    def _check_units(self) -> None:
-        """Refuse one name in two units, and a unit such as 1/h where the unit of the equations' time was not stated."""
-        for name in self._inputs.keys() & self._outputs.keys():
-            units = [group[name][0].unit for group in (self._inputs, self._outputs)]
-            known = [read_unit("1" if unit == NOT_STATED else unit) for unit in units]
-            if units[0] != units[1] and (
-                NOT_STATED in units or known[0].steps_to(known[1]) != (1.0, 1.0, 0.0)
-            ):
-                raise ModelError(
-                    f"the channel {name} is declared as input and as output in two units",
-                    seen=" and ".join("not stated" if unit == NOT_STATED else unit for unit in units),
-                    allowed="one unit: the data of a channel arrive in one",
-                    cure=f"give unit={next(u for u in units if u != NOT_STATED)!r} in both places",
-                )
-        if self._time_unit is not None:
-            return
-        entering = [
-            made[0] for group in (self._parameters, self._states, self._inputs) for made in group.values()
-        ]
-        for item in entering:
-            clocks = () if item.unit == NOT_STATED else read_unit(item.unit).clocks
-            if clocks:
-                raise ModelError(
-                    f"is the time of the model {self.name} in s or in {clocks[0]}? It was not stated",
-                    seen=f"{item.name} in {item.unit}; without time_unit an ode is a rate per second",
-                    allowed="time_unit=... of the Blueprint: s, ms, min, h, d",
-                    cure=f'write Blueprint("{self.name}", time_unit="{clocks[0]}") if the odes are per {clocks[0]}, or '
-                    f'time_unit="s" if they are per second and convert {item.name} themselves',
-                )
 
     def _with_direct_inputs(self) -> dict[str, tuple[Variable, Any, Any]]:
         """The drives, with one more for each channel that an ode or output uses directly."""
@@ -425,25 +406,6 @@ def _scalar(what: str, expression: Any) -> Any:
             cure="write one equation for each quantity",
         )
     return expression if expression.is_dense() else ca.densify(expression)
-
-
-def _clock(unit: Any) -> float:
-    """Seconds in a unit of time; ModelError for anything else."""
-    if unit is None:
-        return 1.0
-    try:
-        found = read_unit(unit)
-    except UnitError:
-        found = None
-    if found is None or found.si != "s":
-        raise ModelError(
-            "the time unit of a blueprint is not a unit of time",
-            seen=repr(unit),
-            allowed="s, ms, min, h, d",
-            cure='write Blueprint("name", time_unit="h") for odes that are per hour',
-        )
-    times, over, _ = found.steps_to(read_unit("s"))
-    return times / over
 
 
 def _identifier(kind: str, name: str) -> str:

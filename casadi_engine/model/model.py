@@ -26,7 +26,8 @@ class Model:
     """Continuous-time equations ẋ = f(x, d, w, t, p), y = g(x, d, p), made by `Blueprint` or a builder.
 
     Symbols (CasADi SX columns, in the order of the name tuples):
-    x : (n, 1) states           u : (nu, 1) input channels as recorded, then the rates of those named in `rates`
+    x : (n, 1) states           u : (nu, 1) input channels in the units declared, then the rates
+        of those named in `rates`
     d : (m, 1) drives, the torques made of the channels        p : (np, 1) parameters
     w : (nw, 1) slot torques [N m], one for each port that can take one        t : (1, 1) time [s]
     Expressions:

@@ -8,6 +8,7 @@ import casadi_engine as ce
 from casadi_engine.errors import ExperimentError, ModelError, UnitError
 from casadi_engine.experiment.units import converted
 from casadi_engine.identifiability.fisher import fisher
+from casadi_engine.identifiability.plans import plan
 from casadi_engine.model.arrival import arriving
 
 T = np.arange(400) * 0.01
@@ -178,6 +179,14 @@ def test_another_dimension_is_refused_by_name(tmp_path):
             assert piece in str(caught.value)
 
 
+def test_gravity_and_grams_are_told_apart():
+    data = record(T=("N m", T), speed=("g", T))
+    with pytest.raises(UnitError, match="g is the gram: write gn"):
+        arriving(shaft(unit="m/s2"), data)
+    data = record(T=("N m", T), speed=("gn", T))
+    assert arriving(shaft(unit="m/s2"), data)["speed"].values == pytest.approx(9.80665 * T)
+
+
 def test_one_stands_for_dimensionless_and_nothing_for_si():
     turning = record(T=("N mm", np.full(400, 2000.0)), speed=("rpm", 4 * RISE * 30 / np.pi))
     fit = ce.estimate(shaft(unit=None), turning, progress=False)  # not stated: the equations are in SI
@@ -262,3 +271,29 @@ def test_a_hole_in_an_input_stops_every_verb():
     for told in (data.bridged(T="join"), data.split_at_holes()):
         fit = ce.estimate(model, told, progress=False)
         assert fit.values["J"] == pytest.approx(0.4, rel=1e-6)
+
+
+def test_the_crank_angle_of_a_model_is_in_rad():
+    def model(unit):
+        b = ce.Blueprint("b")
+        x, theta = b.state("x"), b.input("theta", unit=unit)
+        b.ode("x", theta - x)
+        b.output("y", x)
+        return b.model()
+
+    with pytest.raises(ModelError, match="theta is the crank angle, and that is in rad; seen: theta in deg"):
+        model("deg")
+    assert model("rad").inputs[0].unit == "rad"
+
+
+def test_a_plan_is_made_for_models_in_si():
+    b = ce.Blueprint("engine")
+    x, load = b.state("x", unit="rad/s"), b.input("T_load", unit="kN m")
+    theta = b.input("theta", unit="rad")
+    b.ode("x", theta - load - x)
+    b.output("omega", x, unit="rad/s")
+    data = record(theta=("rad", 100 * T), T_load=("N m", T), omega=("rad/s", T))
+    with pytest.raises(
+        ExperimentError, match="in another unit than SI, and plans are made in SI; seen: T_load in kN m"
+    ):
+        plan(b.model(), data)

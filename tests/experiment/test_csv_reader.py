@@ -302,3 +302,15 @@ def test_fourteen_thousand_rows_are_read_in_well_under_a_second(tmp_path):
     assert min(seconds) < 0.15
     for name in names:
         np.testing.assert_array_equal(again[name].values, record[name].values)
+
+
+@pytest.mark.parametrize(("unit", "seconds"), [("min", 60.0), ("h", 3600.0), ("d", 86400.0), ("us", 1e-6)])
+def test_a_time_in_any_unit_of_time_is_read_in_seconds(tmp_path, unit, seconds):
+    path = tmp_path / "run.csv"
+    path.write_text(f"time [{unit}],y [L/min]\n0,0\n0.5,60\n2,120\n")
+    read = read_experiment(path)
+    assert read["y"].time == pytest.approx([0.0, 0.5 * seconds, 2 * seconds], rel=1e-15)
+    assert read["y"].values == pytest.approx([0.0, 1e-3, 2e-3], rel=1e-15)
+    path.write_text(f"time [{unit}],y [1]\n0,0\n1,60\n1,120\n")
+    with pytest.raises(DataFileError, match="row 4: the time does not increase"):
+        read_experiment(path)

@@ -57,7 +57,8 @@ KNOWN = {
     "L/min": (1e-3 / 60, "m3/s"),
     "l/h": (1e-3 / 3600, "m3/s"), "mol/L": (1e3, "mol/m3"), "g/L": (1.0, "kg/m3"), "mg/L": (1e-3, "kg/m3"),
     "h": (3600.0, "s"), "min": (60.0, "s"), "d": (86400.0, "s"), "rev/min": (math.pi / 30, "rad/s"),
-    "rev": (2 * math.pi, "rad"), "uF": (1e-6, "F"), "µF": (1e-6, "F"), "kOhm": (1e3, "Ohm"), "kΩ": (1e3, "Ohm"),
+    "rev": (2 * math.pi, "rad"), "uF": (1e-6, "A s/V"), "µF": (1e-6, "A s/V"),
+    "mC": (1e-3, "A s"), "Ah": (3600.0, "A s"), "kOhm": (1e3, "Ohm"), "kΩ": (1e3, "Ohm"),
     "W/(m2 K)": (1.0, "W/(m2 K)"), "mW/(cm2 K)": (10.0, "W/(m2 K)"), "%": (0.01, "1"), "m^2": (1.0, "m2"),
     "kg·m²": (1.0, "kg m2"), "kg*m**2": (1.0, "kg m2"), "1/(Pa s)": (1.0, "1/(Pa s)"), "m s⁻¹": (1.0, "m/s"),
     "s^-1": (1.0, "1/s"), "min-1": (1 / 60, "1/s"), "mg/kg/h": (1e-6 / 3600, "1/s"), "kWh": (3.6e6, "J"),
@@ -85,6 +86,13 @@ def test_degrees_of_temperature_have_an_offset_alone_and_none_in_a_product():
     assert converted([20.0], "degC", "degF") == pytest.approx([68.0], rel=1e-14)
     assert to_si([2.0], "W/degC")[0].tolist() == [2.0]
     assert to_si([2.0], "degC/s")[0].tolist() == [2.0]
+
+
+@pytest.mark.parametrize(("unit", "cure"), [("C", "write degC"), ("F", "write degF")])
+def test_letters_that_may_be_a_temperature_are_refused_in_data(refused, unit, cure):
+    refused(UnitError, ["here: ", "may be meant as a temperature", cure], si_unit, unit, where="here")
+    refused(UnitError, ["may be meant as a temperature", cure], to_si, [1.0], f" {unit} ")
+    assert read_unit(unit).is_si  # a capacitance of a model may be declared in F
 
 
 def test_exact_ratios_are_exact():

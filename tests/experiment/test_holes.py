@@ -160,3 +160,30 @@ def test_conditioning_does_not_run_across_a_hole(refused):
     refused(ExperimentError, ["the hole would not be seen any more", "with_inputs"],
             record(without((300, 320))).resample, u=15)  # fmt: skip
     assert len(record(without((300, 320)), inputs=("u",)).resample(y=15)["y"]) == 132
+
+
+def test_a_pressure_is_not_shifted_across_a_hole(refused):
+    time = without((300, 800))
+    units = {"theta": "rad", "p1": "Pa"}
+    experiment = Experiment.from_arrays("run", time=time, units=units, theta=10 * time, p1=np.cos(5 * time))
+    pieces = ["column 'p1', after sample 299", "shifted pressure", "split_at_holes()"]
+    refused(ExperimentError, pieces, experiment.shift_pressures, {"p3": "p1"})
+    own = experiment.with_channel(
+        Experiment.from_arrays("r", time=T, units={"p1": "Pa"}, p1=np.cos(5 * T))["p1"]
+    )
+    refused(
+        ExperimentError,
+        ["column 'theta', after sample 299"],
+        own.between(0, 19.9).shift_pressures,
+        {"p3": "p1"},
+    )
+
+
+def test_a_value_held_over_a_hole_ends_a_local_step_before_the_next_sample():
+    # among short steps a hole of 11 ms, far below the median step of 1 s
+    time = np.concatenate([np.arange(50) * 1e-3, 0.06 + np.arange(50) * 1e-3, 1.0 + np.arange(2000)])
+    assert holes_in(time, "first").tolist() == [49]
+    experiment = record(time)
+    held = experiment.bridged(u="hold")
+    held.require(inputs=["u"])
+    assert np.setdiff1d(held["u"].time, time) == pytest.approx([0.059])

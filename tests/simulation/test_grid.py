@@ -19,7 +19,7 @@ def model():
     x = b.state("x")
     a, c = b.input("a"), b.input("c")
     b.ode("x", a + c - x)
-    b.output("y", x)
+    b.output("y", x, unit="1")
     b.output("w", 2 * x)
     return b.model()
 
@@ -252,6 +252,17 @@ def test_inputs_that_do_not_cover_the_outputs_are_an_error(model):
         ExperimentError, match=r"input 'a' does not cover output 'y' in time; seen: input from 0 to 1 s"
     ):
         lay_grid(model, record(a=ramp(10, 11), c=ramp(10, 21), y=ramp(10, 21), w=ramp(10, 11)))
+
+
+def test_a_wrong_unit_is_an_error(model):
+    channels = record(a=ramp(10, 21), c=ramp(10, 21), w=ramp(10, 21))
+    time, values = ramp(10, 21)
+    with pytest.raises(
+        UnitError,
+        match=r"column 'y': the unit is of another dimension than the model declares; seen: rad/s in the data "
+        r"\(dimension s-1 rad\); allowed: 1 \(dimension 1\),",
+    ):
+        lay_grid(model, channels.with_channel(Channel("y", "rad/s", time=time, values=values)))
 
 
 def test_inputs_that_do_not_overlap_are_an_error(model):

@@ -1,0 +1,75 @@
+"""The units that a Blueprint declares: the unit of its time, and names that are declared twice."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from casadi_engine.errors import ModelError, UnitError
+from casadi_engine.experiment.units import NOT_STATED, read_unit
+from casadi_engine.model.declarations import ParameterDeclaration, Variable
+
+
+def seconds_in(time_unit: Any) -> float:
+    """Seconds in a unit of time, 1 for None; ModelError for anything else."""
+    if time_unit is None:
+        return 1.0
+    try:
+        found = read_unit(time_unit)
+    except UnitError:
+        found = None
+    if found is None or found.si != "s":
+        raise ModelError(
+            "the time unit of a blueprint is not a unit of time",
+            seen=repr(time_unit),
+            allowed="s, ms, min, h, d",
+            cure='write Blueprint("name", time_unit="h") for odes that are per hour',
+        )
+    times, over, _ = found.steps_to(read_unit("s"))
+    return times / over
+
+
+def check_shared_units(inputs: Sequence[Variable], outputs: Sequence[Variable]) -> None:
+    """Raise ModelError for a channel that is declared as input and as output in two units."""
+    declared = {variable.name: variable.unit for variable in inputs}
+    for name, unit in ((out.name, out.unit) for out in outputs if out.name in declared):
+        other = declared[name]
+        if unit == other:
+            continue
+        stated = NOT_STATED not in (unit, other)
+        if stated and read_unit(unit).steps_to(read_unit(other)) == (1.0, 1.0, 0.0):
+            continue
+        raise ModelError(
+            f"the channel {name} is declared as input and as output in two units",
+            seen=" and ".join("not stated" if one == NOT_STATED else one for one in (other, unit)),
+            allowed="one unit: the data of a channel arrive in one",
+            cure=f"give unit={(other if unit == NOT_STATED else unit)!r} in both places",
+        )
+
+
+def check_crank_angle(inputs: Sequence[Variable]) -> None:
+    """Raise ModelError for an input theta in degrees: cycles are counted by it, in rad, wherever a record turns."""
+    for variable in inputs:
+        if variable.name == "theta" and variable.unit != NOT_STATED:
+            unit = read_unit(variable.unit)
+            if unit.dimension == "rad" and not unit.is_si:
+                raise ModelError(
+                    "an input called theta is the crank angle, and that is in rad",
+                    seen=f"theta in {variable.unit}",
+                    allowed="rad",
+                    cure='declare it with unit="rad" (the data may be in any unit of angle), or call it otherwise',
+                )
+
+
+def refuse_other_clocks(name: str, entering: Sequence[Variable | ParameterDeclaration]) -> None:
+    """Raise ModelError for a unit such as 1/h in equations of which nobody said whether they are per hour."""
+    for item in entering:
+        clocks = () if item.unit == NOT_STATED else read_unit(item.unit).clocks
+        if clocks:
+            raise ModelError(
+                f"is the time of the model {name} in s or in {clocks[0]}? It was not stated",
+                seen=f"{item.name} in {item.unit}; without time_unit an ode is a rate per second",
+                allowed="time_unit=... of the Blueprint: s, ms, min, h, d",
+                cure=f'write Blueprint("{name}", time_unit="{clocks[0]}") if the odes are per {clocks[0]}, or '
+                f'time_unit="s" if they are per second and convert {item.name} themselves',
+            )
