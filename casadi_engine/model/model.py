@@ -17,7 +17,7 @@ from casadi_engine.model.attach import attach
 from casadi_engine.model.declarations import ParameterDeclaration, Ports, Variable
 from casadi_engine.model.effect import Attachment
 from casadi_engine.model.linear import LinearCore, linear_core
-from casadi_engine.model.modes import Modes, displacement_states, modes_of
+from casadi_engine.model.modes import Modes, displacement_states, is_geometric, modes_of
 from casadi_engine.parameters import Parameters, near_matches
 
 
@@ -189,7 +189,11 @@ class Model:
             )
         matrix = self._state_matrix(self.parameter_vector(parameters)).full()
         names = tuple(variable.name for variable in self.states)
-        return modes_of(matrix, states=names, displacements=displacement_states(self.linear.A))
+        units = [declared.unit for declared in self.declarations]
+        geometric = ca.vertcat(*[self.p[row] for row, unit in enumerate(units) if is_geometric(unit)])
+        rates = np.array([variable.unit.endswith("/s") for variable in self.states])
+        found = displacement_states(self.linear.A, ca.vertcat(ca.SX(0, 1), geometric), rates)
+        return modes_of(matrix, states=names, displacements=found)
 
     def natural_frequency(
         self, mode: int = 1, parameters: Parameters | Mapping[str, float] | None = None
