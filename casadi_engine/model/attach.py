@@ -27,7 +27,7 @@ def attach(
     model: Model, effect: Any, *, at: Any, values: Mapping[str, float] | None = None, sharp: bool = False
 ) -> Model:
     """Return `model` with an effect at the port `at`; see `Model.with_effect`."""
-    term = read_term(model, effect, at, values=values, sharp=sharp)
+    term = _with_named_states(read_term(model, effect, at, values=values, sharp=sharp))
     made = Attachment(effect, term.port.name, sharp, dict(term.constants))
     words = f"{effect.name} at {term.port.name}"
     wider = replace(
@@ -45,6 +45,20 @@ def attach(
     else:
         wider = _with_shift(wider, term)
     return with_rates(wider)
+
+
+def _with_named_states(term: Term) -> Term:
+    """The term with symbols of its own states that are called as the states: two effects may share a port."""
+    old = ca.vertcat(ca.SX(0, 1), *[state.symbol for state in term.states])
+    new = ca.vertcat(ca.SX(0, 1), *[ca.SX.sym(state.name) for state in term.states])
+    if not term.states:
+        return term
+    value, *rates = (
+        ca.substitute(column, old, new) for column in (term.value, *[state.rate for state in term.states])
+    )
+    named = zip(term.states, ca.vertsplit(new), rates, strict=True)
+    states = tuple(replace(state, symbol=symbol, rate=rate) for state, symbol, rate in named)
+    return replace(term, value=value, states=states)
 
 
 def _with_states(model: Model, term: Term) -> Model:
