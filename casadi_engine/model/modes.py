@@ -230,7 +230,8 @@ def _eigen(a: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128], Ar
     if not a.size:
         return np.zeros(0, complex), np.zeros((0, 0), complex), np.zeros(0)
     balanced, turn = scipy.linalg.matrix_balance(a)
-    values, left, right = scipy.linalg.eig(balanced, left=True, right=True)
+    found: Any = scipy.linalg.eig(balanced, left=True, right=True)
+    values, left, right = found
     overlap = np.abs(np.einsum("ij,ij->j", left.conj(), right))
     norm = np.linalg.norm(balanced)
     moved = _ROUNDINGS * np.finfo(float).eps * norm
