@@ -1,4 +1,4 @@
-"""Free parameters that move a jump: a search follows slopes, and there is none in the place of a jump."""
+"""Free parameters that move a jump: searches and standard errors need slopes, and there is none in its place."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def refuse_moved_jumps(model: Model, parameters: Parameters) -> None:
                 names = [model.parameter_names[k] for k in rows if ca.depends_on(switch.g, model.p[k])]
                 where = f"the {what} of {variable.name}"
                 raise EstimationError(
-                    f"the free parameter {names[0]} moves a jump, so that a search has no slope to follow",
+                    f"the free parameter {names[0]} moves a jump, and the effect of that on the outputs has no slope",
                     seen=f"{where} jumps at {switch.g} = {'a whole number' if switch.kind == 'integer' else 0}",
                     allowed="free parameters outside of sign, floor and conditions on states",
                     cure=f"fix {names[0]} and compare fits at several values, or round the jump: "

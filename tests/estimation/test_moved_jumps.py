@@ -6,6 +6,7 @@ import pytest
 
 import casadi_engine as ce
 from casadi_engine.errors import EstimationError
+from casadi_engine.identifiability import fisher
 from casadi_engine.model import Blueprint
 
 
@@ -60,3 +61,11 @@ def test_a_fixed_place_or_a_free_size_is_no_matter():
     assert ce.estimate(model, record(), parameters=pars, progress=False).status == "converged"
     for sized in (shaft(lambda w, p, t: -p * ca.sign(w)), shaft(lambda w, p, t: -ca.fmax(w, p))):
         assert ce.estimate(sized, record(), progress=False).estimates["c"].value is not None
+
+
+def test_the_information_about_it_is_refused_too():
+    model = REFUSED["steps of an encoder"][0]
+    with pytest.raises(
+        EstimationError, match="moves a jump, and the effect of that on the outputs has no slope"
+    ):
+        fisher(model, record())
