@@ -27,7 +27,7 @@ def attach(
     model: Model, effect: Any, *, at: Any, values: Mapping[str, float] | None = None, sharp: bool = False
 ) -> Model:
     """Return `model` with an effect at the port `at`; see `Model.with_effect`."""
-    term = _with_named_states(read_term(model, effect, at, values=values, sharp=sharp))
+    term = read_term(model, effect, at, values=values, sharp=sharp)
     made = Attachment(effect, term.port.name, sharp, dict(term.constants))
     words = f"{effect.name} at {term.port.name}"
     wider = replace(
@@ -37,6 +37,7 @@ def attach(
         p=ca.vertcat(model.p, *term.symbols),
         effects=(*model.effects, made),
     )
+    term = _with_named_states(term)
     wider = _with_states(wider, term)
     if takes_torque(term.port):
         wider = _with_torque(wider, term)
