@@ -22,6 +22,7 @@ from casadi_engine.model import Model
 from casadi_engine.model.arrival import arriving
 from casadi_engine.model.declarations import Port
 from casadi_engine.model.effect import Amplitude, Effect, check_effect
+from casadi_engine.model.linearity import is_affine
 from casadi_engine.model.port_view import Courses, MissingSignalError, PortView
 from casadi_engine.model.term import NotApplicable, OwnState, Term, ports_for, read_term, takes_torque
 from casadi_engine.parameters import Parameters
@@ -252,7 +253,7 @@ def _per_amplitude(term: Term, size: float | None) -> Any:
                 cure="leave `size` out for the slope at 0",
             )
         return ca.substitute(value, psi, size) / size
-    if not term.sharp or ca.is_linear(value, psi):
+    if not term.sharp or is_affine(value, psi, ca.SX(0, 1)):
         return ca.substitute(ca.jacobian(value, psi), psi, 0)
     # A sharp law that bends in its amplitude: the limit from above, by a secant that is exact for the piecewise
     # linear laws there are. 1e-9 of the unit amplitude is far below any state that counts.

@@ -17,6 +17,7 @@ from casadi_engine.estimation.corner_widths import follow_motion
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.loss import read_loss
+from casadi_engine.estimation.moved_jumps import refuse_moved_jumps
 from casadi_engine.estimation.multistart import attempts_from, best_of, distinct_optima, interrupted
 from casadi_engine.estimation.options import chosen, small, whole
 from casadi_engine.estimation.parallel import checked_jobs
@@ -183,16 +184,16 @@ def _own(model: Model, parameters: Any) -> Parameters:
             allowed="a Model",
             cure="give estimate(model, data); ce.two_mass() and Blueprint.model() make one",
         )
-    if parameters is None:
-        return model.parameters()
-    if not isinstance(parameters, Parameters):
+    if parameters is not None and not isinstance(parameters, Parameters):
         raise EstimationError(
             "the parameters are not a parameter set",
             seen=type(parameters).__name__,
             allowed="a Parameters object",
             cure="start from model.parameters() and set values by pars[name].set(value)",
         )
-    return parameters.copy()
+    own = model.parameters() if parameters is None else parameters.copy()
+    refuse_moved_jumps(model, own)
+    return own
 
 
 def _records(data: Any, model: Model) -> tuple[Experiment, ...]:

@@ -14,6 +14,7 @@ from casadi_engine.errors import EstimationError, ParameterError
 from casadi_engine.estimation.constraints import ParameterConstraints, Priors
 from casadi_engine.estimation.coordinates import Coordinates
 from casadi_engine.estimation.fit import Direction, Estimate
+from casadi_engine.estimation.moved_jumps import refuse_moved_jumps
 from casadi_engine.estimation.uncertainty import in_words, invert
 from casadi_engine.identifiability.operating import OperatingRecord, Sensitivity, planned
 from casadi_engine.model import Model
@@ -120,6 +121,7 @@ def fisher(
     """
     plans = planned(data)
     frame = Frame(model, parameters, tuple(plan.name for plan in plans))
+    refuse_moved_jumps(model, frame.parameters)
     found = [frame.linearise(plan) for plan in plans]
     levels = noise_levels(model, noise, [seen for _, seen in found])
     parts = {

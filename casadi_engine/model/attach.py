@@ -38,6 +38,7 @@ def attach(
         p=ca.vertcat(model.p, *term.symbols),
         effects=(*model.effects, made),
     )
+    term = _with_named_states(term)
     wider = _with_states(wider, term)
     if takes_torque(term.port):
         wider = _with_torque(wider, term)
@@ -46,6 +47,20 @@ def attach(
     else:
         wider = _with_shift(wider, term)
     return with_rates(wider)
+
+
+def _with_named_states(term: Term) -> Term:
+    """The term with symbols of its own states that are called as the states: two effects may share a port."""
+    old = ca.vertcat(ca.SX(0, 1), *[state.symbol for state in term.states])
+    new = ca.vertcat(ca.SX(0, 1), *[ca.SX.sym(state.name) for state in term.states])
+    if not term.states:
+        return term
+    value, *rates = (
+        ca.substitute(column, old, new) for column in (term.value, *[state.rate for state in term.states])
+    )
+    named = zip(term.states, ca.vertsplit(new), rates, strict=True)
+    states = tuple(replace(state, symbol=symbol, rate=rate) for state, symbol, rate in named)
+    return replace(term, value=value, states=states)
 
 
 def _with_states(model: Model, term: Term) -> Model:

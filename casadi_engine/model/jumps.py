@@ -19,7 +19,7 @@ _COMPARISONS = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE)
 _LOGIC = (ca.OP_NOT, ca.OP_AND, ca.OP_OR)
 _ROUNDED = (ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD, ca.OP_REMAINDER)
 _SIGNS = (ca.OP_SIGN, ca.OP_COPYSIGN, ca.OP_IF_ELSE_ZERO, ca.OP_ATAN2)
-_KINKS = (ca.OP_FABS, ca.OP_FMIN, ca.OP_FMAX)
+_KINKS = frozenset((ca.OP_FABS, ca.OP_FMIN, ca.OP_FMAX))
 _JUMPS = frozenset((*_COMPARISONS, *_LOGIC, *_ROUNDED, *_SIGNS))
 
 
@@ -68,6 +68,8 @@ def jumps(expression: Any, of: Any = None) -> list[Switch]:
     >>> [(switch.g, switch.kind) for switch in jumps(ca.if_else(w > 2, -3.0, 3.0) * ca.fabs(w))]
     [(SX((2-w)), 'jump'), (SX(w), 'kink')]
     """
+    if not _has(expression, _JUMPS | _KINKS):
+        return []
     holder = _Holder(of)
     holder.follow(expression)
     return [Switch(plain, kind) for plain, _, kind in holder.switches]
@@ -96,8 +98,7 @@ def with_held_jumps(expression: Any, of: Any = None) -> Held:
 
 def jumps_in(expression: Any, of: Any) -> bool:
     """True if a jump (a kink is none) in the SX expression depends on one of the symbols `of`."""
-    function = _function(expression)
-    if not any(function.instruction_id(k) in _JUMPS for k in range(function.n_instructions())):
+    if not _has(expression, _JUMPS):
         return False
     code, symbols, _ = _operations(expression)
     inside = _hashes(of)
@@ -117,6 +118,11 @@ def jumps_in(expression: Any, of: Any) -> bool:
             return True
         reached.append(found)
     return False
+
+
+def _has(expression: Any, operations: frozenset[int]) -> bool:
+    function = _function(expression)
+    return any(function.instruction_id(k) in operations for k in range(function.n_instructions()))
 
 
 def _hashes(column: Any) -> set[int]:

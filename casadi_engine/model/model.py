@@ -16,8 +16,9 @@ from casadi_engine.model import sheets
 from casadi_engine.model.attach import attach
 from casadi_engine.model.declarations import ParameterDeclaration, Ports, Variable
 from casadi_engine.model.effect import Attachment
+from casadi_engine.model.jumps import Switch, jumps
 from casadi_engine.model.linear import LinearCore, linear_core
-from casadi_engine.model.modes import Modes, displacement_states, modes_of
+from casadi_engine.model.modes import Modes, displacement_states, is_geometric, modes_of
 from casadi_engine.parameters import Parameters, near_matches
 
 
@@ -154,6 +155,11 @@ class Model:
             outputs = ca.substitute(outputs, self.w, self.slot_laws)
         return ca.substitute(outputs, self.d, self.drive_expressions) if self.d.numel() else outputs
 
+    @cached_property
+    def jumps(self) -> tuple[Switch, ...]:
+        """The switching functions of the closed equations and outputs, SX in (x, u, t, p); () for smooth ones."""
+        return tuple(jumps(ca.vertcat(self.closed_ode, self.closed_outputs)))
+
     # ---- effects
 
     def with_effect(
@@ -190,7 +196,11 @@ class Model:
             )
         matrix = self._state_matrix(self.parameter_vector(parameters)).full()
         names = tuple(variable.name for variable in self.states)
-        return modes_of(matrix, states=names, displacements=displacement_states(self.linear.A))
+        units = [declared.unit for declared in self.declarations]
+        geometric = ca.vertcat(*[self.p[row] for row, unit in enumerate(units) if is_geometric(unit)])
+        rates = np.array([variable.unit.endswith("/s") for variable in self.states])
+        found = displacement_states(self.linear.A, ca.vertcat(ca.SX(0, 1), geometric), rates)
+        return modes_of(matrix, states=names, displacements=found)
 
     def natural_frequency(
         self, mode: int = 1, parameters: Parameters | Mapping[str, float] | None = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from numbers import Real
@@ -11,14 +12,15 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 from casadi_engine.errors import ModelError
 
 Array = NDArray[np.float64]
 
-# An eigenvalue counts as real if its imaginary part is below this share of the largest modulus.
-REAL_TOLERANCE = 1e-9
+# The matrix whose eigenvalues LAPACK finds is up to about this many roundings of its norm away from the one given.
+_ROUNDINGS = 30.0
 # Eigenvalues closer than this share of their modulus count as one: rounding splits a defective pair by 1e-8.
 SIMPLE_TOLERANCE = 1e-7
 
@@ -149,32 +151,57 @@ class Modes:
         )
 
 
-def displacement_states(a: Any) -> NDArray[np.bool_]:
+def is_geometric(unit: str) -> bool:
+    """True for the unit of a ratio, an angle or a length: no mass and no time in it.
+
+    >>> is_geometric("1"), is_geometric("m/rad"), is_geometric("N m/rad")
+    (True, True, False)
+    """
+    return set(re.findall(r"[^\W\d_]+", unit)) <= {"m", "mm", "cm", "rad", "deg"}
+
+
+def displacement_states(
+    a: Any, geometric: Any = None, rates: NDArray[np.bool_] | None = None
+) -> NDArray[np.bool_]:
     """Find the states that are displacements, (n,) bool, from the SX matrix A.
 
-    A displacement's rate is a sum of speeds with constant factors: its row of A holds numbers only, not all
-    zero, and none of them at another such row's place. Something must depend on it: an absolute angle, whose
-    column is zero, deforms nothing.
+    geometric : SX column of the parameters that are ratios, angles or lengths; none if left out
+    rates : (n,) True for states that are rates by their unit, such as rad/s
+
+    A displacement's rate is a sum of speeds with factors of geometry: its row of A holds numbers and geometric
+    parameters, not all zero, and none of them at another such row's place. Something must depend on it: an absolute
+    angle, whose column is zero, deforms nothing. Rows of numbers go first: in q' = v, v' = -w² q with a w that has
+    no unit both could be displacements. Of two others that ask for each other, the one that is no rate by its unit is
+    the displacement; without units neither is.
     """
     size = a.size1()
-    constant = np.array(
-        [a[row, :].is_constant() and not a[row, :].is_zero() and a[row, row].is_zero() for row in range(size)]
+    allowed = {s.element_hash() for s in ca.symvar(geometric)} if geometric is not None else set()
+    used = [{s.element_hash() for s in ca.symvar(a[row, :])} for row in range(size)]
+    able = np.array(
+        [
+            used[row] <= allowed
+            and not a[row, :].is_zero()
+            and a[row, row].is_zero()
+            and not a[:, row].is_zero()
+            for row in range(size)
+        ],
+        dtype=bool,
     )
-    constant &= np.array([not a[:, column].is_zero() for column in range(size)], dtype=bool)
-    if constant.any():
-        index = [int(row) for row in np.flatnonzero(constant)]
-        among = np.array(ca.DM(ca.densify(a[index, index])))
-        constant[np.array(index)[np.any(among != 0, axis=1)]] = False
-    return constant
+    there = np.zeros((size, size), dtype=bool)
+    there[tuple(np.array(part, dtype=int) for part in ca.sparsify(a).sparsity().get_triplet())] = True
+    constant = able & np.array([not names for names in used], dtype=bool)
+    found: NDArray[np.bool_] = constant & ~np.any(there & constant, axis=1)
+    open_ = able & ~constant & ~np.any(there & found, axis=1) & ~np.any(there[found], axis=0)
+    for wanted in (open_,) if rates is None else (open_ & ~rates, open_):
+        left = wanted & ~np.any(there & found, axis=1) & ~np.any(there[found], axis=0)
+        found = found | (left & ~np.any(there & left, axis=1) & ~np.any(there[left], axis=0))
+    return found
 
 
 def modes_of(a: Array, *, states: tuple[str, ...], displacements: NDArray[np.bool_]) -> Modes:
     """Return the modes of the matrix `a` (n, n) [1/s]; see `Modes` for the order and normalisation."""
-    values, vectors = np.linalg.eig(a)
-    values, vectors = values.astype(complex), vectors.astype(complex)
-    limit = REAL_TOLERANCE * max(float(np.max(np.abs(values), initial=0.0)), 1e-300)
-    real = np.flatnonzero(np.abs(values.imag) <= limit)
-    pairs = np.flatnonzero(values.imag > limit)
+    values, vectors, limit = _eigen(a)
+    real, pairs = _kinds(values, limit)
     order = np.concatenate([part[np.argsort(np.abs(values[part]), kind="stable")] for part in (real, pairs)])
     measured = displacements if displacements.any() else np.ones_like(displacements)
     shapes = vectors[:, order]
@@ -193,13 +220,40 @@ def modes_of(a: Array, *, states: tuple[str, ...], displacements: NDArray[np.boo
     )
 
 
+def _eigen(a: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128], Array]:
+    """Eigenvalues, right eigenvectors, and how far rounding may have moved each eigenvalue [1/s].
+
+    LAPACK's eigenvalues are those of a matrix a few roundings of the balanced norm away; an eigenvalue moves by that
+    times its condition, 1/|yᵀ x| of the unit left and right eigenvectors, and a double one, which has no finite
+    condition, by the geometric mean of that and the norm.
+    """
+    if not a.size:
+        return np.zeros(0, complex), np.zeros((0, 0), complex), np.zeros(0)
+    balanced, turn = scipy.linalg.matrix_balance(a)
+    found: Any = scipy.linalg.eig(balanced, left=True, right=True)
+    values, left, right = found
+    overlap = np.abs(np.einsum("ij,ij->j", left.conj(), right))
+    norm = np.linalg.norm(balanced)
+    moved = _ROUNDINGS * np.finfo(float).eps * norm
+    limit = np.minimum(moved / np.maximum(overlap, 1e-300), np.sqrt(moved * norm))
+    return values.astype(complex), (turn @ right).astype(complex), limit
+
+
+def _kinds(values: NDArray[np.complex128], limit: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The real eigenvalues, and of each conjugate pair the one with positive imaginary part.
+
+    A pair that rounding may have split off a double real eigenvalue counts as two real ones.
+    """
+    real = np.flatnonzero(np.abs(values.imag) <= limit)
+    return real, np.flatnonzero(values.imag > limit)
+
+
 def _undamped(a: Array, displacements: NDArray[np.bool_]) -> Array:
     """Natural frequencies [Hz] with all forces by speeds taken away, rising, without zeros."""
-    speeds = ~displacements
-    product = a[np.ix_(displacements, speeds)] @ a[np.ix_(speeds, displacements)]
-    squares = -np.linalg.eigvals(product).real if product.size else np.zeros(0)
-    least = 1e-12 * np.max(np.abs(squares), initial=0.0)
-    return np.sort(np.sqrt(squares[squares > least])) / (2 * math.pi)
+    kinematic = displacements[:, None] != displacements[None, :]
+    values, _, limit = _eigen(np.where(kinematic, a, 0.0))
+    _, pairs = _kinds(values, limit)
+    return np.sort(np.abs(values[pairs])) / (2 * math.pi)
 
 
 def natural_frequency_derivatives(
@@ -214,9 +268,8 @@ def natural_frequency_derivatives(
     eigenvector's derivative), so that it holds for an A that is defective elsewhere.
     ModelError if there is no such mode, or its eigenvalue is not simple.
     """
-    values, vectors = np.linalg.eig(a)
-    limit = REAL_TOLERANCE * max(float(np.max(np.abs(values), initial=0.0)), 1e-300)
-    pairs = np.flatnonzero(values.imag > limit)
+    values, vectors, limit = _eigen(a)
+    _, pairs = _kinds(values, limit)
     pairs = pairs[np.argsort(np.abs(values[pairs]), kind="stable")]
     which = pairs[_checked_mode(k, len(pairs)) - 1]
     value, right = values[which], vectors[:, which]

@@ -246,6 +246,21 @@ def test_an_effect_may_have_states_of_its_own_and_the_core_stays_linear():
     np.testing.assert_allclose(torque, [3.0 * 0.4, -3.0 * 0.4], rtol=1e-9)
 
 
+def test_two_effects_of_a_port_have_states_of_their_own_names():
+    class Other(Hysteresis):
+        name = "other"
+
+    model = two_mass(reciprocating_speed="measured")
+    for effect in (Hysteresis(), Other()):
+        model = model.with_effect(effect, at="coupling")
+    names = [variable.name for variable in model.states]
+    assert names[-2:] == ["coupling_hysteresis_z", "coupling_other_z"]
+    assert [model.x[row].name() for row in range(len(names))] == names
+    text = model.equations()
+    assert "coupling.hysteresis.torque*coupling_hysteresis_z" in text
+    assert "coupling.other.torque*coupling_other_z" in text
+
+
 @pytest.mark.parametrize("states", [3, {"q": 3}, {"q": ("a", 0)}, {"q": (float("nan"), 0)}, {"q": (True, 0)}])
 def test_states_of_a_law_that_cannot_be_are_refused(states):
     class Strange(ce.effects.CoulombFriction):

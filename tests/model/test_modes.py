@@ -257,3 +257,104 @@ def test_multiple_eigenvalue_is_an_error(coupled):
 def test_missing_mode_in_derivatives():
     with pytest.raises(ModelError, match="no such oscillatory mode; seen: 1; allowed: none"):
         natural_frequency_derivatives(-np.eye(2), np.zeros((2, 2, 1)), None, 1)
+
+
+def beside_a_fast_pole(fast, *, coupled=True):
+    """A suspension of 1 Hz whose force is told by a fast first-order actuator."""
+    b = Blueprint("fast")
+    q, v, f = b.state("q", unit="m"), b.state("v", unit="m/s"), b.state("f")
+    b.ode("q", v)
+    b.ode("v", -((2 * math.pi) ** 2) * q - 0.4 * v + f)
+    b.ode("f", -fast * (f - (0.1 * v if coupled else 0)))
+    b.output("q", q)
+    return b.model()
+
+
+@pytest.mark.parametrize("fast", [1e3, 1e9, 1e12])
+@pytest.mark.parametrize("coupled", [False, True])
+def test_a_slow_mode_beside_a_fast_pole_is_a_mode(fast, coupled):
+    modes = beside_a_fast_pole(fast, coupled=coupled).modes()
+    assert modes.numbers == (0, 1)
+    # with a fast actuator its force is 0.1 v: a damper of 0.4 - 0.1
+    assert modes.frequency(1) == pytest.approx(1.0, rel=1e-3)
+    assert modes.damping_ratios[1] == pytest.approx((0.3 if coupled else 0.4) / (4 * math.pi), rel=2e-2)
+    assert modes.undamped_hz == pytest.approx([1.0])
+
+
+def test_undamped_frequencies_far_apart():
+    a = np.zeros((4, 4))
+    a[0, 1] = a[2, 3] = 1.0
+    a[1, 0], a[3, 2] = -((2 * math.pi * 1e8) ** 2), -((2 * math.pi) ** 2)
+    modes = modes_of(a, states=tuple("abcd"), displacements=np.array([True, False, True, False]))
+    np.testing.assert_allclose(modes.undamped_hz, [1.0, 1e8], rtol=1e-9)
+
+
+@pytest.mark.parametrize("shift", [0.0, 1e-12, 1e-3, 1.0])
+@pytest.mark.parametrize("fast", [1.0, 1e6])
+def test_a_critically_damped_pair_is_aperiodic(shift, fast):
+    """Rounding splits a double eigenvalue into a pair; similar matrices, so that nothing is exact."""
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    a = (
+        turn @ np.diag([0.0, 0.0, -fast]) @ turn.T
+        + turn @ np.array([[-1, 1, 0], [0, -1, 0], [0, 0, 0]]) @ turn.T
+    )
+    a += shift * 1e-15 * fast * np.random.default_rng(1).normal(size=(3, 3))
+    assert modes_of(a, states=tuple("abc"), displacements=np.zeros(3, dtype=bool)).numbers == (0, 0, 0)
+
+
+def geared(*, unit="1", lever=False, twist_unit="rad", speed_unit="rad/s", loss=True):
+    """An engine and a load over a gear and an elastic shaft: twist' = ratio·omega_1 − omega_2."""
+    b = Blueprint("geared")
+    r, k = b.parameter("ratio", 2.5, unit=unit), b.parameter("K", 300.0, unit="N m/rad")
+    j1, j2 = b.parameter("J1", 0.2, unit="kg m2"), b.parameter("J2", 1.5, unit="kg m2")
+    w1, w2 = b.state("omega_1", unit=speed_unit), b.state("omega_2", unit=speed_unit)
+    twist = b.state("twist", unit=twist_unit)
+    torque = k * twist
+    c = 0.1 if loss else 0.0
+    b.ode("omega_1", (-r * torque - c * w1) / j1)
+    b.ode("omega_2", torque / j2)
+    b.ode("twist", r * w1 - w2 * (r / 2.5 if lever else 1))
+    b.output("y", w1)
+    return b.model()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"loss": False}, {"twist_unit": "m", "unit": "m/rad", "lever": True}, {"speed_unit": "1"}],
+)
+def test_a_ratio_may_be_a_parameter(options):
+    modes = geared(**options).modes()
+    assert modes.displacements.tolist() == [False, False, True]
+    exact = math.sqrt(300 * (2.5**2 / 0.2 + 1 / 1.5)) / (2 * math.pi)
+    assert modes.undamped_hz == pytest.approx([exact])
+
+
+def test_a_factor_with_time_in_it_is_no_ratio():
+    """q' = v/T with a time T: the equation of a filter could be written like this."""
+    modes = geared(unit="1/s").modes()
+    assert not modes.displacements.any()
+    assert modes.undamped_hz.size == 0
+    assert modes.oscillatory == 1
+
+
+def test_numbers_go_before_ratios():
+    """w and z have no unit: v' = -w² q alone could be geometry too."""
+    modes = oscillator(zeta=0.0).modes()
+    assert modes.displacements.tolist() == [True, False]
+    assert modes.undamped_hz == pytest.approx([1.0])
+
+
+def ring(unit):
+    """q' = g v, v' = -g q: which one is the displacement, the units alone can tell."""
+    b = Blueprint("ring")
+    g, q, v = b.parameter("g", 3.0), b.state("q"), b.state("v", unit=unit)
+    b.ode("q", g * v)
+    b.ode("v", -g * q)
+    b.output("q", q)
+    return b.model().modes()
+
+
+def test_of_two_that_could_be_displacements_the_units_decide_or_nothing():
+    assert ring("1/s").displacements.tolist() == [True, False]
+    assert ring("1/s").undamped_hz == pytest.approx([3 / (2 * math.pi)])
+    assert not ring("1").displacements.any()
