@@ -304,7 +304,7 @@ def _coloured(search: Search, best: Attempt) -> list[str]:
         for name in record.observation.where:
             r = record.observation.series(part.r, name)
             r = r[record.observation.series(record.weight, name) > 0]
-            if len(r) < _FEW or not r.any():
+            if len(r) < _FEW or search.levels.rounding(name, r, search.sigma):
                 continue
             share = float(r[1:] @ r[:-1] / (r @ r))
             if share * np.sqrt(len(r)) > _COLOUR:
