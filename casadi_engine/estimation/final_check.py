@@ -47,7 +47,7 @@ def verdict(
     resolve.
     """
     status = best.solution.status
-    stuck = best.solution.words in _STUCK and not search._settles and not errors.directions
+    stuck = best.solution.words in _STUCK and not search.settles and not errors.directions
     if status != "converged" and (not stuck or search.constraints.violated(errors.v)):
         return status, None
     weights = search.levels.weights(best.sigma)
