@@ -1,11 +1,14 @@
 """What a fit reports is what it found: scales from the data, bounds in standard errors, a last look at the optimum."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.errors import EstimationError
+from casadi_engine.estimation.answer import _coarse
 from casadi_engine.estimation.ipopt import Solver
 from casadi_engine.estimation.standard_errors import _acts
 
@@ -358,3 +361,41 @@ def test_the_initial_state_of_a_fit_is_taken_as_it_is():
         assert again.initial["run"]["x"].value == fit.initial["run"]["x"].value
         assert again.initial["run"]["x"].fixed
         np.testing.assert_allclose(again.z, fit.z, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "advice"),
+    [
+        (("u", "load"), "give u, load at a higher rate"),
+        ((), "add times without samples between those of the record"),
+    ],
+)
+def test_a_coarse_integration_names_the_inputs_that_there_are(inputs, advice):
+    search = SimpleNamespace(
+        model=SimpleNamespace(inputs=tuple(SimpleNamespace(name=name) for name in inputs)),
+        records=[SimpleNamespace(outputs=("y", "z"))],
+    )
+    found = SimpleNamespace(outputs=("y", "z"), absolute=(0.02, 0.0001))
+    (message,) = _coarse({"run": found}, search, np.array([0.1, 0.1]))
+    assert message == (
+        f"the integration of run/y is off by up to 0.02, 0.2 of its noise: {advice}, or make the equations smoother"
+    )
+
+
+def test_several_records_and_starts_from_0():
+    data = [record(response(1.5, gain), 1e-5, seed=seed) for seed, gain in enumerate((0.002, -0.004))]
+    pars = lag(b=(0.0, -1e6, 1e6)).parameters()
+    pars.vary_by_experiment("b")
+    fit = ce.estimate(lag(), data, parameters=pars, noise=ce.Noise(y=1e-5), starts=4, progress=False)
+    assert fit.converged
+    for name, gain in zip([name for name in fit.free if name != "a"], (0.002, -0.004), strict=True):
+        assert abs(fit.values[name] - gain) < 3 * fit.stderr[name]
+    assert fit.optima[0].starts == 4
+
+
+def test_a_warm_start_that_knows_more_than_0():
+    data = record(response(1.5, 0.002), 1e-5)
+    first = ce.estimate(lag(b=(0.0, 0, 1e9)), data, noise=ce.Noise(y=1e-5), progress=False)
+    again = ce.estimate(lag(b=(0.0, 0, 1e9)), data, noise=ce.Noise(y=1e-5), warm=first, progress=False)
+    assert again.converged
+    np.testing.assert_allclose(again.z, first.z, rtol=1e-6)
