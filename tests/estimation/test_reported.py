@@ -399,3 +399,29 @@ def test_a_warm_start_that_knows_more_than_0():
     again = ce.estimate(lag(b=(0.0, 0, 1e9)), data, noise=ce.Noise(y=1e-5), warm=first, progress=False)
     assert again.converged
     np.testing.assert_allclose(again.z, first.z, rtol=1e-6)
+
+
+@pytest.mark.parametrize("law", ["square", "product"])
+def test_a_start_on_a_saddle_is_no_optimum(law):
+    """p**2 from 0, and p*q from 0, 0: no slope, no answer, and the message says why; from 1 the truth comes out."""
+
+    def model(start):
+        b = ce.Blueprint(law)
+        p = b.parameter("p", start)
+        q = b.parameter("q", start) if law == "product" else p
+        x, u = b.state("x"), b.input("u")
+        b.ode("x", -1.5 * x + p * q * u)
+        b.output("y", x)
+        return b.model()
+
+    data = record(response(1.5, 2.0), 1e-2)
+    stuck = ce.estimate(model(0.0), data, noise=ce.Noise(y=1e-2), max_iterations=30, progress=False)
+    assert not stuck.converged
+    assert "the data have no slope in" in stuck.status
+    assert any(
+        "start elsewhere, not where the outputs do not depend on it" in said for said in stuck.messages
+    )
+    fit = ce.estimate(model(1.0), data, noise=ce.Noise(y=1e-2), progress=False)
+    assert fit.converged
+    assert fit.values["p"] * fit.values.get("q", fit.values["p"]) == pytest.approx(2.0, abs=0.01)
+    assert bool(fit.undetermined) == (law == "product")
