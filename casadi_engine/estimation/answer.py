@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from casadi_engine.estimation.final_check import cure, printed_cost, relabelled, verdict
+from casadi_engine.estimation.final_check import cure, printed_cost, relabelled, residual, response, verdict
 from casadi_engine.estimation.fit import Estimate, Fit, Innovations, Optimum, Trace
 from casadi_engine.estimation.fit_percent import fit_measures
 from casadi_engine.estimation.integration import integration_of
@@ -19,7 +19,6 @@ from casadi_engine.estimation.predictor import output_stride
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty, uncertainty
-from casadi_engine.estimation.starts import chained_nodes
 from casadi_engine.simulation.error_estimate import ErrorEstimate
 
 Array = NDArray[np.float64]
@@ -141,14 +140,14 @@ def _predictor(search: Search, v: Array, sigma: Array, errors: Uncertainty) -> I
 def _traces(search: Search, record: RecordTerm, v: Array, start: Array) -> tuple[dict[str, Trace], Array]:
     """Measured, simulated and, with a gain, predicted outputs at the measured times; and the weighted residual (K, M)
     that the fit minimises, of the same trajectory."""
-    simulated = _response(record, v, start)
-    left = np.where(record.weight > 0, simulated[0] - record.observation.measured, 0.0) * record.weight
+    simulated = response(record, v, start)
+    left = residual(record, simulated[0])
     predicted = None
     if search.noise.predicts:
         predicted = simulated
         if search.predictor.kind == "process":  # the search has whitened innovations
-            predicted = _response(record.again(gain=search.plain_gain(record)), v, start)
-        simulated = _response(record.again(gain=None), v, start)
+            predicted = response(record.again(gain=search.plain_gain(record)), v, start)
+        simulated = response(record.again(gain=None), v, start)
     found = {}
     for name, sample in record.grid.measured.items():
         channel = record.experiment[name]
@@ -162,12 +161,6 @@ def _traces(search: Search, record: RecordTerm, v: Array, start: Array) -> tuple
         measured = np.where(counts, channel.values, np.nan)
         found[name] = Trace(channel.time, measured, counts, rows[0], rows[1] if len(rows) > 1 else None)
     return found, left
-
-
-def _response(record: RecordTerm, v: Array, start: Array) -> tuple[Array, Any]:
-    """Outputs (K, M) of the trajectory from ``start``, and the observation that lays them out."""
-    path = record.propagator.propagate(v[record.active], chained_nodes(record, v, start), 0)
-    return record.observation.observe(path.y)[0], record.observation
 
 
 def _integration(search: Search, x: Array) -> dict[str, ErrorEstimate]:
@@ -293,7 +286,7 @@ def _coloured(search: Search, best: Attempt) -> list[str]:
         for name in record.observation.where:
             r = record.observation.series(part.r, name)
             r = r[record.observation.series(record.weight, name) > 0]
-            if len(r) < _FEW or not r.any():
+            if len(r) < _FEW or search.levels.rounding(name, r, search.sigma):
                 continue
             share = float(r[1:] @ r[:-1] / (r @ r))
             if share * np.sqrt(len(r)) > _COLOUR:

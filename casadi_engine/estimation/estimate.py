@@ -82,7 +82,11 @@ def estimate(
     progress : None for a bar on a terminal, False for none, or a function (iteration, cost, fit percent)
     max_iterations, tolerance : of IPOPT, for each start
 
-    Returns a Fit; its ``status`` says "converged", "interrupted" (Ctrl-C: the best point so far) or why not.
+    A parameter that starts at 0 takes its scale from what the data feel of it, never from a bound; one counts as at its
+    bound only within 0.03 standard errors of it, and if it would go beyond.
+
+    Returns a Fit; its ``status`` says "converged" (see ``Fit``), "interrupted" (Ctrl-C: the best
+    point so far) or why not.
     Raises EstimationError, ParameterError, ConstraintError, ExperimentError for input that cannot be used,
     MissingDependencyError for ``jobs`` without joblib.
 

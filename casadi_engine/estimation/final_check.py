@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.errors import ModelError
 from casadi_engine.estimation.fit import Optimum
+from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty, uncertainty
+from casadi_engine.estimation.starts import chained_nodes
 
 Array = NDArray[np.float64]
 
@@ -23,6 +27,21 @@ _STUCK = ("Search_Direction_Becomes_Too_Small", "Maximum_Iterations_Exceeded")
 # Chi-squared by which the simulation from the printed values may differ from what the search found: the same amount,
 # and a share for the rounding of long sums and the tolerance of continuity.
 _ALIKE, _SHARE = 1e-3, 1e-6
+# Chi-squared that a step along what has no slope may bring: a tenth of what a standard error changes it by.
+_FALL = 0.1
+# Directions that are tried so, each by itself.
+_MOST = 4
+
+
+def response(record: RecordTerm, v: Array, start: Array) -> tuple[Array, Any]:
+    """Outputs (K, M) of the trajectory from ``start``, and the observation that lays them out."""
+    path = record.propagator.propagate(v[record.active], chained_nodes(record, v, start), 0)
+    return record.observation.observe(path.y)[0], record.observation
+
+
+def residual(record: RecordTerm, y: Array) -> Array:
+    """The weighted residual (K, M) of outputs (K, M)."""
+    return np.where(record.weight > 0, y - record.observation.measured, 0.0) * record.weight
 
 
 def printed_cost(search: Search, v: Array, residuals: Sequence[Array], sigma: Array | None = None) -> float:
@@ -47,7 +66,10 @@ def verdict(
     resolve.
     """
     status = best.solution.status
-    stuck = best.solution.words in _STUCK and not search._settles and not errors.directions
+    reason = _saddle(search, errors, printed_cost(search, errors.v, residuals))
+    if reason is not None:
+        return f"not converged: {reason}", reason
+    stuck = best.solution.words in _STUCK and not search.settles and not errors.directions
     if status != "converged" and (not stuck or search.constraints.violated(errors.v)):
         return status, None
     weights = search.levels.weights(best.sigma)
@@ -72,10 +94,60 @@ def verdict(
     return f"not converged: {reason}", reason
 
 
+def _saddle(search: Search, errors: Uncertainty, cost: float) -> str | None:
+    """A parameter without slope whose change lowers chi-squared all the same: p where the model has p**2, from 0.
+
+    What the data do not determine is moved to either side by a hundredth of its scale and by all of it, each direction
+    by itself, and all together (a product may need two).
+    """
+    lost = errors.covariance.directions
+    if not lost:
+        return None
+    tried: list[tuple[Any, str]] = [
+        (one, words.text) for one, words in zip(lost, errors.directions, strict=True)
+    ][:_MOST]
+    records = [_in_one_piece(search, record) for record in search.records]
+    if len(lost) > 1:
+        text = " and ".join(words.text for words in errors.directions)
+        alternating = (-1.0) ** np.arange(len(lost))
+        tried += [(np.sum(lost, axis=0), text), (alternating @ np.array(lost), text)]
+    nv, lower, upper = len(errors.v), search.lower, search.upper
+    for direction, text in tried:
+        for step in (-1e-2, 1e-2, -1.0, 1.0):
+            v = np.clip(errors.v + step * direction[:nv], lower[:nv], upper[:nv])
+            moved, at = [], nv
+            try:
+                for record, lay in zip(records, search.problem.layouts, strict=True):
+                    start = lay.take(errors.x)[0] + step * direction[at : at + record.n]
+                    start = np.clip(start, lower[lay.at : lay.at + lay.n], upper[lay.at : lay.at + lay.n])
+                    moved.append(residual(record, response(record, v, start)[0]))
+                    at += record.n
+                fall = cost - printed_cost(search, v, moved)
+            except (FloatingPointError, np.linalg.LinAlgError, ModelError):
+                continue
+            if fall > _FALL + _SHARE * cost and not search.constraints.violated(v):
+                return (
+                    f"the data have no slope in {text} here, yet a step of {step:g} times its scale lowers "
+                    f"chi-squared by {fall:.3g}"
+                )
+    return None
+
+
+def _in_one_piece(search: Search, record: RecordTerm) -> RecordTerm:
+    """The record as its simulation wants it: nonlinear models have to be laid out anew, so once for many points."""
+    if record.linear or record.plan.m == 1:
+        return record
+    whole = record.single()
+    whole.set_sigma(search.sigma)
+    return whole
+
+
 def cure(reason: str) -> str:
     """What to do about such a doubt."""
     if reason.startswith("one more step"):
         return f"{reason}: go on from here (warm=fit), start elsewhere, or fix what the data do not determine"
+    if reason.startswith("the data have no slope"):
+        return f"{reason}: start elsewhere, not where the outputs do not depend on it (such as 0)"
     return (
         f"{reason}: the motion is so sensitive to its start that the record cannot be simulated in one piece: "
         "take a shorter record; or states are far from their scale: give b.state(..., scale=...)"

@@ -107,14 +107,17 @@ class Optimum:
 class Fit:
     """The answer of ``estimate``: parameters, errors, traces and how they were found.
 
-    status : "converged", "interrupted" (the best point so far) or "not converged: <IPOPT's words>"
+    status : "converged", "interrupted" (the best point so far) or "not converged: <why>". Converged means that one more
+    step would lower chi-squared by 0.001 at most (the optimum is within 0.03 standard errors), and that the simulation
+    from these values and initial states has the chi-squared that the search found, within 0.001 and a millionth of it
     parameters : frozen set at the optimum. start : name -> value the search started from (free parameters)
     estimates : name -> Estimate of every parameter of the set, tied, auxiliary and fixed ones too
     free : names of the estimated vector z. z : (nz,) its values. covariance : (nz, nz), zero rows for entries at a
     bound, NaN rows for entries that the data do not determine
     initial : record -> state -> Estimate
     noise : output -> (sigma, estimated)
-    cost : sum of ((y - y_hat)/sigma)^2 + priors. n : number of samples that count. dof : n less what was estimated
+    cost : sum of ((y - y_hat)/sigma)^2 + priors, simulated from these values as the traces are
+    n : number of samples that count. dof : n less what was estimated
     traces : record -> output -> Trace. drives : record -> drive -> (2, N) array of times [s] and values
     fit_percent : record -> output -> {"simulation": %, "prediction": % or None}, (2.32)
     timing : seconds of "setup", "solve", "covariance", "total". nodes : number of shooting intervals
@@ -162,7 +165,7 @@ class Fit:
 
     @property
     def converged(self) -> bool:
-        """True if the solver met its tolerance."""
+        """True if this is an optimum, and what is printed is it (see ``status``)."""
         return self.status == "converged"
 
     @property

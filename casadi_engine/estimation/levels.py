@@ -20,6 +20,8 @@ _MAD = 1.4826
 # Levels below these shares of the largest output: with the first as weight, rounding keeps a search from ending;
 # the second is rounding itself.
 _WEIGHT, _ROUNDING = 1e-5, 1e-12
+# Residuals that say nothing: this share of a known level, or of the largest output (the tolerance of continuity).
+_SMALL, _TOLERANCE = 1e-3, 1e-8
 
 
 class NoiseLevels:
@@ -87,6 +89,14 @@ class NoiseLevels:
                 found[k] *= float(np.sqrt(np.mean(r**2) / max(share, 1e-9)))
             found[k] = max(found[k], _ROUNDING * self._size[k], 1e-300)
         return found
+
+    def rounding(self, name: str, r: Array, sigma: Array) -> bool:
+        """True if residuals r in units of the levels sigma (ny,) are but what a search leaves of data without noise:
+        below the tolerance of continuity, or a thousandth of a level that is known."""
+        k = self.outputs.index(name)
+        size = float(np.sqrt(np.mean(r**2)))
+        known = not self.estimated[k] and size < _SMALL
+        return known or size * float(sigma[k]) < _TOLERANCE * float(self._size[k])
 
     def by_name(self, sigma: Array) -> dict[str, tuple[float, bool]]:
         """Output -> (level, whether it was estimated)."""

@@ -281,7 +281,7 @@ class Search:
     def _levelled(self, solution: Solution) -> tuple[Solution, int]:
         """The solution with the noise levels settled, and the iterations that it took in all."""
         iterations = solution.iterations
-        for _ in range(_ROUNDS if self._settles else 0):
+        for _ in range(_ROUNDS if self.settles else 0):
             if solution.status != "converged":
                 break
             weights = self.levels.weights(self.levels_at(solution.x))
@@ -346,7 +346,7 @@ class Search:
         return found if np.isfinite(found).all() else z
 
     @property
-    def _settles(self) -> bool:
+    def settles(self) -> bool:
         """True if the estimate depends on noise levels that are themselves estimated."""
         estimated = self.levels.estimated
         alone = len(estimated) == 1 and not self.problem.priors.count and not self.loss.robust

@@ -155,20 +155,21 @@ def uncertainty(search: Search, best: Attempt) -> Uncertainty:
     limits = [(low, high) for low, high, _ in search._initial]
     fixed = np.concatenate([np.zeros(search.problem.nv, dtype=bool), *[low == high for low, high in limits]])
     equal = _rows(search, best.v, search.constraints.lower == search.constraints.upper, len(information))
-    open_ = invert(information, fixed, equal)
+    x = best.solution.x.copy()
+    entries = np.concatenate([x[: search.problem.nv], *[lay.take(x)[0] for lay in search.problem.layouts]])
+    open_ = invert(information, fixed, equal, entries)
     force = gradient.copy()
     if search.constraints.count:  # what the bounds have to hold beside the constraints
         pull = search.constraints.evaluate(best.v)[1].T @ best.solution.lam_g[: search.constraints.count]
         force[: search.problem.nv] += search.problem.samples * pull
     bound = _at_bounds(search, best, open_, force)
-    x = best.solution.x.copy()
     for k, side in enumerate(bound[: search.problem.nv]):
         if side is not False:
             x[k] = search.lower[k] if side == "min" else search.upper[k]
     closed = fixed | np.array([side is not False for side in bound], dtype=bool)
     rows, acting = _active_rows(search, best, x[: search.problem.nv], open_)
     optimal = best.solution.status == "converged"
-    found = invert(information, closed, rows)
+    found = invert(information, closed, rows, entries)
     decrement = float(gradient @ found.matrix @ gradient)
     acts = bool(closed[: search.problem.nv].any()) or bool(acting)
     released = _released(search, best, information, closed, x[: search.problem.nv]) if acts else None
@@ -217,11 +218,17 @@ def _information(search: Search, best: Attempt) -> tuple[Array, Array]:
 
 
 def _efficiency(loss: Loss, r: Array) -> float:
-    """(mean rho'')^2 / mean rho'^2: 1 for least squares with unit residuals (Huber 1981, section 7.6)."""
+    """(mean rho'')^2 / mean rho'^2: 1 for least squares with unit residuals (Huber 1981, section 7.6).
+
+    No more than 1: residuals that are smaller than the noise is known or can be make no estimate better than the noise.
+    """
     if not loss.robust:
         return 1.0
     curvature, slope = loss.curvature(r), loss.slope(r)
-    return float(np.mean(curvature) ** 2 / np.mean(slope**2)) if curvature is not None else 1.0
+    if curvature is None:
+        return 1.0
+    steep = float(np.mean(curvature)) ** 2
+    return steep / max(float(np.mean(slope**2)), steep, 1e-300)
 
 
 def _acts(near: float, force: float, variance: float) -> bool:

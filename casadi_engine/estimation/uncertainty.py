@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 # Eigenvalues of the information matrix, scaled to unit diagonal, below which a direction counts as not
 # determined: the rounding of the matrix itself is about 1e-15 times its condition.
 _NOTHING = 1e-12
+# Standard errors, in units of an entry's scale or value, from which it counts as not determined by itself.
+_LOST = 1e8
 
 
 @dataclass(frozen=True)
@@ -66,9 +68,11 @@ def chained_gradient(record: RecordTerm, point: RecordPoint, slope: Array) -> Ar
     return found
 
 
-def invert(information: Array, closed: NDArray[np.bool_], active_rows: Array) -> Covariance:
+def invert(
+    information: Array, closed: NDArray[np.bool_], active_rows: Array, at: Array | None = None
+) -> Covariance:
     """Covariance from the information (N, N); closed : (N,) entries at a bound or fixed; active_rows : (c, N)
-    gradients of the active constraints."""
+    gradients of the active constraints; at : (N,) the entries, whose size counts where they are beyond their scale."""
     size = len(information)
     free = ~closed
     basis = np.eye(size)[:, free]
@@ -76,7 +80,8 @@ def invert(information: Array, closed: NDArray[np.bool_], active_rows: Array) ->
         basis = basis @ null_space(active_rows[:, free])
     inner = basis.T @ information @ basis
     spread = np.sqrt(np.maximum(np.diag(inner), 0.0))
-    blind = spread <= 1e-150
+    size_of = np.ones(size) if at is None else np.maximum(1.0, np.abs(at))
+    blind = spread * _LOST <= 1.0 / np.maximum(1.0, np.abs(basis).T @ size_of)
     spread = np.where(blind, 1.0, spread)
     values, vectors = np.linalg.eigh(inner / np.outer(spread, spread))
     lost = values < _NOTHING * max(1.0, values[-1] if len(values) else 1.0)

@@ -89,7 +89,8 @@ def test_starts_lie_within_the_bounds_and_reach(shaft_model):
     pars.add("offset", -2.0)
     pars.constrain("offset + J_eng", -100.0, 100.0)
     pmap = compile(pars, model.parameter_names)
-    starts = np.array(drawn_starts(pmap, 200, 0))
+    sizes = np.where(np.array(pmap.free) == "C_el", 3.2, pmap.scale)  # as the data feel it: 0 is no size
+    starts = np.array(drawn_starts(pmap, 200, 0, scale=sizes))
     np.testing.assert_array_equal(starts[0], pmap.start)
     assert (starts >= pmap.lower).all()
     assert (starts <= pmap.upper).all()

@@ -62,7 +62,7 @@ def test_the_map_cannot_be_changed(engine):
 
 @pytest.mark.parametrize(
     ("value", "low", "high", "scale"),
-    [(-3, -math.inf, math.inf, 3), (0, -1, 4, 5), (0, 0, math.inf, 1), (0, -math.inf, math.inf, 1)],
+    [(-3, -math.inf, math.inf, 3), (0, -1, 4, 1), (0, 0, math.inf, 1), (0, -math.inf, math.inf, 1)],
 )
 def test_scale_is_the_magnitude_of_the_start(value, low, high, scale):
     pars = Parameters()
