@@ -23,6 +23,7 @@ from casadi_engine.estimation.fit_percent import FloatArray
 from casadi_engine.estimation.single_shots import Place, SingleShots
 from casadi_engine.problem.noise import Noise
 from casadi_engine.validation.parameter_prior import PriorSplit
+from casadi_engine.validation.residual_tests import ResidualTest
 
 # A direction that bounds or constraints hold is kept to this share of the parameters' size.
 _KEPT = 1e-6
@@ -55,6 +56,8 @@ class ParameterCheck:
     explained : share of the gap, beyond the noise of the fit, that errors of the parameters explain; None where there is
     no such gap. chi2 : chi-squared per sample at the fitted parameters, and within their errors
     moved : name -> Moved; at_bound : parameters that were at a bound in the fit
+    limits : one-sided test of the bounds and inequalities ``beyond`` which fit and fresh data together would go; None if
+    they stay inside
     """
 
     statistic: float | None
@@ -64,23 +67,33 @@ class ParameterCheck:
     chi2: tuple[float, float] | None = None
     moved: Mapping[str, Moved] | None = None
     at_bound: tuple[str, ...] = ()
+    limits: ResidualTest | None = None
+    beyond: tuple[str, ...] = ()
     why: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers for result.json."""
-        return {
+        """Plain numbers for result.json, each null with its reason under ``why``."""
+        found: dict[str, Any] = {
             "statistic": self.statistic,
             "dof": self.dof,
             "p_value": self.p_value,
             "explained": self.explained,
-            "chi2_per_sample": None if self.chi2 is None else {"fitted": self.chi2[0], "within_errors": self.chi2[1]},
-            "moved": {
-                name: {"fitted": one.fitted[0], "stderr": one.fitted[1], "fresh": one.fresh, "unit": one.unit}
-                for name, one in (self.moved or {}).items()
-            },
-            "at_bound": list(self.at_bound),
-            "why": self.why,
+            "chi2_fitted": None if self.chi2 is None else self.chi2[0],
+            "chi2_within_errors": None if self.chi2 is None else self.chi2[1],
         }
+        why = {key: self.why or "the refit was not made" for key, value in found.items() if value is None}
+        if self.explained is None and self.chi2 is not None:
+            why["explained"] = "no gap beyond the noise of the fit"
+        moved = {
+            name: {"fitted": one.fitted[0], "stderr": one.fitted[1], "fresh": one.fresh, "unit": one.unit}
+            | ({"why": {"stderr": "the fit has no standard error of it"}} if one.fitted[1] is None else {})
+            for name, one in (self.moved or {}).items()
+        }
+        made = found | {"moved": moved, "at_bound": list(self.at_bound), "beyond": list(self.beyond)}
+        made["limits_p"] = None if self.limits is None else self.limits.p_value
+        if self.limits is None:
+            why["limits_p"] = "fit and fresh data stay within all bounds"
+        return made | {"why": why}
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,9 +157,12 @@ class _Problem:
             [fit.values.get(name, values.get(name, values.get(name.partition("@")[0], 0.0))) for name in free]
         )
         errors = fit.errors
-        nothing = np.zeros((0, len(free)))
+        nothing, self.blind = np.zeros((0, len(free))), False
         self.rows, self.shift = (nothing, np.zeros(0)) if errors is None else errors.over(free)
         self.still = nothing if errors is None else errors.held_over(free)
+        if errors is not None and len(self.rows) + len(self.still) < sum(name in errors.names for name in free):
+            # Along a direction that the fit does not tell fresh data may go far, farther than its other errors are linear.
+            self.rows, self.shift, self.blind = nothing, np.zeros(0), True
         first = {record.name: held.states_at_start[record.name] for record in held.data}
         now = {name: values.get(name, value) for name, value in zip(free, self.fitted, strict=True)}
         self.begin = self.shots.start(now, first)
@@ -255,6 +271,7 @@ class _Problem:
         known = not any(free for _, free in self.fit.noise.values())
         p_value = split.p_value(math.inf if known else max(self.fit.dof, 1.0), fresh_freedom)
         why = None if p_value is not None else self._why_not()
+        limits, beyond = self._limits(x, turn @ split.step, turn @ split.covariance @ turn.T)
         gap = self._gap(sigma, split)
         check = ParameterCheck(
             None if p_value is None else split.value,
@@ -263,6 +280,8 @@ class _Problem:
             *gap,
             self._moved(x),
             tuple(name for name, one in self.fit.estimates.items() if one.at_bound is not False),
+            limits,
+            beyond,
             why,
         )
         level = {place: sigma[place[1]] for place in self.shots.places}
@@ -282,11 +301,28 @@ class _Problem:
             self.freedom,
         )
 
+    def _limits(
+        self, x: FloatArray, step: FloatArray, covariance: FloatArray
+    ) -> tuple[ResidualTest | None, tuple[str, ...]]:
+        """The bounds and inequalities beyond which both data would go, and the chance of it for a right model."""
+        found = []
+        for name, inside, slope in self.shots.limits(x):
+            error = math.sqrt(max(float(slope @ covariance @ slope), 0.0))
+            if error > 0 and inside + slope @ step < 0:
+                found.append((-float(inside + slope @ step) / error, name))
+        if not found:
+            return None, ()
+        found.sort(reverse=True)
+        chance = min(1.0, float(stats.norm.sf(found[0][0])) * len(found))
+        return ResidualTest(found[0][0], 1, chance, self.shots.count), tuple(name for _, name in found)
+
     def _why_not(self) -> str:
         if self.fit.errors is None:
             return "the fit is no optimum, so that its parameters have no errors"
         if not self.fit.free:
             return "the parameters were given, not estimated: they have no errors"
+        if self.blind:
+            return "the fit does not determine all parameters (fit.undetermined): they are free on the fresh data"
         return "no direction of the parameters is determined by the fit and by the fresh data both"
 
     def _gap(

@@ -87,7 +87,8 @@ def cross_rows(validation: Validation) -> list[tuple[str, str, str, str]]:
 
 
 def all_tests(validation: Validation) -> dict[str, Any]:
-    """Every test by the name that ``failed`` uses: "record/output/whiteness", "record/output/drive", "parameters"."""
+    """Every test by the name that ``failed`` uses: "record/output/whiteness", "record/output/drive", "parameters" or
+    "bounds"."""
     found: dict[str, Any] = {}
     for record, outputs in validation.records.items():
         for output, check in outputs.items():
@@ -95,6 +96,8 @@ def all_tests(validation: Validation) -> dict[str, Any]:
             found |= {f"{record}/{output}/{drive}": test for drive, test in check.cross.items()}
     if validation.parameters is not None:
         found["parameters"] = validation.parameters
+        if validation.parameters.limits is not None:
+            found["bounds"] = validation.parameters.limits
     return found
 
 
@@ -102,7 +105,10 @@ def verdict(validation: Validation) -> str:
     """The verdict in one sentence, with the false-alarm rate it was made at."""
     tests = all_tests(validation)
     made = sum(test.p_value is not None for test in tests.values())
-    level = f"{made} tests at alpha = {validation.alpha:g}"
+    kind = "residual tests" if validation.parameters is None else "tests"
+    level = f"{made} {kind} at alpha = {validation.alpha:g}"
+    if not made:
+        return "NOT TESTED: no test could be made with these data"
     if validation.passed:
         return f"PASSED: nothing is left in the residuals that these tests can see ({level})"
     failed = validation.failed
@@ -170,6 +176,8 @@ def untested(validation: Validation) -> list[str]:
 
 def next_step(validation: Validation) -> str:
     """What to type next."""
+    if all(test.p_value is None for test in all_tests(validation).values()):
+        return "give a longer record: ce.validate(fit, longer)"
     if validation.passed:
         return 'keep it: ce.report(validation, "report.html")'
     if validation.failed == ("parameters",):
