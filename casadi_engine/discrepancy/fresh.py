@@ -135,8 +135,8 @@ def held_fit(
 ) -> Fit:
     """The fit's parameters held on one record; initial states, and what is wrong with assumed pressures, found.
 
-    A parameter that varies by experiment has the value of the record of the same name; in a record of another name it is
-    found there too, beside the scatter of the fit's records where three or more tell it (``parameters_for``).
+    A parameter that varies by experiment has the value of the record of the same name; in a record of another name it
+    is found there too, beside the scatter of the fit's records where three or more tell it (``parameters_for``).
     idle : amplitudes that are zero there; model : in place of the fit's, with the same parameters.
     Raises EstimationError where the model fails.
     """

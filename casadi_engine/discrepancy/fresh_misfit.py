@@ -18,8 +18,8 @@ def fresh_misfit(repair: Repair) -> str | None:
     """What to say where the fresh data are not described by the model that is the answer: the gap there is beyond the
     noise and beyond what errors of the parameters explain.
 
-    The ratio of both chi-squared per sample is held against Fisher's F; parameters that would have to move too far count
-    as well. None where it is by chance, where there are no fresh data or no effect is named, or where combustion
+    The ratio of both chi-squared per sample is held against Fisher's F; parameters that must move too far count
+    too. None where it is by chance, where there are no fresh data or no effect is named, or where combustion
     scatters: that gap is not of the noise alone.
     """
     gaps = repair.gaps
@@ -38,11 +38,13 @@ def fresh_misfit(repair: Repair) -> str | None:
     where = f"chi2/N is {found:.3g} there and {own.chi2_per_sample:.3g} on the data of the search"
     if ratio > _LARGER and chance < _SURE:
         within = "" if left == found else f", {left:.3g} within the errors of the parameters"
-        return f"the fresh data do not fit: {where}{within}; something acts in them alone, or is still missing"
+        return (
+            f"the fresh data do not fit: {where}{within}; something acts in them alone, or is still missing"
+        )
     far = fresh.parameters_p is not None and fresh.parameters_p < _SURE
     if far and found > _LARGER * own.chi2_per_sample:
         return (
-            f"the fresh data do not fit: {where}, and they ask for other parameters than the fit's, beyond their errors "
-            f"(p {fresh.parameters_p:.2g})"
+            f"the fresh data do not fit: {where}, and they ask for other parameters than the fit's, beyond their errors"
+            f" (p {fresh.parameters_p:.2g})"
         )
     return None

@@ -80,7 +80,9 @@ def _prior(fit: Fit, null: NullModel) -> tuple[Array, Array]:
     if fit.errors is not None:
         known = fit.errors.names
         whole, shift = fit.errors.over(null.parameters)
-        centre = np.array([fit.values.get(name, value) for name, value in zip(null.parameters, null.values, strict=True)])
+        centre = np.array(
+            [fit.values.get(name, value) for name, value in zip(null.parameters, null.values, strict=True)]
+        )
         rows, offset = whole @ null.turn, whole @ (null.values - centre) - shift
         # A parameter without error on fresh data is moved by none of the columns; its rows hold nothing.
         acts = np.linalg.norm(rows, axis=1) > 0

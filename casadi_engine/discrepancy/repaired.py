@@ -131,7 +131,7 @@ class Side:
     """Simulation against data, before or after: the gap by output, whiteness p-values by record and output (None where
     the test cannot be made), and traces record -> output -> Trace.
 
-    On fresh data too: within_errors : chi-squared per sample that is left once the parameters have moved as far as their
+    On fresh data: within_errors : chi-squared per sample that is left once the parameters have moved as far as their
     errors allow; parameters_p : the chance that they would have to move so far; both None elsewhere
     """
 

@@ -19,7 +19,7 @@ Place = tuple[str, str]
 
 
 class SingleShots:
-    """Simulated (or, with a gain, predicted) residuals of records at x = [coordinates of z (nv,); first states, scaled].
+    """Simulated (predicted, with a gain) residuals of records at x = [coordinates of z (nv,); first states, scaled].
 
     free : names of z; lower, upper : (nx,) of x; places : the rows (record, output) -> slice; index : the samples'
     numbers in their channels
@@ -81,11 +81,13 @@ class SingleShots:
         for k, name in enumerate(self.free):
             for limit, side in ((self.lower[k], 1.0), (self.upper[k], -1.0)):
                 if np.isfinite(limit):
-                    found.append((f"the bound of {name}", side * float(x[k] - limit), side * np.eye(len(x))[k]))
+                    found.append(
+                        (f"the bound of {name}", side * float(x[k] - limit), side * np.eye(len(x))[k])
+                    )
         user = self._search.constraints
         if user.count:
             value, jacobian = user.evaluate(x[: len(self.free)])
-            for k in np.flatnonzero(user.lower < user.upper):
+            for k in np.flatnonzero(user.lower < user.upper).tolist():
                 slope = np.concatenate([jacobian[k], np.zeros(len(x) - len(self.free))])
                 for limit, side in ((user.lower[k], 1.0), (user.upper[k], -1.0)):
                     if np.isfinite(limit):

@@ -39,8 +39,8 @@ _REFUSED = 1e6
 
 @dataclass(frozen=True)
 class Moved:
-    """One parameter of a fit on fresh data: fitted : (value, standard error or None); fresh : where prior and fresh data
-    together put it; unit"""
+    """One parameter of a fit on fresh data: fitted : (value, standard error or None); fresh : where both data put it
+    together; unit"""
 
     fitted: tuple[float, float | None]
     fresh: float
@@ -53,11 +53,11 @@ class ParameterCheck:
 
     statistic : chi-squared by which the parameters disagree, dof : directions compared, p_value : its chance; None with
     ``why`` where there is nothing to compare
-    explained : share of the gap, beyond the noise of the fit, that errors of the parameters explain; None where there is
-    no such gap. chi2 : chi-squared per sample at the fitted parameters, and within their errors
+    explained : share of the gap, beyond the noise of the fit, that errors of the parameters explain; None without such
+    a gap. chi2 : chi-squared per sample at the fitted parameters, and within their errors
     moved : name -> Moved; at_bound : parameters that were at a bound in the fit
-    limits : one-sided test of the bounds and inequalities ``beyond`` which fit and fresh data together would go; None if
-    they stay inside
+    limits : one-sided test of the bounds and inequalities ``beyond`` which fit and fresh data together go; None if they
+    stay inside
     """
 
     statistic: float | None
@@ -160,8 +160,10 @@ class _Problem:
         nothing, self.blind = np.zeros((0, len(free))), False
         self.rows, self.shift = (nothing, np.zeros(0)) if errors is None else errors.over(free)
         self.still = nothing if errors is None else errors.held_over(free)
-        if errors is not None and len(self.rows) + len(self.still) < sum(name in errors.names for name in free):
-            # Along a direction that the fit does not tell fresh data may go far, farther than its other errors are linear.
+        if errors is not None and len(self.rows) + len(self.still) < sum(
+            name in errors.names for name in free
+        ):
+            # Along what the fit does not tell, fresh data may go farther than its other errors are linear.
             self.rows, self.shift, self.blind = nothing, np.zeros(0), True
         first = {record.name: held.states_at_start[record.name] for record in held.data}
         now = {name: values.get(name, value) for name, value in zip(free, self.fitted, strict=True)}
@@ -209,10 +211,17 @@ class _Problem:
 
         lower, upper = self.shots.lower[open_], self.shots.upper[open_]
         inside = np.clip(x[open_], np.nextafter(lower, np.inf), np.nextafter(upper, -np.inf))
+
+        def residual(part: FloatArray) -> FloatArray:
+            return at(whole(part))[0]
+
+        def slopes(part: FloatArray) -> FloatArray:
+            return at(whole(part))[1][:, open_]
+
         found = least_squares(
-            lambda part: at(whole(part))[0],
+            residual,
             inside,
-            jac=lambda part: at(whole(part))[1][:, open_],
+            jac=slopes,
             bounds=(lower, upper),
             x_scale="jac",
             xtol=1e-10,
@@ -332,7 +341,10 @@ class _Problem:
         sample without and with them."""
         own = {name: self.fit.residual_level.get(name, sigma[name]) for name in sigma}
         ratio = np.concatenate(
-            [np.full(rows.stop - rows.start, sigma[output] / own[output]) for (_, output), rows in self.shots.places.items()]
+            [
+                np.full(rows.stop - rows.start, sigma[output] / own[output])
+                for (_, output), rows in self.shots.places.items()
+            ]
         )
         self.shots.weigh(own)
         before, _ = self.shots.evaluate(self.begin)
@@ -348,7 +360,9 @@ class _Problem:
         for name, value in zip(self.shots.free, self.shots.values(x), strict=True):
             one = self.fit.estimates.get(name)
             unit = self.fit.parameters[name.partition("@")[0]].unit
-            fitted = (one.value, one.stderr) if one is not None else (self.held.values.get(name, math.nan), None)
+            fitted = (
+                (one.value, one.stderr) if one is not None else (self.held.values.get(name, math.nan), None)
+            )
             found[name] = Moved(fitted, float(value), unit)
         return found
 

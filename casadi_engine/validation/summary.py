@@ -5,7 +5,16 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from casadi_engine.estimation.summary import COLUMNS, LINES, aligned, limited, number, short, with_error, wrapped
+from casadi_engine.estimation.summary import (
+    COLUMNS,
+    LINES,
+    aligned,
+    limited,
+    number,
+    short,
+    with_error,
+    wrapped,
+)
 from casadi_engine.validation.residual_tests import ResidualTest
 
 if TYPE_CHECKING:
@@ -160,7 +169,8 @@ def _moved_words(check: ParameterCheck) -> list[str]:
         return []
     moved = check.moved or {}
     words = [
-        f"{name} {with_error(*moved[name].fitted)} to {moved[name].fresh:.4g} {moved[name].unit}" for name in names
+        f"{name} {with_error(*moved[name].fitted)} to {moved[name].fresh:.4g} {moved[name].unit}"
+        for name in names
     ]
     return [f"these data, beside the fit, move {'; '.join(words)}"]
 
@@ -181,7 +191,7 @@ def next_step(validation: Validation) -> str:
     if validation.passed:
         return 'keep it: ce.report(validation, "report.html")'
     if validation.failed == ("parameters",):
-        return "fit these data beside the old ones, ce.estimate(model, [old, fresh]): one set may suit both, or something lacks"
+        return "fit old and fresh data together, ce.estimate(model, [old, fresh]): does one set suit both?"
     return "look at the residual: ce.plot(validation); it says what the model lacks"
 
 
