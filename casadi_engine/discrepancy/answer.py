@@ -133,7 +133,10 @@ class Answer:
         if done.verdict == "nothing missing" and done.noise is not None and done.noise.colour:
             done = replace(done, messages=(*done.messages, _MAY_HIDE))
         misfit = fresh_misfit(done)
-        return done if misfit is None else replace(done, messages=(misfit, *done.messages))
+        if misfit is None:
+            return done
+        # a gain alone confirms nothing where the fresh data are not described
+        return replace(done, confirmed=done.confirmed and False, messages=(misfit, *done.messages))
 
     def _timed(self, what: str, work: Any) -> Any:
         begun = time.perf_counter()

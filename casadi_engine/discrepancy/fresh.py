@@ -13,11 +13,12 @@ import numpy as np
 from casadi_engine.discrepancy.assumed_pressure import SCATTER, is_carried, with_priors
 from casadi_engine.discrepancy.compression import scatter_columns
 from casadi_engine.discrepancy.confirmation import Gap, PairedGain, Residuals, gap, hold_out, paired_gain
+from casadi_engine.discrepancy.fresh_misfit import MEMORY
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.noise_choice import NoiseChoice, scatter_of, white_p
 from casadi_engine.discrepancy.noise_model import NoiseModel, left_over
 from casadi_engine.discrepancy.null_model import FOUR_STROKE, Index, NullModel, null_model
-from casadi_engine.discrepancy.parameter_doubt import doubted
+from casadi_engine.discrepancy.parameter_doubt import doubted, pooled, within_errors
 from casadi_engine.discrepancy.refit import Addition, Refitter
 from casadi_engine.discrepancy.repaired import Side
 from casadi_engine.discrepancy.start import Start
@@ -27,7 +28,10 @@ from casadi_engine.estimation import Fit, estimate
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.model.port_view import PortView
+from casadi_engine.parameters import Parameters
 from casadi_engine.problem.noise import Noise
+from casadi_engine.validation.held import parameters_for
+from casadi_engine.validation.parameter_prior import PriorSplit
 
 Source = Literal["records", "cycles"]
 
@@ -131,19 +135,13 @@ def held_fit(
 ) -> Fit:
     """The fit's parameters held on one record; initial states, and what is wrong with assumed pressures, found.
 
+    A parameter that varies by experiment has the value of the record of the same name; in a record of another name it
+    is found there too, beside the scatter of the fit's records where three or more tell it (``parameters_for``).
     idle : amplitudes that are zero there; model : in place of the fit's, with the same parameters.
     Raises EstimationError where the model fails.
     """
     model = fit.model if model is None else model
-    held = with_priors(model.parameters())
-    for name in held.names:
-        if is_carried(name) and name != SCATTER:
-            continue  # other cycles burn otherwise
-        value = fit.values.get(f"{name}@{record.name}", fit.values.get(name, 0.0))
-        value = 0.0 if name in idle else value
-        own = held[name]
-        own.set(value, min=min(own.min, value), max=max(own.max, value))
-        held.fix(name)
+    held = _held_parameters(fit, record, idle, model)
     levels: dict[str, Any] = {
         out.name: noise.sigma[out.name] for out in fit.model.outputs if out.name in noise.sigma
     }
@@ -164,6 +162,19 @@ def held_fit(
         again = of(_unseen_from(fit, found), "single" if found.n <= _MANY else "auto")
         found = min(found, again, key=lambda one: (not one.converged, one.cost))
     return found
+
+
+def _held_parameters(fit: Fit, record: Experiment, idle: Sequence[str], model: Model) -> Parameters:
+    """The set for ``held_fit``: what assumed pressures carry is free again, for other cycles burn otherwise."""
+    held, fresh = parameters_for(fit, record.name), model.parameters()
+    for name in held:
+        own = held[name]
+        if is_carried(name) and name != SCATTER and own.tie is None:
+            own.set(fresh[name].value)
+        elif name in idle and own.tie is None:
+            own.set(0.0, min=min(own.min, 0.0), max=max(own.max, 0.0))
+            held.fix(name)
+    return with_priors(held)
 
 
 def _misfit(fit: Fit, noise: NoiseModel) -> float:
@@ -301,9 +312,12 @@ def side(pairs: Sequence[tuple[Fit, NullModel]], choice: NoiseChoice, *, source:
     """
     white: dict[str, dict[str, float | None]] = {}
     traces: dict[str, Any] = {}
+    splits: list[PriorSplit] = []
     for fit, held_null in pairs:
         traces |= fit.traces
         null = held_null if source is None else doubted(source, fit)
+        if source is not None:
+            splits.append(within_errors(source, null, residuals([null], choice.noise)))
         scatter = scatter_of(null, fit.data, choice.cylinders) if choice.scatter else ()
         random = {r.name: scatter_columns(r, scatter) for r in null.records} if scatter else None
         slopes = {record.name: dict(record.slopes) for record in null.records}
@@ -316,7 +330,8 @@ def side(pairs: Sequence[tuple[Fit, NullModel]], choice: NoiseChoice, *, source:
                     held = np.concatenate([held, random[record.name][output]], axis=1)
                 p = white_p(record, output, left[record.name][output], held)
                 white[record.name][output] = p
-    return Side(gap_of([null for _, null in pairs], choice.noise), white, traces)
+    memory = MEMORY if choice.noise.colour else 1.0
+    return Side(gap_of([null for _, null in pairs], choice.noise), white, traces, *pooled(splits, memory))
 
 
 @dataclass(frozen=True)

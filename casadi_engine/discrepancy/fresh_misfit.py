@@ -11,29 +11,40 @@ if TYPE_CHECKING:
 
 # The gap on fresh data is larger by at least this factor, and chance would do as much less often than this. Samples of
 # coloured noise count less by a memory that is generous.
-_LARGER, _SURE, _MEMORY = 1.5, 1e-4, 20.0
+_LARGER, _SURE, MEMORY = 1.5, 1e-4, 20.0
 
 
 def fresh_misfit(repair: Repair) -> str | None:
-    """What to say where nothing is missing in the data of the search but the gap on fresh data is beyond the noise.
+    """What to say where the fresh data are not described by the model that is the answer: the gap there is beyond the
+    noise and beyond what errors of the parameters explain.
 
-    The ratio of both chi-squared per sample is held against Fisher's F. None where it is by chance, where there are no
-    fresh data, or where combustion scatters: that gap is not of the noise alone.
+    The ratio of both chi-squared per sample is held against Fisher's F; parameters that must move too far count
+    too. None where it is by chance, where there are no fresh data or no effect is named, or where combustion
+    scatters: that gap is not of the noise alone.
     """
     gaps = repair.gaps
-    if repair.verdict != "nothing missing" or gaps is None or gaps.validation_after is None:
+    if repair.verdict in (None, "unnamed") or gaps is None or gaps.validation_after is None:
         return None
     if repair.noise is None or repair.noise.scatter:
         return None
-    own, other = gaps.estimation_after.gap, gaps.validation_after.gap
+    own, fresh = gaps.estimation_after.gap, gaps.validation_after
     if not own.chi2_per_sample > 0:
         return None
-    ratio = other.chi2_per_sample / own.chi2_per_sample
-    memory = _MEMORY if repair.noise.colour else 1.0
-    chance = stats.f.sf(ratio, max(other.samples / memory, 1.0), max(own.samples / memory, 1.0))
-    if not (ratio > _LARGER and chance < _SURE):
-        return None
-    return (
-        f"the fresh data do not fit: chi2/N is {other.chi2_per_sample:.3g} there and {own.chi2_per_sample:.3g} on the "
-        "data of the search; something acts in them alone, or the parameters are known too little"
-    )
+    found = fresh.gap.chi2_per_sample
+    left = found if fresh.within_errors is None else fresh.within_errors
+    ratio = left / own.chi2_per_sample
+    memory = MEMORY if repair.noise.colour else 1.0
+    chance = stats.f.sf(ratio, max(fresh.gap.samples / memory, 1.0), max(own.samples / memory, 1.0))
+    where = f"chi2/N is {found:.3g} there and {own.chi2_per_sample:.3g} on the data of the search"
+    if ratio > _LARGER and chance < _SURE:
+        within = "" if left == found else f", {left:.3g} within the errors of the parameters"
+        return (
+            f"the fresh data do not fit: {where}{within}; something acts in them alone, or is still missing"
+        )
+    far = fresh.parameters_p is not None and fresh.parameters_p < _SURE
+    if far and found > _LARGER * own.chi2_per_sample:
+        return (
+            f"the fresh data do not fit: {where}, and they ask for other parameters than the fit's, beyond their errors"
+            f" (p {fresh.parameters_p:.2g})"
+        )
+    return None

@@ -7,12 +7,18 @@ residual tests of fresh data take it away first, so that their false-alarm rate 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from scipy import stats
 
 from casadi_engine.discrepancy.assumed_pressure import is_carried
+from casadi_engine.discrepancy.confirmation import Residuals
+from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.null_model import NullModel, null_at
 from casadi_engine.estimation import Fit
 from casadi_engine.parameters import compile
+from casadi_engine.validation.parameter_prior import PriorSplit
 
 
 def doubted(fit: Fit, held: Fit) -> NullModel:
@@ -24,14 +30,77 @@ def doubted(fit: Fit, held: Fit) -> NullModel:
     names = tuple(record.name for record in held.data)
     pmap = compile(fit.parameters, held.model.parameter_names, names)
     values = held.values
-    z = np.array([values[name.partition("@")[0]] for name in pmap.free])
-    sure = [
-        name for name in pmap.free if "@" in name or fit.estimates[name].at_bound is not False
-        or (values[name] != fit.values[name] and not is_carried(name))
-    ]  # fmt: skip
+    z = np.array([values[name] if name in values else values[name.partition("@")[0]] for name in pmap.free])
+    sure = [name for name, value in zip(pmap.free, z, strict=True) if _is_sure(fit, name, float(value))]
     first = {name: np.array([e.value for e in held.initial[name].values()]) for name in names}
     known = {
         name: tuple(s for s, e in held.initial[name].items() if e.fixed or e.at_bound is not False)
         for name in names
     }
     return null_at(held.model, held.data, fit.parameters, z, first, held_starts=known, held_parameters=sure)
+
+
+def _is_sure(fit: Fit, name: str, value: float) -> bool:
+    """True for what has no error on fresh data; a parameter that varies by experiment and was found there has one."""
+    own = fit.estimates.get(name)
+    if own is None or is_carried(name):
+        return "@" in name and is_carried(name)
+    return own.at_bound is not False or value != own.value
+
+
+def within_errors(fit: Fit, null: NullModel, residuals: Sequence[Residuals]) -> PriorSplit:
+    """The gap of a null model of fresh data, parted by what the fit knows of its parameters; see `parameter_prior`.
+
+    null : made by ``doubted``; residuals : its residuals with their levels, colour and all
+    """
+    levels = {(one.record, one.output): one.sigma for one in residuals}
+    residual, blocks = [], []
+    size = null.turn.shape[1]
+    wide = size + sum(len(record.starts) for record in null.records)
+    at = size
+    for record in null.records:
+        for output, e in record.residual.items():
+            level = levels[record.name, output]
+            block = np.zeros((len(e), wide))
+            block[:, :size] = record.slopes[output][:, :size]
+            block[:, at : at + len(record.starts)] = record.slopes[output][:, size:]
+            residual.append(e / level)
+            blocks.append(block / level)
+        at += len(record.starts)
+    rows, offset = _prior(fit, null)
+    padded = np.zeros((len(rows), wide))
+    padded[:, :size] = rows
+    return PriorSplit.of(np.concatenate(residual), np.concatenate(blocks), padded, offset)
+
+
+def _prior(fit: Fit, null: NullModel) -> tuple[Array, Array]:
+    """Rows (m, n_theta) of the fit's knowledge of the parameters, and of the priors of what is found on fresh data."""
+    rows, offset = np.zeros((0, null.turn.shape[1])), np.zeros(0)
+    known: tuple[str, ...] = ()
+    if fit.errors is not None:
+        known = fit.errors.names
+        whole, shift = fit.errors.over(null.parameters)
+        centre = np.array(
+            [fit.values.get(name, value) for name, value in zip(null.parameters, null.values, strict=True)]
+        )
+        rows, offset = whole @ null.turn, whole @ (null.values - centre) - shift
+        # A parameter without error on fresh data is moved by none of the columns; its rows hold nothing.
+        acts = np.linalg.norm(rows, axis=1) > 0
+        rows, offset = rows[acts], offset[acts]
+    new = np.array([name not in known for name in null.parameters], dtype=bool)
+    own = np.any(null.prior[:, :-1][:, np.any(null.turn[new] != 0, axis=0)] != 0, axis=1)
+    return np.vstack([rows, null.prior[own, :-1]]), np.concatenate([offset, -null.prior[own, -1]])
+
+
+def pooled(splits: Sequence[PriorSplit], memory: float) -> tuple[float | None, float | None]:
+    """Of several records: chi-squared per sample within the errors of the parameters, and the chance that these have to
+    move so far in any of them (Bonferroni); None without fresh data, or without a direction that both sides tell.
+
+    memory : how many samples of the noise, where it is coloured, count for one
+    """
+    count = sum(len(one.within) for one in splits)
+    if not count:
+        return None, None
+    within = sum(float(one.within @ one.within) for one in splits) / count
+    chances = [float(stats.chi2.sf(one.value / memory, one.dof)) for one in splits if one.dof > 0]
+    return within, min(1.0, min(chances) * len(chances)) if chances else None

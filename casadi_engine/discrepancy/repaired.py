@@ -130,11 +130,17 @@ class Place:
 @dataclass(frozen=True, eq=False)
 class Side:
     """Simulation against data, before or after: the gap by output, whiteness p-values by record and output (None where
-    the test cannot be made), and traces record -> output -> Trace."""
+    the test cannot be made), and traces record -> output -> Trace.
+
+    On fresh data: within_errors : chi-squared per sample that is left once the parameters have moved as far as their
+    errors allow; parameters_p : the chance that they would have to move so far; both None elsewhere
+    """
 
     gap: Gap
     whiteness_p: Mapping[str, Mapping[str, float | None]]
     traces: Mapping[str, Mapping[str, Trace]]
+    within_errors: float | None = None
+    parameters_p: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,7 +40,11 @@ def headline(repair: Repair) -> str:
     names = " and ".join(f"{one.name} at {one.at}" for one in repair.effects)
     sure = {True: "confirmed on fresh data", False: "not confirmed by fresh data", None: "unconfirmed"}
     doubt = " (or what its class holds)" if repair.verdict == "class" else ""
-    return f"{names} is missing{doubt}, {sure[repair.confirmed]}"
+    gaps = repair.gaps
+    misfit = ""
+    if gaps is not None and gaps.validation_after is not None and fresh_misfit(repair) is not None:
+        misfit = f", which the repaired model does not fit: chi2/N {gaps.validation_after.gap.chi2_per_sample:.3g}"
+    return f"{names} is missing{doubt}, {sure[repair.confirmed]}{misfit}"
 
 
 def _tested(repair: Repair) -> list[str]:

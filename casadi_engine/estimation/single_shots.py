@@ -19,7 +19,7 @@ Place = tuple[str, str]
 
 
 class SingleShots:
-    """Simulated (or, with a gain, predicted) residuals of records at x = [coordinates of z (nv,); first states, scaled].
+    """Simulated (predicted, with a gain) residuals of records at x = [coordinates of z (nv,); first states, scaled].
 
     free : names of z; lower, upper : (nx,) of x; places : the rows (record, output) -> slice; index : the samples'
     numbers in their channels
@@ -73,6 +73,26 @@ class SingleShots:
     def units(self, x: Array) -> Array:
         """dz/dx (nz,), diagonal."""
         return self._search.coordinates.slope(x[: len(self.free)])
+
+    def limits(self, x: Array) -> list[tuple[str, float, Array]]:
+        """Bounds of parameters and inequalities between them: name, distance inside (negative: violated) and its slope
+        (nx,), in coordinates of x and in the constraints' own units."""
+        found = []
+        for k, name in enumerate(self.free):
+            for limit, side in ((self.lower[k], 1.0), (self.upper[k], -1.0)):
+                if np.isfinite(limit):
+                    found.append(
+                        (f"the bound of {name}", side * float(x[k] - limit), side * np.eye(len(x))[k])
+                    )
+        user = self._search.constraints
+        if user.count:
+            value, jacobian = user.evaluate(x[: len(self.free)])
+            for k in np.flatnonzero(user.lower < user.upper).tolist():
+                slope = np.concatenate([jacobian[k], np.zeros(len(x) - len(self.free))])
+                for limit, side in ((user.lower[k], 1.0), (user.upper[k], -1.0)):
+                    if np.isfinite(limit):
+                        found.append((user.labels[k], side * float(value[k] - limit), side * slope))
+        return found
 
     def columns(self, record: str) -> NDArray[np.intp]:
         """Entries of x that act in a record: all of z, and its own first states."""

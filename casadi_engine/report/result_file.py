@@ -112,8 +112,10 @@ def _(result: Validation) -> dict[str, Any]:
         },
         "passed": bool(result.passed),
         "alpha": result.alpha,
+        "failed": list(result.failed),
+        "notes": list(result.notes),
         "fit_status": fit.status,
-    }
+    } | ({} if result.parameters is None else {"parameter_check": result.parameters.to_dict()})
 
 
 @content.register

@@ -212,7 +212,11 @@ def _tests(validation: Any, *, fitted: Fit | None) -> Section:
     return Section(
         "tests",
         "Fit and residual tests" if fitted is None else "Residual tests",
-        lines=[line for line in (validations.verdict(validation), on, note) if line]
+        lines=[
+            line
+            for line in (validations.verdict(validation), *validations.parameter_words(validation), on, note)
+            if line
+        ]
         + (_not_drawn(records) if fitted is None else []),
         tables=[tables.measure_table(validation), tables.residual_table(validation)],
         wanted=wanted,

@@ -95,7 +95,8 @@ def fit_html(fit: Fit) -> str:
 def validation_html(validation: Any) -> str:
     """A validation as HTML: verdict, measures, tests."""
     head = f"<p><b>{html.escape(validations.verdict(validation))}</b></p>"
-    return head + measure_table(validation) + residual_table(validation)
+    words = "".join(f"<p>{html.escape(line)}</p>" for line in validations.parameter_words(validation))
+    return head + measure_table(validation) + residual_table(validation) + words
 
 
 def gain_table(fit: Fit) -> str:
@@ -159,14 +160,14 @@ def measure_table(validation: Any) -> str:
 
 
 def residual_table(validation: Any) -> str:
-    """The residual tests, one row each."""
+    """The residual tests, one row each, and whether fresh data agree with the parameters."""
     failed = set(validation.failed)
     rows = [
         (
             name,
             validations.p_text(test),
             "-" if test.dof is None else str(test.dof),
-            str(test.samples),
+            str(test.samples) if hasattr(test, "samples") else "-",
             "FAILED" if name in failed else f"not made: {test.why}" if test.p_value is None else "passed",
         )
         for name, test in validations.all_tests(validation).items()

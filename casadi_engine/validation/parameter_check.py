@@ -23,6 +23,7 @@ from casadi_engine.estimation.fit_percent import FloatArray
 from casadi_engine.estimation.single_shots import Place, SingleShots
 from casadi_engine.problem.noise import Noise
 from casadi_engine.validation.parameter_prior import PriorSplit
+from casadi_engine.validation.residual_tests import ResidualTest
 
 # A direction that bounds or constraints hold is kept to this share of the parameters' size.
 _KEPT = 1e-6
@@ -38,8 +39,8 @@ _REFUSED = 1e6
 
 @dataclass(frozen=True)
 class Moved:
-    """One parameter of a fit on fresh data: fitted : (value, standard error or None); fresh : where prior and fresh data
-    together put it; unit"""
+    """One parameter of a fit on fresh data: fitted : (value, standard error or None); fresh : where both data put it
+    together; unit"""
 
     fitted: tuple[float, float | None]
     fresh: float
@@ -52,9 +53,11 @@ class ParameterCheck:
 
     statistic : chi-squared by which the parameters disagree, dof : directions compared, p_value : its chance; None with
     ``why`` where there is nothing to compare
-    explained : share of the gap, beyond the noise of the fit, that errors of the parameters explain; None where there is
-    no such gap. chi2 : chi-squared per sample at the fitted parameters, and within their errors
+    explained : share of the gap, beyond the noise of the fit, that errors of the parameters explain; None without such
+    a gap. chi2 : chi-squared per sample at the fitted parameters, and within their errors
     moved : name -> Moved; at_bound : parameters that were at a bound in the fit
+    limits : one-sided test of the bounds and inequalities ``beyond`` which fit and fresh data together go; None if they
+    stay inside
     """
 
     statistic: float | None
@@ -64,23 +67,33 @@ class ParameterCheck:
     chi2: tuple[float, float] | None = None
     moved: Mapping[str, Moved] | None = None
     at_bound: tuple[str, ...] = ()
+    limits: ResidualTest | None = None
+    beyond: tuple[str, ...] = ()
     why: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers for result.json."""
-        return {
+        """Plain numbers for result.json, each null with its reason under ``why``."""
+        found: dict[str, Any] = {
             "statistic": self.statistic,
             "dof": self.dof,
             "p_value": self.p_value,
             "explained": self.explained,
-            "chi2_per_sample": None if self.chi2 is None else {"fitted": self.chi2[0], "within_errors": self.chi2[1]},
-            "moved": {
-                name: {"fitted": one.fitted[0], "stderr": one.fitted[1], "fresh": one.fresh, "unit": one.unit}
-                for name, one in (self.moved or {}).items()
-            },
-            "at_bound": list(self.at_bound),
-            "why": self.why,
+            "chi2_fitted": None if self.chi2 is None else self.chi2[0],
+            "chi2_within_errors": None if self.chi2 is None else self.chi2[1],
         }
+        why = {key: self.why or "the refit was not made" for key, value in found.items() if value is None}
+        if self.explained is None and self.chi2 is not None:
+            why["explained"] = "no gap beyond the noise of the fit"
+        moved = {
+            name: {"fitted": one.fitted[0], "stderr": one.fitted[1], "fresh": one.fresh, "unit": one.unit}
+            | ({"why": {"stderr": "the fit has no standard error of it"}} if one.fitted[1] is None else {})
+            for name, one in (self.moved or {}).items()
+        }
+        made = found | {"moved": moved, "at_bound": list(self.at_bound), "beyond": list(self.beyond)}
+        made["limits_p"] = None if self.limits is None else self.limits.p_value
+        if self.limits is None:
+            why["limits_p"] = "fit and fresh data stay within all bounds"
+        return made | {"why": why}
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,9 +157,14 @@ class _Problem:
             [fit.values.get(name, values.get(name, values.get(name.partition("@")[0], 0.0))) for name in free]
         )
         errors = fit.errors
-        nothing = np.zeros((0, len(free)))
+        nothing, self.blind = np.zeros((0, len(free))), False
         self.rows, self.shift = (nothing, np.zeros(0)) if errors is None else errors.over(free)
         self.still = nothing if errors is None else errors.held_over(free)
+        if errors is not None and len(self.rows) + len(self.still) < sum(
+            name in errors.names for name in free
+        ):
+            # Along what the fit does not tell, fresh data may go farther than its other errors are linear.
+            self.rows, self.shift, self.blind = nothing, np.zeros(0), True
         first = {record.name: held.states_at_start[record.name] for record in held.data}
         now = {name: values.get(name, value) for name, value in zip(free, self.fitted, strict=True)}
         self.begin = self.shots.start(now, first)
@@ -193,10 +211,17 @@ class _Problem:
 
         lower, upper = self.shots.lower[open_], self.shots.upper[open_]
         inside = np.clip(x[open_], np.nextafter(lower, np.inf), np.nextafter(upper, -np.inf))
+
+        def residual(part: FloatArray) -> FloatArray:
+            return at(whole(part))[0]
+
+        def slopes(part: FloatArray) -> FloatArray:
+            return at(whole(part))[1][:, open_]
+
         found = least_squares(
-            lambda part: at(whole(part))[0],
+            residual,
             inside,
-            jac=lambda part: at(whole(part))[1][:, open_],
+            jac=slopes,
             bounds=(lower, upper),
             x_scale="jac",
             xtol=1e-10,
@@ -255,6 +280,7 @@ class _Problem:
         known = not any(free for _, free in self.fit.noise.values())
         p_value = split.p_value(math.inf if known else max(self.fit.dof, 1.0), fresh_freedom)
         why = None if p_value is not None else self._why_not()
+        limits, beyond = self._limits(x, turn @ split.step, turn @ split.covariance @ turn.T)
         gap = self._gap(sigma, split)
         check = ParameterCheck(
             None if p_value is None else split.value,
@@ -263,6 +289,8 @@ class _Problem:
             *gap,
             self._moved(x),
             tuple(name for name, one in self.fit.estimates.items() if one.at_bound is not False),
+            limits,
+            beyond,
             why,
         )
         level = {place: sigma[place[1]] for place in self.shots.places}
@@ -282,11 +310,28 @@ class _Problem:
             self.freedom,
         )
 
+    def _limits(
+        self, x: FloatArray, step: FloatArray, covariance: FloatArray
+    ) -> tuple[ResidualTest | None, tuple[str, ...]]:
+        """The bounds and inequalities beyond which both data would go, and the chance of it for a right model."""
+        found = []
+        for name, inside, slope in self.shots.limits(x):
+            error = math.sqrt(max(float(slope @ covariance @ slope), 0.0))
+            if error > 0 and inside + slope @ step < 0:
+                found.append((-float(inside + slope @ step) / error, name))
+        if not found:
+            return None, ()
+        found.sort(reverse=True)
+        chance = min(1.0, float(stats.norm.sf(found[0][0])) * len(found))
+        return ResidualTest(found[0][0], 1, chance, self.shots.count), tuple(name for _, name in found)
+
     def _why_not(self) -> str:
         if self.fit.errors is None:
             return "the fit is no optimum, so that its parameters have no errors"
         if not self.fit.free:
             return "the parameters were given, not estimated: they have no errors"
+        if self.blind:
+            return "the fit does not determine all parameters (fit.undetermined): they are free on the fresh data"
         return "no direction of the parameters is determined by the fit and by the fresh data both"
 
     def _gap(
@@ -296,7 +341,10 @@ class _Problem:
         sample without and with them."""
         own = {name: self.fit.residual_level.get(name, sigma[name]) for name in sigma}
         ratio = np.concatenate(
-            [np.full(rows.stop - rows.start, sigma[output] / own[output]) for (_, output), rows in self.shots.places.items()]
+            [
+                np.full(rows.stop - rows.start, sigma[output] / own[output])
+                for (_, output), rows in self.shots.places.items()
+            ]
         )
         self.shots.weigh(own)
         before, _ = self.shots.evaluate(self.begin)
@@ -312,7 +360,9 @@ class _Problem:
         for name, value in zip(self.shots.free, self.shots.values(x), strict=True):
             one = self.fit.estimates.get(name)
             unit = self.fit.parameters[name.partition("@")[0]].unit
-            fitted = (one.value, one.stderr) if one is not None else (self.held.values.get(name, math.nan), None)
+            fitted = (
+                (one.value, one.stderr) if one is not None else (self.held.values.get(name, math.nan), None)
+            )
             found[name] = Moved(fitted, float(value), unit)
         return found
 

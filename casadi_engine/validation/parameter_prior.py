@@ -25,13 +25,14 @@ from casadi_engine.validation.projection import REPEATED, orthonormal
 @dataclass(frozen=True, eq=False)
 class PriorSplit:
     """value : T; dof : its degrees of freedom; share : of its variance that comes from errors of the fit; step : (p,)
-    of the columns at the least sum; within : (N,) what it leaves of the residual; noise : (N,) what A does not reach,
-    and rank : of A"""
+    of the columns at the least sum, covariance : (p, p) of it; within : (N,) what it leaves of the residual; noise :
+    (N,) what A does not reach, and rank : of A"""
 
     value: float
     dof: int
     share: float
     step: FloatArray
+    covariance: FloatArray
     within: FloatArray
     noise: FloatArray
     rank: int
@@ -46,16 +47,17 @@ class PriorSplit:
         size = np.where(size > 0, size, 1.0)
         left, strength, right = np.linalg.svd(both / size, full_matrices=False)
         seen = strength > REPEATED * strength.max(initial=0.0)
-        left, right = left[:, seen], right[seen]
+        left, right, strength = left[:, seen], right[seen], strength[seen]
+        root = (right.T / strength) / size[:, None]
         target = np.concatenate([residual, -offset])
-        step = (right.T @ ((left.T @ target) / strength[seen])) / size
+        step = root @ (left.T @ target)
         within = residual - slopes @ step
         pull = rows @ step + offset
         value = float(within @ within + pull @ pull - noise @ noise)
-        dof = reach.shape[1] + len(rows) - int(seen.sum())
+        dof = reach.shape[1] + len(rows) - len(strength)
         lever = float(np.sum(left[len(residual) :] ** 2))
         share = float(np.clip((len(rows) - lever) / dof, 0.0, 1.0)) if dof > 0 else 0.0
-        return PriorSplit(max(value, 0.0), dof, share, step, within, noise, reach.shape[1])
+        return PriorSplit(max(value, 0.0), dof, share, step, root @ root.T, within, noise, reach.shape[1])
 
     def p_value(self, of_fit: float, of_fresh: float) -> float | None:
         """Chance of a larger T, with noise levels estimated with so many degrees of freedom (infinite: known) from the

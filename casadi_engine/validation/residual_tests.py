@@ -196,7 +196,9 @@ def check_residual(
 def rejected(tests: Mapping[str, Any], *, alpha: float = 0.01) -> tuple[str, ...]:
     """Return the names of the tests that fail when a right model may fail *any* of them with chance alpha.
 
-    tests : name -> whatever has a ``p_value``. Holm's step-down rule: the smallest p-value is held against alpha/m, the next against alpha/(m − 1), …
+    tests : name -> what has a ``p_value``
+
+    Holm's step-down rule: the smallest p-value is held against alpha/m, the next against alpha/(m − 1), …
     Tests without a p-value do not count.
 
     Raises

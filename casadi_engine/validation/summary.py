@@ -5,7 +5,16 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from casadi_engine.estimation.summary import COLUMNS, LINES, aligned, limited, number, short, with_error, wrapped
+from casadi_engine.estimation.summary import (
+    COLUMNS,
+    LINES,
+    aligned,
+    limited,
+    number,
+    short,
+    with_error,
+    wrapped,
+)
 from casadi_engine.validation.residual_tests import ResidualTest
 
 if TYPE_CHECKING:
@@ -87,7 +96,8 @@ def cross_rows(validation: Validation) -> list[tuple[str, str, str, str]]:
 
 
 def all_tests(validation: Validation) -> dict[str, Any]:
-    """Every test by the name that ``failed`` uses: "record/output/whiteness", "record/output/drive", "parameters"."""
+    """Every test by the name that ``failed`` uses: "record/output/whiteness", "record/output/drive", "parameters" or
+    "bounds"."""
     found: dict[str, Any] = {}
     for record, outputs in validation.records.items():
         for output, check in outputs.items():
@@ -95,6 +105,8 @@ def all_tests(validation: Validation) -> dict[str, Any]:
             found |= {f"{record}/{output}/{drive}": test for drive, test in check.cross.items()}
     if validation.parameters is not None:
         found["parameters"] = validation.parameters
+        if validation.parameters.limits is not None:
+            found["bounds"] = validation.parameters.limits
     return found
 
 
@@ -102,7 +114,10 @@ def verdict(validation: Validation) -> str:
     """The verdict in one sentence, with the false-alarm rate it was made at."""
     tests = all_tests(validation)
     made = sum(test.p_value is not None for test in tests.values())
-    level = f"{made} tests at alpha = {validation.alpha:g}"
+    kind = "residual tests" if validation.parameters is None else "tests"
+    level = f"{made} {kind} at alpha = {validation.alpha:g}"
+    if not made:
+        return "NOT TESTED: no test could be made with these data"
     if validation.passed:
         return f"PASSED: nothing is left in the residuals that these tests can see ({level})"
     failed = validation.failed
@@ -154,7 +169,8 @@ def _moved_words(check: ParameterCheck) -> list[str]:
         return []
     moved = check.moved or {}
     words = [
-        f"{name} {with_error(*moved[name].fitted)} to {moved[name].fresh:.4g} {moved[name].unit}" for name in names
+        f"{name} {with_error(*moved[name].fitted)} to {moved[name].fresh:.4g} {moved[name].unit}"
+        for name in names
     ]
     return [f"these data, beside the fit, move {'; '.join(words)}"]
 
@@ -170,10 +186,12 @@ def untested(validation: Validation) -> list[str]:
 
 def next_step(validation: Validation) -> str:
     """What to type next."""
+    if all(test.p_value is None for test in all_tests(validation).values()):
+        return "give a longer record: ce.validate(fit, longer)"
     if validation.passed:
         return 'keep it: ce.report(validation, "report.html")'
     if validation.failed == ("parameters",):
-        return "fit these data beside the old ones, ce.estimate(model, [old, fresh]): one set may suit both, or something lacks"
+        return "fit old and fresh data together, ce.estimate(model, [old, fresh]): does one set suit both?"
     return "look at the residual: ce.plot(validation); it says what the model lacks"
 
 

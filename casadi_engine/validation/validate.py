@@ -49,9 +49,9 @@ class Validation:
     """The answer of ``validate``.
 
     records : record -> output -> OutputCheck; passed : no test is rejected at ``alpha`` over all of them (Holm);
-    failed : the rejected ones as "record/output/whiteness", "record/output/drive" or "parameters"; fit : the parameters
-    held and the initial states found on these data; parameters : whether fresh data agree with the parameters within
-    their errors, None for a fit's own data and for parameters that were given; notes : what the user should know
+    failed : the rejected ones as "record/output/whiteness", "record/output/drive", "parameters" or "bounds"; fit : the
+    parameters held and the initial states found on these data; parameters : whether fresh data agree with these
+    within their errors, None for a fit's own data and for parameters that were given; notes : what the user should know
     """
 
     records: Mapping[str, Mapping[str, OutputCheck]]
@@ -120,26 +120,32 @@ def validate(
             tests.update({f"{name}/{output}/{drive}": test for drive, test in check.cross.items()})
     if again is not None:
         tests["parameters"] = again.check
+        if again.check.limits is not None:
+            tests["bounds"] = again.check.limits
     failed = rejected(tests, alpha=alpha)
-    notes = _notes(fit, held, again, alpha) if isinstance(fit, Fit) else ()
+    notes = _notes(fit, held, again, alpha, failed) if isinstance(fit, Fit) else ()
     return Validation(
         records, not failed, tuple(failed), alpha, held, None if again is None else again.check, notes
     )
 
 
-def _notes(fit: Fit, held: Fit, again: Refit | None, alpha: float) -> tuple[str, ...]:
+def _notes(fit: Fit, held: Fit, again: Refit | None, alpha: float, failed: Sequence[str]) -> tuple[str, ...]:
     """What the user should know beside the tests."""
     said = []
     if held is not fit and not held.converged:
-        said.append(f"the initial states were not found on these data: {held.status}; the tests are of that point")
+        said.append(
+            f"the initial states were not found on these data: {held.status}; the tests are of that point"
+        )
     if again is None:
         return tuple(said)
     said += what_was_freed(fit, held)
     if again.check.at_bound:
         said.append(
-            f"at a bound in the fit: {', '.join(again.check.at_bound)}; simulated with that value, while the tests let "
-            "it leave the bound as far as the errors of the fit allow"
+            f"at a bound in the fit: {', '.join(again.check.at_bound)}; simulated with that value, while the tests "
+            "count with errors to both sides of it"
         )
+    if "bounds" in failed:
+        said.append(f"fit and fresh data together go beyond {', '.join(again.check.beyond)}: it may be wrong")
     for output, (fresh, own) in again.levels.items():
         if own > 0 and (chance := noise_changed(fit, again, output)) < alpha:
             said.append(
@@ -203,9 +209,7 @@ def held_parameters(model: Model, source: Parameters) -> Parameters:
     return held
 
 
-def _check(
-    fit: Fit, record: str, output: str, trace: Trace, lags: int, again: Refit | None
-) -> OutputCheck:
+def _check(fit: Fit, record: str, output: str, trace: Trace, lags: int, again: Refit | None) -> OutputCheck:
     model = trace.simulated if trace.predicted is None else trace.predicted
     sizes = fit_measures(trace.measured, model, mask=trace.mask)
     drives = {

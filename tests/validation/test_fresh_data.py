@@ -1,0 +1,249 @@
+"""validate on fresh data: errors of the parameters, parameters that vary by experiment, and models that are wrong.
+
+Data of an oscillator from SciPy's exact discretisation, or from fine Runge-Kutta steps of NumPy with a cubic spring.
+"""
+
+import numpy as np
+import pytest
+from scipy.signal import cont2discrete, dlsim
+
+import casadi_engine as ce
+
+M, C, K, STEP, SIGMA = 1.0, 0.4, 9.0, 0.02, 0.01
+
+
+def oscillator():
+    b = ce.Blueprint("oscillator")
+    m = b.parameter("m", 1.0, unit="kg", min=0.05, max=20)
+    c = b.parameter("c", 0.3, unit="N s/m", min=0.0)
+    k = b.parameter("k", 8.0, unit="N/m", min=0.1)
+    q, v = b.state("q", unit="m"), b.state("v", unit="m/s")
+    force = b.input("F", unit="N")
+    b.ode("q", v)
+    b.ode("v", (force - c * v - k * q) / m)
+    b.output("x", q, unit="m")
+    return b.model()
+
+
+def drive(count, size, rng, hold):
+    return size * np.repeat(rng.standard_normal(count // hold + 1), hold)[:count]
+
+
+def exact(force, start):
+    a, b = np.array([[0, 1], [-K / M, -C / M]]), np.array([[0], [1 / M]])
+    system = cont2discrete((a, b, np.eye(1, 2), np.zeros((1, 1))), STEP, "zoh")
+    return dlsim(system, force[:, None], x0=start)[1][:, 0]
+
+
+def cubic(force, start, k3, fine=8):
+    """Runge-Kutta steps of a 400th of the period."""
+    s, found, h = np.array(start, dtype=float), [], STEP / fine
+
+    def rate(s, u):
+        return np.array([s[1], (u - C * s[1] - K * s[0] - k3 * s[0] ** 3) / M])
+
+    for u in force:
+        found.append(s[0])
+        for _ in range(fine):
+            a = rate(s, u)
+            b = rate(s + h / 2 * a, u)
+            c = rate(s + h / 2 * b, u)
+            s = s + h / 6 * (a + 2 * b + 2 * c + rate(s + h * c, u))
+    return np.array(found)
+
+
+def record(name, force, output, seed, sigma=SIGMA):
+    return ce.Experiment.from_arrays(
+        name,
+        time=np.arange(len(force)) * STEP,
+        units={"F": "N", "x": "m"},
+        hold="zero",
+        F=force,
+        x=output + sigma * np.random.default_rng(seed).standard_normal(len(force)),
+    )
+
+
+def pair(seed, simulated=exact):
+    """A short weak record and a long strong one."""
+    rng = np.random.default_rng(1000 + seed)
+    weak, strong = drive(150, 0.3, rng, 10), drive(800, 5.0, rng, 25)
+    return (
+        record("weak", weak, simulated(weak, [0.01, 0.0]), 3 * seed),
+        record("strong", strong, simulated(strong, [0.2, 0.0]), 3 * seed + 1),
+    )
+
+
+def verdicts(seeds, simulated=exact):
+    model = oscillator()
+    found = []
+    for seed in seeds:
+        weak, strong = pair(seed, simulated)
+        found.append(ce.validate(ce.estimate(model, weak, progress=False), strong).passed)
+    return np.array(found)
+
+
+@pytest.fixture(scope="module")
+def first():
+    weak, strong = pair(0)
+    fit = ce.estimate(oscillator(), weak, progress=False)
+    return fit, strong, ce.validate(fit, strong)
+
+
+def test_the_right_model_from_a_weak_record_passes_on_a_strong_one():
+    assert verdicts(range(12)).all()
+
+
+@pytest.mark.slow
+def test_the_false_alarm_rate_is_held():
+    assert 0.002 <= 1 - verdicts(range(300)).mean() <= 0.03
+
+
+def test_a_spring_left_out_is_seen():
+    assert not verdicts(range(3), lambda force, start: cubic(force, start, 1.0)).any()
+
+
+def test_the_gap_is_said_to_come_from_the_errors(first):
+    _, _, check = first
+    found = check.parameters
+    assert found.dof == 3
+    assert found.p_value > 0.01
+    assert found.chi2[0] > 10
+    assert found.chi2[1] == pytest.approx(1, abs=0.2)
+    assert found.explained > 0.99
+    text = str(check)
+    assert "parameters agree with those of the fit within their errors: p 0.6" in text
+    assert "of the gap to the simulation, 99.9 % is explained by the errors of the parameters" in text
+    assert all(len(line) <= 100 for line in text.splitlines())
+
+
+def test_the_percentage_is_that_of_the_fitted_parameters(first):
+    fit, strong, check = first
+    run = ce.simulate(
+        fit.model,
+        strong,
+        parameters=fit.values,
+        initial={n: e.value for n, e in check.fit.initial["strong"].items()},
+    )["x"].values
+    measured = strong["x"].values
+    percent = 100 * (1 - np.linalg.norm(measured - run) / np.linalg.norm(measured - measured.mean()))
+    assert check.records["strong"]["x"].fit_percent["simulation"] == pytest.approx(percent, abs=1e-6)
+
+
+def test_another_mass_is_no_error_of_the_parameters(first):
+    fit, strong, _ = first
+    double = ce.Experiment.from_arrays(
+        "double", time=strong["x"].time, units={"F": "N", "x": "m"}, hold="zero",
+        F=2 * strong["F"].values, x=strong["x"].values,
+    )  # fmt: skip
+    check = ce.validate(fit, double)
+    assert check.failed == ("parameters",)
+    assert "parameters disagree with those of the fit" in str(check)
+    assert "the errors of the parameters do not explain the gap to the simulation" in str(check)
+    assert str(check).splitlines()[-1].startswith("Next: fit old and fresh data together")
+
+
+def test_a_parameter_that_noise_put_to_its_bound():
+    """The right model whose damping the weak record put to zero."""
+    weak, strong = pair(22)
+    fit = ce.estimate(oscillator(), weak, progress=False)
+    assert fit.estimates["c"].at_bound == "min"
+    check = ce.validate(fit, strong)
+    assert check.passed
+    assert any(note.startswith("at a bound in the fit: c; simulated with that value") for note in check.notes)
+
+
+def test_a_wrong_bound():
+    weak, strong = pair(0)
+    model = oscillator()
+    pars = model.parameters()
+    pars["c"].set(1.2, min=1.0)
+    check = ce.validate(ce.estimate(model, weak, parameters=pars, progress=False), strong)
+    assert "bounds" in check.failed
+    assert any("together go beyond the bound of c: it may be wrong" in note for note in check.notes)
+
+
+def test_what_the_fit_does_not_determine_is_free(first):
+    """A free oscillation tells ratios alone; the strong record then tells the mass."""
+    _, strong, _ = first
+    still = np.zeros(300)
+    fit = ce.estimate(oscillator(), record("still", still, exact(still, [0.5, 0.0]), 7), progress=False)
+    assert fit.undetermined
+    check = ce.validate(fit, strong)
+    assert check.passed
+    assert check.parameters.p_value is None
+    assert "not tested: parameters: the fit does not determine all parameters" in str(check)
+
+
+def test_gaps_another_rate_and_louder_noise(first):
+    fit, _, _ = first
+    force = drive(800, 3.0, np.random.default_rng(5), 25)
+    output = exact(force, [0.1, 0.0])
+    holes = output.copy()
+    holes[100:300] = np.nan
+    assert ce.validate(fit, record("holes", force, holes, 11)).passed
+    assert ce.validate(fit, record("slow", force, output, 11).resample(x=4)).passed
+    loud = ce.validate(fit, record("loud", force, output, 13, sigma=0.05))
+    assert loud.passed
+    assert any(note.startswith("what is left of x on these data is 5.") for note in loud.notes)
+
+
+def test_too_few_samples_are_not_called_passed(first):
+    fit, _, _ = first
+    check = ce.validate(fit.model, record("tiny", np.zeros(4), np.zeros(4), 1), parameters=fit.parameters)
+    assert str(check).splitlines()[1].strip() == "NOT TESTED: no test could be made with these data"
+    assert "Next: give a longer record" in str(check)
+
+
+# ---- parameters that vary by experiment
+
+
+def run_up(name, damping, seed, count=400, inertia=0.4):
+    t = np.arange(count) * 0.01
+    speed = 2 / damping * (1 - np.exp(-damping * t / inertia))
+    return ce.Experiment.from_arrays(
+        name, time=t, units={"T": "N m", "omega": "rad/s"}, hold="zero", T=np.full(count, 2.0),
+        omega=speed + 0.05 * np.random.default_rng(seed).standard_normal(count),
+    )  # fmt: skip
+
+
+def varying(*dampings):
+    model = ce.one_inertia()
+    pars = model.parameters()
+    pars.vary_by_experiment("C_eng")
+    records = [run_up(f"r{k}", value, k) for k, value in enumerate(dampings)]
+    return ce.estimate(model, records, parameters=pars, progress=False)
+
+
+def test_values_for_a_record():
+    fit = varying(0.4, 0.6)
+    assert fit.values_for("r1") == {"J_eng": fit.values["J_eng"], "C_eng": fit.values["C_eng@r1"]}
+    assert fit.values_for("new")["C_eng"] == pytest.approx(
+        (fit.values["C_eng@r0"] + fit.values["C_eng@r1"]) / 2
+    )
+    assert fit.averaged_for("new") == ("C_eng",)
+    assert fit.averaged_for("r0") == ()
+
+
+@pytest.mark.parametrize(
+    ("dampings", "known"), [((0.4, 0.6), "on these data alone"), ((0.4, 0.5, 0.6), "scatter")]
+)
+def test_a_record_of_another_name_frees_it(dampings, known):
+    fit = varying(*dampings)
+    check = ce.validate(fit, run_up("new", 0.47, 9))
+    assert check.passed
+    assert check.fit.values["C_eng@new"] == pytest.approx(0.47, abs=0.003)
+    assert check.records["new"]["omega"].fit_percent["simulation"] > 90
+    (note,) = check.notes
+    assert note.startswith("C_eng varies by experiment and was estimated on new")
+    assert known in note
+
+
+def test_a_record_of_the_same_name_keeps_its_value():
+    fit = varying(0.4, 0.6)
+    check = ce.validate(fit, [run_up("r1", 0.6, 19), run_up("new", 0.5, 20), run_up("r0", 0.4, 21)])
+    assert check.passed
+    assert list(check.records) == ["r1", "new", "r0"]
+    assert check.fit.values["C_eng@r1"] == fit.values["C_eng@r1"]
+    assert check.fit.values["C_eng@new"] == pytest.approx(0.5, abs=0.003)
+    wrong = ce.validate(fit, run_up("r1", 0.5, 19))
+    assert "parameters" in wrong.failed
