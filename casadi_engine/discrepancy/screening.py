@@ -179,7 +179,7 @@ def screen(
     >>> from casadi_engine.discrepancy import screen
     >>> t = np.arange(400) * 0.01
     >>> exp = ce.Experiment.from_arrays("run", time=t, units={"T": "N m"}, T=2 * np.sin(3 * t))
-    >>> model = ce.one_inertia().with_effect(ce.effects.CoulombFriction(), at="engine", values={"torque": 0.2})
+    >>> model = ce.one_inertia().with_effect(ce.effects.CoulombFriction(0.05), at="engine", values={"torque": 0.2})
     >>> run = ce.simulate(model, exp, initial={"omega_eng": 0.0})
     >>> noisy = run["omega"].values + 0.01 * np.random.default_rng(0).standard_normal(400)
     >>> exp = ce.Experiment.from_arrays("run", time=t, units={"T": "N m", "omega": "rad/s"}, T=exp["T"].values,

@@ -1,4 +1,8 @@
-"""Physical effects that a model may lack: the protocol for your own, and the library."""
+"""Physical effects that a model may lack: the protocol for your own, and the library.
+
+An effect can act at a port of its kind that has the signals which its law reads. ``help(ce.Blueprint.port)`` lists what
+the library reads, ``print(model.ports)`` what the ports of a model have, ``ports_for(model, effect)`` where it fits.
+"""
 
 from casadi_engine.effects.candidate import Candidate, candidate, candidates, cycles_of
 from casadi_engine.effects.combustion import CylinderImbalance, Misfire

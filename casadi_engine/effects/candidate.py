@@ -22,9 +22,10 @@ from casadi_engine.model import Model
 from casadi_engine.model.arrival import arriving
 from casadi_engine.model.declarations import Port
 from casadi_engine.model.effect import Amplitude, Effect, check_effect
+from casadi_engine.model.law_checks import OwnState
 from casadi_engine.model.linearity import is_affine
 from casadi_engine.model.port_view import Courses, MissingSignalError, PortView
-from casadi_engine.model.term import NotApplicable, OwnState, Term, ports_for, read_term, takes_torque
+from casadi_engine.model.term import NotApplicable, Term, ports_for, read_term, takes_torque
 from casadi_engine.parameters import Parameters
 
 # A combustion counts as a cycle of the record if at least this much of it is inside [rad].
@@ -197,6 +198,8 @@ def _at_port(
     view = PortView(model, port, courses, effect=effect.name)
     try:
         own = effect.fitted(view, record, numbers)
+        # corners as sharp as the motion passes them; the candidate keeps the effect whose widths are still open
+        sharper = own if courses is None else own.narrowed(view)
         points = own.choices(view, grid_values(own, view, record, numbers))
         sizes = (None, *own.sizes(view, numbers))
     except CasadiEngineError:
@@ -205,12 +208,13 @@ def _at_port(
         raise EffectError(
             f"a method of {effect.name} fails at {port.name}",
             seen=f"{type(fault).__name__}: {fault}",
-            allowed="fitted, choices and sizes as ce.Effect describes them",
+            allowed="fitted, narrowed, choices and sizes as ce.Effect describes them",
             cure="correct that method of the effect, or leave it out",
         ) from fault
-    return [
-        candidate(model, own, port, values, size=size, sharp=sharp) for values in points for size in sizes
-    ]
+    made = (
+        candidate(model, sharper, port, values, size=size, sharp=sharp) for values in points for size in sizes
+    )
+    return [replace(one, effect=own) for one in made]
 
 
 def grid_values(

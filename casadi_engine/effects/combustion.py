@@ -107,7 +107,11 @@ class Misfire(Effect):
 def _pegged(port: Any, record: Any, values: Mapping[str, float]) -> Motored | None:
     """The motored trace of a record's cylinder; None if the record lacks channels or a compression for it."""
     channel = f"p{port.name.rpartition('_')[2]}"
-    if not (port.has("firing_offset") and port.has("rod_ratio")) or "theta" not in record or channel not in record:
+    if (
+        not (port.has("firing_offset") and port.has("rod_ratio"))
+        or "theta" not in record
+        or channel not in record
+    ):
         return None
     theta, pressure = record["theta"], record[channel]
     angle = np.interp(pressure.time[pressure.mask], theta.time, theta.values)

@@ -33,6 +33,8 @@ Array = NDArray[np.float64]
 # Corners are sharpened by this factor, at most so often, as long as chi-squared feels it by more than this: a quarter
 # is a bias of half a standard error at most.
 FACTOR, SHARPER, FELT = 4.0, 4, 0.25
+# The least factor that is worth a fit of its own.
+_WORTH = 1.4
 # Steps of the integrator over all records that a sharper corner may cost.
 _STEPS = 1e6
 # Intervals into which a record is cut then: the integrator takes them side by side.
@@ -43,7 +45,8 @@ def follow_motion(fit: Fit, parameters: Parameters, again: Callable[[Parameters,
     """The fit with the widths of its effects' corners as the motion on the records asks for.
 
     parameters : the set of the fit before it; again(parameters, warm, interval) : makes a fit
-    A width that was given a value of its own stays; one that no record passes keeps its default, at no cost.
+    A width that was given a value of its own, or fixed by the user, stays. One that no record passes keeps its default,
+    at the cost of one simulation.
     """
     widths = _open_widths(fit.model, parameters)
     if not widths or not fit.converged or fit.gain is not None:
@@ -89,7 +92,8 @@ def _open_widths(model: Model, parameters: Parameters) -> dict[str, Any]:
 
 
 def _untouched(parameter: Any, value: float) -> bool:
-    return not parameter.vary and parameter.tie is None and bool(parameter.value == value)
+    own = parameter.vary or parameter.fixed_by_user or parameter.tie is not None
+    return not own and bool(parameter.value == value)
 
 
 def _by_motion(fit: Fit, widths: Mapping[str, Any], paths: Sequence[NullPath]) -> dict[str, float]:
@@ -125,10 +129,12 @@ def _sharper(fit: Fit, widths: Mapping[str, float]) -> dict[str, float] | None:
     steps = max((one.substeps for one in fit.integration.values()), default=0)
     samples = sum(len(record[record.names[0]].time) for record in fit.data)
     allowed = min(MOST_SUBSTEPS, _STEPS / samples)
-    most = int(math.log(max(allowed / max(steps, 1), 1.0), FACTOR) + 1e-9)
-    levels = [{name: width / FACTOR**k for name, width in widths.items()} for k in range(most + 1)]
-    if len(levels) == 1:
+    limit = allowed / max(steps, 1)
+    if limit < _WORTH:
         return None
+    # by factors, and at last as sharp as the integrator can follow
+    shares = [FACTOR**k for k in range(SHARPER + 1) if FACTOR**k < limit / _WORTH] + [limit]
+    levels = [{name: float(f"{width / share:.2g}") for name, width in widths.items()} for share in shares]
     costs = [cost_along(fit, paths_of(fit, moved=level)) for level in levels]
     chosen = next(k for k, cost in enumerate(costs) if abs(cost - costs[-1]) < FELT)
     return levels[chosen] if chosen else None

@@ -171,7 +171,10 @@ class Model:
         values : start values of its parameters in their units; the amplitude is 0 if not given
         sharp : True takes the law as it is, for simulation; False rounds its switches and kinks, for fits
         The new parameters are called ``port.effect.parameter``; ``parameters.extended(new_model)`` adds them to
-        a set, free. EffectError for a port that does not exist or fit, and for an effect that is there already.
+        a set, free. Where a law has corners, ``port.effect.width`` is what they are rounded over: a fixed parameter,
+        which ``estimate`` makes as small as the motion on the records asks for unless it was set or fixed.
+        EffectError for a port that does not exist, is of another kind or lacks a signal that the law reads, for a slot
+        that acts the other way round, and for an effect that is there already.
 
         >>> from casadi_engine import effects, two_mass
         >>> model = two_mass(reciprocating_speed="measured").with_effect(effects.CubicStiffness(), at="coupling")

@@ -13,44 +13,14 @@ import numpy as np
 
 from casadi_engine.errors import CasadiEngineError, EffectError
 from casadi_engine.model.declarations import PORT_KINDS, ParameterDeclaration, Port
-from casadi_engine.model.effect import Grid, Law, check_effect
+from casadi_engine.model.effect import Grid, check_effect
 from casadi_engine.model.effect_math import Sharp, Smooth
+from casadi_engine.model.law_checks import OwnState, check_null, check_symbols, read_law
 from casadi_engine.model.port_view import MissingSignalError, PortView, TrialView, Values
 from casadi_engine.parameters import near_matches
 
 if TYPE_CHECKING:
     from casadi_engine.model.model import Model
-
-# An effect is absent at amplitude 0 if its law is below this share of itself at amplitude 1.
-_ABSENT = 1e-9
-
-# What the law may depend on, by the kind of port: attributes of the model.
-_MAY_USE: Mapping[str, tuple[str, ...]] = {
-    "inertia": ("x", "u", "d", "t", "p"),
-    "coupling": ("x", "u", "d", "t", "p"),
-    "cylinder": ("x", "u", "d", "t", "p"),
-    "input": ("u", "t", "p"),
-    "sensor": ("x", "u", "d", "w", "t", "p"),
-    "parameter": ("t", "p"),
-}
-_WORDS = {
-    "x": "states",
-    "u": "channels",
-    "d": "drives",
-    "w": "slots",
-    "t": "time",
-    "p": "parameters",
-}
-
-
-@dataclass(frozen=True, eq=False)
-class OwnState:
-    """A state of an effect's own: its symbol, start value and rate."""
-
-    name: str
-    symbol: Any
-    start: float
-    rate: Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,7 +201,7 @@ def read_term(
             cure="correct the method law of the effect",
         ) from fault
     view.check()
-    value, states = _read_law(effect, port, view, law)
+    value, states = read_law(effect, port, view, law)
     name = ""
     if view.corner is not None and _uses(view.corner[0], value, states):
         symbol, default, unit = view.corner
@@ -241,8 +211,8 @@ def read_term(
             (*symbols, symbol),
         )
     term = Term(effect, port, value, states, declarations, symbols, constants, sharp, name)
-    _check_symbols(model, term)
-    _check_null(term)
+    check_symbols(model, term)
+    check_null(term)
     return term
 
 
@@ -360,111 +330,6 @@ def _range(grid: Grid, view: PortView) -> tuple[float, float, float]:
     low, high = grid.ends(magnitude=magnitude)
     found = grid.values(magnitude=magnitude)
     return low, high, found[len(found) // 2]
-
-
-def _read_law(effect: Any, port: Port, view: PortView, law: Any) -> tuple[Any, tuple[OwnState, ...]]:
-    given = law if isinstance(law, Law) else Law(law)
-    if not isinstance(given.states, Mapping) or not all(map(_is_state, given.states.values())):
-        raise EffectError(
-            f"the states of the law of {effect.name} are not acceptable",
-            seen=repr(given.states),
-            allowed="name -> (start, rate), the start a finite number, the rate a scalar expression",
-            cure='return Law(value, states={"stretch": (0.0, rate)}), for instance',
-        )
-    if set(given.states) != set(view.states):
-        raise EffectError(
-            f"the states of the law of {effect.name} do not fit those that it uses",
-            seen=f"used: {', '.join(view.states) or 'none'}; given: {', '.join(given.states) or 'none'}",
-            allowed="the same names",
-            cure="return Law(value, states={name: (start, rate)}) for every port.state(name)",
-        )
-    states = []
-    for name, (start, rate) in given.states.items():
-        states.append(
-            OwnState(
-                f"{port.name}_{effect.name}_{name}",
-                view.states[name],
-                float(start),
-                _scalar(f"the rate of {name} of {effect.name}", rate),
-            )
-        )
-    return _scalar(f"the law of {effect.name} at {port.name}", given.value), tuple(states)
-
-
-def _is_state(pair: Any) -> bool:
-    number = isinstance(pair, tuple | list) and len(pair) == 2 and isinstance(pair[0], Real)
-    return number and not isinstance(pair[0], bool) and math.isfinite(pair[0])
-
-
-def _scalar(what: str, value: Any) -> Any:
-    if isinstance(value, Real) and not isinstance(value, bool):
-        value = ca.SX(float(value))
-    if not isinstance(value, ca.SX) or value.numel() != 1:
-        raise EffectError(
-            f"{what} is not a scalar expression",
-            seen=f"{type(value).__name__} {getattr(value, 'shape', '')}".strip(),
-            allowed="a scalar expression of the port's signals and the parameters",
-            cure="return one torque, or one change of the port's value",
-        )
-    if not _is_finite(value):
-        raise EffectError(
-            f"{what} is not a number",
-            seen="a constant in it that is nan or infinite",
-            allowed="a scalar expression that is finite along a motion",
-            cure="look for a division by 0, or the root or logarithm of a negative constant, in the method law",
-        )
-    return ca.densify(value)
-
-
-def _is_finite(value: Any) -> bool:
-    """False if a constant of the expression is no finite number."""
-    function = ca.Function("value", ca.symvar(value), [value])
-    constants = (
-        function.instruction_constant(k)
-        for k in range(function.n_instructions())
-        if function.instruction_id(k) == ca.OP_CONST
-    )
-    return all(math.isfinite(float(constant)) for constant in constants)
-
-
-def _check_symbols(model: Model, term: Term) -> None:
-    own = [*term.symbols, *(state.symbol for state in term.states)]
-    allowed = _MAY_USE[term.port.kind]
-    columns = {letter: getattr(model, letter) for letter in _WORDS}
-    owner = {s.element_hash(): letter for letter, column in columns.items() for s in _symbols(column)}
-    fine = {s.element_hash() for s in own}
-    for symbol in ca.symvar(ca.vertcat(term.value, *(state.rate for state in term.states))):
-        key = symbol.element_hash()
-        if key in fine or owner.get(key) in allowed:
-            continue
-        where = f"one of the {_WORDS[owner[key]]}" if key in owner else "not of this model"
-        raise EffectError(
-            f"the law of {term.effect.name} at {term.port.name} uses a symbol that it may not use",
-            seen=f"{symbol.name()} ({where})",
-            allowed=", ".join(_WORDS[letter] for letter in allowed),
-            cure="write the law with the port's signals, p and math",
-        )
-
-
-def _check_null(term: Term) -> None:
-    """The law must vanish at amplitude 0: tried at a few points."""
-    symbols = ca.symvar(ca.vertcat(term.value, term.amplitude))
-    others = [s for s in symbols if s.element_hash() != term.amplitude.element_hash()]
-    function = ca.Function("law", [term.amplitude, ca.vertcat(*others)], [term.value])
-    points = np.random.default_rng(0).uniform(0.1, 2.0, (len(others), 5))
-    there = np.abs(np.array(function(1.0, points)))
-    left = np.abs(np.array(function(0.0, points)))
-    if np.nanmax(left, initial=0.0) > _ABSENT * max(1.0, float(np.nanmax(there, initial=0.0))):
-        raise EffectError(
-            f"the law of {term.effect.name} does not vanish at amplitude 0",
-            seen=f"{float(np.nanmax(left)):.6g} at {term.effect.amplitude.name} = 0",
-            allowed="0 for every state and channel",
-            cure="write the law so that the amplitude switches it on",
-        )
-
-
-def _symbols(column: Any) -> Iterable[Any]:
-    return ca.symvar(column) if column.numel() else ()
 
 
 def takes_torque(port: Port) -> bool:

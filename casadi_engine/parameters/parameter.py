@@ -118,6 +118,11 @@ class Parameter:
             owner.untie(self._name)
 
     @property
+    def fixed_by_user(self) -> bool:
+        """True if it was fixed by ``fix`` or ``set``, not by the model's declaration."""
+        return self._explicit
+
+    @property
     def varies_by_experiment(self) -> bool:
         """True if every record has its own value; has no effect while the parameter is fixed or tied."""
         return self._varies and self.vary

@@ -53,7 +53,13 @@ def _(result: Repair) -> dict[str, Any]:
             for one in result.not_found
         ],
         "not_applicable": [
-            {"name": one.effect, "at": one.at, "missing": list(one.missing), "has": list(one.has), "why": one.why}
+            {
+                "name": one.effect,
+                "at": one.at,
+                "missing": list(one.missing),
+                "has": list(one.has),
+                "why": one.why,
+            }
             for one in result.not_applicable
         ],
         "next_experiment": _next(result),

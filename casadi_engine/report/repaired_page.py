@@ -342,6 +342,8 @@ def _not_found(result: Repair) -> Section:
     made = (
         [table(("effect", "smallest size found in 95 %", "unit", "note"), rows, right=(1,))] if rows else []
     )
+    left_out = [(one.effect, one.at or "-", one.why) for one in result.not_applicable]
+    made += [table(("not applicable: effect", "port", "why"), left_out)] if left_out else []
     line = "Not found is not absent: an effect below its smallest detectable size would have been missed."
     split = result.next_experiment
     lines = [line] if rows else ["Every effect that was looked for was found, or nothing was looked for."]

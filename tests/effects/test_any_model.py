@@ -8,6 +8,8 @@ import casadi_engine as ce
 from casadi_engine.discrepancy import screen
 from casadi_engine.errors import EffectError
 from casadi_engine.model.term import NotApplicable, ports_for
+from casadi_engine.report.result_file import to_result
+from casadi_engine.report.schema import faults
 
 FRICTION = {"coulomb_friction", "viscous_friction"}
 AT_SPEED = FRICTION | {"quadratic_drag", "stribeck_friction", "constant_torque", "load_step"}
@@ -265,6 +267,11 @@ def test_a_search_without_ports_to_act_at_claims_no_physics(make):
     assert found.effects == ()
     assert "no physical effect could be tested against it" in found.unknown.sentence
     assert any("no physical effect could be looked for" in text for text in found.messages)
+    written = to_result(found, command="repair", arguments={}, seconds=1.0, seed=0)
+    assert not list(faults(written))
+    listed = [one for one in written["not_applicable"] if one["at"]]
+    assert [one["name"] for one in listed] == [one.effect for one in found.not_applicable if one.at]
+    assert ("Not applicable: coulomb_friction at spring: the port has no twist_rate" in str(found)) == bool(listed)
     asked = ce.repair(
         model, data, effects=["sensor_offset"], noise=ce.Noise(**{name: 0.01}), starts=1, progress=False
     )

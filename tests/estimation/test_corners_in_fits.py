@@ -1,0 +1,148 @@
+"""Friction in fits of records that stop and start again: no creep that the data would see, or a word about it.
+
+The truth is an event-driven shaft in closed form: under constant torques its speed is made of straight lines, and it
+sticks at 0 while the torque is below Tf.
+"""
+
+import re
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import casadi_engine as ce
+from casadi_engine.estimation.corner_widths import FELT, cost_along, paths_of
+
+J, TF = 0.1, 2.0
+TORQUE, WIDTH = "axis.coulomb_friction.torque", "axis.coulomb_friction.width"
+# until when [s] which torque acts [N m]: held, run up, stop, held the other way, run up, through 0 and on
+SCHEDULE = ((1.0, 1.0), (1.5, 3.0), (2.2, 0.0), (2.7, -1.5), (3.0, -3.5), (3.4, 2.6), (4.0, 0.5))
+
+
+def sticking(time):
+    """The speed of the shaft from rest, straight line by straight line."""
+    speed, now, v = np.zeros_like(time), 0.0, 0.0
+    for end, torque in SCHEDULE:
+        while now < end - 1e-12:
+            if v == 0.0 and abs(torque) <= TF:
+                slope, stop = 0.0, end
+            else:
+                slope = (torque - np.sign(v or torque) * TF) / J
+                stop = min(end, now - v / slope) if v * slope < 0 else end
+            here = (time >= now) & (time <= stop)
+            speed[here] = v + slope * (time[here] - now)
+            v = 0.0 if stop < end else v + slope * (stop - now)
+            now = stop
+    return speed
+
+
+def shaft(scale=1.0):
+    b = ce.Blueprint("shaft")
+    inertia, w = b.parameter("J", J, unit="kg m2", vary=False), b.state("w", unit="rad/s", scale=scale)
+    slot = b.port("axis", "inertia", {"speed": w})
+    b.ode("w", (b.input("T", unit="N m") + slot) / inertia)
+    b.output("speed", w, unit="rad/s")
+    return b.model()
+
+
+def record(rate, sigma, seed=0, speed=sticking):
+    time = np.arange(round(4 * rate) + 1) / rate
+    torque = np.zeros_like(time)
+    for end, value in reversed(SCHEDULE):
+        torque[time < end - 1e-9] = value
+    torque[-1] = SCHEDULE[-1][1]
+    noisy = speed(time) + sigma * np.random.default_rng(seed).standard_normal(len(time))
+    units = {"T": "N m", "speed": "rad/s"}
+    return ce.Experiment.from_arrays("run", time=time, units=units, hold="zero", T=torque, speed=noisy)
+
+
+def told(fit):
+    """By how many standard errors the fit says that its corners may have moved it: 0.5 where it says nothing."""
+    found = [re.search(r"off by about ([\d.e+]+) standard errors", text) for text in fit.messages]
+    return next((float(one.group(1)) for one in found if one), FELT**0.5)
+
+
+@pytest.fixture(scope="module")
+def fits():
+    """Fits at 100 Hz and 1 kHz of data without noise, at a stated level: what is off is the corner."""
+    found = {}
+    for rate in (100, 1000):
+        model = shaft(scale=100.0).with_effect(
+            ce.effects.CoulombFriction(), at="axis", values={"torque": 1.8}
+        )
+        assert model.parameters()[WIDTH].value == 0.5
+        found[rate] = ce.estimate(model, record(rate, 1e-9), noise=ce.Noise(speed=0.01), progress=False)
+    return found
+
+
+def test_the_closed_form_is_what_scipy_finds_event_by_event():
+    def rest(t, w):
+        return w[0]
+
+    rest.terminal = True
+    now, w, found = 0.0, 0.0, []
+    for end, torque in SCHEDULE:
+        while now < end:
+            if w == 0.0 and abs(torque) <= TF:
+                now = end
+                break
+            side = np.sign(w) if w else np.sign(torque)
+            rest.direction = -side
+            run = solve_ivp(
+                lambda t, w, side=side, torque=torque: [(torque - side * TF) / J],
+                (now, end), [w], events=rest, rtol=1e-10, atol=1e-12,
+            )  # fmt: skip
+            now, w = run.t[-1], 0.0 if run.status == 1 else run.y[0, -1]
+        found.append(w)
+    ends = np.array([end for end, _ in SCHEDULE])
+    np.testing.assert_allclose(sticking(ends), found, atol=1e-8)
+    assert np.count_nonzero(found) == 3
+
+
+@pytest.mark.parametrize("rate", [100, 1000])
+def test_friction_that_holds_is_found_within_what_the_fit_says(fits, rate):
+    fit = fits[rate]
+    found = fit.estimates[TORQUE]
+    assert fit.converged
+    assert found.stderr < 3e-4
+    assert abs(found.value - TF) <= told(fit) * found.stderr
+    assert abs(found.value - TF) < 1e-3 * TF
+    # at rest it creeps by less than the noise shows, wherever it is held
+    time = np.arange(round(4 * rate) + 1) / rate
+    resting = (sticking(time) == 0) & (np.abs(time - 0.5) < 0.4)
+    creep = np.abs(fit.traces["run"]["speed"].simulated[resting])
+    assert creep.max() < 0.005
+    assert fit.estimates[WIDTH].fixed
+    assert fit.values[WIDTH] == fit.parameters[WIDTH].value <= 0.006
+
+
+def test_finer_samples_let_the_corner_be_sharper(fits):
+    assert fits[1000].values[WIDTH] < fits[100].values[WIDTH] / 5
+    assert abs(fits[1000].values[TORQUE] - TF) < 1.2e-4  # one and a half standard errors
+
+
+def test_a_given_or_fixed_width_stays_and_one_that_no_record_passes_keeps_its_default():
+    data = record(100, 0.01)
+    noise = ce.Noise(speed=0.01)
+    given = shaft().with_effect(ce.effects.CoulombFriction(width=0.05), at="axis", values={"torque": 1.8})
+    assert WIDTH not in given.parameter_names
+    model = shaft(100.0).with_effect(ce.effects.CoulombFriction(), at="axis", values={"torque": 1.8})
+    for change in ("fix", "set"):
+        pars = model.parameters()
+        if change == "fix":
+            pars.fix(WIDTH)
+        else:
+            pars[WIDTH].set(0.2)
+        fit = ce.estimate(model, data, parameters=pars, noise=noise, progress=False)
+        assert fit.values[WIDTH] == pars[WIDTH].value
+    away = record(100, 0.01, speed=lambda t: 90 - TF / J * t)  # only slides, with no torque from outside
+    channels = {"T": np.zeros(len(away["T"].time)), "speed": away["speed"].values}
+    away = ce.Experiment.from_arrays(
+        "run", time=away["T"].time, units={"T": "N m", "speed": "rad/s"}, hold="zero", **channels
+    )
+    fit = ce.estimate(model, away, noise=noise, progress=False)
+    assert fit.values[WIDTH] == 0.5
+    assert abs(fit.values[TORQUE] - TF) < 3 * fit.stderr[TORQUE]
+    assert not any("corners" in text for text in fit.messages)
+    paths = paths_of(fit), paths_of(fit, moved={WIDTH: 0.01})
+    assert cost_along(fit, paths[0]) == pytest.approx(cost_along(fit, paths[1]), abs=1e-6)
