@@ -58,7 +58,9 @@ def coloured_noise(
                 freedom = np.inf if scores.freedom is None else float(scores.freedom[k])
                 sides = 2 if candidates[k].side == 0 else 1
                 width = next(iter(left[null.records[0].name].values())).shape[1]
-                gain = deviance(null, noise, left, width - 1, random) - deviance(null, own, left, width, random)
+                gain = deviance(null, noise, left, width - 1, random) - deviance(
+                    null, own, left, width, random
+                )
                 found.append((sides * _by_likelihood(gain, freedom), k, own))
         if not found:
             break

@@ -97,7 +97,9 @@ def test_moments_of_whiteness_are_those_of_dense_matrices(gaps):
     rng = np.random.default_rng(3)
     mask = rng.random(40) >= 0.3 * gaps
     mask[[0, -1]] = True
-    data = _prepare(np.where(mask, rng.standard_normal(40), np.nan), None, rng.standard_normal((40, 4)), skip=0)
+    data = _prepare(
+        np.where(mask, rng.standard_normal(40), np.nan), None, rng.standard_normal((40, 4)), skip=0
+    )
     steps = np.array([1, 2, 7])
     pairs = np.array([np.sum(mask[k:] & mask[:-k]) for k in steps])
     mean, covariance = _moments(data, steps, pairs.astype(float))
