@@ -50,7 +50,6 @@ def coloured_noise(
             break
         law = NullDistribution(library_rows(scores))
         tried = dict.fromkeys([*_best(scores), *_best(_given(white, held))])
-        before = deviance(null, noise, beside(null, columns, held), random)
         found: list[tuple[float, int, NoiseModel]] = []
         for k in tried:
             left = beside(null, columns, [*held, k])
@@ -58,7 +57,10 @@ def coloured_noise(
             if _allowed(null, candidates, columns, own, scatter, held, k):
                 freedom = np.inf if scores.freedom is None else float(scores.freedom[k])
                 sides = 2 if candidates[k].side == 0 else 1
-                gain = before - deviance(null, own, left, random)
+                width = next(iter(left[null.records[0].name].values())).shape[1]
+                gain = deviance(null, noise, left, width - 1, random) - deviance(
+                    null, own, left, width, random
+                )
                 found.append((sides * _by_likelihood(gain, freedom), k, own))
         if not found:
             break

@@ -253,14 +253,17 @@ def deviance(
     null: NullModel,
     noise: NoiseModel,
     explained: Mapping[str, Mapping[str, Array]],
+    held: int,
     scatter: Mapping[str, Mapping[str, Array]] | None = None,
 ) -> float:
-    """-2 log likelihood of the residuals, the columns' coefficients at their best.
+    """-2 log restricted likelihood of the residuals, plus twice the number of colour parameters (Akaike).
 
-    Arguments as in ``estimated_noise``.
+    explained : record -> output -> (N, k) columns, of which the first ``held`` are free and the others zero; all count
+    for the restriction, so that two deviances with other noises and other ``held`` compare (Welham & Thompson 1997)
+    scatter : as in ``estimated_noise``
     """
     tau = max(noise.scatter.values(), default=0.0) if scatter else 0.0
-    found = 0.0
+    found = sum(2.0 * len(c.covariance) for c in noise.colour.values() if c.covariance is not None)
     for record in null.records:
         rows = _stacked(noise, record, explained, scatter)
         given = next(iter(explained[record.name].values())).shape[1]
@@ -270,7 +273,10 @@ def deviance(
             padded = np.zeros((len(random), rows.shape[1]))
             padded[: len(rows)] = rows
             rows = without(np.linalg.qr(random)[0], padded)
-        rest = without(basis(rows[:, :given]), rows[:, -1:])
+        size = np.sqrt(sum((part**2).sum(axis=0) for part in explained[record.name].values()))
+        strength = np.linalg.svd(rows[:, :given] / np.where(size > 0, size, 1.0), compute_uv=False)
+        found += 2 * float(np.log(np.maximum(strength, REPEATED * strength.max(initial=1e-300))).sum())
+        rest = without(basis(rows[:, :held]), rows[:, -1:])
         found += float((rest**2).sum())
         for output in record.outputs:
             colour = noise.colour.get((record.name, output))

@@ -337,8 +337,8 @@ def _cannot_tell(scores: Scores) -> tuple[str, ...]:
     if 2 * few <= every:
         return ()
     return (
-        f"the noise remembers itself for long: {few} of {every} candidates have fewer than {_FEW} independent "
-        "stretches of it to be judged by, and that they are not found says little; a longer record would tell",
+        f"strongly autocorrelated noise: few effective samples. The scores of {few} of {every} candidates have fewer "
+        f"than {_FEW} degrees of freedom, so that these effects were not found says little; record for longer",
     )
 
 

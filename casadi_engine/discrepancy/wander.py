@@ -32,7 +32,7 @@ _POWERS = 4.0 ** np.arange(-1, 7)
 # Variance of a wander beside that of the white noise: outside, one of the two is not there.
 _VARIANCE = 1e-6, 1e4
 # A prediction from so much of the past is as good as from all; no longer one is kept.
-_SETTLED, LONGEST_PAST = 1e-4, 200
+_SETTLED, LONGEST_PAST = 1e-6, 200
 
 
 @dataclass(frozen=True, eq=False)

@@ -261,9 +261,9 @@ def test_a_record_too_short_for_its_noise_says_so(inertia):
     count = len(long.candidates)
     few = replace(long.scores, freedom=np.where(np.arange(count) < 0.6 * count, 3.0, 9.0))
     (said,) = cannot_tell(few)
-    assert said.startswith("the noise remembers itself for long: ")
+    assert said.startswith("strongly autocorrelated noise: few effective samples. The scores of ")
     assert said.endswith(
-        "candidates have fewer than 5 independent stretches of it to be judged by, and that they are not found says "
-        "little; a longer record would tell"
+        "candidates have fewer than 5 degrees of freedom, so that these effects were not found says little; record for "
+        "longer"
     )
     assert cannot_tell(replace(few, freedom=None)) == ()
