@@ -140,10 +140,10 @@ def play():
         coupling = 60 * np.sign(x[0]) * np.maximum(np.abs(x[0]) - p["gap"], 0)
         return [x[1] - x[2], (u["T"] - coupling - 0.05 * x[1]) * 20, (coupling - 0.2 * x[2]) * 10]
 
-    t = np.arange(31) * 0.1
+    t = np.arange(11) * 0.1
     return Case(
         "play", build, rates, {"motor": lambda t, x, p, u: x[1]}, {"gap": 0.05}, {"twist": 0.0, "w1": 0.0, "w2": 0.0},
-        {"T": "N m", "motor": "rpm"}, equal(3.0, 301), "gap", 0.03, inputs={"T": (t, 2 * np.sin(5 * t))},
+        {"T": "N m", "motor": "rpm"}, equal(1.0, 201), "gap", 0.04, inputs={"T": (t, 2 * np.sin(5 * t))},
         known_start=True,
     )  # fmt: skip
 

@@ -1,6 +1,7 @@
 """Small models as a new user writes them: simulated to 1e-5 and one parameter recovered, or refused with the cause."""
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,8 @@ from scipy.integrate import solve_ivp
 from small_models import CASES
 from small_outcome import linearised, recovered, simulated
 from small_truth import Pieces, solve
+
+import casadi_engine as ce
 
 
 def test_there_are_forty_and_each_has_its_own_name():
@@ -84,3 +87,27 @@ def test_truth_moves_and_is_finite(name):
     for y in _truth(name).values():
         assert np.isfinite(y).all()
         assert np.ptp(y) > 1e-3 * np.abs(y).max()
+
+
+# ---- the judge
+
+
+def test_a_wrong_model_is_a_silent_miss():
+    """The judge sees a rate that is 0.1 % off, and a record that was made with another parameter."""
+    case = CASES["three_walls"]
+    wrong = replace(case, build=lambda p: case.build({"G": 1.001 * p["G"]}))
+    assert simulated(wrong).kind == "silent miss"
+    other = replace(case, rates=lambda t, x, p, u: case.rates(t, x, {"G": 1.1 * p["G"]}, u))
+    assert recovered(other).kind == "silent miss"
+
+
+def test_a_refusal_must_name_its_cause():
+    """The message of a refusal is read, not only its class."""
+
+    def refuse(p):
+        raise ce.CasadiEngineError("the simulation did not work out")
+
+    vague = simulated(replace(CASES["three_walls"], build=refuse, cause=("stiff",)))
+    assert not vague.passes
+    assert vague.kind == "refused, cause not named"
+    assert simulated(replace(CASES["three_walls"], build=refuse, cause=("work out",))).passes
