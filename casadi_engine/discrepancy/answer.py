@@ -26,7 +26,7 @@ from casadi_engine.discrepancy.fresh import (
     judge,
     side,
 )
-from casadi_engine.discrepancy.fresh_misfit import fresh_misfit
+from casadi_engine.discrepancy.fresh_misfit import held_to_fresh_data
 from casadi_engine.discrepancy.latent_torque import LatentTorque, latent_torques
 from casadi_engine.discrepancy.next_experiment import next_experiment
 from casadi_engine.discrepancy.noise_model import NoiseModel
@@ -132,11 +132,7 @@ class Answer:
         )
         if done.verdict == "nothing missing" and done.noise is not None and done.noise.colour:
             done = replace(done, messages=(*done.messages, _MAY_HIDE))
-        misfit = fresh_misfit(done)
-        if misfit is None:
-            return done
-        # a gain alone confirms nothing where the fresh data are not described
-        return replace(done, confirmed=done.confirmed and False, messages=(misfit, *done.messages))
+        return held_to_fresh_data(done)
 
     def _timed(self, what: str, work: Any) -> Any:
         begun = time.perf_counter()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from scipy import stats
@@ -48,3 +49,13 @@ def fresh_misfit(repair: Repair) -> str | None:
             f" (p {fresh.parameters_p:.2g})"
         )
     return None
+
+
+def held_to_fresh_data(repair: Repair) -> Repair:
+    """The repair as it is; where it does not describe the fresh data, with this said first, and not confirmed: a gain
+    alone confirms nothing there."""
+    misfit = fresh_misfit(repair)
+    if misfit is None:
+        return repair
+    confirmed = None if repair.confirmed is None else False
+    return replace(repair, confirmed=confirmed, messages=(misfit, *repair.messages))

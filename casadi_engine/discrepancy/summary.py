@@ -43,7 +43,9 @@ def headline(repair: Repair) -> str:
     gaps = repair.gaps
     misfit = ""
     if gaps is not None and gaps.validation_after is not None and fresh_misfit(repair) is not None:
-        misfit = f", which the repaired model does not fit: chi2/N {gaps.validation_after.gap.chi2_per_sample:.3g}"
+        misfit = (
+            f", which the repaired model does not fit: chi2/N {gaps.validation_after.gap.chi2_per_sample:.3g}"
+        )
     return f"{names} is missing{doubt}, {sure[repair.confirmed]}{misfit}"
 
 

@@ -159,21 +159,15 @@ def _side(side: Side) -> dict[str, Any]:
         for name, value in percent.items()
         if value is None
     }
-    words = {
-        "within_errors": "not fresh data",
-        "parameters_p": "no direction of the parameters is determined by the fit and by these data both",
-    }
-    why |= {key: text for key, text in words.items() if getattr(side, key) is None}
+    of_fresh = {"within_errors": side.within_errors, "parameters_p": side.parameters_p}
     return {
         "rmse": dict(side.gap.rmse),
         "fit_percent": percent,
         "whiteness_p": {record: dict(outputs) for record, outputs in side.whiteness_p.items()},
         "chi2_per_sample": side.gap.chi2_per_sample,
         "samples": side.gap.samples,
-        "within_errors": side.within_errors,
-        "parameters_p": side.parameters_p,
         "why": why,
-    }
+    } | {key: value for key, value in of_fresh.items() if value is not None}
 
 
 def _gain(gain: PairedGain) -> dict[str, Any]:

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.fresh import held_fit, side
+from casadi_engine.discrepancy.fresh import held_fit, residuals, side
 from casadi_engine.discrepancy.noise_choice import NoiseChoice
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import null_model
-from casadi_engine.discrepancy.parameter_doubt import doubted
+from casadi_engine.discrepancy.parameter_doubt import doubted, pooled, within_errors
 
 NOISE = NoiseModel({"omega": 0.1})
 
@@ -85,3 +85,34 @@ def test_an_event_that_does_not_act_has_no_error(fit):
     null = doubted(found, held)
     place = found.free.index(amplitude)
     assert not np.any(null.turn[place])
+
+
+def damped(name, damping, seed):
+    """A run-up from rest by the closed form of one inertia of 0.4 kg m2 under 2 N m."""
+    t = np.arange(500) * 0.01
+    speed = 2 / damping * (1 - np.exp(-damping * t / 0.4)) + 0.1 * np.random.default_rng(
+        seed
+    ).standard_normal(500)
+    return ce.Experiment.from_arrays(
+        name, time=t, units={"T": "N m", "omega": "rad/s"}, hold="zero", T=np.full(500, 2.0), omega=speed
+    )
+
+
+def test_a_parameter_that_varies_by_experiment_is_found_on_fresh_data():
+    """It was zero there once, with a chi-squared per sample of hundreds of thousands."""
+    model = ce.one_inertia()
+    pars = model.parameters()
+    pars.vary_by_experiment("C_eng")
+    data = [damped("a", 0.4, 1), damped("b", 0.6, 2)]
+    fit = ce.estimate(model, data, parameters=pars, noise=ce.Noise(omega=0.1), progress=False)
+    fresh = held_fit(fit, damped("c", 0.5, 3), noise=NOISE)
+    assert fresh.values["C_eng@c"] == pytest.approx(0.5, abs=0.01)
+    assert fresh.values["J_eng"] == fit.values["J_eng"]
+    assert fresh.cost / fresh.n == pytest.approx(1, abs=0.2)
+    known = held_fit(fit, damped("b", 0.6, 4), noise=NOISE)
+    assert known.values["C_eng"] == fit.values["C_eng@b"]
+    null = doubted(fit, fresh)
+    assert null.turn.shape[1] == 2
+    split = within_errors(fit, null, residuals([null], NOISE))
+    assert split.dof == 1  # of the inertia alone: the damping is free there
+    assert pooled([split], 1.0)[1] > 0.001

@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 
 from casadi_engine.discrepancy.confirmation import PairedGain
-from casadi_engine.discrepancy.fresh_misfit import fresh_misfit
+from casadi_engine.discrepancy.fresh_misfit import fresh_misfit, held_to_fresh_data
 from casadi_engine.discrepancy.repaired import Member, NextExperiment
-from casadi_engine.discrepancy.summary import next_step
+from casadi_engine.discrepancy.summary import headline, next_step
 from casadi_engine.estimation.fit import Estimate
 from casadi_engine.report.repaired_words import (
     effect_words,
@@ -159,6 +159,42 @@ def test_fresh_data_that_do_not_fit_are_no_reason_to_go_on(white):
         "Next: look for what is missing in the fresh records: give them as data of the search."
     )
     assert mood(changed) == "poor"
+
+
+def test_a_gain_confirms_nothing_where_the_fresh_data_do_not_fit(repaired):
+    gaps = repaired.gaps
+    own = replace(
+        gaps.estimation_after, gap=replace(gaps.estimation_after.gap, chi2_per_sample=1.0, samples=400)
+    )
+
+    def on_fresh(chi2, within=None, chance=None):
+        fresh = replace(
+            own, gap=replace(own.gap, chi2_per_sample=chi2), within_errors=within, parameters_p=chance
+        )
+        noise = replace(repaired.noise, scatter={}, colour={})
+        return held_to_fresh_data(
+            replace(
+                repaired,
+                confirmed=True,
+                noise=noise,
+                gaps=replace(gaps, estimation_after=own, validation_after=fresh),
+            )
+        )
+
+    far = on_fresh(3.6e5)
+    assert far.confirmed is False
+    assert far.messages[0].startswith(
+        "the fresh data do not fit: chi2/N is 3.6e+05 there and 1 on the data of the search"
+    )
+    assert "not confirmed by fresh data, which the repaired model does not fit: chi2/N 3.6e+05" in headline(
+        far
+    )
+    assert on_fresh(1.1).confirmed is True
+    # errors of the parameters explain it, or they would have to be larger than they are
+    assert on_fresh(50.0, 1.05, 0.3).confirmed is True
+    moved = on_fresh(50.0, 1.05, 1e-9)
+    assert moved.confirmed is False
+    assert "they ask for other parameters than the fit's, beyond their errors (p 1e-09)" in moved.messages[0]
 
 
 def test_an_interrupted_search_blames_no_fit(no_answer):

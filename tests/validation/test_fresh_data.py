@@ -8,6 +8,8 @@ import pytest
 from scipy.signal import cont2discrete, dlsim
 
 import casadi_engine as ce
+from casadi_engine.report.result_file import to_result
+from casadi_engine.report.tables import validation_html
 
 M, C, K, STEP, SIGMA = 1.0, 0.4, 9.0, 0.02, 0.01
 
@@ -114,6 +116,20 @@ def test_the_gap_is_said_to_come_from_the_errors(first):
     assert "parameters agree with those of the fit within their errors: p 0.6" in text
     assert "of the gap to the simulation, 99.9 % is explained by the errors of the parameters" in text
     assert all(len(line) <= 100 for line in text.splitlines())
+
+
+def test_the_result_file_and_the_page_hold_the_test(first):
+    _, _, check = first
+    found = to_result(check, command="validate", arguments={}, seconds=0.0, seed=None)
+    assert found["failed"] == []
+    part = found["parameter_check"]
+    assert part["p_value"] == check.parameters.p_value
+    assert part["explained"] == check.parameters.explained
+    assert set(part["moved"]) == {"m", "c", "k"}
+    assert all(key in part["why"] for key, value in part.items() if value is None)
+    text = validation_html(check)
+    assert "parameters agree with those of the fit within their errors" in text
+    assert "<td>parameters</td>" in text.replace(' class="left"', "")
 
 
 def test_the_percentage_is_that_of_the_fitted_parameters(first):
