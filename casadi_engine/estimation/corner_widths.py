@@ -58,13 +58,15 @@ def follow_motion(fit: Fit, parameters: Parameters, again: Callable[[Parameters,
         if found is None or not found.converged:
             break
         finer = _sharper(found, first)
+        if finer == first:
+            return found
         if finer is None:
             break
         sharper = _refitted(found, parameters, finer, again)
         if sharper is None or not sharper.converged:
             break
         found, first = sharper, finer
-    return _told(found, first) if found is not None and found.converged else fit
+    return _told(found, first) if found is not None and found.converged else _told(fit, wide)
 
 
 def _told(fit: Fit, widths: Mapping[str, float]) -> Fit:
@@ -76,7 +78,7 @@ def _told(fit: Fit, widths: Mapping[str, float]) -> Fit:
     names = ", ".join(f"{name} = {width:.2g}" for name, width in widths.items())
     words = (
         f"the data feel how corners are rounded ({names}: twice as wide they change chi-squared by {change:.2g}), and "
-        f"the integrator follows no sharper ones: estimates may be off by about {math.sqrt(change):.2g} standard errors"
+        f"no fit with sharper ones was reached: estimates may be off by about {math.sqrt(change):.2g} standard errors"
     )
     return replace(fit, messages=(*fit.messages, words))
 
@@ -125,7 +127,7 @@ def _refitted(
 
 
 def _sharper(fit: Fit, widths: Mapping[str, float]) -> dict[str, float] | None:
-    """Widths that the data do not tell from sharper ones; None for those of the fit."""
+    """The widest widths that the data do not tell from sharper ones; None where the integrator can follow none."""
     steps = max((one.substeps for one in fit.integration.values()), default=0)
     samples = sum(len(record[record.names[0]].time) for record in fit.data)
     allowed = min(MOST_SUBSTEPS, _STEPS / samples)
@@ -135,9 +137,9 @@ def _sharper(fit: Fit, widths: Mapping[str, float]) -> dict[str, float] | None:
     # by factors, and at last as sharp as the integrator can follow
     shares = [FACTOR**k for k in range(SHARPER + 1) if FACTOR**k < limit / _WORTH] + [limit]
     levels = [{name: float(f"{width / share:.2g}") for name, width in widths.items()} for share in shares]
-    costs = [cost_along(fit, paths_of(fit, moved=level)) for level in levels]
-    chosen = next(k for k, cost in enumerate(costs) if abs(cost - costs[-1]) < FELT)
-    return levels[chosen] if chosen else None
+    sharpest = cost_along(fit, paths_of(fit, moved=levels[-1]))
+    felt = (abs(cost_along(fit, paths_of(fit, moved=level)) - sharpest) >= FELT for level in levels[:-1])
+    return next((level for level, more in zip(levels, felt, strict=False) if not more), levels[-1])
 
 
 def paths_of(

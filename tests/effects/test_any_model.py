@@ -7,7 +7,7 @@ import pytest
 import casadi_engine as ce
 from casadi_engine.discrepancy import screen
 from casadi_engine.errors import EffectError
-from casadi_engine.model.term import NotApplicable, ports_for
+from casadi_engine.model.term import NotApplicable, check_side, ports_for
 from casadi_engine.report.result_file import to_result
 from casadi_engine.report.schema import faults
 
@@ -271,8 +271,40 @@ def test_a_search_without_ports_to_act_at_claims_no_physics(make):
     assert not list(faults(written))
     listed = [one for one in written["not_applicable"] if one["at"]]
     assert [one["name"] for one in listed] == [one.effect for one in found.not_applicable if one.at]
-    assert ("Not applicable: coulomb_friction at spring: the port has no twist_rate" in str(found)) == bool(listed)
+    assert ("Not applicable: coulomb_friction at spring: the port has no twist_rate" in str(found)) == bool(
+        listed
+    )
     asked = ce.repair(
         model, data, effects=["sensor_offset"], noise=ce.Noise(**{name: 0.01}), starts=1, progress=False
     )
     assert asked.verdict == "named"
+
+
+class Hooked(ce.effects.ViscousFriction):
+    name = "hooked"
+    wrong = "oil"
+
+    def sizes(self, port, values):
+        return (port.oil,) if self.wrong == "oil" else (1 / len(port.courses("speed")),)
+
+
+def test_other_methods_of_an_effect_that_fail_are_named():
+    model, data = mass(), record(mass())
+    skipped = []
+    assert ce.effects.candidates(model, [Hooked()], data, skipped=skipped) == ()
+    assert skipped == [NotApplicable("hooked", "body", ("oil",), ("speed",), "the port has no oil")]
+    with pytest.raises(EffectError, match="hooked cannot act at the port body, which has no signal oil"):
+        ce.effects.candidates(model, [Hooked()], data)
+    broken = Hooked()
+    broken.wrong = "division"
+    with pytest.raises(EffectError, match="a method of hooked fails at body; seen: ZeroDivisionError"):
+        ce.effects.candidates(model, [broken], data)
+
+
+@pytest.mark.parametrize("make", [ce.one_inertia, ce.two_mass, ce.crankshaft])
+def test_the_slots_of_the_builders_act_the_right_way_round(make):
+    model = make()
+    checked = [port for port in model.ports if port.kind in ("inertia", "coupling")]
+    assert checked
+    for port in checked:
+        check_side(model, port)
