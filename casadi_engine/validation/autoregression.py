@@ -14,7 +14,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from casadi_engine.discrepancy.linear_algebra import Array
+from casadi_engine.estimation.fit_percent import FloatArray as Array
 
 LARGEST_ORDER = 25
 
