@@ -143,7 +143,7 @@ def fitted_colour(
     if uncertain is not None:
         full[valid, 1:] = uncertain
     found = autoregression(full, valid)
-    made = Colour(found.predictors, found.variances, found.covariance)
+    made = Colour(found.predictors, found.variances / found.variances[-1], found.covariance)
     if not valid.all():
         full = Whitener(found.predictors, found.variances, valid).filled(full)
     level, old = (1.0, Colour()) if before is None else before
