@@ -15,11 +15,11 @@ from typing import Literal
 import numpy as np
 from scipy.linalg import block_diag
 
-from casadi_engine.discrepancy.autoregression import autoregression
 from casadi_engine.discrepancy.combustion_scatter import scatter_level
 from casadi_engine.discrepancy.linear_algebra import REPEATED, Array, basis, triangle, without
 from casadi_engine.discrepancy.null_model import Index, NullModel, RecordNull
 from casadi_engine.discrepancy.wander import Spectrum, Wander, information, spectrum, wander_of
+from casadi_engine.validation.autoregression import autoregression
 from casadi_engine.validation.whitening import Whitener
 
 _LOWEST = 1e-6
@@ -143,7 +143,7 @@ def fitted_colour(
     if uncertain is not None:
         full[valid, 1:] = uncertain
     found = autoregression(full, valid)
-    made = Colour(found.predictors, found.variances, found.covariance)
+    made = Colour(found.predictors, found.variances / found.variances[-1], found.covariance)
     if not valid.all():
         full = Whitener(found.predictors, found.variances, valid).filled(full)
     level, old = (1.0, Colour()) if before is None else before

@@ -9,13 +9,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from scipy import fft, linalg, sparse
 
 from casadi_engine.estimation.fit_percent import BoolArray, FloatArray
-from casadi_engine.validation.correlation import IntArray
+from casadi_engine.validation.autoregression import autoregression
 
-LARGEST_ORDER = 25
 SPECTRUM = 1024
 
 
@@ -38,9 +36,14 @@ class Whitener:
         return Whitener((np.ones(1),), np.ones(1), valid)
 
     @staticmethod
-    def of(residual: FloatArray, valid: BoolArray) -> Whitener:
-        """Fit the autoregression to an (n,) residual that holds zeros where a sample is missing."""
-        return Whitener(*_autoregression(residual, valid), valid)
+    def of(residual: FloatArray, valid: BoolArray, uncertain: FloatArray | None = None) -> Whitener:
+        """Fit the autoregression to an (n,) residual that holds zeros where a sample is missing.
+
+        uncertain : (n, q) square root of the covariance of what a regression took from the residual; zeros there too
+        """
+        columns = residual[:, None] if uncertain is None else np.column_stack([residual, uncertain])
+        found = autoregression(columns, valid)
+        return Whitener(found.predictors, found.variances, valid)
 
     @property
     def order(self) -> int:
@@ -79,44 +82,6 @@ class Whitener:
         if self.order == 0 or self.valid.all():
             return columns
         return _filled(columns, self.valid, self.matrix, self.order)
-
-
-def _autoregression(e: FloatArray, valid: BoolArray) -> tuple[tuple[FloatArray, ...], FloatArray]:
-    """Fit autoregressions of rising order by least squares and choose the order by Akaike's criterion.
-
-    Only rows whose whole past is present take part: covariances of pairs, each from other samples, need not
-    belong to any process. The largest order leaves a quarter of the samples and ten rows a coefficient.
-
-    Returns the predictors (1, −a_1, …, −a_j) of order j = 0..p and their residual variances.
-    """
-    index = np.arange(e.size)
-    run = index - np.maximum.accumulate(np.where(valid, -1, index))  # present samples in a row, up to here
-    lengths = np.bincount(np.minimum(run, LARGEST_ORDER + 1), minlength=LARGEST_ORDER + 2)
-    rows = np.cumsum(lengths[:0:-1])[::-1]  # how many samples have 0, 1, … present ones before them
-    needed = np.maximum(10 * np.arange(1, LARGEST_ORDER + 2), np.count_nonzero(valid) / 4)
-    largest = int(np.flatnonzero(rows >= needed).max(initial=0))
-    _, variances = _innovations(e, run, largest)
-    order = int(np.argmin(rows[largest] * np.log(variances) + 2.0 * np.arange(largest + 1)))
-    factor, variances = _innovations(e, run, order)
-    predictors = (
-        np.append(1.0, -np.linalg.solve(factor[:j, :j].T, factor[-1, :j])) for j in range(order + 1)
-    )
-    return tuple(predictors), variances
-
-
-def _innovations(e: FloatArray, run: IntArray, order: int) -> tuple[FloatArray, FloatArray]:
-    """Return the Cholesky factor of the products of e(t−1) … e(t−order), e(t), and what follows from it.
-
-    Its last row gives the residual variances of all orders 0..order, its corners their predictors.
-    """
-    now = np.flatnonzero(run > order)
-    columns = sliding_window_view(e, order + 1)[now - order]  # e(t − order) … e(t)
-    products = np.roll((columns.T @ columns)[::-1, ::-1], -1, axis=(0, 1))  # the past first, then e(t)
-    # A residual that predicts itself perfectly (a sine without noise), or is zero here, has no factor.
-    products[np.diag_indices(order + 1)] += 1e-12 * float(e @ e) + np.finfo(float).tiny
-    factor = np.asarray(np.linalg.cholesky(products), dtype=np.float64)
-    variances = np.cumsum(factor[-1, ::-1] ** 2)[::-1] / now.size
-    return factor, np.asarray(variances, dtype=np.float64)
 
 
 def _whitening_matrix(

@@ -14,14 +14,14 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from casadi_engine.discrepancy.linear_algebra import Array
+from casadi_engine.estimation.fit_percent import FloatArray as Array
 
 LARGEST_ORDER = 25
 
 
 @dataclass(frozen=True, eq=False)
 class Autoregression:
-    """predictors : (1, -a_1, ..., -a_j) of order j = 0..p; variances : (p + 1,) of their innovations, the last one 1
+    """predictors : (1, -a_1, ..., -a_j) of order j = 0..p; variances : (p + 1,) of their innovations
     covariance : (p, p) of a_1 ... a_p
     """
 
@@ -54,7 +54,7 @@ def autoregression(noise: Array, valid: NDArray[np.bool_]) -> Autoregression:
     )
     # what is not known of the noise tells nothing of its colour
     seen = np.linalg.inv(products[0, :-1, :-1]) * variances[-1] if order else np.zeros((0, 0))
-    return Autoregression(predictors, variances / variances[-1], seen)
+    return Autoregression(predictors, variances, seen)
 
 
 def _products(noise: Array, run: NDArray[np.intp], order: int) -> Array:
