@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,13 +16,14 @@ from casadi_engine.errors import UnitError
 
 LIMIT = 1e-5  # of the largest value of an output
 ERRORS = 3.0  # standard errors
+SLOW = 30.0  # s of CPU time: a hundred times what the others take
 TIGHT, WIDE = 0.3, 3.0  # of the standard error of a linearised least squares
 
 
 @dataclass(frozen=True)
 class Outcome:
     """kind : "right", "refused" (cause named), "refused, cause not named", "told" (no clean answer, and said so),
-    "silent miss", "crash".  detail : numbers, or the message
+    "silent miss", "too slow", "crash".  detail : numbers, or the message
     """
 
     kind: str
@@ -28,6 +32,26 @@ class Outcome:
     @property
     def passes(self) -> bool:
         return self.kind in ("right", "refused")
+
+
+class _TooSlow(BaseException):
+    """More CPU time than a small model may take."""
+
+
+@contextmanager
+def _limited(seconds: float) -> Iterator[None]:
+    """Stop what takes more CPU time than this; a fit may ask for interrupts, but does not expect this one."""
+
+    def stop(number: int, frame: Any) -> None:
+        raise _TooSlow
+
+    before = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)
 
 
 def _refusal(case: Case, error: ce.CasadiEngineError) -> Outcome:
@@ -39,9 +63,12 @@ def _refusal(case: Case, error: ce.CasadiEngineError) -> Outcome:
 def simulated(case: Case) -> Outcome:
     """Simulate at the true parameters from the true start."""
     try:
-        run = ce.simulate(case.build(dict(case.p)), case.record(noisy=False), initial=dict(case.start))
+        with _limited(SLOW):
+            run = ce.simulate(case.build(dict(case.p)), case.record(noisy=False), initial=dict(case.start))
     except ce.CasadiEngineError as error:
         return _refusal(case, error)
+    except _TooSlow:
+        return Outcome("too slow", f"more than {SLOW:.0f} s of CPU time")
     except Exception as error:  # noqa: BLE001 (a crash is an outcome to report)
         return Outcome("crash", f"{type(error).__name__}: {error}")
     worst = 0.0
@@ -64,10 +91,14 @@ def recovered(case: Case) -> Outcome:
                 pars.fix(name)
         pars[case.free].set(case.guess)
         initial: Any = dict(case.start) if case.known_start else None
-        fit = ce.estimate(model, case.record(noisy=True), parameters=pars, initial=initial, progress=False)
+        record = case.record(noisy=True)
+        with _limited(SLOW):
+            fit = ce.estimate(model, record, parameters=pars, initial=initial, progress=False)
         found = fit.estimates[case.free]
     except ce.CasadiEngineError as error:
         return _refusal(case, error)
+    except _TooSlow:
+        return Outcome("too slow", f"more than {SLOW:.0f} s of CPU time")
     except Exception as error:  # noqa: BLE001 (a crash is an outcome to report)
         return Outcome("crash", f"{type(error).__name__}: {error}")
     said = "; ".join(fit.messages)[:200]
