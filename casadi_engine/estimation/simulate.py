@@ -168,13 +168,12 @@ def _whole_grid(model: Model, data: Experiment) -> Grid:
 
 def _over(channel: Channel, first: float, last: float) -> Array:
     """The channel's times from ``first`` to ``last``, at its own rate beyond its span where it has one."""
-    rate = channel.rate
-    if rate is not None:
-        begin = channel.time[0] - np.floor((channel.time[0] - first) * rate + 1e-6) / rate
-        time = begin + np.arange(np.floor((last - begin) * rate + 1e-6) + 1) / rate
+    rate, near = channel.rate, 0.0
+    if rate is None:
+        time = channel.time
     else:
-        time = channel.time[(channel.time > first) & (channel.time < last)]
-    near = 1e-6 * (last - first) / max(len(time), 1)
+        begin, near = channel.time[0] - np.floor((channel.time[0] - first) * rate + 1e-6) / rate, 1e-6 / rate
+        time = begin + np.arange(np.floor((last - begin) * rate + 1e-6) + 1) / rate
     inside = time[(time > first + near) & (time < last - near)]
     return np.concatenate([[first], inside, [last]])
 

@@ -23,6 +23,8 @@ _STABILITY = 3.5
 _STIFF, _LOOKED = 6, 10
 # Error control: safety, least and largest change of the step's length.
 _SAFETY, _LEAST, _MOST = 0.9, 0.2, 6.0
+# Of the largest state: a state smaller than that is integrated as exactly as one of that size.
+_SMALL = 1e-9
 # A switching function counts as passed beyond this share of its largest value.
 _PASSED = 1e-12
 _MOST_STEPS, _MOST_EVENTS = 2_000_000, 50_000
@@ -87,6 +89,8 @@ class Adaptive:
         states = np.empty((len(time), len(x)))
         states[0] = x
         self.peak, self.g_peak = np.abs(x), np.zeros(self.field.switches)
+        # Without channels and switches nothing asks for a fresh start at a knot.
+        self._free = not len(low) and not self.field.switches
         for k in range(len(time) - 1):
             length = time[k + 1] - time[k]
             segment = Segment(time[k], low[:, k], (high[:, k] - low[:, k]) / length).row
@@ -95,6 +99,9 @@ class Adaptive:
                 self.h = self._first_step(x, time[0], length, segment)
             if self.field.switches and jumped:
                 x = self._settle(x, time[k], segment)
+            if self.stiff and self._free:
+                states[k + 1 :] = self._stiff_rest(x, time[k:], segment)
+                break
             x = self._piece(x, time[k], time[k + 1], segment)
             states[k + 1] = x
         return Run(states, self.steps, self.events, self.stiff)
@@ -183,7 +190,7 @@ class Adaptive:
         name = (*key, self.tolerance)
         if name not in made:
             made[name] = _cvodes(self.field.field_function(self.mode), self.tolerance)
-        scale = np.maximum(self.peak, 1e-30)
+        scale = self._scale()
         try:
             found = made[name](x0=x / scale, p=ca.vertcat(t, h, segment, self.b, self.c, scale))["xf"]
         except RuntimeError as failure:
@@ -192,6 +199,24 @@ class Adaptive:
         if not np.isfinite(ahead).all():
             raise FloatingPointError("the state is not finite")
         return ahead
+
+    def _stiff_rest(self, x: Array, time: Array, segment: Array) -> Array:
+        """(K, n) states at all knots after the first, in one run."""
+        scale, span = self._scale(), float(time[-1] - time[0])
+        solver = _cvodes(self.field.field_function(()), self.tolerance, (time[1:] - time[0]) / span)
+        try:
+            found = solver(x0=x / scale, p=ca.vertcat(time[0], span, segment, self.b, self.c, scale))["xf"]
+        except RuntimeError as failure:
+            raise FloatingPointError("CVODES gave up") from failure
+        self.steps += int(solver.stats().get("nsteps", 0))
+        states = np.asarray(found, dtype=float).T * scale
+        if not np.isfinite(states).all():
+            raise FloatingPointError("the state is not finite")
+        return states
+
+    def _scale(self) -> Array:
+        """(n,) sizes of the states so far."""
+        return np.maximum(self.peak, _SMALL * float(self.peak.max()) + 1e-300)
 
     # ---- events
 
@@ -302,8 +327,8 @@ class Adaptive:
         self.side[i] = side
 
 
-def _cvodes(field: ca.Function, tolerance: float) -> ca.Function:
-    """(x0 / scale, p = [t, h, segment, b, c, scale]) -> the end after h, by CVODES in the time t + h s, s in 0..1."""
+def _cvodes(field: ca.Function, tolerance: float, at: Array | None = None) -> ca.Function:
+    """(x0 / scale, p = [t, h, segment, b, c, scale]) -> the states at t + h s for s in ``at`` (None: 1), by CVODES."""
     n = field.size1_in(0)
     z, s, t, h = ca.SX.sym("z", n), ca.SX.sym("s"), ca.SX.sym("t"), ca.SX.sym("h")
     rest = [ca.SX.sym(name, field.size1_in(k)) for k, name in ((2, "segment"), (3, "b"), (4, "c"))]
@@ -313,4 +338,4 @@ def _cvodes(field: ca.Function, tolerance: float) -> ca.Function:
         "reltol": tolerance, "abstol": 1e-3 * tolerance, "max_num_steps": 200_000, "show_eval_warnings": False,
     }  # fmt: skip
     problem = {"x": z, "t": s, "p": ca.vertcat(t, h, *rest, scale), "ode": rate}
-    return ca.integrator("stiff", "cvodes", problem, 0.0, 1.0, options)
+    return ca.integrator("stiff", "cvodes", problem, 0.0, 1.0 if at is None else at.tolist(), options)

@@ -30,6 +30,7 @@ class ErrorEstimate:
     substeps : most integration steps to a sample; 0 for a linear model, which is solved exactly
     tolerance : relative, that was asked for; integrator : what the steps are, in words
     shift : the most by which the error moves an estimate of a fit, in standard errors; None outside of fits
+    steps : number of all steps, of an integrator that chooses them itself; ``substeps`` is -1 then
     """
 
     outputs: tuple[str, ...]
@@ -39,6 +40,7 @@ class ErrorEstimate:
     tolerance: float
     integrator: str = _EXPONENTIAL
     shift: float | None = None
+    steps: int | None = None
 
     @property
     def largest(self) -> float:
@@ -57,7 +59,7 @@ class ErrorEstimate:
         errors = ", ".join(
             f"{name} {value:.1e}" for name, value in zip(self.outputs, self.relative, strict=True)
         )
-        kind = f"{steps} to a sample" if self.substeps > 0 else "its own steps"
+        kind = f"{steps} to a sample" if self.substeps > 0 else f"{self.steps} steps"
         text = f"integration: {self.integrator}, {kind}, estimated relative error {errors}"
         return text if self.within else f"{text}; more than the tolerance {self.tolerance:.1e}"
 
@@ -66,6 +68,7 @@ class ErrorEstimate:
         return {
             "integrator": self.integrator,
             "substeps": self.substeps,
+            **({} if self.steps is None else {"steps": self.steps}),
             "tolerance": self.tolerance,
             "relative": dict(zip(self.outputs, self.relative, strict=True)),
             "absolute": dict(zip(self.outputs, self.absolute, strict=True)),

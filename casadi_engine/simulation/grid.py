@@ -33,7 +33,7 @@ _LARGEST = 1e70
 _FASTER = 0.1
 # An equally spaced grid has at most so many points for each that something was sampled at; else it holds gaps.
 _SPARSE = 4
-# Samples closer to each other than this share of the typical step are at one time.
+# Samples of two channels closer to each other than this share of the steps there are at one time.
 _SAME = 1e-6
 
 
@@ -149,10 +149,9 @@ def with_rates(
 def _of_all_times(inputs: list[Channel], observed: list[Channel], first: float, last: float) -> Grid:
     """The grid of all times at which anything was sampled."""
     own = [c.time[c.mask] for c in observed] + [c.time[(c.time > first) & (c.time < last)] for c in inputs]
-    every = np.unique(np.concatenate([[first, last], *own]))
-    step = float(np.median(np.diff(every)))
-    times = every[np.concatenate([[True], np.diff(every) > _SAME * step])]
-    channels = np.array([_sampled(channel, times, step * _SAME) for channel in inputs])
+    times = _joined([np.array([first, last]), *own])
+    step = float(np.median(np.diff(times)))
+    channels = np.array([_held(channel, times) for channel in inputs])
     measured = {}
     for channel in observed:
         index = np.flatnonzero(channel.mask)
@@ -164,6 +163,27 @@ def _of_all_times(inputs: list[Channel], observed: list[Channel], first: float, 
     return Grid(
         float(times[0]), step, len(times), channels.reshape(len(inputs), len(times)), holds, measured, times
     )
+
+
+def _joined(groups: list[Array]) -> Array:
+    """The times of all groups in order, each time once; rounding apart, times of different groups may be one."""
+    gaps = [np.diff(group) for group in groups if len(group)]
+    spaces = [np.minimum(np.r_[np.inf, gap], np.r_[gap, np.inf]) for gap in gaps]
+    time, space = np.concatenate([g for g in groups if len(g)]), np.concatenate(spaces)
+    order = np.argsort(time, kind="stable")
+    time, space = time[order], space[order]
+    near = _SAME * np.minimum(space[1:], space[:-1])
+    return time[np.concatenate([[True], np.diff(time) > np.where(np.isfinite(near), near, 0.0)])]
+
+
+def _held(channel: Channel, times: Array) -> Array:
+    """The channel at any times, by its hold."""
+    if channel.hold == "first":
+        return np.asarray(np.interp(times, channel.time, channel.values), dtype=np.float64)
+    space = np.diff(channel.time)
+    slack = _SAME * np.minimum(np.r_[space[0], space], np.r_[space, space[-1]])
+    held = np.searchsorted(channel.time - slack, times, side="right") - 1
+    return channel.values[np.clip(held, 0, len(channel.time) - 1)]
 
 
 def _on_points(channel: Channel, start: float, step: float, samples: int) -> bool:

@@ -2,7 +2,7 @@
 
 Between two events every jump keeps its side, so that the field is smooth. Where the fields on both sides of a switch
 g = 0 point at it, the state stays on it (Filippov, Differential Equations with Discontinuous Righthand Sides, 1988): the jump's
-value lies between both sides such that dg/dt = 0. This is how dry friction holds a body at rest.
+value lies between both sides such that dg/dt = 0: the field is a mean of those on both sides. This is how dry friction holds a body at rest.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ class Segment:
 class SwitchedField:
     """The equations of a model at given parameters.
 
-    f(x, t, segment, b, c) with the held jumps' values b + c α, where α keeps the state on the switches of a mode
+    f(x, t, segment, b, c) with the held jumps' values b; in a mode the mean of the fields at b and b + c, weighted by
+    1 - α and α such that the state stays on the mode's switches
     switches : number of switching functions; ``owner`` : (nb,) the switch at which each held value changes
     """
 
@@ -86,16 +87,16 @@ class SwitchedField:
         b, c = ca.SX.sym("b", len(self.owner)), ca.SX.sym("c", len(self.owner))
         if not mode:
             return b, c, ca.substitute(self._field, self._b, b) if self._b.numel() else self._field, ca.SX(0, 1)
-        share = ca.SX.sym("share", len(mode))
-        own = [mode.index(int(at)) if int(at) in mode else None for at in self.owner]
-        values = ca.vertcat(*[b[k] if i is None else b[k] + c[k] * share[i] for k, i in enumerate(own)])
-        field = ca.substitute(self._field, self._b, values)
+        base = ca.substitute(self._field, self._b, b)
+        rise = []
+        for i in mode:
+            own = ca.DM((self.owner == i).astype(float))
+            rise.append(ca.substitute(self._field, self._b, b + c * own) - base)
         g = ca.vertcat(*[self._g[i] for i in mode])
-        rate = ca.jtimes(g, self.x, field) + ca.jacobian(g, self.t)
-        zero = ca.SX.zeros(len(mode), 1)
-        matrix, rest = ca.jacobian(rate, share), ca.substitute(rate, share, zero)
-        found = -ca.solve(ca.substitute(matrix, share, zero), rest)
-        return b, c, ca.substitute(field, share, found), found
+        slope = ca.jacobian(g, self.x)
+        rest = slope @ base + ca.jacobian(g, self.t)
+        found = -ca.solve(slope @ ca.horzcat(*rise), rest)
+        return b, c, base + ca.horzcat(*rise) @ found, found
 
     def field_function(self, mode: Mode) -> ca.Function:
         """(x, t, segment, b, c) -> (dx/dt, α)."""

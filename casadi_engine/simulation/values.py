@@ -100,9 +100,8 @@ def _adaptively(model: Model, grid: Grid, values: Array, start: Array, tolerance
             largest = float(relative.max())
             if largest <= tolerance:
                 names = tuple(out.name for out in model.outputs)
-                found = ErrorEstimate(
-                    names, tuple(absolute.tolist()), tuple(relative.tolist()), -1, tolerance, _words(run)
-                )
+                sizes = (tuple(absolute.tolist()), tuple(relative.tolist()))
+                found = ErrorEstimate(names, *sizes, -1, tolerance, _words(run), steps=run.steps)
                 return Simulated(outputs, found)
         before = outputs
     raise SimulationError(
