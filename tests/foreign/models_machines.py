@@ -61,8 +61,8 @@ def coast_down():
 
     return Case(
         "coast_down", build, lambda t, x, p, u: [-p["roll"] * G - 0.6 * p["cda"] / 1400 * x[0] * np.abs(x[0])],
-        {"speed": lambda t, x, p, u: x[0]}, {"roll": 0.011, "cda": 0.65}, {"v": 33.0}, {"speed": "km/h"}, jittered(120.0, 40),
-        "cda", 0.3,
+        {"speed": lambda t, x, p, u: x[0]}, {"roll": 0.011, "cda": 0.65}, {"v": 33.0}, {"speed": "km/h"},
+        jittered(120.0, 40), "cda", 0.3,
     )  # fmt: skip
 
 
