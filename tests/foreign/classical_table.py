@@ -41,7 +41,7 @@ def steps_of(answer: object) -> str:
     """Integration steps, if the run says how many it took."""
     history = getattr(getattr(answer, "run", None), "history", ())
     for step in reversed(history):
-        for key in ("steps", "integration"):
+        for key in ("steps", "integrator"):
             if key in step.arguments:
                 return str(step.arguments[key])
     return "not told"

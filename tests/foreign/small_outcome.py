@@ -16,7 +16,7 @@ from casadi_engine.errors import UnitError
 
 LIMIT = 1e-5  # of the largest value of an output
 ERRORS = 3.0  # standard errors
-SLOW = 30.0  # s of CPU time: a hundred times what the others take
+SLOW = 20.0  # s of CPU time: fifty times what the others take
 TIGHT, WIDE = 0.3, 3.0  # of the standard error of a linearised least squares
 
 
@@ -34,21 +34,25 @@ class Outcome:
         return self.kind in ("right", "refused")
 
 
-class _TooSlow(BaseException):
-    """More CPU time than a small model may take."""
+TOO_SLOW = Outcome("too slow", f"stopped after {SLOW:.0f} s of CPU time")
 
 
 @contextmanager
-def _limited(seconds: float) -> Iterator[None]:
-    """Stop what takes more CPU time than this; a fit may ask for interrupts, but does not expect this one."""
+def _limited(seconds: float) -> Iterator[list[bool]]:
+    """Press Ctrl-C once this much CPU time is spent, and again each quarter of it; the list tells whether it was."""
+    pressed: list[bool] = []
 
     def stop(number: int, frame: Any) -> None:
-        raise _TooSlow
+        pressed.append(True)
+        signal.raise_signal(signal.SIGINT)
 
     before = signal.signal(signal.SIGPROF, stop)
-    signal.setitimer(signal.ITIMER_PROF, seconds)
+    signal.setitimer(signal.ITIMER_PROF, seconds, seconds / 4)
     try:
-        yield
+        yield pressed
+    except KeyboardInterrupt:
+        if not pressed:
+            raise
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
         signal.signal(signal.SIGPROF, before)
@@ -63,14 +67,14 @@ def _refusal(case: Case, error: ce.CasadiEngineError) -> Outcome:
 def simulated(case: Case) -> Outcome:
     """Simulate at the true parameters from the true start."""
     try:
-        with _limited(SLOW):
+        with _limited(SLOW) as pressed:
             run = ce.simulate(case.build(dict(case.p)), case.record(noisy=False), initial=dict(case.start))
     except ce.CasadiEngineError as error:
         return _refusal(case, error)
-    except _TooSlow:
-        return Outcome("too slow", f"more than {SLOW:.0f} s of CPU time")
     except Exception as error:  # noqa: BLE001 (a crash is an outcome to report)
         return Outcome("crash", f"{type(error).__name__}: {error}")
+    if pressed:
+        return TOO_SLOW
     worst = 0.0
     for name in case.outputs:
         channel = run[name]
@@ -92,13 +96,13 @@ def recovered(case: Case) -> Outcome:
         pars[case.free].set(case.guess)
         initial: Any = dict(case.start) if case.known_start else None
         record = case.record(noisy=True)
-        with _limited(SLOW):
+        with _limited(SLOW) as pressed:
             fit = ce.estimate(model, record, parameters=pars, initial=initial, progress=False)
+        if pressed:
+            return TOO_SLOW
         found = fit.estimates[case.free]
     except ce.CasadiEngineError as error:
         return _refusal(case, error)
-    except _TooSlow:
-        return Outcome("too slow", f"more than {SLOW:.0f} s of CPU time")
     except Exception as error:  # noqa: BLE001 (a crash is an outcome to report)
         return Outcome("crash", f"{type(error).__name__}: {error}")
     said = "; ".join(fit.messages)[:200]
