@@ -370,11 +370,12 @@ def _independence(data: _Residual, noise: _Coloured, drive: FloatArray, lags: in
     form, test = _regress(noise, past, data)
     if not noise.colour.order or form is None or (test.p_value or 0.0) < SURE:
         return test
-    unexplained = _colour(_beside(data, past))
+    left = _beside(data, past)
+    unexplained = Whitener.of(left.e, data.valid)
     ratio = unexplained.largest_gain_over(noise.colour)
     if _p_value(ratio * form.value / float(noise.e @ noise.e), form.rank, data) > SURE:
         return test  # the other colour could not raise the statistic far enough
-    _, second = _regress(_Coloured.of(data, unexplained), past, data)
+    _, second = _regress(_Coloured.of(data, _colour(left)), past, data)
     return second if second.p_value is not None and second.p_value < SURE else test
 
 
