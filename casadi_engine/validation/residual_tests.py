@@ -372,11 +372,11 @@ def _independence(data: _Residual, noise: _Coloured, drive: FloatArray, lags: in
     form, test = _regress(noise, past, data)
     if not noise.colour.order or form is None or (test.p_value or 0.0) < SURE:
         return test
-    unexplained = _colour(_beside(data, past))
+    unexplained = Whitener.of(_unexplained(data, past), data.valid)
     ratio = unexplained.largest_gain_over(noise.colour)
     if _p_value(ratio * form.value / float(noise.e @ noise.e), form.rank, data) > SURE:
         return test  # the other colour could not raise the statistic far enough
-    _, second = _regress(_Coloured.of(data, unexplained), past, data)
+    _, second = _regress(_Coloured.of(data, _colour(_beside(data, past))), past, data)
     return second if second.p_value is not None and second.p_value < SURE else test
 
 
@@ -424,8 +424,17 @@ def _colour(data: _Residual) -> Whitener:
     return colour
 
 
-def _beside(data: _Residual, past: FloatArray) -> _Residual:
+def _unexplained(data: _Residual, past: FloatArray) -> FloatArray:
     """Return what the drive leaves of the residual (ordinary least squares)."""
+    form = QuadraticForm.of(past.T @ data.e, past, data.nuisance)
+    if form is None:
+        return data.e
+    explained = past @ form.coefficients
+    return np.asarray(data.e - explained + data.nuisance @ (data.nuisance.T @ explained))
+
+
+def _beside(data: _Residual, past: FloatArray) -> _Residual:
+    """Return the residual with the drive among the directions that were fitted."""
     basis = orthonormal(np.column_stack([data.nuisance, past]))
     return replace(data, e=data.e - basis @ (basis.T @ data.e), nuisance=basis)
 
