@@ -151,7 +151,7 @@ class ExponentialPropagator:
             share = np.arange(sub) / sub
             rise = np.where(self.core.first[:, None, None, None], (high - low)[..., None], 0.0)
             fine = low[..., None] + share * rise
-            low = fine.reshape(*v.shape[:-1], plan.m, -1)
+            low = fine.reshape(*v.shape[:-1], plan.m, sub * plan.length)
             high = (fine + rise / sub).reshape(low.shape)
         joined = np.concatenate([low, high], axis=-3)
         return np.ascontiguousarray(np.moveaxis(joined, (-3, -2, -1), (-2, -1, -3)))
