@@ -23,7 +23,8 @@ from casadi_engine.simulation.error_estimate import (
     signed_error,
     summed_up,
 )
-from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
+from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
+from casadi_engine.simulation.observed import ObservedPropagator
 
 Array = NDArray[np.float64]
 
@@ -65,7 +66,7 @@ def shorten_steps(records: Sequence[RecordTerm], v: Array, nodes: Sequence[Array
         finer = shortened(record.propagator, found, min(4 * shift / limit, 1e8))
         if finer is not None:
             record.propagator = finer
-        elif not isinstance(record.propagator, RungeKuttaPropagator):
+        elif isinstance(record.propagator, (ExponentialPropagator, ObservedPropagator)):
             record.step_in_places()
         else:
             continue

@@ -32,6 +32,7 @@ from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters, compile
 from casadi_engine.problem.noise import Noise
 from casadi_engine.simulation.grid import Grid, lay_grid
+from casadi_engine.simulation.propagator import switches_with_states
 from casadi_engine.simulation.shared_core import Cores
 
 Array = NDArray[np.float64]
@@ -154,7 +155,7 @@ class Search:
                 record,
                 self.coordinates.symbol,
                 local,
-                length=interval_length(interval, grid),
+                length=interval_length(interval, grid, whole=switches_with_states(self.model)),
                 gain=self.predictor.plan(own, local, level),
                 method=method,
                 grid=grid,

@@ -70,8 +70,9 @@ def _dormand_prince(field: ca.Function) -> ca.Function:
 class Adaptive:
     """An integration of a field from knot to knot; between two knots the channels are straight lines."""
 
-    def __init__(self, field: SwitchedField, tolerance: float) -> None:
+    def __init__(self, field: SwitchedField, tolerance: float, z: Array | None = None) -> None:
         self.field, self.tolerance = field, tolerance
+        self.z = np.zeros(0) if z is None else z
         self.mode: Mode = ()
         self.side = np.zeros(field.switches)
         self.b = self.c = np.zeros(len(field.owner))
@@ -82,7 +83,9 @@ class Adaptive:
     # ---- the whole run
 
     def run(self, x: Array, time: Array, low: Array, high: Array) -> Run:
-        """States at the knots ``time`` (N,) from x (n,); low, high : (nu, N-1) channels at the ends of each piece.
+        """States at the knots ``time`` (N,) from x (n,), with sensitivities behind them if the field has them.
+
+        low, high : (nu, N-1) channels at the ends of each piece
 
         Raises FloatingPointError where the state is not finite, or steps or events become too many.
         """
@@ -93,7 +96,7 @@ class Adaptive:
         self._free = not len(low) and not self.field.switches
         for k in range(len(time) - 1):
             length = time[k + 1] - time[k]
-            segment = Segment(time[k], low[:, k], (high[:, k] - low[:, k]) / length).row
+            segment = Segment(time[k], low[:, k], (high[:, k] - low[:, k]) / length, self.z).row
             jumped = k == 0 or bool((low[:, k] != high[:, k - 1]).any())
             if k == 0:
                 self.h = self._first_step(x, time[0], length, segment)
@@ -112,7 +115,7 @@ class Adaptive:
         return float(min(length, 0.01 * max(size, 1e-12) / max(float(np.linalg.norm(slope)), 1e-300)))
 
     def _values(self, x: Array, t: float, segment: Array) -> Array:
-        return self.field.nodes(x, t, segment)[0] if len(self.field.owner) else self.b
+        return self.field.nodes(x, t, segment) if len(self.field.owner) else self.b
 
     def _weights(self, x: Array) -> Array:
         return self.tolerance * (np.abs(x) + 1e-3 * self.peak) + 1e-300
@@ -222,7 +225,7 @@ class Adaptive:
 
     def _functions(self, x: Array, t: float, share: Array, segment: Array) -> Array:
         """What has to stay positive: side * g of the free switches, and α, 1 - α of those the state stays on."""
-        g = self.field.g(x, t, segment)[0]
+        g = self.field.g(x, t, segment)
         self.g_peak = np.maximum(self.g_peak, np.abs(g))
         signed = self.side * g + _PASSED * self.g_peak
         for place, i in enumerate(self.mode):
@@ -284,10 +287,10 @@ class Adaptive:
 
     def _settle(self, x: Array, t: float, segment: Array) -> Array:
         """Sides at a point where they are not known."""
-        self.mode, self.side = (), np.sign(self.field.g(x, t, segment)[0])
+        self.mode, self.side = (), np.sign(self.field.g(x, t, segment))
         self.b = self._values(x, t, segment)
         self.c = np.zeros_like(self.b)
-        g = self.field.g(x, t, segment)[0]
+        g = self.field.g(x, t, segment)
         near = np.abs(g) <= 1e3 * _PASSED * np.maximum(self.g_peak, 1e-300)
         for i in np.flatnonzero(near | (g == 0)):
             x = self._decide(int(i), x, t, segment, came_from=0.0)
@@ -295,20 +298,24 @@ class Adaptive:
 
     def _decide(self, i: int, x: Array, t: float, segment: Array, *, came_from: float) -> Array:
         """Pass a switch, turn back from it, or stay on it, by where the fields on both sides point."""
-        sizes = np.maximum(self.peak, 1e-12) + np.abs(x)
+        n = self.field.n
+        sizes = np.maximum(self.peak[:n], 1e-12) + np.abs(x[:n])
         low, high = self.field.sides(x, t, segment, i, sizes)
         own = self.field.owner == i
         slope = self.field.slopes(x, t, segment)[i]
-        rates = []
+        fields = []
         for values in (low, high):
             b = np.where(own, values, self.b)
-            field = self.field.field(self.mode)(x, t, segment, b, self.c)[0]
-            rates.append(float(slope[:-1] @ field + slope[-1]))
+            fields.append(self.field.field(self.mode)(x, t, segment, b, self.c)[0][:n])
+        rates = [float(slope[:n] @ field + slope[n]) for field in fields]
+        before = fields[1] if came_from > 0 else fields[0]
         if rates[0] > 0 > rates[1]:
             self.b, self.c = np.where(own, low, self.b), np.where(own, high - low, self.c)
             self.mode = tuple(sorted((*self.mode, i)))
-            g, steep = float(self.field.g(x, t, segment)[0][i]), float(slope[:-1] @ slope[:-1])
-            return x - g * slope[:-1] / steep if steep else x
+            x = x.copy()
+            x[:n] -= float(self.field.g(x, t, segment)[i]) * slope[:n] / max(float(slope[:n] @ slope[:n]), 1e-300)
+            after = self.field.field(self.mode)(x, t, segment, self.b, self.c)[0][:n]
+            return self._moved(x, slope, before, after)
         if rates[0] <= 0 and rates[1] <= 0:
             side = -1.0
         elif rates[0] >= 0 and rates[1] >= 0:
@@ -317,7 +324,25 @@ class Adaptive:
             side = came_from if came_from else 1.0
         self.side[i] = side
         self.b = np.where(own, high if side > 0 else low, self.b)
-        return x
+        return self._moved(x, slope, before, fields[1] if side > 0 else fields[0]) if came_from else x
+
+    def _moved(self, x: Array, slope: Array, before: Array, after: Array) -> Array:
+        """The sensitivities after an event: its instant moves with start and z, and the field is another before it.
+
+        With dt/dθ = -(∂g/∂x S + ∂g/∂θ) / (dg/dt), S grows by (f before - f after) dt/dθ: the saltation matrix of
+        Aizerman and Gantmakher (1958).
+        """
+        n = self.field.n
+        if not self.field.sensitivities:
+            return x
+        rate = float(slope[:n] @ before + slope[n])
+        if rate == 0:
+            return x
+        s = x[n:].reshape(-1, n).T
+        instant = slope[:n] @ s
+        instant[n:] += slope[n + 1 :]
+        moved = s - np.outer(before - after, instant / rate)
+        return np.concatenate([x[:n], moved.T.ravel()])
 
     def _leave(self, i: int, side: float) -> None:
         own = self.field.owner == i

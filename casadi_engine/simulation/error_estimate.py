@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadi_engine.errors import SimulationError
+from casadi_engine.simulation.event_propagator import EventPropagator
 from casadi_engine.simulation.exponential_runge_kutta import MOST_SUBSTEPS, ExponentialPropagator
 from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.jets import Array
@@ -15,7 +16,7 @@ from casadi_engine.simulation.linear import LinearPropagator
 from casadi_engine.simulation.observed import ObservedPropagator
 from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 
-Stepped = ExponentialPropagator | ObservedPropagator | RungeKuttaPropagator
+Stepped = ExponentialPropagator | ObservedPropagator | RungeKuttaPropagator | EventPropagator
 Propagator = LinearPropagator | Stepped
 
 # Of a scheme of fourth order: its error is this many times its difference from half the step.
@@ -59,8 +60,9 @@ class ErrorEstimate:
         errors = ", ".join(
             f"{name} {value:.1e}" for name, value in zip(self.outputs, self.relative, strict=True)
         )
-        kind = f"{steps} to a sample" if self.substeps > 0 else f"{self.steps} steps"
-        text = f"integration: {self.integrator}, {kind}, estimated relative error {errors}"
+        kind = f"{steps} to a sample" if self.substeps > 0 else "" if self.steps is None else f"{self.steps} steps"
+        how = ", ".join(part for part in (self.integrator, kind) if part)
+        text = f"integration: {how}, estimated relative error {errors}"
         return text if self.within else f"{text}; more than the tolerance {self.tolerance:.1e}"
 
     def to_dict(self) -> dict[str, object]:
@@ -152,6 +154,8 @@ def summed_up(
     words = _EXPONENTIAL
     if isinstance(propagator, RungeKuttaPropagator) and propagator.fineness is not None:
         words = propagator.fineness.scheme.name
+    if isinstance(propagator, EventPropagator):
+        words = f"explicit steps of order 8 that follow the error, {propagator.events} events"
     return ErrorEstimate(outputs, tuple(absolute), relative, propagator.substeps, tolerance, words)
 
 
@@ -163,6 +167,8 @@ def shortened(propagator: Stepped, found: SignedError, ratio: float) -> Stepped 
             return propagator.adapted(found.cells, ratio)
         except FloatingPointError:
             return None
+    if isinstance(propagator, EventPropagator):
+        return None if propagator.finest else propagator.finer(2)
     if propagator.substeps >= MOST_SUBSTEPS:
         return None
     wanted = propagator.substeps * 2 ** max(1, math.ceil(math.log2(max(ratio, 1.0)) / 4))

@@ -13,6 +13,8 @@ from casadi_engine.errors import SimulationError
 from casadi_engine.model import Model
 from casadi_engine.model.jumps import jumps_in
 from casadi_engine.simulation.discretisation import Method
+from casadi_engine.simulation.error_estimate import Stepped
+from casadi_engine.simulation.event_propagator import EventPropagator
 from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
 from casadi_engine.simulation.gain import Gain, Seen, StatedGain
 from casadi_engine.simulation.gappy import GappyPredictor
@@ -46,10 +48,12 @@ class _GappyCore(GappyPredictor):
         return super().drives_at(z)[: self.shown]
 
 
-def fineness_of(propagator: object) -> int | Fineness | None:
+def fineness_of(propagator: object) -> int | float | Fineness | None:
     """How finely a propagator integrates, for another one of the same grid; None for one that is exact."""
     if isinstance(propagator, RungeKuttaPropagator):
         return propagator.fineness
+    if isinstance(propagator, EventPropagator):
+        return propagator.tolerance
     if isinstance(propagator, (ExponentialPropagator, ObservedPropagator)):
         return propagator.substeps
     return None
@@ -80,9 +84,9 @@ def make_propagator(
     method: Method = "exact",
     gain: Array | Gain | None = None,
     used: Seen | None = None,
-    steps: int | Fineness | None = None,
+    steps: int | float | Fineness | None = None,
     cores: Cores | None = None,
-) -> LinearPropagator | GappyPredictor | ExponentialPropagator | ObservedPropagator | RungeKuttaPropagator:
+) -> LinearPropagator | GappyPredictor | Stepped:
     """Propagator of a model over one record.
 
     A linear core alone is propagated exactly; a core with nonlinear laws by the exponential integrator, whatever its
@@ -102,6 +106,10 @@ def make_propagator(
             allowed='"exact" or "euler"',
             cure='leave it out for "exact"',
         )
+    if switches_with_states(model):
+        _check_options(grid, method, gain)
+        tolerance = {"tolerance": steps} if isinstance(steps, float) else {}
+        return EventPropagator(model, grid, intervals, z, physical, scale=scale, **tolerance)
     fineness = steps if isinstance(steps, Fineness) else None
     if not grid.uniform or fineness is not None or switches_in_time(model):
         _check_options(grid, method, gain)
@@ -122,7 +130,7 @@ def make_propagator(
             allowed='method="exact" without a gain',
             cure="take the linear form of the model, or leave the option out",
         )
-    whole = 1 if steps is None or isinstance(steps, Fineness) else steps
+    whole = steps if isinstance(steps, int) else 1
     if parts is not None:
         return ExponentialPropagator(model, parts, grid, intervals, z, physical, scale=scale, substeps=whole)
     shown = with_states_shown(model)
@@ -131,6 +139,12 @@ def make_propagator(
         states = ExponentialPropagator(shown, parts, grid, intervals, z, physical, scale=scale, substeps=whole)
         return ObservedPropagator(model, states, grid, z, physical)
     return RungeKuttaPropagator(model, grid, intervals, z, physical, scale=scale)
+
+
+@lru_cache(maxsize=64)
+def switches_with_states(model: Model) -> bool:
+    """True if the equations jump where the states say so: their events are met one by one."""
+    return jumps_in(model.closed_ode, model.x)
 
 
 @lru_cache(maxsize=64)
@@ -144,7 +158,7 @@ def _check_options(grid: Grid, method: Method, gain: Array | Gain | None) -> Non
     if method == "exact" and gain is None:
         return
     why = (
-        "the equations jump in time"
+        "the equations jump"
         if grid.uniform
         else "the samples of this record are not equally spaced, or inputs and outputs were not sampled together"
     )

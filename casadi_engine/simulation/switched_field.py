@@ -23,32 +23,35 @@ Mode = tuple[int, ...]
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """Channels on a straight line from ``begin`` [s] on: u = low + (t - begin) * rise."""
+    """Channels on a straight line from ``begin`` [s] on, u = low + (t - begin) * rise; and the estimated vector z."""
 
     begin: float
     low: Array
     rise: Array
+    z: Array
 
     @property
     def row(self) -> Array:
-        """(1 + 2 nu,)."""
-        return np.concatenate([[self.begin], self.low, self.rise])
+        """(1 + 2 nu + nz,)."""
+        return np.concatenate([[self.begin], self.low, self.rise, self.z])
 
 
 class SwitchedField:
-    """The equations of a model at given parameters.
+    """The equations of a model at parameters ``physical`` (np,), expressions of z.
 
     f(x, t, segment, b, c) with the held jumps' values b; in a mode the mean of the fields at b and b + c, weighted by
     1 - α and α such that the state stays on the mode's switches
     switches : number of switching functions; ``owner`` : (nb,) the switch at which each held value changes
+    sensitivities : carry the derivatives of the states to (start, z) along
     """
 
-    def __init__(self, model: Model, values: Array) -> None:
-        p = ca.DM(values)
+    def __init__(self, model: Model, z: ca.SX, physical: ca.SX, *, sensitivities: bool = False) -> None:
         ode, outer = model.closed_ode, ca.vertcat(model.x, model.u, model.t)
         if model.p.numel():
-            ode = ca.substitute(ode, model.p, p)
-        self.n, nu = int(model.x.numel()), int(model.u.numel())
+            ode = ca.substitute(ode, model.p, physical)
+        self.n, nu, self.nz = int(model.x.numel()), int(model.u.numel()), int(z.numel())
+        self.sensitivities = sensitivities
+        self.size = self.n * (1 + self.n + self.nz) if sensitivities else self.n
         held = with_held_jumps(ode, of=outer)
         # A corner of a recorded channel alone is no event: the channel's own samples are corners too.
         inner = ca.vertcat(model.x, model.t)
@@ -62,9 +65,10 @@ class SwitchedField:
         numbers = {old: new for new, old in enumerate(i for i, keep in enumerate(wanted) if keep)}
         self.owner = np.array([numbers[held.at[k]] for k in kept], dtype=np.intp)
         self.x, self.t = model.x, model.t
-        self._segment = ca.SX.sym("segment", 1 + 2 * nu)
-        moving = self._segment[1 : 1 + nu] + (model.t - self._segment[0]) * self._segment[1 + nu :]
-        self._u, self._moving = model.u, moving
+        self._segment = ca.SX.sym("segment", 1 + 2 * nu + self.nz)
+        moving = self._segment[1 : 1 + nu] + (model.t - self._segment[0]) * self._segment[1 + nu : 1 + 2 * nu]
+        self._z = self._segment[1 + 2 * nu :]
+        self._given = (ca.vertcat(model.u, z), ca.vertcat(moving, self._z))
         self._b = _rows(held.symbols, kept)
         self._field = self._along(ca.densify(field))
         g = [g for g, keep in zip(plain, wanted, strict=True) if keep]
@@ -72,15 +76,16 @@ class SwitchedField:
         self._g = self._along(ca.vertcat(ca.SX(0, 1), *g))
         nodes = self._along(_rows(held.values, kept))
         place = [self.x, self.t, self._segment]
-        self.nodes = _fast(ca.Function("nodes", place, [nodes]))
-        slope = ca.densify(ca.jacobian(self._g, ca.vertcat(self.x, self.t)))
-        self.g = _fast(ca.Function("g", place, [self._g]))
+        slope = ca.densify(ca.jacobian(self._g, ca.vertcat(self.x, self.t, self._z)))
+        self._nodes, self._g_of = (
+            _fast(ca.Function(name, place, [part])) for name, part in (("nodes", nodes), ("g", self._g))
+        )
         self._slope = ca.Function("slope", place, [slope])
         self._made: dict[tuple[str, Mode], Callable[..., list[Array]]] = {}
 
     def _along(self, expression: ca.SX) -> ca.SX:
         """An expression with the channels on the segment's line."""
-        return ca.substitute(expression, self._u, self._moving) if self._u.numel() else expression
+        return ca.substitute(expression, *self._given) if self._given[0].numel() else expression
 
     def _sliding(self, mode: Mode) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         """Symbols b and c, the field in a mode, and the shares α (len(mode), 1)."""
@@ -98,10 +103,24 @@ class SwitchedField:
         found = -ca.solve(slope @ ca.horzcat(*rise), rest)
         return b, c, base + ca.horzcat(*rise) @ found, found
 
+    def nodes(self, x: Array, t: float, segment: Array) -> Array:
+        """(nb,) values of the jumps at a point."""
+        return self._nodes(x[: self.n], t, segment)[0]
+
+    def g(self, x: Array, t: float, segment: Array) -> Array:
+        """(switches,) switching functions at a point."""
+        return self._g_of(x[: self.n], t, segment)[0]
+
     def field_function(self, mode: Mode) -> ca.Function:
-        """(x, t, segment, b, c) -> (dx/dt, α)."""
+        """(x, t, segment, b, c) -> (dx/dt, α); with sensitivities x is [x; vec S], S (n, n + nz) to (start, z)."""
         b, c, field, share = self._sliding(mode)
-        return ca.Function("field", [self.x, self.t, self._segment, b, c], [ca.densify(field), ca.densify(share)])
+        x = self.x
+        if self.sensitivities:
+            s = ca.SX.sym("s", self.n, self.n + self.nz)
+            rate = ca.jacobian(field, self.x) @ s
+            rate += ca.horzcat(ca.SX.zeros(self.n, self.n), ca.jacobian(field, self._z))
+            x, field = ca.vertcat(self.x, ca.vec(s)), ca.vertcat(field, ca.vec(rate))
+        return ca.Function("field", [x, self.t, self._segment, b, c], [ca.densify(field), ca.densify(share)])
 
     def field(self, mode: Mode) -> Callable[..., list[Array]]:
         """The same, on arrays."""
@@ -124,25 +143,25 @@ class SwitchedField:
             bs, cs, field, _ = self._sliding(mode)
             slope = ca.densify(ca.jacobian(field, self.x))
             self._made[key] = _fast(ca.Function("slope", [self.x, self.t, self._segment, bs, cs], [slope]))
-        return self._made[key](x, t, segment, b, c)[0].reshape(self.n, self.n).T
+        return self._made[key](x[: self.n], t, segment, b, c)[0].reshape(self.n, self.n).T
 
     def slopes(self, x: Array, t: float, segment: Array) -> Array:
-        """(switches, n + 1) derivatives of the switching functions to (x, t)."""
-        return np.asarray(self._slope(x, t, segment), dtype=float).reshape(self.switches, self.n + 1)
+        """(switches, n + 1 + nz) derivatives of the switching functions to (x, t, z)."""
+        return np.asarray(self._slope(x[: self.n], t, segment), dtype=float).reshape(self.switches, -1)
 
     def sides(self, x: Array, t: float, segment: Array, i: int, sizes: Array) -> tuple[Array, Array]:
         """Held values (nb,) on the side g_i < 0 and on the side g_i > 0 of a point on the switch i.
 
         sizes : (n,) of the states, by which a point to either side is chosen
         """
-        slope = self.slopes(x, t, segment)[i]
-        scaled = slope[:-1] * sizes
+        slope, x = self.slopes(x, t, segment)[i], x[: self.n]
+        scaled = slope[: self.n] * sizes
         norm = float(scaled @ scaled)
         if norm > 0:
             move = 1e-7 * sizes * scaled / np.sqrt(norm)
-            return tuple(self.nodes(x + sign * move, t, segment)[0] for sign in (-1, 1))  # type: ignore[return-value]
-        late = 1e-9 * max(abs(t), 1e-3) * (1 if slope[-1] >= 0 else -1)
-        return tuple(self.nodes(x, t + sign * late, segment)[0] for sign in (-1, 1))  # type: ignore[return-value]
+            return self.nodes(x - move, t, segment), self.nodes(x + move, t, segment)
+        late = 1e-9 * max(abs(t), 1e-3) * (1 if slope[self.n] >= 0 else -1)
+        return self.nodes(x, t - late, segment), self.nodes(x, t + late, segment)
 
 
 def _rows(column: ca.SX, rows: list[int]) -> ca.SX:

@@ -80,7 +80,7 @@ def _by_steps(model: Model) -> bool:
 
 def _adaptively(model: Model, grid: Grid, values: Array, start: Array, tolerance: float) -> Simulated:
     """By steps that follow the error, run with two tolerances that tell it."""
-    field = SwitchedField(model, values)
+    field = SwitchedField(model, ca.SX(0, 1), ca.SX(ca.DM(values)))
     show = ArrayFunction([model.x, model.u, model.t, model.p], [model.closed_outputs])
     first = np.array([[hold == "first"] for hold in grid.holds]).reshape(len(grid.channels), 1)
     low = grid.channels[:, :-1]
