@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.errors import SimulationError
 from casadi_engine.estimation.estimate import estimate
+from casadi_engine.estimation.fit import Estimate, Fit
 from casadi_engine.estimation.options import as_number, small
 from casadi_engine.experiment import Channel, Experiment
 from casadi_engine.experiment.channel import Step
@@ -27,7 +28,7 @@ Array = NDArray[np.float64]
 
 
 def simulate(
-    model: Model,
+    model: Model | Fit,
     data: Experiment,
     *,
     parameters: Parameters | Mapping[str, float] | None = None,
@@ -37,11 +38,14 @@ def simulate(
 ) -> Experiment:
     """Simulate a model over the time of an experiment; return its inputs with the simulated outputs beside them.
 
-    model : the equations; data : the inputs, and the outputs if they were measured
-    parameters : a set, or name -> value (others at the model's defaults), or None for all defaults
-    initial : state -> value. One for each state: they hold where the inputs begin, and the simulation starts there.
+    model : the equations, or a Fit: its model at its parameters (a parameter that varies by experiment has the value of the
+        record of that name, the records' mean in any other) and, for a record of the fit, from its initial states
+    data : the inputs, and the outputs if they were measured
+    parameters : a set, or name -> value (others at the model's defaults, or the fit's values), or None
+    initial : state -> value. One number for each state: they hold where the inputs begin, and the simulation starts there.
         States left out, or None for all, are fitted to the outputs by least squares; values given beside fitted
-        ones, and those of a fit (`fit.initial`), are at the first valid sample of the outputs, the start then
+        ones, and estimates of a fit (``fit.initial["record"]``, taken as it is), are at the first valid sample of the
+        outputs, and the simulation starts there
     method : "exact", or "euler" for a linear model
     tolerance : largest estimated error of an output, relative to its largest value. A linear model is solved exactly;
         any other by steps that follow the error. Jumps in the equations (``sign``, ``if_else``) are met at
@@ -59,6 +63,8 @@ def simulate(
     >>> run["omega"].values.round(3)
     array([100.   ,  60.653,  36.788])
     """
+    if isinstance(model, Fit):
+        model, parameters, initial = _of_fit(model, data, parameters, initial)
     _check_kinds(model, data, parameters, initial)
     data = arriving(model, data)
     names = [state.name for state in model.states]
@@ -91,15 +97,37 @@ def simulate(
                 cure="give initial={state: value, ...}",
             )
         given = _fitted_start(model, data, values, given, method)
-    grid = _fitted_grid(model, data) if missing else _whole_grid(model, data)
-    start = np.array([given[name] for name in names])
+    of_fit = bool(measured) and all(isinstance(value, Estimate) for value in given.values())
+    grid = _fitted_grid(model, data) if missing or of_fit else _whole_grid(model, data)
+    start = np.array([as_number(given[name]) for name in names], dtype=float)
     return _run(model, data, values, start, replace(grid, measured={}), method, small(tolerance))
+
+
+def _of_fit(
+    fit: Fit, data: Any, parameters: Any, initial: Any
+) -> tuple[Model, Parameters | dict[str, float], Mapping[str, Any] | None]:
+    """Model, parameters and initial states of a fit for a record, where they are not given."""
+    if not isinstance(parameters, Parameters):
+        known = fit.values_for(getattr(data, "name", ""))
+        own = {name: known[name] for name in fit.model.parameter_names}
+        parameters = own | dict(parameters or {})
+    if initial is None and isinstance(data, Experiment):
+        begun = {record.name: _begin(fit.model, record) for record in fit.data}
+        if data.name in begun and begun[data.name] == _begin(fit.model, data):
+            initial = fit.initial[data.name]
+    return fit.model, parameters, initial
+
+
+def _begin(model: Model, data: Experiment) -> float | None:
+    """Where the valid samples of the outputs begin [s]."""
+    channels = [data[out.name] for out in model.outputs if out.name in data]
+    return min((float(c.time[c.mask][0]) for c in channels if c.mask.any()), default=None)
 
 
 def _check_kinds(model: Any, data: Any, parameters: Any, initial: Any) -> None:
     """Raise SimulationError for an argument that is of another kind than asked for, such as two exchanged ones."""
     kinds: tuple[tuple[str, Any, Any, str, str], ...] = (
-        ("model", model, Model, "a Model", "give simulate(model, experiment)"),
+        ("model", model, Model, "a Model or a Fit", "give simulate(model, experiment)"),
         ("data", data, Experiment, "one Experiment", "simulate several one by one"),
         ("parameters", parameters, (Parameters, Mapping, type(None)), "a set, name -> value, or None",
          'write parameters={"J_eng": 0.4}'),

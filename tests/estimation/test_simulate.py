@@ -286,3 +286,50 @@ def test_arguments_of_another_kind(run_up, arguments, name):
 def test_a_list_of_records_is_told_what_to_do(run_up):
     with pytest.raises(ce.errors.SimulationError, match="simulate several one by one"):
         ce.simulate(ce.one_inertia(), [run_up(), run_up()])
+
+
+# ---- from a fit
+
+
+def test_a_fit_is_simulated_as_it_was_found(run_up):
+    record = run_up()
+    fit = ce.estimate(ce.one_inertia(), record, noise=ce.Noise(omega=0.05), progress=False)
+    run = ce.simulate(fit, record)
+    trace = fit.traces[record.name]["omega"]
+    np.testing.assert_allclose(run["omega"].values, trace.simulated, rtol=1e-12)
+    by_hand = ce.simulate(fit.model, record, parameters=fit.values, initial=fit.initial[record.name])
+    np.testing.assert_array_equal(run["omega"].values, by_hand["omega"].values)
+    faster = ce.simulate(fit, record, parameters={"C_eng": 0.0})
+    assert faster["omega"].values[-1] > run["omega"].values[-1]
+
+
+def test_the_initial_states_of_a_fit_hold_where_its_outputs_begin():
+    b = ce.Blueprint("decay")
+    x, rate, u = b.state("x"), b.parameter("rate", 1.0), b.input("u")
+    b.ode("x", u - rate * x)
+    b.output("y", x)
+    time = 0.01 * np.arange(301)
+    y = np.where(time < 1.0, np.nan, 3 * np.exp(-2 * (time - 1.0)))
+    data = ce.Experiment.from_arrays("late", time=time, units={"u": "1", "y": "1"}, u=0 * time, y=y)
+    fit = ce.estimate(b.model(), data, noise=ce.Noise(y=1e-3), progress=False)
+    run = ce.simulate(fit, data)
+    assert run["y"].time[0] == pytest.approx(1.0)
+    np.testing.assert_allclose(run["y"].values, 3 * np.exp(-2 * (run["y"].time - 1.0)), atol=1e-8)
+    # plain numbers hold where the inputs begin
+    whole = ce.simulate(fit.model, data, parameters={"rate": 2.0}, initial={"x": 3.0})
+    np.testing.assert_allclose(whole["y"].values, 3 * np.exp(-2 * time), atol=1e-8)
+
+
+def test_a_parameter_that_varies_takes_the_value_of_the_records_name(run_up):
+    first, second = run_up(), run_up()
+    model = ce.one_inertia()
+    pars = model.parameters()
+    pars.vary_by_experiment("C_eng")
+    fit = ce.estimate(model, [first, second], parameters=pars, noise=ce.Noise(omega=0.05), progress=False)
+    name = fit.data[0].name
+    own = ce.simulate(fit, fit.data[0])
+    by_hand = ce.simulate(
+        model, fit.data[0], initial=fit.initial[name],
+        parameters={"J_eng": fit.values["J_eng"], "C_eng": fit.values[f"C_eng@{name}"]},
+    )  # fmt: skip
+    np.testing.assert_array_equal(own["omega"].values, by_hand["omega"].values)
