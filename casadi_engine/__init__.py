@@ -13,7 +13,7 @@ from casadi_engine.problem import Noise, Problem, load_problem
 from casadi_engine.report import load_result, plot, report
 from casadi_engine.validation import validate
 
-__version__ = "0.7.0"
+__version__ = "0.8.0"
 
 __all__ = [
     "Blueprint",
