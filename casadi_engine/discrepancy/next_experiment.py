@@ -150,7 +150,9 @@ def _scores(
         for out in model.outputs:
             if out.name not in record:
                 like = record[model.outputs[0].name]
-                blank = Channel(out.name, channel_unit(out, record), time=like.time, values=np.zeros(len(like.time)))
+                blank = Channel(
+                    out.name, channel_unit(out, record), time=like.time, values=np.zeros(len(like.time))
+                )
                 record = record.with_channel(blank)
         full.append(record)
     if any("@" in name for name in fit.free) and len(data) > len(fit.data):

@@ -39,7 +39,9 @@ def signed_errors(
 ) -> list[SignedError | None]:
     """The estimated integration error of each record; None for one that is solved exactly."""
     return [
-        signed_error(record.propagator, v[record.active], at) if isinstance(record.propagator, Stepped) else None
+        signed_error(record.propagator, v[record.active], at)
+        if isinstance(record.propagator, Stepped)
+        else None
         for record, at in zip(records, nodes, strict=True)
     ]
 
@@ -83,8 +85,6 @@ def integration_of(
         if found is None:
             continue
         assert isinstance(record.propagator, Stepped)
-        estimate = summed_up(
-            record.propagator, found, outputs=record.outputs, samples=record.grid.samples
-        )
+        estimate = summed_up(record.propagator, found, outputs=record.outputs, samples=record.grid.samples)
         about[record.experiment.name] = replace(estimate, shift=shift_of(record, found))
     return about

@@ -67,7 +67,7 @@ class RecordTerm:
         method: Method,
         grid: Grid | None = None,
         cores: Cores | None = None,
-        steps: int | Fineness | None = None,
+        steps: int | float | Fineness | None = None,
         scale: Array | None = None,
     ) -> None:
         self.experiment, self.model = experiment, model

@@ -38,11 +38,13 @@ def simulate(
 ) -> Experiment:
     """Simulate a model over the time of an experiment; return its inputs with the simulated outputs beside them.
 
-    model : the equations, or a Fit: its model at its parameters (a parameter that varies by experiment has the value of the
+    model : the equations, or a Fit: its model at its parameters (a parameter that varies by experiment has the value
+    of the
         record of that name, the records' mean in any other) and, for a record of the fit, from its initial states
     data : the inputs, and the outputs if they were measured
     parameters : a set, or name -> value (others at the model's defaults, or the fit's values), or None
-    initial : state -> value. One number for each state: they hold where the inputs begin, and the simulation starts there.
+    initial : state -> value. One number for each state: they hold where the inputs begin, and the simulation starts
+    there.
         States left out, or None for all, are fitted to the outputs by least squares; values given beside fitted
         ones, and estimates of a fit (``fit.initial["record"]``, taken as it is), are at the first valid sample of the
         outputs, and the simulation starts there

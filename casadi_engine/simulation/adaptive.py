@@ -111,8 +111,9 @@ class Adaptive:
 
     def _first_step(self, x: Array, t: float, length: float, segment: Array) -> float:
         slope = self.field.field(())(x, t, segment, self._values(x, t, segment), self.c)[0]
-        size = np.linalg.norm(x) + 1e-6 * np.linalg.norm(slope) * length
-        return float(min(length, 0.01 * max(size, 1e-12) / max(float(np.linalg.norm(slope)), 1e-300)))
+        fast = float(np.linalg.norm(slope))
+        size = float(np.linalg.norm(x)) + 1e-6 * fast * length
+        return min(float(length), 0.01 * max(size, 1e-12) / max(fast, 1e-300))
 
     def _values(self, x: Array, t: float, segment: Array) -> Array:
         return self.field.nodes(x, t, segment) if len(self.field.owner) else self.b
@@ -313,7 +314,9 @@ class Adaptive:
             self.b, self.c = np.where(own, low, self.b), np.where(own, high - low, self.c)
             self.mode = tuple(sorted((*self.mode, i)))
             x = x.copy()
-            x[:n] -= float(self.field.g(x, t, segment)[i]) * slope[:n] / max(float(slope[:n] @ slope[:n]), 1e-300)
+            x[:n] -= (
+                float(self.field.g(x, t, segment)[i]) * slope[:n] / max(float(slope[:n] @ slope[:n]), 1e-300)
+            )
             after = self.field.field(self.mode)(x, t, segment, self.b, self.c)[0][:n]
             return self._moved(x, slope, before, after)
         if rates[0] <= 0 and rates[1] <= 0:

@@ -60,7 +60,13 @@ class ErrorEstimate:
         errors = ", ".join(
             f"{name} {value:.1e}" for name, value in zip(self.outputs, self.relative, strict=True)
         )
-        kind = f"{steps} to a sample" if self.substeps > 0 else "" if self.steps is None else f"{self.steps} steps"
+        kind = (
+            f"{steps} to a sample"
+            if self.substeps > 0
+            else ""
+            if self.steps is None
+            else f"{self.steps} steps"
+        )
         how = ", ".join(part for part in (self.integrator, kind) if part)
         text = f"integration: {how}, estimated relative error {errors}"
         return text if self.within else f"{text}; more than the tolerance {self.tolerance:.1e}"

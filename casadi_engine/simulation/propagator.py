@@ -18,12 +18,12 @@ from casadi_engine.simulation.event_propagator import EventPropagator
 from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
 from casadi_engine.simulation.gain import Gain, Seen, StatedGain
 from casadi_engine.simulation.gappy import GappyPredictor
-from casadi_engine.simulation.runge_kutta import Fineness, RungeKuttaPropagator
 from casadi_engine.simulation.grid import Grid
 from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.linear import LinearPropagator
 from casadi_engine.simulation.observed import ObservedPropagator, with_states_shown
+from casadi_engine.simulation.runge_kutta import Fineness, RungeKuttaPropagator
 from casadi_engine.simulation.shared_core import Cores
 from casadi_engine.simulation.split import split, timed_drives
 
@@ -136,7 +136,9 @@ def make_propagator(
     shown = with_states_shown(model)
     parts = split(shown)
     if parts is not None and parts.model.has_slot_laws:
-        states = ExponentialPropagator(shown, parts, grid, intervals, z, physical, scale=scale, substeps=whole)
+        states = ExponentialPropagator(
+            shown, parts, grid, intervals, z, physical, scale=scale, substeps=whole
+        )
         return ObservedPropagator(model, states, grid, z, physical)
     return RungeKuttaPropagator(model, grid, intervals, z, physical, scale=scale)
 

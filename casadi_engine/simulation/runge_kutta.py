@@ -157,7 +157,9 @@ class RungeKuttaPropagator:
         """
         now = self._fineness
         assert now is not None, "propagated at least once"
-        share = np.where(np.isfinite(errors), errors, np.inf) / max(float(errors[np.isfinite(errors)].mean()), 1e-300)
+        share = np.where(np.isfinite(errors), errors, np.inf) / max(
+            float(errors[np.isfinite(errors)].mean()), 1e-300
+        )
         factor = np.clip((share * ratio) ** (1 / now.scheme.order), 1.0, _FINER)
         return self.refined(replace(now, counts=np.ceil(now.counts * factor).astype(np.intp)))
 
@@ -177,7 +179,9 @@ class RungeKuttaPropagator:
         with np.errstate(all="ignore"):
             x = advance(self.slope, self._scheme, z, start, flat[0], middle, time, half)
             x = advance(self.slope, self._scheme, z, x, middle, flat[1], time + half, half)
-        own = self._scheme.richardson * (x.reshape(n, steps, count).transpose(1, 2, 0) - begun[1:].transpose(0, 2, 1))
+        own = self._scheme.richardson * (
+            x.reshape(n, steps, count).transpose(1, 2, 0) - begun[1:].transpose(0, 2, 1)
+        )
         own[layout.length == 0] = 0.0
         carried = np.zeros((steps * parts + 1, count, n))
         for k in range(steps * parts):
@@ -193,7 +197,8 @@ class RungeKuttaPropagator:
         size = np.abs(begun).max(axis=(0, 2)) + 1e-300
         sizes = np.nan_to_num(np.abs(own / size).max(axis=-1), nan=np.inf, posinf=np.inf)
         real = layout.cell >= 0
-        cells = np.bincount(layout.cell[real], sizes[real], minlength=self.grid.samples - 1)
+        cells = np.zeros(self.grid.samples - 1)
+        np.add.at(cells, layout.cell[real], sizes[real])
         return to_rows(plan, off.transpose(2, 0, 1)[None])[0], cells
 
     def _lay(self, fineness: Fineness) -> None:

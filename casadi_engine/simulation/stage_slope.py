@@ -1,8 +1,9 @@
 """The slope φ = h f at a stage of an integration step, as a function of the state, of what is known, and of z.
 
 What depends on channels and time alone is worked out once for the record. Where the equations jump at instants of
-their own (a load that is switched on, forcing by a square wave), a step is cut at these instants: its parts have lengths that
-depend on the parameters, each is integrated with the jump held on one side, and so the instant has a slope.
+their own (a load that is switched on, forcing by a square wave), a step is cut at these instants: its parts have
+lengths that depend on the parameters, each is integrated with the jump held on one side, and so the instant has a
+slope.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_engine.model import Model
 from casadi_engine.simulation.jets import Array
@@ -67,7 +69,9 @@ class StageSlope:
         self.known_symbols = ca.vertcat(low, high, begin, length, node, part)
         self.expression = ca.densify(events.slope(low, high, begin, length, node, part))
 
-    def known(self, low: Array, high: Array, time: Array, length: Array, node: float, part: Array) -> Array:
+    def known(
+        self, low: Array, high: Array, time: Array, length: Array, node: float, part: NDArray[Any]
+    ) -> Array:
         """(rows, K) of what φ takes besides x and z at the node of K steps; part : (K,) number of the step's part."""
         if self.events is None:
             given = self._given(low + node * (high - low), (time + node * length)[None])[0]

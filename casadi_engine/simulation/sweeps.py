@@ -1,7 +1,8 @@
 """All integration steps of a record, one after the other, and their derivatives, all at once.
 
-Explicit steps of many intervals advance together by NumPy arrays; of a few intervals, or one long simulation, by CasADi's
-virtual machine, which needs no Python for a step. Implicit steps are solved by Newton's method for all intervals together.
+Explicit steps of many intervals advance together by NumPy arrays; of a few intervals, or one long simulation, by
+CasADi's virtual machine, which needs no Python for a step. Implicit steps are solved by Newton's method for all
+intervals together.
 """
 
 from __future__ import annotations
@@ -34,9 +35,7 @@ class Sweeps:
             np.repeat(rows, parts, axis=1).reshape(len(rows), self.steps * self.count)
             for rows in (layout.low, layout.high)
         )
-        time, length = (
-            np.repeat(rows, parts, axis=0).ravel() for rows in (layout.time, layout.length)
-        )
+        time, length = (np.repeat(rows, parts, axis=0).ravel() for rows in (layout.time, layout.length))
         part = np.repeat(np.tile(np.arange(parts), layout.steps), self.count)
         made = {c: slope.known(low, high, time, length, c, part) for c in dict.fromkeys(scheme.c.tolist())}
         self.known = [made[c] for c in scheme.c.tolist()]
@@ -100,7 +99,11 @@ class Sweeps:
         for i in range(size):
             if stages is None:
                 x = start + sum(
-                    (weight * slope for weight, slope in zip(self.scheme.a[i], slopes, strict=False) if weight),
+                    (
+                        weight * slope
+                        for weight, slope in zip(self.scheme.a[i], slopes, strict=False)
+                        if weight
+                    ),
                     np.zeros(1),
                 )
             else:
@@ -140,7 +143,14 @@ def solve_stages(scheme: Tableau, function: object, x: Array, guess: Array, give
 
 
 def advance(
-    slope: StageSlope, scheme: Tableau, z: Array, x: Array, low: Array, high: Array, time: Array, length: Array
+    slope: StageSlope,
+    scheme: Tableau,
+    z: Array,
+    x: Array,
+    low: Array,
+    high: Array,
+    time: Array,
+    length: Array,
 ) -> Array:
     """Ends (n, K) of K single steps from x (n, K), each whole (with all its parts); NaN where there is none."""
     nodes = dict.fromkeys(scheme.c.tolist())

@@ -1,14 +1,16 @@
 """A model's field f(x, u, t) with its jumps held, for integration through events and along sliding modes.
 
 Between two events every jump keeps its side, so that the field is smooth. Where the fields on both sides of a switch
-g = 0 point at it, the state stays on it (Filippov, Differential Equations with Discontinuous Righthand Sides, 1988): the jump's
-value lies between both sides such that dg/dt = 0: the field is a mean of those on both sides. This is how dry friction holds a body at rest.
+g = 0 point at it, the state stays on it (Filippov, Differential Equations with Discontinuous Righthand Sides, 1988):
+the jump's value lies between both sides such that dg/dt = 0: the field is a mean of those on both sides. This is how
+dry friction holds a body at rest.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -56,7 +58,9 @@ class SwitchedField:
         # A corner of a recorded channel alone is no event: the channel's own samples are corners too.
         inner = ca.vertcat(model.x, model.t)
         plain = [ca.substitute(s.function, held.symbols, held.values) for s in held.switches]
-        wanted = [s.kind != "kink" or ca.depends_on(g, inner) for s, g in zip(held.switches, plain, strict=True)]
+        wanted = [
+            s.kind != "kink" or ca.depends_on(g, inner) for s, g in zip(held.switches, plain, strict=True)
+        ]
         back = [k for k, at in enumerate(held.at) if not wanted[at]]
         kept = [k for k, at in enumerate(held.at) if wanted[at]]
         field = held.expression
@@ -91,7 +95,12 @@ class SwitchedField:
         """Symbols b and c, the field in a mode, and the shares α (len(mode), 1)."""
         b, c = ca.SX.sym("b", len(self.owner)), ca.SX.sym("c", len(self.owner))
         if not mode:
-            return b, c, ca.substitute(self._field, self._b, b) if self._b.numel() else self._field, ca.SX(0, 1)
+            return (
+                b,
+                c,
+                ca.substitute(self._field, self._b, b) if self._b.numel() else self._field,
+                ca.SX(0, 1),
+            )
         base = ca.substitute(self._field, self._b, b)
         rise = []
         for i in mode:
@@ -169,10 +178,11 @@ def _rows(column: ca.SX, rows: list[int]) -> ca.SX:
 
 
 def _fast(function: ca.Function) -> Callable[..., list[Array]]:
-    """A CasADi function called on arrays without conversions: each call overwrites what the last one gave."""
-    buffer, call = function.buffer()
-    inputs = [np.zeros(function.numel_in(k)) for k in range(function.n_in())]
-    outputs = [np.zeros(function.numel_out(k)) for k in range(function.n_out())]
+    """A CasADi function called on arrays without conversions."""
+    made: Any = function.buffer()
+    buffer, call = made
+    inputs: list[Any] = [np.zeros(function.numel_in(k)) for k in range(function.n_in())]
+    outputs: list[Any] = [np.zeros(function.numel_out(k)) for k in range(function.n_out())]
     for k, place in enumerate(inputs):
         buffer.set_arg(k, memoryview(place))
     for k, place in enumerate(outputs):

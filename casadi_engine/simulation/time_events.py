@@ -1,8 +1,8 @@
 """Jumps in time: where equations switch at an instant that only time, recorded channels and parameters decide.
 
 Within a step each switch has at most one instant. It is found by Newton's method from the secant, written as an
-expression, so that its derivative by the parameters is that of the implicit function: the state after a switch moves with the
-instant as it does in the true system.
+expression, so that its derivative by the parameters is that of the implicit function: the state after a switch moves
+with the instant as it does in the true system.
 """
 
 from __future__ import annotations
@@ -65,9 +65,7 @@ class TimeEvents:
         for switch in self.switches:
             rate = _rate(switch, at)
             first, last = at(switch, begin), at(switch, end)
-            inside = ca.logic_or(
-                ca.logic_and(first <= 0, last > 0), ca.logic_and(first >= 0, last < 0)
-            )
+            inside = ca.logic_or(ca.logic_and(first <= 0, last > 0), ca.logic_and(first >= 0, last < 0))
             time = begin - first * (end - begin) / ca.if_else(inside, last - first, 1.0)
             for _ in range(_NEWTON):
                 slope = rate(time)

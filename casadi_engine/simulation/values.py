@@ -38,7 +38,13 @@ class Simulated:
 
 
 def simulated(
-    model: Model, grid: Grid, values: Array, start: Array, *, method: Method = "exact", tolerance: float = 1e-6
+    model: Model,
+    grid: Grid,
+    values: Array,
+    start: Array,
+    *,
+    method: Method = "exact",
+    tolerance: float = 1e-6,
 ) -> Simulated:
     """Simulate from ``start`` (n,), in the states' units, at parameters ``values`` (np,).
 
@@ -61,7 +67,7 @@ def simulated(
     try:
         with np.errstate(over="ignore", invalid="ignore"):
             if isinstance(propagator, Stepped):
-                propagator, found = refined_to(propagator, none, nodes, **about)  # type: ignore[arg-type,assignment]
+                propagator, found = refined_to(propagator, none, nodes, **about)  # type: ignore[arg-type]
             else:
                 found = estimate_error(propagator, none, nodes, **about)  # type: ignore[arg-type]
             path = propagator.propagate(none, nodes, 0)
@@ -113,7 +119,14 @@ def _adaptively(model: Model, grid: Grid, values: Array, start: Array, tolerance
 
 
 def _run(
-    model: Model, field: SwitchedField, values: Array, start: Array, time: Array, low: Array, high: Array, tolerance: float
+    model: Model,
+    field: SwitchedField,
+    values: Array,
+    start: Array,
+    time: Array,
+    low: Array,
+    high: Array,
+    tolerance: float,
 ) -> Run:
     machine = Adaptive(field, tolerance)
     try:

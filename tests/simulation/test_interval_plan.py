@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 from casadi_engine.simulation.grid import Grid, Measured
 from casadi_engine.simulation.intervals import Intervals, Observation, cut
 from casadi_engine.simulation.linear import LinearPropagator
+from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 
 LENGTHS = [1, 2, 3, 7, 16, 17, 20, 31, 37, 48, 97, 144, 293, 10_000, None]
 
@@ -138,7 +138,12 @@ def test_the_general_propagator_too(made):
     grid = grid_of(made, 61)
     strided = {"y0": made.points(grid, np.arange(0, 61, 4)), "y1": made.points(grid, np.arange(61))}
     check_same(
-        made, model, grid_of(made, 61, strided), 1e-11, kind=RungeKuttaPropagator, lengths=[1, 2, 7, 16, 20, 60]
+        made,
+        model,
+        grid_of(made, 61, strided),
+        1e-11,
+        kind=RungeKuttaPropagator,
+        lengths=[1, 2, 7, 16, 20, 60],
     )
 
 
