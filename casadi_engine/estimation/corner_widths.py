@@ -78,7 +78,8 @@ def _told(fit: Fit, widths: Mapping[str, float]) -> Fit:
     names = ", ".join(f"{name} = {width:.2g}" for name, width in widths.items())
     words = (
         f"the data feel how corners are rounded ({names}: twice as wide they change chi-squared by {change:.2g}), and "
-        f"no fit with sharper ones was reached: estimates may be off by about {math.sqrt(change):.2g} standard errors"
+        f"no fit with sharper ones was reached: estimates may be off by about {math.sqrt(change):.2g} standard errors; "
+        "with_effect(..., sharp=True) keeps the corners as they are, and is fitted through its events"
     )
     return replace(fit, messages=(*fit.messages, words))
 

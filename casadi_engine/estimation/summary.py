@@ -122,9 +122,13 @@ def _header(fit: Fit) -> list[str]:
     lines += _labelled("records", _some(names, 4) + assumed_words(fit))
     lines += _labelled("samples", f"{count(fit.n)} that count, in {count(fit.nodes)} shooting intervals")
     lines += _labelled("solved", how)
-    if fit.integration:
-        worst = max(fit.integration.values(), key=lambda found: found.largest)
-        lines += _labelled("steps", str(worst).removeprefix("integration: "))
+    worst = max(fit.integration.values(), key=lambda found: found.largest, default=None)
+    how = (
+        "exactly (a linear model on equal steps)"
+        if worst is None
+        else str(worst).removeprefix("integration: ")
+    )
+    lines += _labelled("integrated", how)
     lines += _labelled("noise", "; ".join(noise_words(fit)))
     lines += _labelled("cost", cost_words(fit))
     return lines

@@ -27,7 +27,8 @@ _SAFETY, _LEAST, _MOST = 0.9, 0.2, 6.0
 _SMALL = 1e-9
 # A switching function counts as passed beyond this share of its largest value.
 _PASSED = 1e-12
-_MOST_STEPS, _MOST_EVENTS = 2_000_000, 50_000
+MOST_STEPS, MOST_EVENTS = 2_000_000, 50_000
+TOO_MANY = "too many steps or events"
 
 
 @dataclass
@@ -143,8 +144,8 @@ class Adaptive:
 
     def _count(self) -> None:
         self.steps += 1
-        if self.steps > _MOST_STEPS or self.events > _MOST_EVENTS:
-            raise FloatingPointError("too many steps or events")
+        if self.steps > MOST_STEPS or self.events > MOST_EVENTS:
+            raise FloatingPointError(TOO_MANY)
 
     # ---- explicit steps
 

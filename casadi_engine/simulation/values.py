@@ -10,7 +10,7 @@ import numpy as np
 from casadi_engine.errors import SimulationError
 from casadi_engine.model import Model
 from casadi_engine.model.jumps import jumps_in
-from casadi_engine.simulation.adaptive import Adaptive, Run
+from casadi_engine.simulation.adaptive import MOST_EVENTS, MOST_STEPS, TOO_MANY, Adaptive, Run
 from casadi_engine.simulation.discretisation import Method
 from casadi_engine.simulation.error_estimate import ErrorEstimate, Stepped, estimate_error, refined_to
 from casadi_engine.simulation.grid import Grid
@@ -132,7 +132,14 @@ def _run(
     try:
         with np.errstate(all="ignore"):
             return machine.run(start, time, low, high)
-    except FloatingPointError:
+    except FloatingPointError as failure:
+        if str(failure) == TOO_MANY:
+            raise SimulationError(
+                "the simulation takes too many steps",
+                seen=f"{machine.steps} steps and {machine.events} events up to {machine.time:.6g} s of {time[-1]:.6g} s",
+                allowed=f"{MOST_STEPS} steps, {MOST_EVENTS} events",
+                cure="shorten the record, give a larger tolerance, or smooth a law that switches without end",
+            ) from None
         raise _not_finite(model, values, machine.time) from None
 
 
@@ -143,10 +150,10 @@ def _words(run: Run) -> str:
 
 def _not_finite(model: Model, values: Array, time: float | None) -> SimulationError:
     numbers = ", ".join(f"{n}={value:.6g}" for n, value in zip(model.parameter_names, values, strict=True))
-    where = "" if time is None else f"at {time:.6g} s, with "
+    parts = ([] if time is None else [f"at {time:.6g} s"]) + ([f"with {numbers}"] if numbers else [])
     return SimulationError(
         "the simulation is not finite",
-        seen=(where + numbers) or "a state or output that is infinite or not a number",
+        seen=", ".join(parts) or "a state or output that is infinite or not a number",
         allowed="parameters and initial states that give finite numbers",
         cure="check the equations there: a root or logarithm of a negative number, a division by 0, or a state that "
         "grows without limit",

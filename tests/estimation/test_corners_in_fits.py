@@ -146,3 +146,24 @@ def test_a_given_or_fixed_width_stays_and_one_that_no_record_passes_keeps_its_de
     assert not any("corners" in text for text in fit.messages)
     paths = paths_of(fit), paths_of(fit, moved={WIDTH: 0.01})
     assert cost_along(fit, paths[0]) == pytest.approx(cost_along(fit, paths[1]), abs=1e-6)
+
+
+@pytest.mark.parametrize("rate", [1000, 100])
+def test_the_law_as_it_is_holds_the_shaft_and_has_no_bias(rate):
+    """A sharp law is fitted through its events: it sticks, and the estimate is right at any rate."""
+    model = shaft(scale=100.0).with_effect(
+        ce.effects.CoulombFriction(), at="axis", values={"torque": 1.5}, sharp=True
+    )
+    exact = ce.estimate(model, record(rate, 1e-9), noise=ce.Noise(speed=0.01), progress=False)
+    assert exact.converged
+    assert abs(exact.values[TORQUE] - TF) < 1e-4 * exact.stderr[TORQUE]
+    time = exact.data[0]["speed"].time
+    simulated = exact.traces["run"]["speed"].simulated
+    # one sample alone tells the start
+    assert np.abs(simulated - sticking(time))[1:].max() < 1e-8
+    resting = (time > 0.05) & (time < 0.95)
+    assert np.abs(simulated[resting]).max() < 1e-8
+    noisy = ce.estimate(model, record(rate, 0.01), noise=ce.Noise(speed=0.01), progress=False)
+    assert noisy.converged
+    assert abs(noisy.values[TORQUE] - TF) < 3 * noisy.stderr[TORQUE]
+    assert not any("corner" in text for text in noisy.messages)
