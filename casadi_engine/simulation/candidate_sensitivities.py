@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from casadi_engine.model import Model
 from casadi_engine.simulation.grouped_scan import Pushed, constant_scan, varying_scan
-from casadi_engine.simulation.intervals import Observation, cut
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.null_path import NullPath, Points
 from casadi_engine.simulation.tape import ArrayFunction
@@ -428,14 +427,7 @@ def at_measurements(path: NullPath, values: Array) -> dict[str, Array]:
     """(K, ny, N) values at the grid's samples as (K, samples) at the measured times of each output."""
     grid, outputs = path.grid, tuple(out.name for out in path.model.outputs)
     measured = {name: grid.measured[name] for name in outputs if name in grid.measured}
-    if all(m.on_grid for m in measured.values()):
-        return {name: values[:, outputs.index(name), m.position.astype(int)] for name, m in measured.items()}
-    plan = cut(grid, None)
-    observation = Observation(grid, plan, outputs)
-    index = np.minimum(plan.samples[:, None] + plan.q * np.arange(plan.b), grid.samples - 1)
-    laid = values[:, :, index].transpose(0, 2, 1, 3)
-    seen = observation.observe(np.ascontiguousarray(laid).reshape(len(values), -1, plan.b, 1))
-    return {name: seen.reshape(len(values), -1)[:, observation.where[name]] for name in measured}
+    return {name: values[:, outputs.index(name), m.position] for name, m in measured.items()}
 
 
 def accumulate(

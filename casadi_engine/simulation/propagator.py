@@ -16,12 +16,12 @@ from casadi_engine.simulation.discretisation import Method
 from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
 from casadi_engine.simulation.gain import Gain, Seen, StatedGain
 from casadi_engine.simulation.gappy import GappyPredictor
-from casadi_engine.simulation.runge_kutta import Fineness, RungeKuttaPropagator
 from casadi_engine.simulation.grid import Grid
 from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.linear import LinearPropagator
 from casadi_engine.simulation.observed import ObservedPropagator, with_states_shown
+from casadi_engine.simulation.runge_kutta import Fineness, RungeKuttaPropagator
 from casadi_engine.simulation.shared_core import Cores
 from casadi_engine.simulation.split import split, timed_drives
 
@@ -223,10 +223,10 @@ def _feedback(model: Model, grid: Grid, used: Seen | None) -> tuple[Array, NDArr
             rows.append(np.zeros(grid.samples))
             seen.append(np.ones(grid.samples, dtype=bool))
             continue
-        if measured is None or not measured.on_grid:
+        if measured is None:
             raise SimulationError(
                 "a predictor needs every output on the inputs' time grid",
-                seen=f"{output.name} off the grid",
+                seen=f"{output.name} was not measured",
                 allowed="outputs that were sampled together with the inputs",
                 cure="resample the inputs to the output's times, or take output error (no gain)",
             )

@@ -14,9 +14,9 @@ from casadi_engine.simulation.error_estimate import (
     refined_to,
 )
 from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
-from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 from casadi_engine.simulation.intervals import cut
 from casadi_engine.simulation.propagator import make_propagator
+from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 
 NONE = np.zeros(0)
 

@@ -14,12 +14,12 @@ from casadi_engine.errors import SimulationError
 from casadi_engine.model import Blueprint, crankshaft, one_inertia, two_mass
 from casadi_engine.simulation import exponential_runge_kutta
 from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
-from casadi_engine.simulation.runge_kutta import Fineness, RungeKuttaPropagator
-from casadi_engine.simulation.tableau import RUNGE_KUTTA
 from casadi_engine.simulation.intervals import cut
 from casadi_engine.simulation.linear import LinearPropagator
 from casadi_engine.simulation.propagator import make_propagator
+from casadi_engine.simulation.runge_kutta import Fineness, RungeKuttaPropagator
 from casadi_engine.simulation.split import split
+from casadi_engine.simulation.tableau import RUNGE_KUTTA
 
 NONE = np.zeros(0)
 STEP = 1 / 14402

@@ -11,11 +11,11 @@ from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.model import Blueprint, one_inertia
 from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
 from casadi_engine.simulation.gappy import GappyPredictor
-from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 from casadi_engine.simulation.grid import lay_grid
 from casadi_engine.simulation.intervals import cut
 from casadi_engine.simulation.linear import LinearPropagator
 from casadi_engine.simulation.propagator import after_missing, make_propagator
+from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 
 NONE = np.zeros(0)
 

@@ -8,10 +8,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from casadi_engine.model import Blueprint
-from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
-from casadi_engine.simulation.tableau import RADAU
 from casadi_engine.simulation.intervals import cut
 from casadi_engine.simulation.linear import LinearPropagator
+from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
+from casadi_engine.simulation.tableau import RADAU
 
 NONE = np.zeros(0)
 
