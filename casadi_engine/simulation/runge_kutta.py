@@ -193,7 +193,8 @@ class RungeKuttaPropagator:
         size = np.abs(begun).max(axis=(0, 2)) + 1e-300
         sizes = np.nan_to_num(np.abs(own / size).max(axis=-1), nan=np.inf, posinf=np.inf)
         real = layout.cell >= 0
-        cells = np.bincount(layout.cell[real], sizes[real], minlength=self.grid.samples - 1)
+        counted = np.bincount(layout.cell[real], sizes[real], minlength=self.grid.samples - 1)
+        cells = counted.astype(np.float64)
         return to_rows(plan, off.transpose(2, 0, 1)[None])[0], cells
 
     def _lay(self, fineness: Fineness) -> None:

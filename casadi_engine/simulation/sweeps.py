@@ -1,7 +1,8 @@
 """All integration steps of a record, one after the other, and their derivatives, all at once.
 
-Explicit steps of many intervals advance together by NumPy arrays; of a few intervals, or one long simulation, by CasADi's
-virtual machine, which needs no Python for a step. Implicit steps are solved by Newton's method for all intervals together.
+Explicit steps of many intervals advance together by NumPy arrays; of a few intervals, or one long simulation, by
+CasADi's virtual machine, which needs no Python for a step. Implicit steps are solved by Newton's method for all
+intervals together.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ class Sweeps:
         time, length = (
             np.repeat(rows, parts, axis=0).ravel() for rows in (layout.time, layout.length)
         )
-        part = np.repeat(np.tile(np.arange(parts), layout.steps), self.count)
+        part = np.repeat(np.tile(np.arange(float(parts)), layout.steps), self.count)
         made = {c: slope.known(low, high, time, length, c, part) for c in dict.fromkeys(scheme.c.tolist())}
         self.known = [made[c] for c in scheme.c.tolist()]
         self._made = made

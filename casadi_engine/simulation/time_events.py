@@ -1,8 +1,8 @@
 """Jumps in time: where equations switch at an instant that only time, recorded channels and parameters decide.
 
 Within a step each switch has at most one instant. It is found by Newton's method from the secant, written as an
-expression, so that its derivative by the parameters is that of the implicit function: the state after a switch moves with the
-instant as it does in the true system.
+expression, so that its derivative by the parameters is that of the implicit function: the state after a switch moves
+with the instant as it does in the true system.
 """
 
 from __future__ import annotations
