@@ -135,11 +135,10 @@ def _latent(
 
 def _knots(record: RecordNull, count: int | None) -> Array:
     grid = record.path.grid
-    span = grid.step * (grid.samples - 1)
     if count is None:
         cycles = len({int(c) for number in record.cycle.values() for c in np.unique(number)})
         count = min(_PER_CYCLE * max(cycles, 2), _MOST, max(grid.samples // (2 * _ROWS_BETWEEN), 2))
-    return np.asarray(grid.start + np.linspace(0, span, max(count, 2)), dtype=np.float64)
+    return np.asarray(grid.start + np.linspace(0, grid.span, max(count, 2)), dtype=np.float64)
 
 
 def _rows(
@@ -147,11 +146,10 @@ def _rows(
 ) -> list[Array]:
     """[H | e] (K + 1 columns) of one record for each port, whitened, parameters and initial states projected out."""
     grid = record.path.grid
-    on_grid = all(grid.measured[name].on_grid for name in record.outputs)
     coloured = any((record.name, name) in noise.colour for name in record.outputs)
     complete = all(len(e) == grid.samples for e in record.residual.values())
     every = 1
-    if on_grid and complete and not coloured:
+    if grid.uniform and complete and not coloured:
         every = max(1, int((knots[1] - knots[0]) / grid.step / _ROWS_BETWEEN))
     units = [torque_direction(null.model, name, ca.SX(1), name=name) for name in ports]
     found = knot_sensitivities(record.path, units, knots, every=every)
@@ -184,11 +182,7 @@ def _left(null: NullModel, noise: NoiseModel, record: RecordNull, hats: Array, e
 
 
 def _at_measured(noise: NoiseModel, record: RecordNull, name: str, rest: Array, hats: Array) -> Array:
-    measured, grid = record.path.grid.measured[name], record.path.grid
-    if measured.on_grid:
-        own = hats[:, measured.position.astype(int)].T
-    else:
-        own = np.array([np.interp(measured.time, grid.time, row) for row in hats]).T
+    own = hats[:, record.path.grid.measured[name].position].T
     return noise.whiten(record, name, np.concatenate([rest, own], axis=1))
 
 

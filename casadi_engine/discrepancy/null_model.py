@@ -215,6 +215,5 @@ def cycle_numbers(model: Model, grid: Grid, time: Array) -> Index:
         theta = np.interp(time, grid.time, grid.channels[names.index("theta")])
         number = np.floor(theta / FOUR_STROKE).astype(int)
         return np.asarray(number, dtype=np.intp)
-    span = grid.step * (grid.samples - 1)
-    number = np.floor((time - grid.start) / span * _PIECES).astype(int)
+    number = np.floor((time - grid.start) / grid.span * _PIECES).astype(int)
     return np.asarray(np.clip(number, 0, _PIECES - 1), dtype=np.intp)

@@ -118,7 +118,7 @@ def _patterns(record: RecordTerm) -> list[tuple[Seen, int]]:
     seen = np.zeros((len(record.outputs), record.grid.samples), dtype=bool)
     for k, name in enumerate(record.outputs):
         if name in record.grid.measured:
-            seen[k, record.grid.measured[name].position.astype(int)] = True
+            seen[k, record.grid.measured[name].position] = True
     kinds, counts = np.unique(seen.T, axis=0, return_counts=True)
     return [
         (tuple(bool(part) for part in kind), int(count))

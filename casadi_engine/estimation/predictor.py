@@ -38,10 +38,10 @@ _RANGE = 1e5
 
 def output_stride(grid: Grid) -> int:
     """Grid steps between samples of the outputs, missing ones counted as samples."""
-    points = [m.position for m in grid.measured.values() if m.on_grid]
+    points = [m.position for m in grid.measured.values()]
     if not points:
         return 1
-    steps = np.diff(np.unique(np.concatenate(points)).astype(int))
+    steps = np.diff(np.unique(np.concatenate(points)))
     return int(np.gcd.reduce(steps)) if len(steps) else 1
 
 

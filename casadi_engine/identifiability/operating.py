@@ -190,7 +190,7 @@ class OperatingRecord:
     @property
     def duration(self) -> float:
         """Length of the record [s]."""
-        return self.grid.step * (self.grid.samples - 1)
+        return self.grid.span
 
     def at(self, v: Array, *, closest: bool = False) -> Sensitivity:
         """Outputs and sensitivities at the coordinates v : (nv,), from the start that was given or worked out.
@@ -350,7 +350,7 @@ class OperatingRecord:
         """Mean rate of the crank angle over the first cycle [rad/s], and the output that shows it."""
         names = [variable.name for variable in self.model.inputs]
         theta = self.grid.channels[names.index("theta")]
-        speed = float((theta[length] - theta[0]) / (length * self.grid.step))
+        speed = float((theta[length] - theta[0]) / (self.grid.time[length] - self.grid.time[0]))
         return speed, self.names.index("omega") if "omega" in self.names else None
 
     def _equilibrium(self, v: Array) -> Array:
@@ -482,5 +482,5 @@ def _outputs_of(model: Model, plan: PlannedExperiment) -> tuple[str, ...]:
 def _with_planned(grid: Grid, outputs: tuple[str, ...], there: tuple[str, ...], every: int) -> Grid:
     """The grid with samples of the outputs that were not measured, values 0."""
     index = np.arange(0, grid.samples, every)
-    absent = Measured(grid.time[index], np.zeros(len(index)), index.astype(float), True, index)
+    absent = Measured(grid.time[index], np.zeros(len(index)), index, index)
     return replace(grid, measured=grid.measured | {name: absent for name in outputs if name not in there})

@@ -245,6 +245,8 @@ class Adaptive:
     ) -> tuple[float, Array] | None:
         """The first event within a step, (its instant, the state after it), or None."""
         end = self._functions(ahead, t + h, share, segment)
+        if not np.isfinite(end).all():
+            raise FloatingPointError("the equations are not finite at a switch")
         reach = h
         if (end >= 0).all():
             # a switch may be passed twice within a step

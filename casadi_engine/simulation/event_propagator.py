@@ -147,7 +147,7 @@ class EventPropagator:
         s = np.ascontiguousarray(s)
         s[..., :n] *= self.scale
         value, out = self.outputs.slopes(x, z)
-        full = out[..., :n] @ s[: plan.points]
+        full = out[..., :n] @ s[: plan.length]
         full[..., n:] += out[..., n:]
         y = np.concatenate([value[None], full[..., n:].transpose(3, 2, 0, 1)])
         ys = to_rows(plan, full[..., :n].transpose(3, 2, 0, 1)).transpose(1, 2, 3, 0)

@@ -11,10 +11,13 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dgebal
 
 from casadi_engine.simulation import jets
 from casadi_engine.simulation.jets import Array
 
+# Balancing counts where it lowers the norm by this factor: a digit is lost or won.
+_DIGIT = 10.0
 # Below this 1-norm the Taylor series needs few terms and loses no digits.
 _RADIUS = 0.5
 
@@ -45,8 +48,31 @@ def _doublings(size: float) -> int:
     return max(0, math.ceil(math.log2(size / _RADIUS))) if size > _RADIUS else 0
 
 
+def balance(value: Array) -> Array | None:
+    """(n,) powers of 2 by which states are divided so that rows and columns of ``value`` (n, n) have like sizes.
+
+    A series loses digits of what is small beside the norm: a heavy mass beside a light one, a position beside a speed.
+    None if less than a digit is at stake (Parlett & Reinsch, Numerische Mathematik 13, 1969, 293-304).
+    """
+    if jets.norm(value[None]) <= _RADIUS:
+        return None
+    balanced, _, _, scale, _ = dgebal(value, scale=1)
+    return scale if _DIGIT * jets.norm(balanced[None]) < jets.norm(value[None]) else None
+
+
 def phi_functions(z: Array, d: int) -> tuple[Array, Array, Array]:
     """phi_0, phi_1, phi_2 of the jet ``z`` (k, n, n) in d parameters, by Taylor series and argument doubling."""
+    scale = balance(z[0])
+    if scale is None:
+        return _phi_functions(z, d)
+    # A diagonal similarity by constants commutes with derivatives, and powers of 2 round nothing.
+    turn = scale[:, None] / scale
+    phi0, phi1, phi2 = _phi_functions(z / turn, d)
+    return phi0 * turn, phi1 * turn, phi2 * turn
+
+
+def _phi_functions(z: Array, d: int) -> tuple[Array, Array, Array]:
+    """The same of a balanced jet."""
     size = jets.norm(z)
     doublings = _doublings(size)
     z = z / 2.0**doublings
@@ -71,7 +97,9 @@ def transition(z: NDArray[np.float64], steps: int) -> Array:
     A transition matrix that is wrong in its last digit gains or loses energy at every step; the extended precision
     of ``numpy.longdouble``, where the machine has one, keeps 1e5 steps of an undamped system below 1e-11.
     """
-    wide = np.asarray(z, dtype=np.longdouble) * steps
+    scale = balance(np.asarray(z, dtype=np.float64))
+    turn = np.ones(z.shape) if scale is None else scale[:, None] / scale
+    wide = np.asarray(z / turn, dtype=np.longdouble) * steps
     size = float(np.abs(wide).sum(axis=0).max()) if wide.size else 0.0
     doublings = _doublings(size)
     wide = wide / np.longdouble(2) ** doublings
@@ -83,4 +111,4 @@ def transition(z: NDArray[np.float64], steps: int) -> Array:
         less = wide @ less + wide / math.factorial(power)
     for _ in range(doublings):
         less = 2 * less + less @ less
-    return np.asarray(identity + less, dtype=np.float64)
+    return np.asarray((identity + less) * turn, dtype=np.float64)

@@ -88,8 +88,6 @@ def _adjoint(
     rows = np.empty((made.steps, path.matrices.p.shape[1], count))
     omega = np.empty((made.steps, STAGES * nw, count))
     mu = np.array(lam)
-    if made.intervals.points > made.intervals.length:
-        mu += c @ weights[-1]
     for k in range(made.steps - 1, -1, -1):
         row, torques = rows[k], omega[k]
         row[:n] = mu
@@ -120,8 +118,6 @@ def _crossed(
     pull = np.ascontiguousarray(picked.transpose(2, 0, 1)).reshape(-1, p.shape[1])
     size = len(picked)
     nu = np.zeros((n, size, count))
-    if outputs is not None and made.intervals.points > made.intervals.length:
-        nu += np.einsum("zyi,ym->izm", outputs, weights[-1])
     moved, direct = (
         np.zeros((p.shape[1], size, pushes.high - pushes.low)),
         np.zeros((size, len(made.laws.active))),

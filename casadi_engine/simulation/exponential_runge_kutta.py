@@ -246,7 +246,7 @@ class ExponentialPropagator:
         return float(np.abs(np.linalg.eigvals(np.abs(last) @ gain)).max())
 
     def _outputs(self, steps: Steps, matrices: StepMatrices, z: Array) -> Array:
-        """(ny, points, M) outputs."""
+        """(ny, L, M) outputs."""
         x, v = self.at_samples(steps, z)
         y = matrices.c[0] @ x
         if matrices.d[0].any():
@@ -254,19 +254,14 @@ class ExponentialPropagator:
         return np.ascontiguousarray(y.transpose(1, 0, 2))
 
     def at_samples(self, steps: Steps, z: Array) -> tuple[Array, Array]:
-        """States (points, n, M) and drives (points, m, M) at the samples."""
+        """States (L, n, M) and drives (L, m, M) at the samples."""
         x = steps.columns[:: self.substeps, : self.n]
-        if self.intervals.points > self.intervals.length:
-            x = np.concatenate([x, steps.end[None]])
         return x, self.drive_samples(self.drive_columns(z)[1])
 
     def drive_samples(self, columns: Array) -> Array:
-        """Drive columns (K, 2m, M), at the samples (points, m, M)."""
+        """Drive columns (K, 2m, M), at the samples (L, m, M)."""
         m = self.core.m
-        v = columns[:: self.substeps, :m]
-        if self.intervals.points > self.intervals.length:
-            v = np.concatenate([v, columns[-1:, m:]])
-        return v
+        return columns[:: self.substeps, :m]
 
     def _sensitivities(
         self, z: Array, steps: Steps, matrices: StepMatrices, slopes: tuple[Array, Array], value: Array
@@ -283,7 +278,7 @@ class ExponentialPropagator:
         current, after = (np.zeros((n + STAGES * nw, wide, count)) for _ in range(2))
         current[range(n), range(n)] = 1.0
         ds = np.empty((self.steps, STAGES * ns, wide, count))
-        found = np.empty((self.ny, self.intervals.points, wide, count))
+        found = np.empty((self.ny, self.intervals.length, wide, count))
         pushes = Pushes(self, steps, matrices, z)
         touched, feed, product = pushes.span(n), np.empty((ns, wide, count)), np.empty((wide, count))
         by_signal, by_z = slopes
@@ -314,8 +309,6 @@ class ExponentialPropagator:
             np.matmul(advance, current.reshape(len(current), -1), out=after[:n].reshape(n, -1))
             after[:n, touched] += push[:n]
             current, after = after, current
-        if self.intervals.points > self.intervals.length:
-            _observe(shown, current, found[:, -1])
         if self.nz:
             self._push_outputs(steps, matrices, z, found)
         y = np.concatenate([value[None], found[:, :, n:].transpose(2, 0, 1, 3)])

@@ -23,6 +23,7 @@ from casadi_engine.model import Model
 from casadi_engine.model.linear import LinearCore
 from casadi_engine.simulation import jets
 from casadi_engine.simulation.discretisation import DiscreteCore
+from casadi_engine.simulation.exponential import balance
 from casadi_engine.simulation.jets import Array
 
 STAGES = 4
@@ -153,6 +154,16 @@ def phi_pair(z: Array, d: int) -> tuple[list[Array], list[Array]]:
     By the Taylor series of phi_3 and doubling of the argument: phi_k(2 z) = (phi_0(z) phi_k(z) + sum over j = 1 .. k
     of phi_j(z) / (k - j)!) / 2**k. The half step comes along the way.
     """
+    scale = balance(z[0])
+    if scale is None:
+        return _phi_pair(z, d)
+    turn = scale[:, None] / scale
+    half, whole = _phi_pair(z / turn, d)
+    return [phi * turn for phi in half], [phi * turn for phi in whole]
+
+
+def _phi_pair(z: Array, d: int) -> tuple[list[Array], list[Array]]:
+    """The same of a balanced jet."""
     size = jets.norm(z)
     doublings = max(1, math.ceil(math.log2(size / _RADIUS))) if size > 0 else 1
     small = z / 2.0**doublings

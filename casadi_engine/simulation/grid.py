@@ -39,12 +39,11 @@ _SAME = 1e-6
 
 @dataclass(frozen=True)
 class Measured:
-    """One output's valid samples: time (N,), values (N,), position (N,) in steps from the grid's start."""
+    """One output's valid samples: time (N,), values (N,), and ``position`` (N,), the numbers of their grid points."""
 
     time: Array
     values: Array
-    position: Array
-    on_grid: bool
+    position: NDArray[np.intp]
     index: NDArray[np.intp]  # of the samples in the channel
 
 
@@ -74,6 +73,11 @@ class Grid:
         if self.times is not None:
             return self.times
         return np.asarray(self.start + self.step * np.arange(self.samples), dtype=np.float64)
+
+    @property
+    def span(self) -> float:
+        """From the first to the last point [s]."""
+        return float(self.time[-1] - self.time[0])
 
 
 def lay_grid(model: Model, experiment: Experiment, *, outputs: tuple[str, ...] | None = None) -> Grid:
@@ -124,9 +128,13 @@ def _equally_spaced(
     if samples < 2:
         raise _too_short(place, samples, last - first, step)
     time = np.asarray(start + step * np.arange(samples), dtype=np.float64)
-    measured = {channel.name: _measured(channel, start, step) for channel in observed}
-    if not all(m.on_grid for m in measured.values()):
-        return None
+    measured = {}
+    for channel in observed:
+        index = np.flatnonzero(channel.mask)
+        at = _on_own_points(channel.time[index], start, step)
+        if at is None:
+            return None
+        measured[channel.name] = Measured(channel.time[index], channel.values[index], at, index)
     if not all(_on_points(channel, start, step, samples) for channel in inputs):
         return None
     channels = np.array([_sampled(channel, time, step) for channel in inputs]).reshape(len(inputs), samples)
@@ -158,7 +166,7 @@ def _of_all_times(inputs: list[Channel], observed: list[Channel], first: float, 
         at = channel.time[index]
         near = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
         near -= at - times[near - 1] < times[near] - at
-        measured[channel.name] = Measured(at, channel.values[index], near.astype(float), True, index)
+        measured[channel.name] = Measured(at, channel.values[index], near, index)
     holds = tuple(c.hold for c in inputs)
     return Grid(
         float(times[0]), step, len(times), channels.reshape(len(inputs), len(times)), holds, measured, times
@@ -258,14 +266,12 @@ def _sampled(channel: Channel, time: Array, step: float) -> Array:
     return channel.values[np.clip(held, 0, len(channel.time) - 1)]
 
 
-def _measured(channel: Channel, start: float, step: float) -> Measured:
-    index = np.flatnonzero(channel.mask)
-    position = (channel.time[index] - start) / step
+def _on_own_points(time: Array, start: float, step: float) -> NDArray[np.intp] | None:
+    """Numbers of the grid's points at the times, or None if one has none of its own."""
+    position = (time - start) / step
     nearest = np.rint(position)
-    on_grid = bool(np.abs(position - nearest).max() < _ON_GRID and (np.diff(nearest) > 0).all())
-    return Measured(
-        channel.time[index], channel.values[index], nearest if on_grid else position, on_grid, index
-    )
+    there = np.abs(position - nearest).max() < _ON_GRID and (np.diff(nearest) > 0).all()
+    return nearest.astype(np.intp) if there else None
 
 
 @dataclass(frozen=True)

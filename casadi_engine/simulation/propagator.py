@@ -239,10 +239,10 @@ def _feedback(model: Model, grid: Grid, used: Seen | None) -> tuple[Array, NDArr
             rows.append(np.zeros(grid.samples))
             seen.append(np.ones(grid.samples, dtype=bool))
             continue
-        if measured is None or not measured.on_grid:
+        if measured is None:
             raise SimulationError(
                 "a predictor needs every output on the inputs' time grid",
-                seen=f"{output.name} off the grid",
+                seen=f"{output.name} was not measured",
                 allowed="outputs that were sampled together with the inputs",
                 cure="resample the inputs to the output's times, or take output error (no gain)",
             )

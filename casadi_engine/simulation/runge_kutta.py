@@ -66,7 +66,7 @@ class RungeKuttaTrajectory:
     x : (L+1, n, M) states at the samples; s : (S+1, M, n, n+nz) sensitivities of the steps' starts to (start, z)
     begun : (S+1, n, M) states at the steps' starts; stages : (4, S, M, n, n+nz) of their stage values
     by_x : (4, S, M, n, n) slopes' derivatives; at_stage : (4, n, S*M) stage values
-    a : (S, M, n, n) steps' derivatives to the state; out : (points, M, ny, n+nz) outputs' to (x, z)
+    a : (S, M, n, n) steps' derivatives to the state; out : (L, M, ny, n+nz) outputs' to (x, z)
     """
 
     x: Array
@@ -192,13 +192,13 @@ class RungeKuttaPropagator:
         for i in range(count - 1):
             joined[i + 1] = path.s[-1, i, :, :n] @ joined[i] + carried[-1, i]
         carried += (path.s[..., :n] @ joined[..., None])[..., 0]
-        at = parts * layout.at[: plan.points]
+        at = parts * layout.at[: plan.length]
         off = (path.out[..., :n] @ carried[at, np.arange(count)][..., None])[..., 0]
         size = np.abs(begun).max(axis=(0, 2)) + 1e-300
         sizes = np.nan_to_num(np.abs(own / size).max(axis=-1), nan=np.inf, posinf=np.inf)
         real = layout.cell >= 0
-        cells = np.zeros(self.grid.samples - 1)
-        np.add.at(cells, layout.cell[real], sizes[real])
+        counted = np.bincount(layout.cell[real], sizes[real], minlength=self.grid.samples - 1)
+        cells = counted.astype(np.float64)
         return to_rows(plan, off.transpose(2, 0, 1)[None])[0], cells
 
     def _lay(self, fineness: Fineness) -> None:
@@ -311,7 +311,7 @@ class RungeKuttaPropagator:
             np.matmul(a[k], s[k], out=s[k + 1])
             s[k + 1, :, :, n:] += step[k, :, :, n:]
         x = self._at_samples(begun)
-        at = self.slope.parts * self.layout.at[: plan.points]
+        at = self.slope.parts * self.layout.at[: plan.length]
         value, out = self.outputs.slopes(x, z)
         full = out[..., :n] @ s[at, np.arange(plan.m)]
         full[..., n:] += out[..., n:]
@@ -330,7 +330,7 @@ class RungeKuttaPropagator:
         """Second derivatives of sum(rho * y) + sum(lam * end): (z, z), (z, start) and (start, start)."""
         z, plan, n = np.asarray(z, dtype=float), self.intervals, self.n
         weights = from_rows(plan, rho, self.ny)
-        at = self.slope.parts * self.layout.at[: plan.points]
+        at = self.slope.parts * self.layout.at[: plan.length]
         pull = np.einsum("pym,pmya->pma", weights, path.out[..., :n])
         steps = len(path.a)
         mu = np.zeros((steps + 1, plan.m, n))

@@ -9,15 +9,14 @@ from casadi_engine.simulation.jets import Array
 
 
 def to_rows(plan: Intervals, y: Array) -> Array:
-    """(., ny, points, M) to (., R*ny, b, M)."""
+    """(., ny, L, M) to (., R*ny, b, M)."""
     rows = y[:, :, plan.samples[:, None] + plan.q * np.arange(plan.b)]
     return np.ascontiguousarray(rows.transpose(0, 2, 1, 3, 4)).reshape(len(y), -1, plan.b, plan.m)
 
 
 def from_rows(plan: Intervals, rho: Array, ny: int) -> Array:
-    """The transpose of ``to_rows``: (R*ny, b, M) summed into (points, ny, M)."""
-    spread = np.zeros((plan.points, ny, plan.m))
+    """The transpose of ``to_rows``: (R*ny, b, M) to (L, ny, M)."""
+    spread = np.zeros((plan.length, ny, plan.m))
     for sample, row in zip(plan.samples, rho.reshape(-1, ny, plan.b, plan.m), strict=True):
-        # A block's end is the next block's first sample.
-        spread[sample : sample + plan.length : plan.q] += row.transpose(1, 0, 2)
+        spread[sample :: plan.q] = row.transpose(1, 0, 2)
     return spread

@@ -13,7 +13,7 @@ from casadi_engine.simulation.tape import ArrayFunction
 
 
 class ShownOutputs:
-    """Outputs at the samples 0 .. points-1 of all intervals, from scaled states (L+1, n, M)."""
+    """Outputs at the samples 0 .. L-1 of all intervals, from scaled states (L+1, n, M)."""
 
     def __init__(
         self, model: Model, grid: Grid, plan: Intervals, z: ca.SX, physical: ca.SX, scale: Array
@@ -36,39 +36,39 @@ class ShownOutputs:
             if not ca.depends_on(ca.gradient(weighted, both), both)
             else ArrayFunction([x, given, z, rho], [ca.densify(ca.hessian(weighted, both)[0])])
         )
-        at = (np.arange(plan.points)[:, None] + plan.length * np.arange(plan.m)).ravel()
+        at = (np.arange(plan.length)[:, None] + plan.length * np.arange(plan.m)).ravel()
         at = np.minimum(at, grid.samples - 1)
         self._given = ArrayFunction([model.u, model.t], [ca.vertcat(channels, *terms)])(
             grid.channels[:, at], grid.time[at][None]
         )[0]
 
     def _columns(self, x: Array) -> Array:
-        return np.ascontiguousarray(x[: self.plan.points].transpose(1, 0, 2)).reshape(self.n, -1)
+        return np.ascontiguousarray(x[: self.plan.length].transpose(1, 0, 2)).reshape(self.n, -1)
 
     def values(self, x: Array, z: Array) -> Array:
-        """(ny, points, M)."""
+        """(ny, L, M)."""
         found = self._value(self._columns(x), self._given, z)[0]
-        return found.reshape(self.ny, self.plan.points, self.plan.m)
+        return found.reshape(self.ny, self.plan.length, self.plan.m)
 
     def slopes(self, x: Array, z: Array) -> tuple[Array, Array]:
-        """Values (ny, points, M) and derivatives to (x, z), (points, M, ny, n + nz)."""
+        """Values (ny, L, M) and derivatives to (x, z), (L, M, ny, n + nz)."""
         value, slope = self._first(self._columns(x), self._given, z)
-        shape = (self.plan.points, self.plan.m)
+        shape = (self.plan.length, self.plan.m)
         by = slope.reshape(self.n + self.nz, self.ny, *shape).transpose(2, 3, 1, 0)
         return value.reshape(self.ny, *shape), np.ascontiguousarray(by)
 
     def contracted(self, x: Array, z: Array, weights: Array, s: Array) -> Array:
         """(M, n + nz, n + nz) second derivatives to (start, z) of sum(weights * y) at given states.
 
-        weights : (points, ny, M); s : (points, M, n, n + nz) sensitivities of the states
+        weights : (L, ny, M); s : (L, M, n, n + nz) sensitivities of the states
         """
         n, nz, plan = self.n, self.nz, self.plan
         if self._second is None:
             return np.zeros((plan.m, n + nz, n + nz))
         rho = np.ascontiguousarray(weights.transpose(1, 0, 2)).reshape(self.ny, -1)
         bend = self._second(self._columns(x), self._given, z, rho)[0]
-        inner = bend.reshape(n + nz, n + nz, plan.points, plan.m).transpose(2, 3, 0, 1)
-        basis = np.zeros((plan.points, plan.m, n + nz, n + nz))
+        inner = bend.reshape(n + nz, n + nz, plan.length, plan.m).transpose(2, 3, 0, 1)
+        basis = np.zeros((plan.length, plan.m, n + nz, n + nz))
         basis[:, :, :n] = s
         basis[:, :, n:, n:] = np.eye(nz)
         found: Array = (basis.swapaxes(-1, -2) @ inner @ basis).sum(axis=0)

@@ -36,7 +36,7 @@ class Sweeps:
             for rows in (layout.low, layout.high)
         )
         time, length = (np.repeat(rows, parts, axis=0).ravel() for rows in (layout.time, layout.length))
-        part = np.repeat(np.tile(np.arange(parts), layout.steps), self.count)
+        part = np.repeat(np.tile(np.arange(float(parts)), layout.steps), self.count)
         made = {c: slope.known(low, high, time, length, c, part) for c in dict.fromkeys(scheme.c.tolist())}
         self.known = [made[c] for c in scheme.c.tolist()]
         self._made = made

@@ -9,9 +9,9 @@ Ordinary Differential Equations I, section II.6, and II, section IV.8).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_engine.simulation.jets import Array
 
@@ -165,7 +165,7 @@ def _stacked(parts: Array) -> Array:
     return moved.reshape(*moved.shape[:-3], moved.shape[-3] * moved.shape[-2], moved.shape[-1])
 
 
-def _unstacked(rows: Any, stages: int) -> Array:
+def _unstacked(rows: NDArray[np.floating], stages: int) -> Array:
     """The reverse of ``_stacked``."""
     split = rows.reshape(*rows.shape[:-2], stages, rows.shape[-2] // stages, rows.shape[-1])
-    return np.ascontiguousarray(np.moveaxis(split, -3, 0))
+    return np.ascontiguousarray(np.moveaxis(split, -3, 0), dtype=np.float64)

@@ -136,7 +136,7 @@ def _run(
         if str(failure) == TOO_MANY:
             raise SimulationError(
                 "the simulation takes too many steps",
-                seen=f"{machine.steps} steps and {machine.events} events up to {machine.time:.6g} s of {time[-1]:.6g} s",
+                seen=f"{machine.steps} steps and {machine.events} events, at {machine.time:.6g} s of {time[-1]:.6g} s",
                 allowed=f"{MOST_STEPS} steps, {MOST_EVENTS} events",
                 cure="shorten the record, give a larger tolerance, or smooth a law that switches without end",
             ) from None

@@ -99,11 +99,10 @@ class Made:
     @staticmethod
     def points(grid, position, values=None):
         """Measured samples at positions in steps from the grid's start."""
-        position = np.asarray(position, dtype=float)
+        position = np.asarray(position, dtype=np.intp)
         values = np.zeros(len(position)) if values is None else np.asarray(values, dtype=float)
-        on_grid = bool((position == np.rint(position)).all())
         time = grid.start + grid.step * position
-        return Measured(time, values, position, on_grid, np.arange(len(position)))
+        return Measured(time, values, position, np.arange(len(position)))
 
     @staticmethod
     def experiment(model, time, *, outputs=None, hold="first", **values):

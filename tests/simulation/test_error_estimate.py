@@ -144,8 +144,8 @@ def test_a_tolerance_out_of_reach_is_an_error(made):
 def test_an_estimate_says_what_it_is():
     found = ErrorEstimate(("w", "q"), (2e-8, 1e-9), (1e-9, 2e-9), 1, 1e-6)
     assert str(found) == (
-        "integration: exponential Runge-Kutta steps of order 4, one step to a sample, "
-        "estimated relative error w 1.0e-09, q 2.0e-09"
+        "integration: exponential Runge-Kutta steps of order 4, one step to a sample, estimated relative error "
+        "w 1.0e-09, q 2.0e-09"
     )
     assert found.to_dict() == {
         "integrator": "exponential Runge-Kutta steps of order 4",
@@ -156,8 +156,8 @@ def test_an_estimate_says_what_it_is():
     }
     loose = ErrorEstimate(("w",), (2e-4,), (1e-5,), 2, 1e-6)
     assert str(loose) == (
-        "integration: exponential Runge-Kutta steps of order 4, 2 steps to a sample, "
-        "estimated relative error w 1.0e-05; more than the tolerance 1.0e-06"
+        "integration: exponential Runge-Kutta steps of order 4, 2 steps to a sample, estimated relative error "
+        "w 1.0e-05; more than the tolerance 1.0e-06"
     )
     assert not loose.within
 

@@ -9,7 +9,7 @@ import pytest
 import scipy.linalg
 
 from casadi_engine.simulation import jets
-from casadi_engine.simulation.exponential import phi_functions, transition
+from casadi_engine.simulation.exponential import balance, phi_functions, transition
 
 
 def wanted(z):
@@ -63,6 +63,69 @@ def test_stiff_damping_decays(made):
     z = v @ np.diag([-1e-3, -2000.0]) @ np.linalg.inv(v)
     target = np.exp(-1e-3) * np.outer(v[:, 0], np.linalg.inv(v)[0])
     np.testing.assert_allclose(value(z)[0], target, rtol=1e-10)
+
+
+# ---- badly scaled matrices
+
+
+def light_beside_heavy(h):
+    """h A of two masses 1e-6 and 1e6 kg joined by a spring of 1e6 N/m, (x1, x2, v1, v2), and phi_0 .. phi_2 of it.
+
+    The centre moves steadily, the distance swings: every entry has a closed form.
+    """
+    m1, m2, k = 1e-6, 1e6, 1e6
+    a = np.zeros((4, 4))
+    a[0, 2] = a[1, 3] = 1
+    a[2, :2], a[3, :2] = [-k / m1, k / m1], [k / m2, -k / m2]
+    w, share = math.sqrt(k / m1 + k / m2), m1 / (m1 + m2)
+    # (centre, distance) from (x1, x2), and back
+    to = np.array([[share, 1 - share], [1.0, -1.0]])
+    back = np.array([[1.0, 1 - share], [1.0, -share]])
+    c, s = math.cos(w * h), math.sin(w * h)
+
+    def blocks(free, swing):
+        return np.block([[back @ np.diag([free[i], swing[i]]) @ to for i in row] for row in ((0, 1), (2, 3))])
+
+    wanted = [
+        blocks((1, h, 0, 1), (c, s / w, -w * s, c)),
+        blocks((1, h / 2, 0, 1), (s / w / h, (1 - c) / w**2 / h, (c - 1) / h, s / w / h)),
+        blocks(
+            (0.5, h / 6, 0, 0.5),
+            tuple(part / h**2 for part in ((1 - c) / w**2, (h - s / w) / w**2, s / w - h, (1 - c) / w**2)),
+        ),
+    ]
+    return a * h, wanted
+
+
+@pytest.mark.parametrize("h", [1e-6, 3e-5])
+def test_a_light_mass_beside_a_heavy_one_keeps_its_digits(h):
+    z, wanted = light_beside_heavy(h)
+    scale = balance(z)
+    assert scale is not None
+    np.testing.assert_array_equal(np.log2(scale) % 1, 0)
+    turn = scale[:, None] / scale
+    for found, target in zip(value(z), wanted, strict=True):
+        np.testing.assert_allclose(
+            found / turn, target / turn, rtol=0, atol=2e-12 * np.abs(target / turn).max()
+        )
+    np.testing.assert_allclose(
+        transition(z, 1) / turn, wanted[0] / turn, rtol=0, atol=1e-13 * np.abs(wanted[0] / turn).max()
+    )
+
+
+def test_what_is_scaled_alike_is_left_alone():
+    assert balance(matrix(1, 4, 8.0)) is None
+    assert balance(np.zeros((3, 3))) is None
+    assert balance(np.zeros((0, 0))) is None
+
+
+@pytest.mark.parametrize("d", [1, 3])
+def test_derivatives_of_badly_scaled_matrices(d):
+    z_jet, _, _ = jet_of(3, 4, d, 4.0)
+    scale = 2.0 ** np.array([20, -15, 0, 7])
+    turn = scale[:, None] / scale
+    for found, target in zip(phi_functions(z_jet * turn, d), phi_functions(z_jet, d), strict=True):
+        np.testing.assert_allclose(found / turn, target, rtol=0, atol=1e-12 * np.abs(target).max())
 
 
 # ---- derivatives

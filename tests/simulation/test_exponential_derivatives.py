@@ -48,11 +48,11 @@ CASES = {
     },
     "strided": {"states": 2, "plan": (2, 2, 4), "stride": 2, "through": True},
     "with the intervals' ends": {
-        "states": 2, "beyond": 1, "bent_drives": True, "bent_outputs": True, "through": True,
+        "states": 2, "bent_drives": True, "bent_outputs": True, "through": True,
     },
     "two steps to a sample": {"states": 2, "substeps": 2},
     "three steps to a sample": {
-        "laws": 2, "substeps": 3, "beyond": 1, "bent_drives": True, "bent_outputs": True, "through": True,
+        "laws": 2, "substeps": 3, "bent_drives": True, "bent_outputs": True, "through": True,
     },
     "zero hold": {"states": 2, "laws": 2, "holds": ("zero",), "substeps": 2},
     "one-sample intervals": {"states": 2, "plan": (5, 1, 1)},
@@ -65,13 +65,13 @@ CASES = {
 def test_first_and_second_derivatives_equal_casadis(made, name):
     options = dict(CASES[name])
     m, b, q = options.pop("plan", (2, 2, 2))
-    stride, beyond = options.pop("stride", 1), options.pop("beyond", 0)
+    stride = options.pop("stride", 1)
     substeps, step, holds = (
         options.pop("substeps", 1), options.pop("step", 0.1), options.pop("holds", ("first",)),
     )  # fmt: skip
     rng = np.random.default_rng(3)
     model = made.without_rates(bent_model(rng, **options))
-    plan = Intervals(m, b, q, np.arange(0, q + beyond, stride))
+    plan = Intervals(m, b, q, np.arange(0, q, stride))
     samples = plan.padded - (1 if m > 1 else 0)
     grid = made.grid(rng.normal(size=(1, samples)), samples=samples, step=step, holds=holds)
     z = ca.SX.sym("z", 3)

@@ -48,6 +48,17 @@ def test_their_derivatives_equal_those_of_the_exact_discretisation(order):
         np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-10)
 
 
+@pytest.mark.parametrize("d", [0, 2])
+def test_badly_scaled_matrices_lose_no_digits(d):
+    rng = np.random.default_rng(4)
+    z = 2 * rng.normal(size=(jets.count(d, 2), 4, 4))
+    scale = 2.0 ** np.array([18, -20, 0, 5])
+    turn = scale[:, None] / scale
+    for parts, wanted in zip(phi_pair(z * turn, d), phi_pair(z, d), strict=True):
+        for one, other in zip(parts, wanted, strict=True):
+            np.testing.assert_allclose(one / turn, other, rtol=0, atol=1e-12 * np.abs(other).max())
+
+
 def test_without_dynamics_the_scheme_is_the_classical_runge_kutta_rule():
     b = Blueprint("still")
     x = b.state("x")

@@ -23,14 +23,13 @@ def case(
     plan=(2, 2, 3),
     method="exact",
     stride=1,
-    beyond=0,
     **kind,
 ):
     """A propagator of a random model, its reference, and a point."""
     rng = np.random.default_rng(seed)
     model = made.linear(rng, states=states, inputs=inputs, outputs=outputs, **kind)
     m, b, q = plan
-    intervals = Intervals(m, b, q, np.arange(0, q + beyond, stride))
+    intervals = Intervals(m, b, q, np.arange(0, q, stride))
     samples = intervals.padded - (1 if m > 1 else 0)  # the last interval is padded
     holds = holds or ("first",) * inputs
     grid = made.grid(
@@ -58,8 +57,6 @@ CASES = {
     "no inputs": {"states": 2, "inputs": 0},
     "one-sample intervals": {"states": 3, "plan": (4, 1, 1)},
     "single interval": {"states": 3, "plan": (1, 3, 4)},
-    "with the intervals' ends": {"states": 3, "outputs": 2, "beyond": 1},
-    "one-sample intervals with their ends": {"states": 2, "plan": (4, 1, 1), "beyond": 1},
     "no drives": {"states": 3, "inputs": 0, "offsets": False, "outputs": 2},
     "euler": {"states": 3, "method": "euler", "outputs": 2},
     "euler, zero hold": {"states": 2, "method": "euler", "holds": ("zero", "first")},

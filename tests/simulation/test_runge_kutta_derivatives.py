@@ -13,11 +13,11 @@ from casadi_engine.simulation.tableau import RADAU, RUNGE_KUTTA
 TOLERANCE = 1e-9
 
 
-def compared(made, model, seed, *, plan=(2, 2, 2), stride=1, beyond=0, step=0.05, substeps=1, channels=1):
+def compared(made, model, seed, *, plan=(2, 2, 2), stride=1, step=0.05, substeps=1, channels=1):
     """Value, first and second differences from the reference."""
     rng = np.random.default_rng(seed)
     m, b, q = plan
-    intervals = Intervals(m, b, q, np.arange(0, q + beyond, stride))
+    intervals = Intervals(m, b, q, np.arange(0, q, stride))
     samples = intervals.padded + 1
     grid = made.grid(
         rng.normal(size=(channels, samples)), samples=samples, step=step, holds=("first",) * channels
@@ -42,8 +42,7 @@ CASES = {
     "two states, strided": {"states": 2, "plan": (2, 2, 4), "stride": 2},
     "one-sample intervals": {"states": 2, "plan": (5, 1, 1)},
     "single interval": {"states": 2, "plan": (1, 2, 3)},
-    "with the intervals' ends": {"states": 2, "beyond": 1},
-    "many intervals": {"states": 2, "plan": (45, 1, 2), "beyond": 1},
+    "many intervals": {"states": 2, "plan": (45, 1, 2)},
     "three steps a sample": {"states": 2, "substeps": 3},
     "as many intervals as states": {"states": 3, "plan": (3, 1, 2)},
 }

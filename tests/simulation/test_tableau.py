@@ -1,0 +1,103 @@
+"""Runge-Kutta schemes: their order, and derivatives of a step by the equations that define them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from casadi_engine.simulation.tableau import (
+    RADAU,
+    RUNGE_KUTTA,
+    newton_step,
+    stage_multipliers,
+    stage_sensitivities,
+    step_sensitivities,
+)
+
+SCHEMES = pytest.mark.parametrize("scheme", [RUNGE_KUTTA, RADAU], ids=["explicit", "implicit"])
+
+
+def solved(scheme, rate, slope, x, t, h):
+    """One step of dx/dt = rate(x, t), its stages found by Newton's method from x."""
+    values = np.tile(x, (scheme.stages, 1))
+    for _ in range(30):
+        phi = h * np.array([rate(v, t + c * h) for v, c in zip(values, scheme.c, strict=True)])
+        by_x = h * np.array([slope(v, t + c * h) for v, c in zip(values, scheme.c, strict=True)])
+        residual = values - x - scheme.a @ phi
+        if np.abs(residual).max() < 1e-14:
+            break
+        values = values + newton_step(scheme, by_x, residual)
+    assert np.abs(residual).max() < 1e-12
+    return x + scheme.b @ phi
+
+
+def forced(x, t):
+    """A nonlinear equation in two states that depends on time; its solution: (1 / (1 + t²), sin t)."""
+    return np.array([-2 * t * x[0] ** 2, np.cos(t) + x[0] * (1 + t**2) - 1])
+
+
+def forced_slope(x, t):
+    return np.array([[-4 * t * x[0], 0.0], [1 + t**2, 0.0]])
+
+
+@SCHEMES
+def test_order(scheme):
+    errors = []
+    for steps in (4, 8, 16):
+        x, h = np.array([1.0, 0.0]), 1.0 / steps
+        for k in range(steps):
+            x = solved(scheme, forced, forced_slope, x, k * h, h)
+        errors.append(np.abs(x - [0.5, np.sin(1.0)]).max())
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert (np.abs(orders - scheme.order) < 0.5).all(), orders
+    assert scheme.richardson == pytest.approx(2**scheme.order / (2**scheme.order - 1))
+
+
+@SCHEMES
+def test_quadrature_is_exact_for_polynomials_of_the_order(scheme):
+    for power in range(scheme.order):
+        assert scheme.b @ scheme.c**power == pytest.approx(1 / (power + 1), abs=1e-15)
+    np.testing.assert_allclose(scheme.a.sum(axis=1), scheme.c, atol=1e-15)
+
+
+def test_implicit_steps_damp_what_is_far_too_fast():
+    """L-stability: R(z) -> 0; and R(z) is the Padé fraction (2, 3) of exp(z)."""
+    for z in (-0.1, -3.0, -1e3, -1e9):
+        end = solved(RADAU, lambda x, t, z=z: z * x, lambda x, t, z=z: np.array([[z]]), np.ones(1), 0.0, 1.0)
+        wanted = (1 + 0.4 * z + z**2 / 20) / (1 - 0.6 * z + 3 * z**2 / 20 - z**3 / 60)
+        assert end[0] == pytest.approx(wanted, rel=1e-6, abs=1e-11)
+    assert RADAU.implicit
+    assert not RUNGE_KUTTA.implicit
+
+
+def slopes_of(scheme, n=3, nz=2, steps=5):
+    rng = np.random.default_rng(0)
+    return rng.normal(size=(scheme.stages, steps, n, n)), rng.normal(size=(scheme.stages, steps, n, nz))
+
+
+@SCHEMES
+def test_sensitivities_solve_the_equations_of_the_stages(scheme):
+    by_x, by_z = slopes_of(scheme)
+    slopes, values = stage_sensitivities(scheme, by_x, by_z)
+    identity = np.concatenate([np.eye(3), np.zeros((3, 2))], axis=1)
+    for i in range(scheme.stages):
+        inner = identity + np.tensordot(scheme.a[i], slopes, 1)
+        np.testing.assert_allclose(values[i], inner, atol=1e-11)
+        direct = np.concatenate([np.zeros_like(by_x[i]), by_z[i]], axis=-1)
+        np.testing.assert_allclose(slopes[i], by_x[i] @ inner + direct, atol=1e-11)
+    np.testing.assert_allclose(
+        step_sensitivities(scheme, slopes), identity + np.tensordot(scheme.b, slopes, 1), atol=1e-12
+    )
+
+
+@SCHEMES
+def test_multipliers_are_the_transpose(scheme):
+    """What is added to the slopes moves the step's end by sum of nu * added, for a weighted end."""
+    by_x, _ = slopes_of(scheme)
+    rng = np.random.default_rng(1)
+    mu = rng.normal(size=(5, 3))
+    nu = stage_multipliers(scheme, by_x, mu)
+    # as slopes to one further parameter
+    added = rng.normal(size=(scheme.stages, 5, 3, 1))
+    moved = step_sensitivities(scheme, stage_sensitivities(scheme, by_x, added)[0])[..., 3]
+    np.testing.assert_allclose((nu * added[..., 0]).sum(axis=(0, 2)), (mu * moved).sum(axis=1), atol=1e-11)
