@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from casadi_engine.estimation.final_check import cure, printed_cost, relabelled, residual, response, verdict
-from casadi_engine.estimation.fit import Estimate, Fit, Innovations, Optimum, Trace
+from casadi_engine.estimation.fit import Fit, Innovations, Optimum, Trace
 from casadi_engine.estimation.fit_percent import fit_measures
 from casadi_engine.estimation.innovations import SizedPriors, loop_of
 from casadi_engine.estimation.integration import integration_of
@@ -48,18 +48,14 @@ def make_fit(
     z = search.coordinates.values(v)
     traces, drives, percents, first, residuals = {}, {}, {}, {}, []
     integration = _integration(search, errors.x)
-    initial: dict[str, dict[str, Estimate]] = {}
-    at = problem.nv
-    for record, lay, limits in zip(search.records, problem.layouts, search._initial, strict=True):
+    for record, lay in zip(search.records, problem.layouts, strict=True):
         name, nodes = record.experiment.name, lay.take(errors.x)
         start = nodes[0]
         traces[name], left = _traces(search, record, v, start)
         residuals.append(left)
         drives[name] = _drives(record, v)
         percents[name] = {key: _percent(trace) for key, trace in traces[name].items()}
-        initial[name] = errors.initial_states(record, limits, at)
         first[name] = start * record.scale
-        at += record.n
     status, reason = (best.solution.status, None) if stopped else verdict(search, best, errors, residuals)
     if status != best.solution.status:
         errors, optima = replace(errors, optimal=status == "converged"), relabelled(optima, status)
@@ -83,7 +79,7 @@ def make_fit(
         z=z,
         covariance=errors.of_parameters(),
         undetermined=errors.directions,
-        initial=initial,
+        initial=errors.initial_estimates(),
         noise=_noise(search, best.sigma, pmap.values(z)),
         cost=(cost if np.isfinite(cost) else best.cost) - size,
         n=problem.samples,

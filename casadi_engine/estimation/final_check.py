@@ -66,6 +66,9 @@ def verdict(
     resolve.
     """
     status = best.solution.status
+    if status == "converged" and not np.isfinite(errors.decrement):
+        reason = "the equations have no finite slope at this point, where a root, a power or a quotient of a state is at 0"
+        return f"not converged: {reason}", reason
     reason = _saddle(search, errors, printed_cost(search, errors.v, residuals))
     if reason is not None:
         return f"not converged: {reason}", reason
@@ -146,6 +149,8 @@ def cure(reason: str) -> str:
     """What to do about such a doubt."""
     if reason.startswith("one more step"):
         return f"{reason}: go on from here (warm=fit), start elsewhere, or fix what the data do not determine"
+    if reason.startswith("the equations have no finite slope"):
+        return f"{reason}: take data from before it, or make the equations smooth there"
     if reason.startswith("the data have no slope"):
         return f"{reason}: start elsewhere, not where the outputs do not depend on it (such as 0)"
     return (

@@ -93,7 +93,10 @@ def _neighbours(search: Search, best: Attempt, count: int) -> list[Array]:
     """Points (nz,) on either side of an optimum along the ``count`` directions of the largest errors."""
     search._weigh(best.sigma)
     nv = len(best.v)
-    values, vectors = np.linalg.eigh(uncertainty(search, best).covariance.matrix[:nv, :nv])
+    covariance = uncertainty(search, best).covariance.matrix[:nv, :nv]
+    if not np.isfinite(covariance).all():  # no slopes at this optimum: there is no direction to go
+        return []
+    values, vectors = np.linalg.eigh(covariance)
     low, high = search.coordinates.of(search.pmap.lower), search.coordinates.of(search.pmap.upper)
     found = []
     for k in np.argsort(values)[::-1][:count]:

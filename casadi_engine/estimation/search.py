@@ -25,6 +25,7 @@ from casadi_engine.estimation.predictor import Predictor
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.scales import felt_scale, state_factors
 from casadi_engine.estimation.shooting import ShootingProblem
+from casadi_engine.estimation.slopes import check_slopes
 from casadi_engine.estimation.starts import chained_nodes, drawn_starts, nodes_from_measurement
 from casadi_engine.estimation.unreachable import unreachable
 from casadi_engine.experiment import Experiment
@@ -273,6 +274,7 @@ class Search:
                 cure="change the start values or the bounds",
             )
         check_growth(self.records, self.problem.at(x).records)
+        check_slopes(self.records, self.problem.at(x))
         known = {record.experiment.name for record in self.records} <= set(getattr(self.warm, "initial", ()))
         near = first and known and bool(getattr(self.warm, "converged", False))
         solution = self.solver.solve(x, self.lower, self.upper, exact=near)

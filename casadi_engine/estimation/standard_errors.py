@@ -126,7 +126,15 @@ class Uncertainty:
             return None, "held by active bounds or constraints"
         return float(np.sqrt(variance)), None
 
-    def initial_states(self, record: RecordTerm, limits: tuple[Array, ...], at: int) -> dict[str, Estimate]:
+    def initial_estimates(self) -> dict[str, dict[str, Estimate]]:
+        """Record -> state -> its estimate at the start."""
+        found, at = {}, self.search.problem.nv
+        for record, limits in zip(self.search.records, self.search._initial, strict=True):
+            found[record.experiment.name] = self._initial_states(record, limits, at)
+            at += record.n
+        return found
+
+    def _initial_states(self, record: RecordTerm, limits: tuple[Array, ...], at: int) -> dict[str, Estimate]:
         """The initial states of a record, whose entries of the covariance begin ``at``."""
         lay = self.search.problem.layouts[self.search.records.index(record)]
         start = lay.take(self.x)[0] * record.scale

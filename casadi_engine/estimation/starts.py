@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +36,6 @@ def nodes_from_measurement(record: RecordTerm, physical: Array) -> Array:
     arguments = [model.x, model.u, model.t, model.p]
     function = ca.Function("quasi", arguments, [slope, out, model.closed_ode, model.closed_outputs])
     mean = record.grid.channels.mean(axis=1)
-    guess = scale.copy() * 0.0
     observed = _measured_at_nodes(record)
     weights = np.array([variable.scale for variable in model.outputs])
     middle = np.nanmean(observed, axis=1)
@@ -41,8 +43,8 @@ def nodes_from_measurement(record: RecordTerm, physical: Array) -> Array:
     def parts(state: Array) -> list[Array]:
         return [np.asarray(part, dtype=float) for part in function(state, mean, 0.0, physical)]
 
-    if not _is_finite(parts(guess)[1::2]):  # an output with a root in it has no slope at zero
-        guess = scale.copy()
+    guess = _first_guess(parts, scale)
+    whole = _is_finite(parts(guess))  # else the outputs alone decide
     for _ in range(3):  # a nonlinear model needs a few steps; a linear one is done after the first
         a, c, f, g = parts(guess)
         if not _is_finite([a, f]):
@@ -51,10 +53,40 @@ def nodes_from_measurement(record: RecordTerm, physical: Array) -> Array:
             c, g = np.zeros_like(c), np.where(np.isfinite(middle), middle, 0.0)
         step = _balanced(a, c, f.ravel(), middle - g.ravel(), scale, weights)
         shorter = (step * 0.5**k for k in range(_HALVINGS))
-        guess = guess + next((one for one in shorter if _is_finite(parts(guess + one)[1::2])), step)
+        checked = slice(None) if whole else slice(1, None, 2)
+        guess = guess + next((one for one in shorter if _is_finite(parts(guess + one)[checked])), 0.0 * step)
     offset = observed - middle[:, None]
     shift = _balanced(a, c, np.zeros(len(scale)), offset, scale, weights)
+    if whole and model.linear is None:
+        shift = _shortened(lambda states: function(states, mean, 0.0, physical), guess, shift)
     return np.ascontiguousarray(((guess[:, None] + shift) / scale[:, None]).T)
+
+
+def _first_guess(parts: Callable[[Array], list[Array]], scale: Array) -> Array:
+    """A state (n,) at which the equations have values and slopes; if there is none, one at which the outputs have.
+
+    Zero, or a typical size: a root, a logarithm or a quotient has no slope or no value at zero.
+    """
+    guesses = (0.0 * scale, scale, -scale)
+    for guess in guesses:
+        if _is_finite(parts(guess)):
+            return guess
+    return guesses[0] if _is_finite(parts(guesses[0])[1::2]) else guesses[1]
+
+
+def _shortened(function: Callable[[Array], Any], guess: Array, shift: Array) -> Array:
+    """The shifts (n, M) of a state, those shortened by halves that lead to where the equations have no values or slopes."""
+    shift, count = shift.copy(), shift.shape[1]
+    for _ in range(_HALVINGS):
+        found = [np.asarray(part, dtype=float) for part in function(guess[:, None] + shift)]
+        # a function called with (n, M) gives its outputs side by side, (rows, columns*M)
+        each = [np.isfinite(part).reshape(len(part), count, -1).all(axis=(0, 2)) for part in found]
+        off = ~np.all(each, axis=0)
+        if not off.any():
+            return shift
+        shift[:, off] *= 0.5
+    shift[:, off] = 0.0
+    return shift
 
 
 def _is_finite(parts: list[Array]) -> bool:

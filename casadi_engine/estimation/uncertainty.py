@@ -72,8 +72,12 @@ def invert(
     information: Array, closed: NDArray[np.bool_], active_rows: Array, at: Array | None = None
 ) -> Covariance:
     """Covariance from the information (N, N); closed : (N,) entries at a bound or fixed; active_rows : (c, N)
-    gradients of the active constraints; at : (N,) the entries, whose size counts where they are beyond their scale."""
+    gradients of the active constraints; at : (N,) the entries, whose size counts where they are beyond their scale.
+
+    Where a slope is not finite (a root at zero) nothing is known: the matrix is NaN, the rank 0."""
     size = len(information)
+    if not np.isfinite(information).all():
+        return Covariance(np.full((size, size), np.nan), 0, [])
     free = ~closed
     basis = np.eye(size)[:, free]
     if len(active_rows):

@@ -38,8 +38,9 @@ _STEP = 0.25
 _UNSTABLE = 2.5
 # Explicit steps of a cell of the grid from which implicit steps are the cheaper ones.
 _STIFF = 40
-# How often the steps are made shorter at one point before it counts as one that cannot be evaluated.
-_ATTEMPTS = 5
+# How often the steps are made shorter at one point before it counts as one that cannot be evaluated: at first, and
+# once another point could be, near which it has to be for a search to go there.
+_ATTEMPTS, _LATER = 5, 3
 # Into how many parts a step is cut at once at most, by what a path says of its error.
 _FINER = 16.0
 # Steps of a record, beyond those of its samples, that are taken at most.
@@ -122,6 +123,7 @@ class RungeKuttaPropagator:
         self._drives = Drives(model, grid, z, physical)
         self._fineness = fineness
         self._sweeps: Sweeps | None = None
+        self._evaluated = False  # at any point so far
         if fineness is not None:
             self._lay(fineness)
 
@@ -249,12 +251,19 @@ class RungeKuttaPropagator:
         z, nodes = np.asarray(z, dtype=float), np.asarray(nodes, dtype=float)
         if self._sweeps is None:
             self._begin(z, nodes)
-        for _ in range(_ATTEMPTS):
-            found = self._attempt(z, nodes, order)
-            if isinstance(found, RungeKuttaTrajectory):
-                return found
-            self._finer(found)
-        raise FloatingPointError("the model's state is not finite here")
+        before = self._fineness, self.layout, self._sweeps
+        try:
+            for _ in range(_LATER if self._evaluated else _ATTEMPTS):
+                found = self._attempt(z, nodes, order)
+                if isinstance(found, RungeKuttaTrajectory):
+                    self._evaluated = True
+                    return found
+                self._finer(found)
+            raise FloatingPointError("the model's state is not finite here")
+        except FloatingPointError:
+            # What no steps can evaluate, such as a root of less than 0, asks for none of the points to come.
+            self._fineness, self.layout, self._sweeps = before
+            raise
 
     def _attempt(self, z: Array, nodes: Array, order: int) -> RungeKuttaTrajectory | float:
         """The trajectory; or by how much shorter steps have to be for one."""
