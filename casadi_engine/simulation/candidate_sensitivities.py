@@ -141,7 +141,7 @@ class Sweep:
             [np.zeros((0, path.grid.samples)), *[d.series for d in self.directions if d.series is not None]]
         )
         xi = ca.vertcat(own, inputs)
-        self.constant = model.linear is not None and not model.has_slot_laws
+        self.constant = model.linear is not None and not model.has_slot_laws and path.grid.uniform
         slopes = ca.jacobian(model.ode, model.x)
         if model.w.numel():
             slopes += ca.mtimes(ca.jacobian(model.ode, model.w), ca.jacobian(model.slot_laws, model.x))
@@ -153,7 +153,7 @@ class Sweep:
             a = a[:1]
         self.scale = balance(a)
         size = float(np.abs(a / self.scale[:, None] * self.scale).sum(axis=1).max(initial=0.0))
-        wanted = math.ceil(size * path.grid.step / _STEP)
+        wanted = math.ceil(size * float(path.lengths.max()) / _STEP)
         self.substeps = min(max(1, wanted), _MOST_SUBSTEPS) if substeps is None else substeps
         self._ode = _Columns(path, [d.ode for d in self.directions], xi, n)
         self._out = _Columns(path, [d.output for d in self.directions], xi, self.shape[0])
@@ -232,7 +232,7 @@ class Sweep:
             matrices, forces = [low, *matrices, high], [force[:-1], *forces, force[1:]]
         total, push = None, None
         for k in range(0, len(halves) - 1, 2):
-            steps = self._steps(*matrices[k : k + 3])
+            steps = self._steps(here, *matrices[k : k + 3])
             own = steps.start @ forces[k] + steps.middle @ forces[k + 1] + steps.end @ forces[k + 2]
             push = own if push is None else steps.f @ push + own
             total = steps.f if total is None else steps.f @ total
@@ -276,7 +276,7 @@ class Sweep:
         weights = np.zeros((len(halves), *np.broadcast_shapes(*[m.shape for m in matrices])))
         for k in range(len(halves) - 3, -1, -2):  # from the last substep back
             around = (matrices[0],) * 3 if self.constant else matrices[k : k + 3]
-            steps = self._steps(*around)
+            steps = self._steps(here, *around)
             weights[k] += total @ steps.start
             weights[k + 1] += total @ steps.middle
             weights[k + 2] += total @ steps.end
@@ -290,11 +290,13 @@ class Sweep:
         a = self._slopes(points)[0]
         return np.ascontiguousarray(a / self.scale[:, None] * self.scale)
 
-    def _steps(self, start: Array, middle: Array, end: Array) -> Steps:
-        step = self.path.grid.step / self.substeps
+    def _steps(self, here: slice, start: Array, middle: Array, end: Array) -> Steps:
         if not self.constant:
-            return step_matrices(start, middle, end, step)
+            lengths = self.path.lengths
+            own = lengths[here] if len(lengths) > 1 else lengths
+            return step_matrices(start, middle, end, own[:, None, None] / self.substeps)
         if self._constant is None:
+            step = self.path.lengths[:, None, None] / self.substeps
             self._constant = (start, step_matrices(start, start, start, step))
         return self._constant[1]
 
@@ -380,9 +382,8 @@ class _OwnStates:
         given = ca.vertcat(model.x, model.u, drives, model.t)
         rate = ca.Function("rate", [xi, given], [rates])
         q = given.numel()
-        state, around = ca.SX.sym("xi", xi.numel()), ca.SX.sym("around", 3 * q)
-        low, middle, high = around[:q], around[q : 2 * q], around[2 * q :]
-        h = path.grid.step / substeps
+        state, around = ca.SX.sym("xi", xi.numel()), ca.SX.sym("around", 3 * q + 1)
+        low, middle, high, h = around[:q], around[q : 2 * q], around[2 * q : -1], around[-1]
         k1 = rate(state, low)
         k2 = rate(state + h / 2 * k1, middle)
         k3 = rate(state + h / 2 * k2, middle)
@@ -399,7 +400,8 @@ class _OwnStates:
         stacked = []
         for k in range(parts):
             sides = [path.between((2 * k + j) / (2 * parts)) for j in range(3)]
-            stacked.append(np.concatenate([np.concatenate(p.arguments) for p in sides]))
+            length = np.broadcast_to(path.lengths / parts, (1, steps))
+            stacked.append(np.concatenate([*[np.concatenate(p.arguments) for p in sides], length]))
         given = np.stack(stacked, axis=2).reshape(len(stacked[0]), steps * parts)
         after, half = self._step.mapaccum(steps * parts)(self.start, given)
         after = np.asarray(after, dtype=float).reshape(len(self.start), steps, parts)

@@ -76,7 +76,7 @@ def knot_sensitivities(
     sweep = Sweep(path, several, substeps=substeps)
     ny, many, count = sweep.shape[0], len(several), len(knots)
     # a step that begins behind a knot feels the next one, and those that it reaches
-    reached = math.ceil(path.grid.step / float(np.diff(knots).min()) + 1e-6)
+    reached = math.ceil(float(path.lengths.max()) / float(np.diff(knots).min()) + 1e-6)
     width = min(2 + reached, count)
     sweep.shape = (ny, many * width)
     sweep._ode = _Hats(sweep._ode, knots, width)  # type: ignore[assignment]

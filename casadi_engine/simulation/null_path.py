@@ -8,10 +8,12 @@ import casadi as ca
 import numpy as np
 
 from casadi_engine.model import Model
+from casadi_engine.simulation.error_estimate import refined_to
 from casadi_engine.simulation.grid import Drives, Grid
 from casadi_engine.simulation.intervals import cut
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.propagator import make_propagator
+from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 from casadi_engine.simulation.tape import ArrayFunction
 
 
@@ -58,6 +60,11 @@ class NullPath:
         """Number of states n."""
         return len(self.x)
 
+    @property
+    def lengths(self) -> Array:
+        """(N-1,) s from each sample to the next; (1,) where all are equal."""
+        return np.array([self.grid.step]) if self.grid.uniform else np.diff(self.grid.time)
+
     def at_samples(self) -> Points:
         """The grid's samples."""
         return Points(self.x, self.grid.channels, self.d, self.grid.time[None])
@@ -67,7 +74,7 @@ class NullPath:
 
         A channel with the zero-order hold keeps the value of the step's start, also at its end.
         """
-        h, s = self.grid.step, share
+        h, s = self.lengths, share
         x0, x1, d0, d1 = self.x[:, :-1], self.x[:, 1:], self.slope[:, :-1], self.slope[:, 1:]
         low, rise = (1 + 2 * s) * (1 - s) ** 2, s * s * (3 - 2 * s)
         x = low * x0 + rise * x1 + h * s * (1 - s) * ((1 - s) * d0 - s * d1)
@@ -97,7 +104,8 @@ class NullPath:
 def null_path(model: Model, grid: Grid, p: Array, start: Array) -> NullPath:
     """Simulate a record at p : (np,) from the state ``start`` : (n,) at its first sample, by single shooting.
 
-    Raises FloatingPointError where the states are not finite.
+    Raises FloatingPointError where the states are not finite, SimulationError where steps of any length do not lead to
+    an error of 1e-6 of each state.
     """
     p, start = np.asarray(p, dtype=float), np.asarray(start, dtype=float)
     observed = replace(model, outputs=model.states, output_expressions=model.x)
@@ -106,7 +114,10 @@ def null_path(model: Model, grid: Grid, p: Array, start: Array) -> NullPath:
     scale = np.array([state.scale for state in model.states])
     none = ca.SX(0, 1)
     propagator = make_propagator(observed, bare, plan, none, ca.SX(ca.DM(p)), scale=scale)
-    path = propagator.propagate(np.zeros(0), (start / scale)[None], 0)
+    nodes, names = (start / scale)[None], tuple(state.name for state in model.states)
+    if isinstance(propagator, RungeKuttaPropagator):  # its first steps are those that are stable, no more
+        propagator, _ = refined_to(propagator, np.zeros(0), nodes, outputs=names, samples=grid.samples)
+    path = propagator.propagate(np.zeros(0), nodes, 0)
     rows = path.y[0].reshape(len(plan.samples), len(start), plan.b).transpose(1, 2, 0)
     x = np.ascontiguousarray(rows.reshape(len(start), -1)[:, : grid.samples])
     if not np.isfinite(x).all():

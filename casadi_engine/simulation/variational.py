@@ -52,8 +52,9 @@ def phi_functions(z: Array) -> tuple[Array, Array, Array, Array]:
     return phi0, phi1, phi2, phi3
 
 
-def step_matrices(start: Array, middle: Array, end: Array, step: float) -> Steps:
-    """The steps of length ``step`` [s] from A at their start, middle and end, each (T, n, n) or (1, n, n)."""
+def step_matrices(start: Array, middle: Array, end: Array, step: float | Array) -> Steps:
+    """The steps of length ``step`` [s], a number or (T, 1, 1), from A at their start, middle and end, each (T, n, n) or
+    (1, n, n)."""
     omega = (step / 6) * (start + 4 * middle + end)
     moves = start is not end
     if moves:

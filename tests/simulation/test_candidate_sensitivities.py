@@ -1,5 +1,7 @@
 """Sensitivities of terms that are not in the model, against the propagators and the independent simulator."""
 
+import dataclasses
+import math
 import sys
 import time
 from pathlib import Path
@@ -7,6 +9,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.effects import candidate, library
@@ -360,3 +363,33 @@ def test_sixty_candidates_of_a_long_record_take_a_fraction_of_a_second(record):
     assert found.shape == (60, 2, 14400)
     assert np.isfinite(found).all()
     assert time.process_time() - begun < 2.0
+
+
+@pytest.mark.parametrize("hold", ["first", "zero"])
+def test_samples_at_unequal_times(hold):
+    """A swing, its slopes to K, to a torque and to one that lags behind, against SciPy's solution of all together."""
+    rng = np.random.default_rng(1)
+    t = np.concatenate([[0.0], np.cumsum(rng.uniform(1e-3, 7e-3, 300))])
+    data = ce.Experiment.from_arrays("r", time=t, units={"T": "1", "w": "1"}, T=np.zeros(301), w=np.zeros(301))
+    data = ce.Experiment("r", tuple(dataclasses.replace(c, hold=hold) for c in data.channels))
+    model = linear()
+    grid = lay_grid(model, data)
+    assert not grid.uniform
+    path = null_path(model, grid, np.array([0.4, 300.0]), np.array([10.0, 0.0]))
+    law = torque_direction(model, "spring", ca.cos(model.t), name="law")
+    own = ca.SX.sym("own")
+    late = torque_direction(model, "spring", own, name="late")
+    late = dataclasses.replace(late, states=own, rates=(ca.cos(model.t) - own) / 0.05, start=(0.2,))
+    slope = parameter_direction(model, np.array([0.0, 1.0]), name="K")
+    found = grid_sensitivities(path, [slope, law, late])[:, 0]
+
+    def rates(now, x):
+        w, q, wk, qk, wl, ql, ws, qs, lag = x
+        own = [-(300 * qk + q) / 0.4, wk, (math.cos(now) - 300 * ql) / 0.4, wl, (lag - 300 * qs) / 0.4, ws]
+        return [-300 * q / 0.4, w, *own, (math.cos(now) - lag) / 0.05]
+
+    start = [10.0, *[0.0] * 7, 0.2]
+    true = solve_ivp(rates, (0, t[-1]), start, t_eval=t, rtol=1e-11, atol=1e-13, method="DOP853").y
+    np.testing.assert_allclose(path.x, true[:2], rtol=0, atol=1e-5)
+    for row, wanted in zip(found, true[[2, 4, 6]], strict=True):
+        np.testing.assert_allclose(row, wanted, rtol=0, atol=1e-4 * np.abs(wanted).max())
