@@ -127,8 +127,12 @@ def null_at(
     *,
     held_starts: Mapping[str, tuple[str, ...]] | None = None,
     held_parameters: Sequence[str] = (),
+    steps: Mapping[str, int] | None = None,
 ) -> NullModel:
-    """The null model at z : (nz,) and first states record -> (n,), parameters and states in their units."""
+    """The null model at z : (nz,) and first states record -> (n,), parameters and states in their units.
+
+    steps : record -> steps to a sample of its exponential integrator; left out, the fewest that are stable
+    """
     pmap = compile(parameters, model.parameter_names, tuple(r.name for r in data))  # type: ignore[arg-type]
     z = np.asarray(z, dtype=float)
     turn = _free_directions(model, pmap, z, held_parameters)
@@ -139,7 +143,7 @@ def null_at(
         slope = ca.Function("slope", [pmap.z], [ca.densify(ca.jacobian(pmap.physical[record.name], pmap.z))])
         moved = np.asarray(slope(z), dtype=float).reshape(len(p), len(z)) @ turn
         held = (held_starts or {}).get(record.name, ())
-        records.append(_record(model, record, p, moved, np.asarray(first[record.name], dtype=float), held))
+        records.append(_record(model, record, p, moved, np.asarray(first[record.name], dtype=float), held, (steps or {}).get(record.name)))
     units = tuple(_unit(parameters, name) for name in pmap.free)
     return NullModel(model, pmap.free, units, z, turn, prior, tuple(records))
 
@@ -179,11 +183,17 @@ def _prior_rows(pmap: ParameterMap, z: Array, turn: Array) -> Array:
 
 
 def _record(
-    model: Model, record: Experiment, p: Array, moved: Array, first: Array, held: tuple[str, ...]
+    model: Model,
+    record: Experiment,
+    p: Array,
+    moved: Array,
+    first: Array,
+    held: tuple[str, ...],
+    steps: int | None,
 ) -> RecordNull:
     measured = tuple(out.name for out in model.outputs if out.name in record)
-    grid = lay_grid(model, record, outputs=measured)
-    path = null_path(model, grid, p, first)
+    path = null_path(model, lay_grid(model, record, outputs=measured), p, first, steps=steps)
+    grid = path.grid
     out = path.function([model.output_expressions])(*path.at_samples().arguments)[0]
     simulated = at_measurements(path, np.broadcast_to(out, (len(model.outputs), grid.samples))[None])
     starts = [k for k, state in enumerate(model.states) if state.name not in held]
@@ -215,6 +225,6 @@ def cycle_numbers(model: Model, grid: Grid, time: Array) -> Index:
         theta = np.interp(time, grid.time, grid.channels[names.index("theta")])
         number = np.floor(theta / FOUR_STROKE).astype(int)
         return np.asarray(number, dtype=np.intp)
-    span = grid.step * (grid.samples - 1)
+    span = grid.time[-1] - grid.time[0]
     number = np.floor((time - grid.start) / span * _PIECES).astype(int)
     return np.asarray(np.clip(number, 0, _PIECES - 1), dtype=np.intp)

@@ -9,12 +9,19 @@ import numpy as np
 
 from casadi_engine.model import Model
 from casadi_engine.simulation.error_estimate import refined_to
+from casadi_engine.simulation.finer_grid import around_instants, with_parts
 from casadi_engine.simulation.grid import Drives, Grid
 from casadi_engine.simulation.intervals import cut
 from casadi_engine.simulation.jets import Array
-from casadi_engine.simulation.propagator import make_propagator
-from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
+from casadi_engine.simulation.propagator import make_propagator, switches_in_time
+from casadi_engine.simulation.runge_kutta import Fineness, RungeKuttaPropagator
+from casadi_engine.simulation.split import timed_drives
 from casadi_engine.simulation.tape import ArrayFunction
+
+# Relative error of the states' integration.
+_TOLERANCE = 1e-6
+# Cells up to this share longer than the mean count as such.
+_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -41,6 +48,7 @@ class Points:
 class NullPath:
     """One record simulated with known parameters and start.
 
+    grid : of the path; it may have more points than that of the record, where the integrator took more steps
     x : (n, N) states at the grid's samples, in their units; slope : (n, N) their time derivative
     d : (m, N) drives at the samples and drive_holds (m,) their holds, for a model with a linear core, whose propagators
     interpolate the drives themselves; (0, N) for any other, which interpolates the channels
@@ -101,23 +109,29 @@ class NullPath:
         return ArrayFunction(inputs, [ca.cse(stacked)])
 
 
-def null_path(model: Model, grid: Grid, p: Array, start: Array) -> NullPath:
+def null_path(
+    model: Model, grid: Grid, p: Array, start: Array, *, steps: int | Fineness | None = None
+) -> NullPath:
     """Simulate a record at p : (np,) from the state ``start`` : (n,) at its first sample, by single shooting.
 
-    Raises FloatingPointError where the states are not finite, SimulationError where steps of any length do not lead to
-    an error of 1e-6 of each state.
+    steps : how finely the fit was integrated whose path this is; None for the fewest steps that are stable
+    Where Runge-Kutta steps are taken, or the equations depend on time itself, the points of the path are those of the
+    integrator's steps, which are shortened to a tolerance, and not the grid's alone: see ``NullPath.grid``.
+    Raises FloatingPointError where the states are not finite, SimulationError where the tolerance is not reached.
     """
     p, start = np.asarray(p, dtype=float), np.asarray(start, dtype=float)
     observed = replace(model, outputs=model.states, output_expressions=model.x)
+    if not grid.uniform or timed_drives(model) or switches_in_time(model):
+        grid = _without_long_cells(grid)
+        return _by_steps(observed, model, grid, p, start)
     bare = replace(grid, measured={})
     plan = cut(bare, None)
     scale = np.array([state.scale for state in model.states])
-    none = ca.SX(0, 1)
-    propagator = make_propagator(observed, bare, plan, none, ca.SX(ca.DM(p)), scale=scale)
-    nodes, names = (start / scale)[None], tuple(state.name for state in model.states)
-    if isinstance(propagator, RungeKuttaPropagator):  # its first steps are those that are stable, no more
-        propagator, _ = refined_to(propagator, np.zeros(0), nodes, outputs=names, samples=grid.samples)
-    path = propagator.propagate(np.zeros(0), nodes, 0)
+    whole = steps if isinstance(steps, int) else None
+    propagator = make_propagator(observed, bare, plan, ca.SX(0, 1), ca.SX(ca.DM(p)), scale=scale, steps=whole)
+    if isinstance(propagator, RungeKuttaPropagator):
+        return _by_steps(observed, model, grid, p, start)
+    path = propagator.propagate(np.zeros(0), (start / scale)[None], 0)
     rows = path.y[0].reshape(len(plan.samples), len(start), plan.b).transpose(1, 2, 0)
     x = np.ascontiguousarray(rows.reshape(len(start), -1)[:, : grid.samples])
     if not np.isfinite(x).all():
@@ -125,11 +139,43 @@ def null_path(model: Model, grid: Grid, p: Array, start: Array) -> NullPath:
     return with_slope(model, grid, x, p)
 
 
+def _by_steps(observed: Model, model: Model, grid: Grid, p: Array, start: Array) -> NullPath:
+    """The path at the steps of a Runge-Kutta integration, and on both sides of where the equations jump in time."""
+    names = tuple(state.name for state in model.states)
+    scale = np.array([state.scale for state in model.states])
+    nodes, none = (start / scale)[None], ca.SX(0, 1)
+
+    def made(on: Grid, fineness: Fineness | None) -> RungeKuttaPropagator:
+        bare = replace(on, measured={})
+        return RungeKuttaPropagator(
+            observed, bare, cut(bare, None), none, ca.SX(ca.DM(p)), scale=scale, fineness=fineness
+        )
+
+    found, _ = refined_to(
+        made(grid, None), np.zeros(0), nodes, outputs=names, samples=grid.samples, tolerance=_TOLERANCE
+    )
+    assert isinstance(found, RungeKuttaPropagator)
+    assert found.fineness is not None  # propagated
+    finer = around_instants(model, with_parts(grid, found.fineness.counts), p)
+    whole = made(finer, replace(found.fineness, counts=np.ones(finer.samples - 1, np.intp)))
+    x = whole.propagate(np.zeros(0), nodes, 0).x[: finer.samples, :, 0].T * scale[:, None]
+    return with_slope(model, finer, np.ascontiguousarray(x), p)
+
+
+def _without_long_cells(grid: Grid) -> Grid:
+    """The grid with cells that are longer than the mean cut into as many parts: holes in a record."""
+    if grid.uniform:
+        return grid
+    cells = np.diff(grid.time)
+    return with_parts(grid, np.maximum(np.ceil(cells / cells.mean() - _SHARE), 1).astype(np.intp))
+
+
 def with_slope(model: Model, grid: Grid, x: Array, p: Array) -> NullPath:
     """The null path of known states x : (n, N)."""
     drives: Array = np.zeros((0, grid.samples))
     holds: tuple[str, ...] = ()
-    if model.linear is not None and model.d.numel():
+    # What depends on time itself is no straight line between samples: it is made of the time.
+    if model.linear is not None and model.d.numel() and not timed_drives(model):
         made = Drives(model, grid, ca.SX(0, 1), ca.SX(ca.DM(p)))
         drives, holds = made.at(np.zeros(0)).value, made.holds
     path = NullPath(model, grid, x, x, drives, holds, p)
