@@ -113,8 +113,16 @@ def null_model(fit: Fit) -> NullModel:
     }
     first = {name: np.array([e.value for e in starts[name].values()]) for name in names}
     at_bound = tuple(name for name in fit.free if fit.estimates[name].at_bound is not False)
+    steps = {name: about.substeps for name, about in fit.integration.items() if about.substeps > 0}
     return null_at(
-        fit.model, fit.data, fit.parameters, fit.z, first, held_starts=held, held_parameters=at_bound
+        fit.model,
+        fit.data,
+        fit.parameters,
+        fit.z,
+        first,
+        held_starts=held,
+        held_parameters=at_bound,
+        steps=steps,
     )
 
 

@@ -1,4 +1,4 @@
-"""A grid with more points: at every integration step, and around the instants at which equations jump in time."""
+"""A grid with more points: parts of its cells, and around the instants at which equations jump in time."""
 
 from __future__ import annotations
 

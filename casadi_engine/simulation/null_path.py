@@ -8,20 +8,25 @@ import casadi as ca
 import numpy as np
 
 from casadi_engine.model import Model
-from casadi_engine.simulation.error_estimate import refined_to
+from casadi_engine.simulation.adaptive import Adaptive
 from casadi_engine.simulation.finer_grid import around_instants, with_parts
 from casadi_engine.simulation.grid import Drives, Grid
 from casadi_engine.simulation.intervals import cut
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.propagator import make_propagator, switches_in_time
-from casadi_engine.simulation.runge_kutta import Fineness, RungeKuttaPropagator
+from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 from casadi_engine.simulation.split import timed_drives
+from casadi_engine.simulation.switched_field import SwitchedField
 from casadi_engine.simulation.tape import ArrayFunction
 
-# Relative error of the states' integration.
-_TOLERANCE = 1e-6
-# Cells up to this share longer than the mean count as such.
-_SHARE = 0.5
+# Of the steps that follow the error.
+_TOLERANCE = 1e-8
+# Of the largest value of a state, what the cubic in the middle between two points may be off by.
+_CUBIC = 1e-4
+# Parts that a cell is cut into where it is more, and points of a path for each of the record's at most.
+_PARTS, _MOST = 4, 8
+# Cells longer than this many means are holes in a record: laws move there too.
+_HOLE = 4.0
 
 
 @dataclass(frozen=True)
@@ -110,27 +115,26 @@ class NullPath:
 
 
 def null_path(
-    model: Model, grid: Grid, p: Array, start: Array, *, steps: int | Fineness | None = None
+    model: Model, grid: Grid, p: Array, start: Array, *, steps: int | None = None
 ) -> NullPath:
     """Simulate a record at p : (np,) from the state ``start`` : (n,) at its first sample, by single shooting.
 
-    steps : how finely the fit was integrated whose path this is; None for the fewest steps that are stable
-    Where Runge-Kutta steps are taken, or the equations depend on time itself, the points of the path are those of the
-    integrator's steps, which are shortened to a tolerance, and not the grid's alone: see ``NullPath.grid``.
-    Raises FloatingPointError where the states are not finite, SimulationError where the tolerance is not reached.
+    steps : to a sample of an exponential integrator, as in the fit whose path this is; None for the fewest that are
+    stable. Any model that is not integrated so, and any on unequal steps or with equations that depend on time itself,
+    is simulated by steps that follow the error, and gets points between its samples where the states bend there.
+    Raises FloatingPointError where the states are not finite.
     """
     p, start = np.asarray(p, dtype=float), np.asarray(start, dtype=float)
-    observed = replace(model, outputs=model.states, output_expressions=model.x)
     if not grid.uniform or timed_drives(model) or switches_in_time(model):
-        grid = _without_long_cells(grid)
-        return _by_steps(observed, model, grid, p, start)
+        return _adaptive_path(model, grid, p, start)
+    observed = replace(model, outputs=model.states, output_expressions=model.x)
     bare = replace(grid, measured={})
     plan = cut(bare, None)
     scale = np.array([state.scale for state in model.states])
-    whole = steps if isinstance(steps, int) else None
-    propagator = make_propagator(observed, bare, plan, ca.SX(0, 1), ca.SX(ca.DM(p)), scale=scale, steps=whole)
+    none = ca.SX(0, 1)
+    propagator = make_propagator(observed, bare, plan, none, ca.SX(ca.DM(p)), scale=scale, steps=steps)
     if isinstance(propagator, RungeKuttaPropagator):
-        return _by_steps(observed, model, grid, p, start)
+        return _adaptive_path(model, grid, p, start)
     path = propagator.propagate(np.zeros(0), (start / scale)[None], 0)
     rows = path.y[0].reshape(len(plan.samples), len(start), plan.b).transpose(1, 2, 0)
     x = np.ascontiguousarray(rows.reshape(len(start), -1)[:, : grid.samples])
@@ -139,35 +143,34 @@ def null_path(
     return with_slope(model, grid, x, p)
 
 
-def _by_steps(observed: Model, model: Model, grid: Grid, p: Array, start: Array) -> NullPath:
-    """The path at the steps of a Runge-Kutta integration, and on both sides of where the equations jump in time."""
-    names = tuple(state.name for state in model.states)
-    scale = np.array([state.scale for state in model.states])
-    nodes, none = (start / scale)[None], ca.SX(0, 1)
-
-    def made(on: Grid, fineness: Fineness | None) -> RungeKuttaPropagator:
-        bare = replace(on, measured={})
-        return RungeKuttaPropagator(
-            observed, bare, cut(bare, None), none, ca.SX(ca.DM(p)), scale=scale, fineness=fineness
-        )
-
-    found, _ = refined_to(
-        made(grid, None), np.zeros(0), nodes, outputs=names, samples=grid.samples, tolerance=_TOLERANCE
-    )
-    assert isinstance(found, RungeKuttaPropagator)
-    assert found.fineness is not None  # propagated
-    finer = around_instants(model, with_parts(grid, found.fineness.counts), p)
-    whole = made(finer, replace(found.fineness, counts=np.ones(finer.samples - 1, np.intp)))
-    x = whole.propagate(np.zeros(0), nodes, 0).x[: finer.samples, :, 0].T * scale[:, None]
-    return with_slope(model, finer, np.ascontiguousarray(x), p)
-
-
-def _without_long_cells(grid: Grid) -> Grid:
-    """The grid with cells that are longer than the mean cut into as many parts: holes in a record."""
-    if grid.uniform:
-        return grid
+def _adaptive_path(model: Model, grid: Grid, p: Array, start: Array) -> NullPath:
+    """The path by steps that follow the error, with points beside jumps in time and wherever cubics between the points
+    would be off."""
     cells = np.diff(grid.time)
-    return with_parts(grid, np.maximum(np.ceil(cells / cells.mean() - _SHARE), 1).astype(np.intp))
+    grid = with_parts(grid, np.ceil(cells / (_HOLE * cells.mean())).astype(np.intp))
+    grid = around_instants(model, grid, p)
+    field, most = SwitchedField(model, p), _MOST * grid.samples
+    while True:
+        halves = with_parts(grid, np.full(grid.samples - 1, 2))
+        x = _states(field, halves, start)
+        path = with_slope(model, grid, np.ascontiguousarray(x[:, ::2]), p)
+        off = np.abs(path.between(0.5).x - x[:, 1::2]) > _CUBIC * np.abs(x).max(axis=1, keepdims=True)
+        bent = off.any(axis=0)
+        if not bent.any() or grid.samples + _PARTS * bent.sum() > most:
+            return path
+        grid = with_parts(grid, np.where(bent, _PARTS, 1))
+
+
+def _states(field: SwitchedField, grid: Grid, start: Array) -> Array:
+    """(n, N) states on the grid."""
+    first = np.array([[hold == "first"] for hold in grid.holds]).reshape(len(grid.channels), 1)
+    low = grid.channels[:, :-1]
+    high = np.where(first, grid.channels[:, 1:], low)
+    with np.errstate(all="ignore"):
+        x = Adaptive(field, _TOLERANCE).run(start, grid.time, low, high).states.T
+    if not np.isfinite(x).all():
+        raise FloatingPointError("the model's state is not finite here")
+    return x
 
 
 def with_slope(model: Model, grid: Grid, x: Array, p: Array) -> NullPath:
