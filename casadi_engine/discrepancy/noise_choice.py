@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -104,6 +104,7 @@ def choose_noise(
     rough = NoiseModel({name: sigma for name, (sigma, _) in levels.items()})
     white = compress(null, candidates, rough, scatter=scatter, columns=columns)
     noise, messages = _white_noise(null, columns, white, levels, random)
+    noise = replace(noise, sigma=_above_rounding(null, noise.sigma))
     _check_levels(noise.sigma)
     white = white.relevelled(noise, scatter)
     if colour is False or (colour == "auto" and _is_white(null, noise, beside(null, columns, ()), random)):
@@ -172,6 +173,16 @@ def check_choice(model: Model, cylinders: Any, colour: Any) -> None:
             allowed=f'"assumed", None, or a sequence of cylinder ports ({", ".join(ports) or "the model has none"})',
             cure='leave it out: "assumed" takes the cylinders whose pressure was assumed',
         )
+
+
+def _above_rounding(null: NullModel, sigma: Mapping[str, float]) -> dict[str, float]:
+    """Levels no lower than the rounding of the measured numbers: an effect may explain a record to the last digit."""
+    found = dict(sigma)
+    for record in null.records:
+        for output in record.outputs:
+            size = float(np.abs(record.path.grid.measured[output].values).max(initial=0.0))
+            found[output] = max(found[output], np.finfo(float).eps * size)
+    return found
 
 
 def _check_levels(sigma: Mapping[str, float]) -> None:

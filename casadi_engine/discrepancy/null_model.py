@@ -113,8 +113,16 @@ def null_model(fit: Fit) -> NullModel:
     }
     first = {name: np.array([e.value for e in starts[name].values()]) for name in names}
     at_bound = tuple(name for name in fit.free if fit.estimates[name].at_bound is not False)
+    steps = {name: about.substeps for name, about in fit.integration.items() if about.substeps > 0}
     return null_at(
-        fit.model, fit.data, fit.parameters, fit.z, first, held_starts=held, held_parameters=at_bound
+        fit.model,
+        fit.data,
+        fit.parameters,
+        fit.z,
+        first,
+        held_starts=held,
+        held_parameters=at_bound,
+        steps=steps,
     )
 
 
@@ -127,8 +135,12 @@ def null_at(
     *,
     held_starts: Mapping[str, tuple[str, ...]] | None = None,
     held_parameters: Sequence[str] = (),
+    steps: Mapping[str, int] | None = None,
 ) -> NullModel:
-    """The null model at z : (nz,) and first states record -> (n,), parameters and states in their units."""
+    """The null model at z : (nz,) and first states record -> (n,), parameters and states in their units.
+
+    steps : record -> steps to a sample of its exponential integrator; left out, the fewest that are stable
+    """
     pmap = compile(parameters, model.parameter_names, tuple(r.name for r in data))  # type: ignore[arg-type]
     z = np.asarray(z, dtype=float)
     turn = _free_directions(model, pmap, z, held_parameters)
@@ -139,7 +151,17 @@ def null_at(
         slope = ca.Function("slope", [pmap.z], [ca.densify(ca.jacobian(pmap.physical[record.name], pmap.z))])
         moved = np.asarray(slope(z), dtype=float).reshape(len(p), len(z)) @ turn
         held = (held_starts or {}).get(record.name, ())
-        records.append(_record(model, record, p, moved, np.asarray(first[record.name], dtype=float), held))
+        records.append(
+            _record(
+                model,
+                record,
+                p,
+                moved,
+                np.asarray(first[record.name], dtype=float),
+                held,
+                (steps or {}).get(record.name),
+            )
+        )
     units = tuple(_unit(parameters, name) for name in pmap.free)
     return NullModel(model, pmap.free, units, z, turn, prior, tuple(records))
 
@@ -179,11 +201,17 @@ def _prior_rows(pmap: ParameterMap, z: Array, turn: Array) -> Array:
 
 
 def _record(
-    model: Model, record: Experiment, p: Array, moved: Array, first: Array, held: tuple[str, ...]
+    model: Model,
+    record: Experiment,
+    p: Array,
+    moved: Array,
+    first: Array,
+    held: tuple[str, ...],
+    steps: int | None,
 ) -> RecordNull:
     measured = tuple(out.name for out in model.outputs if out.name in record)
-    grid = lay_grid(model, record, outputs=measured)
-    path = null_path(model, grid, p, first)
+    path = null_path(model, lay_grid(model, record, outputs=measured), p, first, steps=steps)
+    grid = path.grid
     out = path.function([model.output_expressions])(*path.at_samples().arguments)[0]
     simulated = at_measurements(path, np.broadcast_to(out, (len(model.outputs), grid.samples))[None])
     starts = [k for k, state in enumerate(model.states) if state.name not in held]

@@ -83,7 +83,7 @@ class ParameterConstraints:
         """Values (nc,) and Jacobian (nc, nv)."""
         value, jacobian = self._first(v)
         rows = [np.asarray(value).reshape(-1)]
-        slopes = [np.asarray(jacobian).reshape(-1, len(v))]
+        slopes = [np.asarray(jacobian).reshape(len(rows[0]), len(v))]
         for frequency in self._frequencies:
             found, slope, _ = natural_frequency_derivatives(*frequency.matrices(v), frequency.mode)
             rows.append(np.array([found]))

@@ -42,6 +42,8 @@ class Laws:
         x, u, t, p = symbols
         joined = ca.vertcat(*[ca.sum1(ca.vertcat(*[closed[i] for i in group])) for group in groups])
         rows, combined, value = in_signals(joined, x, ca.vertcat(u, t, p))
+        if not len(rows):  # laws of time and channels alone: one signal that none of them depends on
+            rows, combined = np.ones((1, x.numel())), ca.SX.sym("none")
         self.count, self.size = len(groups), len(rows)
         # Signals of about 1 at the states' declared sizes.
         self.q = rows * scale
@@ -62,6 +64,8 @@ class Laws:
         self._symbols = (s, given, z, free, rest)
         self._value = ArrayFunction([s, given, z], [rest])
         slope = ca.jacobian(rest, s)
+        if not slope.nnz():
+            slope[0, 0] = 0.0
         self.entries = _entries(slope.sparsity())
         picked = ca.vertcat(*[slope[int(i), int(j)] for i, j in zip(*self.entries, strict=True)])
         opens = np.diff(self.entries[0], prepend=-1) > 0

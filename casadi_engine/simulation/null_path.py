@@ -8,13 +8,25 @@ import casadi as ca
 import numpy as np
 
 from casadi_engine.model import Model
-from casadi_engine.simulation.error_estimate import refined_to
+from casadi_engine.simulation.adaptive import Adaptive
+from casadi_engine.simulation.finer_grid import around_instants, with_parts
 from casadi_engine.simulation.grid import Drives, Grid
 from casadi_engine.simulation.intervals import cut
 from casadi_engine.simulation.jets import Array
-from casadi_engine.simulation.propagator import make_propagator
+from casadi_engine.simulation.propagator import make_propagator, switches_in_time
 from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
+from casadi_engine.simulation.split import timed_drives
+from casadi_engine.simulation.switched_field import SwitchedField
 from casadi_engine.simulation.tape import ArrayFunction
+
+# Of the steps that follow the error.
+_TOLERANCE = 1e-8
+# Of the largest value of a state, what the cubic in the middle between two points may be off by.
+_CUBIC = 1e-4
+# Parts that a cell is cut into where it is more, and points of a path for each of the record's at most.
+_PARTS, _MOST = 4, 8
+# Cells longer than this many means are holes in a record: laws move there too.
+_HOLE = 4.0
 
 
 @dataclass(frozen=True)
@@ -41,6 +53,7 @@ class Points:
 class NullPath:
     """One record simulated with known parameters and start.
 
+    grid : of the path; it may have more points than that of the record, where the integrator took more steps
     x : (n, N) states at the grid's samples, in their units; slope : (n, N) their time derivative
     d : (m, N) drives at the samples and drive_holds (m,) their holds, for a model with a linear core, whose propagators
     interpolate the drives themselves; (0, N) for any other, which interpolates the channels
@@ -101,23 +114,26 @@ class NullPath:
         return ArrayFunction(inputs, [ca.cse(stacked)])
 
 
-def null_path(model: Model, grid: Grid, p: Array, start: Array) -> NullPath:
+def null_path(model: Model, grid: Grid, p: Array, start: Array, *, steps: int | None = None) -> NullPath:
     """Simulate a record at p : (np,) from the state ``start`` : (n,) at its first sample, by single shooting.
 
-    Raises FloatingPointError where the states are not finite, SimulationError where steps of any length do not lead to
-    an error of 1e-6 of each state.
+    steps : to a sample of an exponential integrator, as in the fit whose path this is; None for the fewest that are
+    stable. Any model that is not integrated so, and any on unequal steps or with equations that depend on time itself,
+    is simulated by steps that follow the error, and gets points between its samples where the states bend there.
+    Raises FloatingPointError where the states are not finite.
     """
     p, start = np.asarray(p, dtype=float), np.asarray(start, dtype=float)
+    if not grid.uniform or timed_drives(model) or switches_in_time(model):
+        return _adaptive_path(model, grid, p, start)
     observed = replace(model, outputs=model.states, output_expressions=model.x)
     bare = replace(grid, measured={})
     plan = cut(bare, None)
     scale = np.array([state.scale for state in model.states])
     none = ca.SX(0, 1)
-    propagator = make_propagator(observed, bare, plan, none, ca.SX(ca.DM(p)), scale=scale)
-    nodes, names = (start / scale)[None], tuple(state.name for state in model.states)
-    if isinstance(propagator, RungeKuttaPropagator):  # its first steps are those that are stable, no more
-        propagator, _ = refined_to(propagator, np.zeros(0), nodes, outputs=names, samples=grid.samples)
-    path = propagator.propagate(np.zeros(0), nodes, 0)
+    propagator = make_propagator(observed, bare, plan, none, ca.SX(ca.DM(p)), scale=scale, steps=steps)
+    if isinstance(propagator, RungeKuttaPropagator):
+        return _adaptive_path(model, grid, p, start)
+    path = propagator.propagate(np.zeros(0), (start / scale)[None], 0)
     rows = path.y[0].reshape(len(plan.samples), len(start), plan.b).transpose(1, 2, 0)
     x = np.ascontiguousarray(rows.reshape(len(start), -1)[:, : grid.samples])
     if not np.isfinite(x).all():
@@ -125,11 +141,42 @@ def null_path(model: Model, grid: Grid, p: Array, start: Array) -> NullPath:
     return with_slope(model, grid, x, p)
 
 
+def _adaptive_path(model: Model, grid: Grid, p: Array, start: Array) -> NullPath:
+    """The path by steps that follow the error, with points beside jumps in time and wherever cubics between the points
+    would be off."""
+    cells = np.diff(grid.time)
+    grid = with_parts(grid, np.ceil(cells / (_HOLE * cells.mean())).astype(np.intp))
+    grid = around_instants(model, grid, p)
+    field, most = SwitchedField(model, ca.SX(0, 1), ca.SX(ca.DM(p))), _MOST * grid.samples
+    while True:
+        halves = with_parts(grid, np.full(grid.samples - 1, 2))
+        x = _states(field, halves, start)
+        path = with_slope(model, grid, np.ascontiguousarray(x[:, ::2]), p)
+        off = np.abs(path.between(0.5).x - x[:, 1::2]) > _CUBIC * np.abs(x).max(axis=1, keepdims=True)
+        bent = off.any(axis=0)
+        if not bent.any() or grid.samples + _PARTS * bent.sum() > most:
+            return path
+        grid = with_parts(grid, np.where(bent, _PARTS, 1))
+
+
+def _states(field: SwitchedField, grid: Grid, start: Array) -> Array:
+    """(n, N) states on the grid."""
+    first = np.array([[hold == "first"] for hold in grid.holds]).reshape(len(grid.channels), 1)
+    low = grid.channels[:, :-1]
+    high = np.where(first, grid.channels[:, 1:], low)
+    with np.errstate(all="ignore"):
+        x = Adaptive(field, _TOLERANCE).run(start, grid.time, low, high).states.T
+    if not np.isfinite(x).all():
+        raise FloatingPointError("the model's state is not finite here")
+    return x
+
+
 def with_slope(model: Model, grid: Grid, x: Array, p: Array) -> NullPath:
     """The null path of known states x : (n, N)."""
     drives: Array = np.zeros((0, grid.samples))
     holds: tuple[str, ...] = ()
-    if model.linear is not None and model.d.numel():
+    # What depends on time itself is no straight line between samples: it is made of the time.
+    if model.linear is not None and model.d.numel() and not timed_drives(model):
         made = Drives(model, grid, ca.SX(0, 1), ca.SX(ca.DM(p)))
         drives, holds = made.at(np.zeros(0)).value, made.holds
     path = NullPath(model, grid, x, x, drives, holds, p)

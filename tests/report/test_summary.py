@@ -169,7 +169,7 @@ def test_a_validation_says_passed_with_its_numbers(validation):
     text = validation_text(validation)
     assert text == str(validation)
     assert "PASSED: nothing is left in the residuals that these tests can see (2 residual tests" in text
-    assert "misfire_1200rpm  omega   rad/s       95.56             -  0.098  0.39  0.098         0.67" in text
+    assert "misfire_1200rpm  omega   rad/s       95.56             -  0.098  0.39  0.098         0.71" in text
     assert "T_1 0.19, T_load -" in text
     assert "not tested: misfire_1200rpm/omega/T_load: the drive is constant" in text
     assert text.splitlines()[-1] == 'Next: keep it: ce.report(validation, "report.html")'
