@@ -1,8 +1,8 @@
 """The time grid of one record: channels and drives on it, and where the outputs were measured.
 
 Where inputs and outputs were sampled together, or at rates that divide each other, the grid is that of the fastest
-input, cut finer by a whole number where an output is faster than the inputs. Any other record has a grid of the times at
-which anything was sampled: the outputs are evaluated where they were measured, an input has its corners where it was
+input, cut finer by a whole number where an output is faster than the inputs. Any other record has a grid of the times
+at which anything was sampled: the outputs are evaluated where they were measured, an input has its corners where it was
 sampled, and the grid grows with the samples and not with the time between them.
 """
 

@@ -157,7 +157,10 @@ class RungeKuttaPropagator:
         """
         now = self._fineness
         assert now is not None, "propagated at least once"
-        share = np.where(np.isfinite(errors), errors, np.inf) / max(float(errors[np.isfinite(errors)].mean()), 1e-300)
+        finite = np.isfinite(errors)
+        if not finite.any():
+            raise FloatingPointError("no step of the record can be compared with two of half its length")
+        share = np.where(finite, errors, np.inf) / max(float(errors[finite].mean()), 1e-300)
         factor = np.clip((share * ratio) ** (1 / now.scheme.order), 1.0, _FINER)
         return self.refined(replace(now, counts=np.ceil(now.counts * factor).astype(np.intp)))
 
@@ -177,7 +180,9 @@ class RungeKuttaPropagator:
         with np.errstate(all="ignore"):
             x = advance(self.slope, self._scheme, z, start, flat[0], middle, time, half)
             x = advance(self.slope, self._scheme, z, x, middle, flat[1], time + half, half)
-        own = self._scheme.richardson * (x.reshape(n, steps, count).transpose(1, 2, 0) - begun[1:].transpose(0, 2, 1))
+        own = self._scheme.richardson * (
+            x.reshape(n, steps, count).transpose(1, 2, 0) - begun[1:].transpose(0, 2, 1)
+        )
         own[layout.length == 0] = 0.0
         carried = np.zeros((steps * parts + 1, count, n))
         for k in range(steps * parts):

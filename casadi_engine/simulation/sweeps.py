@@ -22,6 +22,8 @@ _WIDE = 40
 _SWEEP = 256
 # Newton's method: most iterations; change, relative to the state, after which the next would be below rounding.
 _ITERATIONS, _SMALL = 20, 1e-8
+# Rounding of a stage, relative to the largest state: that of a linear system whose step spans 1e3 time constants.
+_ROUNDING = 1e-11
 
 
 class Sweeps:
@@ -35,9 +37,7 @@ class Sweeps:
             np.repeat(rows, parts, axis=1).reshape(len(rows), self.steps * self.count)
             for rows in (layout.low, layout.high)
         )
-        time, length = (
-            np.repeat(rows, parts, axis=0).ravel() for rows in (layout.time, layout.length)
-        )
+        time, length = (np.repeat(rows, parts, axis=0).ravel() for rows in (layout.time, layout.length))
         part = np.repeat(np.tile(np.arange(float(parts)), layout.steps), self.count)
         made = {c: slope.known(low, high, time, length, c, part) for c in dict.fromkeys(scheme.c.tolist())}
         self.known = [made[c] for c in scheme.c.tolist()]
@@ -101,7 +101,11 @@ class Sweeps:
         for i in range(size):
             if stages is None:
                 x = start + sum(
-                    (weight * slope for weight, slope in zip(self.scheme.a[i], slopes, strict=False) if weight),
+                    (
+                        weight * slope
+                        for weight, slope in zip(self.scheme.a[i], slopes, strict=False)
+                        if weight
+                    ),
                     np.zeros(1),
                 )
             else:
@@ -120,7 +124,7 @@ def solve_stages(scheme: Tableau, function: object, x: Array, guess: Array, give
     function : (stage values (n, stages*K), known (rows, stages*K)) -> slopes and their derivatives, z put in
     """
     size, n, count = guess.shape
-    stages = guess
+    stages, before = guess, np.full(guess.shape, np.inf)
     for _ in range(_ITERATIONS):
         columns = np.ascontiguousarray(stages.transpose(1, 0, 2)).reshape(n, -1)
         value, slope = function(columns, given)  # type: ignore[operator]
@@ -134,14 +138,24 @@ def solve_stages(scheme: Tableau, function: object, x: Array, guess: Array, give
         except np.linalg.LinAlgError:
             return None
         stages = stages + change
-        limit = _SMALL * (np.abs(stages).max(axis=0) + np.abs(x) + 1e-30)
-        if (np.abs(change) <= limit).all():
+        own, moved = np.abs(stages).max(axis=0) + np.abs(x), np.abs(change)
+        # What has decayed is known to the rounding of the states that it follows from: there it moves to and fro.
+        rests = (moved >= 0.5 * before) & (moved <= _ROUNDING * own.max(axis=0))
+        if (rests | (moved <= _SMALL * own + 1e-30)).all():
             return stages
+        before = moved
     return None
 
 
 def advance(
-    slope: StageSlope, scheme: Tableau, z: Array, x: Array, low: Array, high: Array, time: Array, length: Array
+    slope: StageSlope,
+    scheme: Tableau,
+    z: Array,
+    x: Array,
+    low: Array,
+    high: Array,
+    time: Array,
+    length: Array,
 ) -> Array:
     """Ends (n, K) of K single steps from x (n, K), each whole (with all its parts); NaN where there is none."""
     nodes = dict.fromkeys(scheme.c.tolist())
