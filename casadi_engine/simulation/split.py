@@ -3,8 +3,8 @@
 Laws that are affine in the states with constant factors (a viscous damper, an absorber) join the core, and laws that
 depend on channels alone (a misfire, a torque ripple) become drives: what is left of many effects is a linear model.
 What depends on time itself is no drive: between two samples it is not the straight line through them, but known; it is
-a law, which the integrator evaluates where it needs it. The other way round, an equation that is not affine (an effect's
-own state with a nonlinear rate) keeps its linear part in the core and gives the rest to a slot of its own.
+a law, which the integrator evaluates where it needs it. The other way round, an equation that is not affine (an
+effect's own state with a nonlinear rate) keeps its linear part in the core and gives the rest to a slot of its own.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 What depends on channels and time alone is worked out once for the record. Where the equations jump at instants of
 their own (a load that is switched on, forcing by a square wave), a step is cut at these instants: its parts have
-lengths that depend on the parameters, each is integrated with the jump held on one side, and so the instant has a slope.
+lengths that depend on the parameters, each is integrated with the jump held on one side, and so the instant has a
+slope.
 """
 
 from __future__ import annotations
