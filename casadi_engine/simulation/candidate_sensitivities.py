@@ -10,17 +10,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from casadi_engine.model import Model
 from casadi_engine.simulation.grouped_scan import Pushed, constant_scan, varying_scan
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.null_path import NullPath, Points
-from casadi_engine.simulation.tape import ArrayFunction
+from casadi_engine.simulation.sensitivity_columns import Columns, OwnStates
 from casadi_engine.simulation.variational import Steps, balance, scan, step_matrices
 
 # Samples worked on at a time: the arrays of a part then stay near the cache.
@@ -154,10 +152,15 @@ class Sweep:
         size = float(np.abs(a / self.scale[:, None] * self.scale).sum(axis=1).max(initial=0.0))
         wanted = math.ceil(size * float(path.lengths.max()) / _STEP)
         self.substeps = min(max(1, wanted), _MOST_SUBSTEPS) if substeps is None else substeps
-        self._ode = _Columns(path, [d.ode for d in self.directions], xi, n)
-        self._out = _Columns(path, [d.output for d in self.directions], xi, self.shape[0])
-        self._own = _OwnStates(path, self.directions, own, self.substeps) if own.numel() else None
+        self._ode = Columns(path, [d.ode for d in self.directions], xi, n)
+        self._out = Columns(path, [d.output for d in self.directions], xi, self.shape[0])
+        self._own = self._own_states(own) if own.numel() else None
         self._constant: tuple[Array, Steps] | None = None
+
+    def _own_states(self, own: ca.SX) -> OwnStates:
+        start = np.array([v for d in self.directions for v in d.start], dtype=float)
+        rates = ca.vertcat(*[d.rates for d in self.directions])
+        return OwnStates(self.path, start, rates, own, self.substeps)
 
     def _slopes(self, points: Points) -> tuple[Array, Array]:
         """A (T, n, n) and C (T, ny, n)."""
@@ -182,7 +185,7 @@ class Sweep:
         for here in self._parts():
             shown = slice(here.start, here.stop + 1 if here.stop == samples - 1 else here.stop)
             count = shown.stop - shown.start
-            if grouped and isinstance(self._ode, _Columns):
+            if grouped and isinstance(self._ode, Columns):
                 seen, state = self._scanned(here, halves, self._ode, state)
                 yield shown, seen[:count] + self._shown(shown, halves)
                 continue
@@ -238,7 +241,7 @@ class Sweep:
         return np.asarray(total), np.asarray(push)
 
     def _scanned(
-        self, here: slice, halves: list[tuple[Points, Array]], columns: _Columns, state: Array
+        self, here: slice, halves: list[tuple[Points, Array]], columns: Columns, state: Array
     ) -> tuple[Array, Array]:
         """Outputs by the states (T+1, ny, K) at a part's samples, and the states at its end: a column is pushed by the
         few rows that it acts in, from all halves of substeps at once, and columns that act alike advance together."""
@@ -316,102 +319,6 @@ class Sweep:
         return self._out.at(self.path.at_samples().part(shown), xi)
 
 
-class _Columns:
-    """The structurally non-zero entries of K expression columns (rows, 1), evaluated on points."""
-
-    def __init__(self, path: NullPath, columns: list[ca.SX], xi: ca.SX, rows: int) -> None:
-        matrix = ca.horzcat(ca.SX(rows, 0), *[ca.SX(c) for c in columns])
-        matrix = ca.sparsify(ca.simplify(matrix)) if matrix.nnz() else matrix
-        row, column = matrix.sparsity().get_triplet()
-        self.shape = (rows, len(columns))
-        self.rows, self.columns = np.array(row, dtype=np.intp), np.array(column, dtype=np.intp)
-        self._at = self.rows * len(columns) + self.columns
-        self._function: ArrayFunction | None = None
-        if len(row):
-            self._function = path.function([matrix.nz[:]], xi)
-
-    @cached_property
-    def alike(self) -> list[tuple[tuple[int, ...], NDArray[np.intp], NDArray[np.intp]]]:
-        """Columns that have entries in the same rows: these rows, the columns (E,), and their entries (rows, E)."""
-        own: dict[int, list[int]] = {column: [] for column in range(self.shape[1])}
-        for entry in np.lexsort((self.rows, self.columns)):
-            own[int(self.columns[entry])].append(int(entry))
-        found: dict[tuple[int, ...], list[int]] = {}
-        for column, entries in own.items():
-            found.setdefault(tuple(int(self.rows[e]) for e in entries), []).append(column)
-        return [
-            (
-                rows,
-                np.array(columns),
-                np.array([own[c] for c in columns], dtype=np.intp).reshape(len(columns), -1).T,
-            )
-            for rows, columns in found.items()
-        ]
-
-    def values(self, points: Points, xi: Array) -> Array:
-        """The entries (nnz, T) in ``rows`` and ``columns``."""
-        count = points.t.shape[1]
-        if self._function is None:
-            return np.zeros((0, count))
-        return np.broadcast_to(self._function(*points.arguments, xi)[0], (len(self.rows), count))
-
-    def at(self, points: Points, xi: Array) -> Array:
-        """(T, rows, K)."""
-        count = points.t.shape[1]
-        out = np.zeros((count, self.shape[0] * self.shape[1]))
-        out[:, self._at] = self.values(points, xi).T
-        return out.reshape(count, *self.shape)
-
-
-class _OwnStates:
-    """The states of the terms themselves, driven by the null path: one Runge-Kutta sweep in CasADi's machine."""
-
-    def __init__(self, path: NullPath, directions: Sequence[Direction], xi: ca.SX, substeps: int) -> None:
-        self.path, self.substeps = path, substeps
-        model = path.model
-        self.start = np.array([v for d in directions for v in d.start], dtype=float)
-        rates = ca.vertcat(*[d.rates for d in directions])
-        drives = model.d if len(path.d) else ca.SX(0, 1)
-        if model.w.numel():
-            rates = ca.substitute(rates, model.w, model.slot_laws)
-        if model.d.numel() and not len(path.d):
-            rates = ca.substitute(rates, model.d, model.drive_expressions)
-        if model.p.numel():
-            rates = ca.substitute(rates, model.p, ca.SX(ca.DM(path.p)))
-        given = ca.vertcat(model.x, model.u, drives, model.t)
-        rate = ca.Function("rate", [xi, given], [rates])
-        q = given.numel()
-        state, around = ca.SX.sym("xi", xi.numel()), ca.SX.sym("around", 3 * q + 1)
-        low, middle, high, h = around[:q], around[q : 2 * q], around[2 * q : -1], around[-1]
-        k1 = rate(state, low)
-        k2 = rate(state + h / 2 * k1, middle)
-        k3 = rate(state + h / 2 * k2, middle)
-        k4 = rate(state + h * k3, high)
-        after = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-        # the cubic through both ends gives the middle
-        half = (state + after) / 2 + h / 8 * (k1 - rate(after, high))
-        self._step = ca.Function("own", [state, around], [after, half])
-
-    def run(self) -> list[Array]:
-        """For each half substep of a sample, start to end, the states (ne, N-1)."""
-        path, parts = self.path, self.substeps
-        steps = path.grid.samples - 1
-        stacked = []
-        for k in range(parts):
-            sides = [path.between((2 * k + j) / (2 * parts)) for j in range(3)]
-            length = np.broadcast_to(path.lengths / parts, (1, steps))
-            stacked.append(np.concatenate([*[np.concatenate(p.arguments) for p in sides], length]))
-        given = np.stack(stacked, axis=2).reshape(len(stacked[0]), steps * parts)
-        after, half = self._step.mapaccum(steps * parts)(self.start, given)
-        after = np.asarray(after, dtype=float).reshape(len(self.start), steps, parts)
-        half = np.asarray(half, dtype=float).reshape(len(self.start), steps, parts)
-        before = np.concatenate([self.start[:, None], after[:, :, -1][:, :-1]], axis=1)
-        out = [before]
-        for k in range(parts):
-            out += [half[:, :, k], after[:, :, k]]
-        return out
-
-
 def grid_sensitivities(
     path: NullPath, directions: Sequence[Direction], *, substeps: int | None = None
 ) -> Array:
@@ -428,26 +335,3 @@ def at_measurements(path: NullPath, values: Array) -> dict[str, Array]:
     grid, outputs = path.grid, tuple(out.name for out in path.model.outputs)
     measured = {name: grid.measured[name] for name in outputs if name in grid.measured}
     return {name: values[:, outputs.index(name), m.position] for name, m in measured.items()}
-
-
-def accumulate(
-    path: NullPath,
-    directions: Sequence[Direction],
-    residual: Array,
-    weight: Array,
-    *,
-    substeps: int | None = None,
-) -> tuple[Array, Array]:
-    """JᵀJ (K, K) and Jᵀr (K,) of weighted sensitivities at the grid's samples, without keeping J.
-
-    residual : (ny, N) r; weight : (ny, N), by which both J and r are multiplied, zero where nothing counts
-    """
-    sweep = Sweep(path, directions, substeps=substeps)
-    width = len(sweep.directions)
-    gram, slope = np.zeros((width, width)), np.zeros(width)
-    for shown, part in sweep:
-        share = weight[:, shown].T
-        rows = (part * share[..., None]).reshape(-1, width)
-        gram += rows.T @ rows
-        slope += rows.T @ (residual[:, shown].T * share).ravel()
-    return gram, slope

@@ -159,9 +159,10 @@ class RungeKuttaPropagator:
         """
         now = self._fineness
         assert now is not None, "propagated at least once"
-        share = np.where(np.isfinite(errors), errors, np.inf) / max(
-            float(errors[np.isfinite(errors)].mean()), 1e-300
-        )
+        finite = np.isfinite(errors)
+        if not finite.any():
+            raise FloatingPointError("no step of the record can be compared with two of half its length")
+        share = np.where(finite, errors, np.inf) / max(float(errors[finite].mean()), 1e-300)
         factor = np.clip((share * ratio) ** (1 / now.scheme.order), 1.0, _FINER)
         return self.refined(replace(now, counts=np.ceil(now.counts * factor).astype(np.intp)))
 

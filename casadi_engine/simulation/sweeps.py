@@ -22,6 +22,8 @@ _WIDE = 40
 _SWEEP = 256
 # Newton's method: most iterations; change, relative to the state, after which the next would be below rounding.
 _ITERATIONS, _SMALL = 20, 1e-8
+# Rounding of a stage, relative to the largest state: that of a linear system whose step spans 1e3 time constants.
+_ROUNDING = 1e-11
 
 
 class Sweeps:
@@ -122,7 +124,7 @@ def solve_stages(scheme: Tableau, function: object, x: Array, guess: Array, give
     function : (stage values (n, stages*K), known (rows, stages*K)) -> slopes and their derivatives, z put in
     """
     size, n, count = guess.shape
-    stages = guess
+    stages, before = guess, np.full(guess.shape, np.inf)
     for _ in range(_ITERATIONS):
         columns = np.ascontiguousarray(stages.transpose(1, 0, 2)).reshape(n, -1)
         value, slope = function(columns, given)  # type: ignore[operator]
@@ -136,9 +138,12 @@ def solve_stages(scheme: Tableau, function: object, x: Array, guess: Array, give
         except np.linalg.LinAlgError:
             return None
         stages = stages + change
-        limit = _SMALL * (np.abs(stages).max(axis=0) + np.abs(x) + 1e-30)
-        if (np.abs(change) <= limit).all():
+        own, moved = np.abs(stages).max(axis=0) + np.abs(x), np.abs(change)
+        # What has decayed is known to the rounding of the states that it follows from: there it moves to and fro.
+        rests = (moved >= 0.5 * before) & (moved <= _ROUNDING * own.max(axis=0))
+        if (rests | (moved <= _SMALL * own + 1e-30)).all():
             return stages
+        before = moved
     return None
 
 

@@ -120,7 +120,7 @@ def test_an_output_that_jumps_has_no_rate(shown):
     """The slope between jumps is no rate: a delay would silently do less than it should."""
     model = accelerometer(shown=shown)
     assert list(model.ports["sensor_a"].signals) == ["value"]
-    with pytest.raises(EffectError, match="the port sensor_a has no such signal"):
+    with pytest.raises(EffectError, match="cannot act at the port sensor_a, which has no signal rate"):
         model.with_effect(SensorDelay(), at="sensor_a")
     assert model.with_effect(SensorOffset(), at="sensor_a").rates == ()
 

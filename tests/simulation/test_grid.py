@@ -5,6 +5,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from casadi_engine.errors import DataFileError, ExperimentError, SimulationError, UnitError
 from casadi_engine.experiment import Channel, Experiment
@@ -304,3 +306,50 @@ def test_a_value_whose_square_is_no_number(model, column):
         lay_grid(model, experiment)
     assert "seen: -1e+160 1 at 2 s" in str(caught.value)
     assert lay_grid(model, experiment.masked("y", np.arange(5) != 2)).samples == 5 if column == "y" else True
+
+
+@pytest.mark.parametrize("decades", [3, 9])
+def test_times_spaced_by_their_logarithm_keep_every_sample(made, decades):
+    """A point at every time that was asked for, however far apart: the first ones are not merged into one."""
+    model = made.linear(np.random.default_rng(0), states=1, inputs=0, outputs=1)
+    time = np.concatenate([[0.0], np.logspace(-6, decades - 6, 4 * decades + 1)])
+    grid = lay_grid(model, made.experiment(model, time, y0=np.zeros(len(time))))
+    np.testing.assert_array_equal(grid.time, time)
+    np.testing.assert_array_equal(grid.measured["y0"].position, np.arange(len(time)))
+    assert grid.span == time[-1]
+
+
+def test_times_that_agree_up_to_rounding_are_one(model):
+    """Two channels of one logger whose times were calculated in two ways."""
+    rng = np.random.default_rng(2)
+    time = np.cumsum(rng.uniform(0.01, 1.0, 60))
+    other = (time * 1e3 + 1e-9 * rng.normal(size=60)) / 1e3
+    zeros = np.zeros(60)
+    grid = lay_grid(model, record(a=(time, zeros), c=(other, zeros), y=(time, zeros), w=(other, zeros)))
+    assert grid.samples == 60
+    for name in ("y", "w"):
+        np.testing.assert_array_equal(grid.measured[name].position, np.arange(60))
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(st.integers(0, 10_000), st.integers(2, 30), st.integers(2, 30), st.sampled_from([1e-9, 1.0, 1e7]))
+def test_any_times_of_channels_are_points_of_the_grid(made, seed, inputs, outputs, unit):
+    """Every output keeps its samples, each at a point of its own at its time; every input its corners."""
+    rng = np.random.default_rng(seed)
+    model = made.linear(rng, states=1, inputs=1, outputs=1)
+    at_output = unit * np.cumsum(rng.uniform(0.1, 3.0, outputs))
+    inner = rng.uniform(at_output[0], at_output[-1], inputs - 2)
+    at_input = np.unique(np.concatenate([[at_output[0]], inner, [at_output[-1]]]))
+    values = rng.normal(size=len(at_input))
+    experiment = made.experiment(model, at_output, u0=(at_input, values), y0=rng.normal(size=outputs))
+    grid = lay_grid(model, experiment)
+    measured = grid.measured["y0"]
+    assert (np.diff(grid.time) > 0).all()
+    assert (np.diff(measured.position) > 0).all()
+    assert len(measured.position) == outputs
+    slack = 1e-2 * grid.step if grid.uniform else 1e-6 * unit
+    np.testing.assert_allclose(grid.time[measured.position], at_output, rtol=0, atol=slack)
+    wanted = np.interp(grid.time, at_input, values)
+    np.testing.assert_allclose(grid.channels[0], wanted, atol=1e-5 if not grid.uniform else 1e-12)
+    if not grid.uniform:
+        assert grid.samples <= inputs + outputs

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import casadi_engine as ce
 from casadi_engine.simulation.grid import lay_grid
@@ -46,3 +47,21 @@ def test_a_sensor_does_not_move_the_shaft(record):
     model = ce.two_mass(reciprocating_speed="model")
     delayed = model.with_effect(ce.effects.SensorDelay(), at="sensor_omega", values={"delay": 2e-4})
     np.testing.assert_allclose(states_of(delayed, record).x, states_of(model, record).x, rtol=0, atol=1e-12)
+
+
+def test_two_bursts_ten_minutes_apart():
+    """A damped swing whose input holds in between, against the matrix exponential of each piece."""
+    b = ce.Blueprint("swing")
+    u, x, v = b.input("u"), b.state("x"), b.state("v")
+    b.ode("x", v)
+    b.ode("v", -2 * x - 0.4 * v + u)
+    b.output("x", x)
+    model = b.model()
+    t = np.concatenate([np.arange(0, 5, 0.05), np.arange(600, 605, 0.05)])
+    data = ce.Experiment.from_arrays("r", time=t, units={"u": "1"}, hold="zero", u=np.sin(3 * t))
+    grid = lay_grid(model, data.bridged(u="hold"), outputs=())
+    path = null_path(model, grid, np.zeros(0), np.array([1.0, 0.0]))
+    states, wide = [np.array([1.0, 0.0])], np.array([[0.0, 1, 0], [-2, -0.4, 1], [0, 0, 0]])
+    for h, level in zip(np.diff(t), np.sin(3 * t), strict=False):
+        states.append((expm(wide * h) @ [*states[-1], level])[:2])
+    np.testing.assert_allclose(path.x, np.array(states).T, rtol=0, atol=3e-6)
