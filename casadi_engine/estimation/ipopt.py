@@ -70,6 +70,7 @@ _WORDS = {
     "Restoration_Failed": "no step reduces the violation of the constraints",
     "Diverging_Iterates": "the iterates run away; give bounds to the free parameters",
     "Search_Direction_Becomes_Too_Small": "the steps became too small",
+    "Error_In_Step_Computation": "no step can be computed; the slopes are too steep, as those of a root near 0",
     "Invalid_Number_Detected": "the model gave a number that is not finite",
     "NonIpopt_Exception_Thrown": "the model could not be evaluated",
 }

@@ -79,7 +79,7 @@ def test_the_direct_way_loses_what_the_approach_finds(shaft, shaft_model):
     made, model = shaft(two=False), shaft_model(False)
     levels = {}
     for way in ("direct", "prediction"):
-        pars = set_off(model, made.truth, FACTORS[0])
+        pars = set_off(model, made.truth, FACTORS[1])
         fit = ce.estimate(model, made.data, parameters=pars, approach=way, max_iterations=80, progress=False)
         levels[way] = fit.noise["omega"][0]
     assert levels["direct"] > 0.1

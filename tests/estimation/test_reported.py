@@ -363,23 +363,17 @@ def test_the_initial_state_of_a_fit_is_taken_as_it_is():
         np.testing.assert_allclose(again.z, fit.z, rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("inputs", "advice"),
-    [
-        (("u", "load"), "give u, load at a higher rate"),
-        ((), "add times without samples between those of the record"),
-    ],
-)
-def test_a_coarse_integration_names_the_inputs_that_there_are(inputs, advice):
-    search = SimpleNamespace(
-        model=SimpleNamespace(inputs=tuple(SimpleNamespace(name=name) for name in inputs)),
-        records=[SimpleNamespace(outputs=("y", "z"))],
-    )
-    found = SimpleNamespace(outputs=("y", "z"), absolute=(0.02, 0.0001))
-    (message,) = _coarse({"run": found}, search, np.array([0.1, 0.1]))
-    assert message == (
-        f"the integration of run/y is off by up to 0.02, 0.2 of its noise: {advice}, or make the equations smoother"
-    )
+@pytest.mark.parametrize(("shift", "told"), [(0.05, False), (0.25, True), (float("inf"), True)])
+def test_a_coarse_integration_is_told_by_what_it_does_to_the_estimates(shift, told):
+    found = SimpleNamespace(shift=shift, substeps=64)
+    messages = _coarse({"run": found})
+    assert len(messages) == told
+    for message in messages:
+        assert message == (
+            f"the integration of run moves the estimates by up to {shift:.2g} standard errors, even with 64 steps to a "
+            "sample: the equations change too sharply; make them smoother"
+        )
+        assert "input" not in message  # a model need not have any
 
 
 def test_several_records_and_starts_from_0():
