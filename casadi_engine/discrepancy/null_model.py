@@ -24,7 +24,9 @@ from casadi_engine.simulation.candidate_sensitivities import (
     parameter_direction,
 )
 from casadi_engine.simulation.grid import Grid, lay_grid
+from casadi_engine.simulation.intervals import Observation, cut
 from casadi_engine.simulation.null_path import NullPath, null_path
+from casadi_engine.simulation.propagator import make_propagator, switches_in_time
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -221,8 +223,29 @@ def _record(
         slopes={},
         starts=tuple(model.states[k].name for k in starts),
     )
-    slopes = base.columns(directions)
+    if switches_in_time(model):  # an instant that moves with a parameter is no part of the equation along the path
+        scale = np.array([state.scale for state in model.states])
+        slopes = _propagated_slopes(path, moved, first / scale, scale, starts)
+    else:
+        slopes = base.columns(directions)
     return RecordNull(**{**vars(base), "slopes": slopes})
+
+
+def _propagated_slopes(
+    path: NullPath, moved: Array, start: Array, scale: Array, starts: Sequence[int]
+) -> dict[str, Array]:
+    """The slopes of a record by the derivatives of its steps; start : (n,) and ``starts`` in scaled states."""
+    model, grid = path.model, path.grid
+    z, plan = ca.SX.sym("z", moved.shape[1]), cut(grid, None)
+    physical = ca.SX(ca.DM(path.p)) + ca.SX(ca.DM(moved)) @ z
+    found = make_propagator(model, grid, plan, z, physical, scale=scale).propagate(
+        np.zeros(moved.shape[1]), start[None], 1
+    )
+    observation = Observation(grid, plan, tuple(out.name for out in model.outputs))
+    by_z = observation.observe(found.y[1:]).reshape(moved.shape[1], -1)
+    by_start = observation.observe_starts(found.ys).reshape(by_z.shape[1], -1)[:, list(starts)]
+    every = np.concatenate([by_z.T, by_start], axis=1)
+    return {name: every[rows] for name, rows in observation.where.items()}
 
 
 def cycle_numbers(model: Model, grid: Grid, time: Array) -> Index:
