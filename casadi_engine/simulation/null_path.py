@@ -114,9 +114,7 @@ class NullPath:
         return ArrayFunction(inputs, [ca.cse(stacked)])
 
 
-def null_path(
-    model: Model, grid: Grid, p: Array, start: Array, *, steps: int | None = None
-) -> NullPath:
+def null_path(model: Model, grid: Grid, p: Array, start: Array, *, steps: int | None = None) -> NullPath:
     """Simulate a record at p : (np,) from the state ``start`` : (n,) at its first sample, by single shooting.
 
     steps : to a sample of an exponential integrator, as in the fit whose path this is; None for the fewest that are
