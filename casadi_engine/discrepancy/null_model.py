@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -15,6 +16,7 @@ from casadi_engine.estimation.coordinates import Coordinates
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
+from casadi_engine.model.jumps import jumps, jumps_in
 from casadi_engine.parameters.compiled import ParameterMap, compile
 from casadi_engine.simulation.candidate_sensitivities import (
     Direction,
@@ -24,7 +26,9 @@ from casadi_engine.simulation.candidate_sensitivities import (
     parameter_direction,
 )
 from casadi_engine.simulation.grid import Grid, lay_grid
+from casadi_engine.simulation.intervals import Observation, cut
 from casadi_engine.simulation.null_path import NullPath, null_path
+from casadi_engine.simulation.propagator import make_propagator, switches_in_time
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -96,7 +100,8 @@ class NullModel:
 def null_model(fit: Fit) -> NullModel:
     """The null model of a fit, by single shooting from its initial states.
 
-    Raises EstimationError for a fit with a correction gain, whose residuals are innovations of a predictor.
+    Raises EstimationError for a fit with a correction gain, whose residuals are innovations of a predictor, and for
+    equations that jump with their states.
     """
     if fit.gain is not None:
         raise EstimationError(
@@ -126,6 +131,27 @@ def null_model(fit: Fit) -> NullModel:
     )
 
 
+@lru_cache(maxsize=64)
+def _jumps(model: Model) -> bool:
+    return jumps_in(model.closed_ode, model.x)
+
+
+def refuse_jumps(model: Model) -> None:
+    """Raise EstimationError for equations that jump with their states: a score is a slope along a smooth simulation."""
+    if not _jumps(model):
+        return
+    row = next(k for k in range(len(model.states)) if jumps_in(model.closed_ode[k], model.x))
+    switch = next(s for s in jumps(model.closed_ode[row], model.x) if s.kind != "kink")
+    raise EstimationError(
+        "effects are scored along a simulation without jumps, and the equations jump with the states",
+        seen=f"the ode of {model.states[row].name} jumps at {switch.g} = "
+        f"{'a whole number' if switch.kind == 'integer' else 0}",
+        allowed="equations that jump at instants in time at most",
+        cure="round the jump: tanh(v/width) for sign(v), 0.5*(1 + tanh(v/width)) for v > 0; friction of the library, "
+        'model.with_effect("coulomb_friction", at=port), is rounded by itself',
+    )
+
+
 def null_at(
     model: Model,
     data: Sequence[Experiment],
@@ -141,6 +167,7 @@ def null_at(
 
     steps : record -> steps to a sample of its exponential integrator; left out, the fewest that are stable
     """
+    refuse_jumps(model)
     pmap = compile(parameters, model.parameter_names, tuple(r.name for r in data))  # type: ignore[arg-type]
     z = np.asarray(z, dtype=float)
     turn = _free_directions(model, pmap, z, held_parameters)
@@ -231,8 +258,32 @@ def _record(
         slopes={},
         starts=tuple(model.states[k].name for k in starts),
     )
-    slopes = base.columns(directions)
+    if switches_in_time(
+        model
+    ):  # an instant that moves with a parameter is no part of the equation along the path
+        scale = np.array([state.scale for state in model.states])
+        slopes = _propagated_slopes(path, moved, first / scale, scale, starts)
+    else:
+        slopes = base.columns(directions)
     return RecordNull(**{**vars(base), "slopes": slopes})
+
+
+def _propagated_slopes(
+    path: NullPath, moved: Array, start: Array, scale: Array, starts: Sequence[int]
+) -> dict[str, Array]:
+    """The slopes of a record by the derivatives of its steps; start : (n,) and ``starts`` in scaled states."""
+    model, grid = path.model, path.grid
+    z, plan = ca.SX.sym("z", moved.shape[1]), cut(grid, None)
+    physical = ca.SX(ca.DM(path.p)) + ca.SX(ca.DM(moved)) @ z
+    found = make_propagator(model, grid, plan, z, physical, scale=scale).propagate(
+        np.zeros(moved.shape[1]), start[None], 1
+    )
+    observation = Observation(grid, plan, tuple(out.name for out in model.outputs))
+    by_start = observation.observe_starts(found.ys).reshape(-1, len(start))
+    by_z = observation.observe(found.y[1:]).reshape(moved.shape[1], len(by_start))
+    by_start = by_start[:, list(starts)]
+    every = np.concatenate([by_z.T, by_start], axis=1)
+    return {name: every[rows] for name, rows in observation.where.items()}
 
 
 def cycle_numbers(model: Model, grid: Grid, time: Array) -> Index:

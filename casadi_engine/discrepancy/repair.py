@@ -12,6 +12,7 @@ from casadi_engine.discrepancy.answer import Answer
 from casadi_engine.discrepancy.assumed_pressure import carry, remarks, settle_scatter
 from casadi_engine.discrepancy.fresh import Portions, portions
 from casadi_engine.discrepancy.noise_choice import ColourChoice, check_choice
+from casadi_engine.discrepancy.null_model import refuse_jumps
 from casadi_engine.discrepancy.refit import Refitter
 from casadi_engine.discrepancy.repaired import Repair
 from casadi_engine.discrepancy.requests import check_alpha, read_request
@@ -96,6 +97,7 @@ def repair(
     records = _records(data, model)
     others = () if fresh is None else _records(fresh, model)
     read_request(model, effects, at)
+    refuse_jumps(model)
     _check(noise, alpha, holdout)
     check_choice(model, scatter, colour)
     for record in others:
