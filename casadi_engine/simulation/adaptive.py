@@ -25,6 +25,8 @@ _STIFF, _LOOKED = 6, 10
 _SAFETY, _LEAST, _MOST = 0.9, 0.2, 6.0
 # Of the largest state: a state smaller than that is integrated as exactly as one of that size.
 _SMALL = 1e-9
+# Of its declared size, what a state that has always been at rest is integrated to: it may be set in motion by a corner.
+_REST = 1e-9
 # A switching function counts as passed beyond this share of its largest value.
 _PASSED = 1e-12
 MOST_STEPS, MOST_EVENTS = 2_000_000, 50_000
@@ -71,8 +73,12 @@ def _dormand_prince(field: ca.Function) -> ca.Function:
 class Adaptive:
     """An integration of a field from knot to knot; between two knots the channels are straight lines."""
 
-    def __init__(self, field: SwitchedField, tolerance: float, z: Array | None = None) -> None:
+    def __init__(
+        self, field: SwitchedField, tolerance: float, z: Array | None = None, scale: Array | None = None
+    ) -> None:
         self.field, self.tolerance = field, tolerance
+        sizes = np.ones(field.n) if scale is None else scale
+        self._sizes, self._floor = sizes, _REST * np.tile(sizes, field.size // field.n)
         self.z = np.zeros(0) if z is None else z
         self.mode: Mode = ()
         self.side = np.zeros(field.switches)
@@ -120,7 +126,7 @@ class Adaptive:
         return self.field.nodes(x, t, segment) if len(self.field.owner) else self.b
 
     def _weights(self, x: Array) -> Array:
-        return self.tolerance * (np.abs(x) + 1e-3 * self.peak) + 1e-300
+        return self.tolerance * (np.abs(x) + 1e-3 * self.peak + self._floor)
 
     def _piece(self, x: Array, t: float, end: float, segment: Array) -> Array:
         """From one knot to the next."""
@@ -227,9 +233,11 @@ class Adaptive:
 
     def _functions(self, x: Array, t: float, share: Array, segment: Array) -> Array:
         """What has to stay positive: side * g of the free switches, and α, 1 - α of those the state stays on."""
-        g = self.field.g(x, t, segment)
+        g = self.field.g(x, t, segment, self.b)
         self.g_peak = np.maximum(self.g_peak, np.abs(g))
-        signed = self.side * g + _PASSED * self.g_peak
+        # on a side, or where the function is flat at 0
+        within = _PASSED * self.g_peak
+        signed = np.where(self.side == 0, within - np.abs(g), self.side * g + within)
         for place, i in enumerate(self.mode):
             signed[i] = min(share[place], 1 - share[place]) + 1e-10
         return signed
@@ -249,6 +257,9 @@ class Adaptive:
             raise FloatingPointError("the equations are not finite at a switch")
         reach = h
         if (end >= 0).all():
+            flat = self._turned_flat(x, t, h, ahead, segment)
+            if flat is not None:
+                return flat
             # a switch may be passed twice within a step
             middle, there = self._at(x, t, 0.5 * h, segment)
             if (self._functions(middle, t + 0.5 * h, there, segment) >= 0).all():
@@ -275,6 +286,39 @@ class Adaptive:
         passed = [i for found, i in instants if found <= length * (1 + 1e-12)]
         return at, self._after(where, at, segment, passed)
 
+    def _turned_flat(
+        self, x: Array, t: float, h: float, ahead: Array, segment: Array
+    ) -> tuple[float, Array] | None:
+        """The event of a switching function that becomes 0 and stays there, as max(u - 1, 0) does."""
+        g = self.field.g(ahead, t + h, segment, self.b)
+        turned = (g == 0) & (self.side != 0)
+        turned[list(self.mode)] = False
+        if not turned.any():
+            return None
+        slopes = self.field.slopes(ahead, t + h, segment, self.b)[:, : self.field.n + 1]
+        turned &= ~slopes.any(axis=1)
+        if not turned.any():
+            return None
+        low, high = 0.0, h
+        while high - low > 1e-15 * max(abs(t), h):  # the first instant at which one of them is 0
+            middle = 0.5 * (low + high)
+            if middle in (low, high):
+                break
+            there, _ = self._at(x, t, middle, segment)
+            if (self.field.g(there, t + middle, segment, self.b)[turned] == 0).any():
+                high = middle
+            else:
+                low = middle
+        where, _ = self._at(x, t, high, segment)
+        self.events += 1
+        at = t + high
+        for i in np.flatnonzero(turned & (self.field.g(where, at, segment, self.b) == 0)):
+            own = self.field.owner == i
+            self.side[i] = 0.0
+            self.b = np.where(own, self.field.nodes(where, at, segment), self.b)
+        self.h = max(self.h * 0.1, 1e-14 * max(abs(t), 1e-3))
+        return at, where
+
     def _share(self, x: Array, t: float, segment: Array) -> Array:
         return self.field.field(self.mode)(x, t, segment, self.b, self.c)[1]
 
@@ -291,12 +335,15 @@ class Adaptive:
 
     def _settle(self, x: Array, t: float, segment: Array) -> Array:
         """Sides at a point where they are not known."""
-        self.mode, self.side = (), np.sign(self.field.g(x, t, segment))
-        self.b = self._values(x, t, segment)
+        self.mode, self.b = (), self._values(x, t, segment)
+        self.side = np.sign(self.field.g(x, t, segment, self.b))
+        reach = np.abs(self.field.slopes(x, t, segment, self.b)[:, : self.field.n]) @ self._sizes
+        self.g_peak = np.maximum(self.g_peak, reach)
         self.c = np.zeros_like(self.b)
-        g = self.field.g(x, t, segment)
+        g = self.field.g(x, t, segment, self.b)
         near = np.abs(g) <= 1e3 * _PASSED * np.maximum(self.g_peak, 1e-300)
-        for i in np.flatnonzero(near | (g == 0)):
+        flat = ~self.field.slopes(x, t, segment, self.b)[:, : self.field.n + 1].any(axis=1)
+        for i in np.flatnonzero((near | (g == 0)) & ~flat):
             x = self._decide(int(i), x, t, segment, came_from=0.0)
         return x
 
@@ -304,9 +351,9 @@ class Adaptive:
         """Pass a switch, turn back from it, or stay on it, by where the fields on both sides point."""
         n = self.field.n
         sizes = np.maximum(self.peak[:n], 1e-12) + np.abs(x[:n])
-        low, high = self.field.sides(x, t, segment, i, sizes)
+        (low, g_low), (high, g_high) = self.field.sides(x, t, segment, self.b, i, sizes)
         own = self.field.owner == i
-        slope = self.field.slopes(x, t, segment)[i]
+        slope = self.field.slopes(x, t, segment, self.b)[i]
         fields = []
         for values in (low, high):
             b = np.where(own, values, self.b)
@@ -318,7 +365,7 @@ class Adaptive:
             self.mode = tuple(sorted((*self.mode, i)))
             x = x.copy()
             x[:n] -= (
-                float(self.field.g(x, t, segment)[i]) * slope[:n] / max(float(slope[:n] @ slope[:n]), 1e-300)
+                float(self.field.g(x, t, segment, self.b)[i]) * slope[:n] / max(float(slope[:n] @ slope[:n]), 1e-300)
             )
             after = self.field.field(self.mode)(x, t, segment, self.b, self.c)[0][:n]
             return self._moved(x, slope, before, after)
@@ -330,6 +377,7 @@ class Adaptive:
             side = came_from if came_from else 1.0
         self.side[i] = side
         self.b = np.where(own, high if side > 0 else low, self.b)
+        self._follow(i, high if side > 0 else low, g_high if side > 0 else g_low)
         return self._moved(x, slope, before, fields[1] if side > 0 else fields[0]) if came_from else x
 
     def _moved(self, x: Array, slope: Array, before: Array, after: Array) -> Array:
@@ -349,6 +397,15 @@ class Adaptive:
         instant[n:] += slope[n + 1 :]
         moved = s - np.outer(before - after, instant / rate)
         return np.concatenate([x[:n], moved.T.ravel()])
+
+    def _follow(self, i: int, values: Array, g: Array) -> None:
+        """Take along the switches whose functions jump at the event of another, as fractions of floor(t) do."""
+        for j in range(self.field.switches):
+            if j == i or j in self.mode or 0 < abs(g[j]) <= 1e-6 * self.g_peak[j]:
+                continue
+            if np.sign(g[j]) != self.side[j]:
+                self.side[j] = np.sign(g[j])
+                self.b = np.where(self.field.owner == j, values, self.b)
 
     def _leave(self, i: int, side: float) -> None:
         own = self.field.owner == i

@@ -130,7 +130,7 @@ class EventPropagator:
             start = node * self.scale
             if order:
                 start = np.concatenate([start, np.eye(n, wide).T.ravel()])
-            machine = Adaptive(field, self.tolerance, z)
+            machine = Adaptive(field, self.tolerance, z, self.scale)
             cells = slice(first, last)
             run = machine.run(start, times[first : last + 1], self._low[:, cells], self._high[:, cells])
             states[: last - first + 1, i] = run.states

@@ -165,7 +165,8 @@ def _states(field: SwitchedField, grid: Grid, start: Array) -> Array:
     low = grid.channels[:, :-1]
     high = np.where(first, grid.channels[:, 1:], low)
     with np.errstate(all="ignore"):
-        x = Adaptive(field, _TOLERANCE).run(start, grid.time, low, high).states.T
+        scale = np.array([state.scale for state in model.states])
+        x = Adaptive(field, _TOLERANCE, scale=scale).run(start, grid.time, low, high).states.T
     if not np.isfinite(x).all():
         raise FloatingPointError("the model's state is not finite here")
     return x

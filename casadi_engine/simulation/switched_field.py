@@ -55,17 +55,15 @@ class SwitchedField:
         self.sensitivities = sensitivities
         self.size = self.n * (1 + self.n + self.nz) if sensitivities else self.n
         held = with_held_jumps(ode, of=outer)
-        # A corner of a recorded channel alone is no event: the channel's own samples are corners too.
-        inner = ca.vertcat(model.x, model.t)
-        plain = [ca.substitute(s.function, held.symbols, held.values) for s in held.switches]
-        wanted = [
-            s.kind != "kink" or ca.depends_on(g, inner) for s, g in zip(held.switches, plain, strict=True)
-        ]
+        # A corner is no event: the error control sees it, and a law need not be defined beyond it.
+        wanted = [s.kind != "kink" for s in held.switches]
         back = [k for k, at in enumerate(held.at) if not wanted[at]]
         kept = [k for k, at in enumerate(held.at) if wanted[at]]
-        field = held.expression
+        g = [switch.function for switch, keep in zip(held.switches, wanted, strict=True) if keep]
+        field, functions = held.expression, ca.vertcat(ca.SX(0, 1), *g)
         if back:
-            field = ca.substitute(field, _rows(held.symbols, back), _rows(held.values, back))
+            corners = _rows(held.symbols, back), _rows(held.values, back)
+            field, functions = ca.substitute([field, functions], [corners[0]], [corners[1]])
         numbers = {old: new for new, old in enumerate(i for i, keep in enumerate(wanted) if keep)}
         self.owner = np.array([numbers[held.at[k]] for k in kept], dtype=np.intp)
         self.x, self.t = model.x, model.t
@@ -75,16 +73,14 @@ class SwitchedField:
         self._given = (ca.vertcat(model.u, z), ca.vertcat(moving, self._z))
         self._b = _rows(held.symbols, kept)
         self._field = self._along(ca.densify(field))
-        g = [g for g, keep in zip(plain, wanted, strict=True) if keep]
         self.switches = len(g)
-        self._g = self._along(ca.vertcat(ca.SX(0, 1), *g))
+        self._g = self._along(functions)
         nodes = self._along(_rows(held.values, kept))
         place = [self.x, self.t, self._segment]
         slope = ca.densify(ca.jacobian(self._g, ca.vertcat(self.x, self.t, self._z)))
-        self._nodes, self._g_of = (
-            _fast(ca.Function(name, place, [part])) for name, part in (("nodes", nodes), ("g", self._g))
-        )
-        self._slope = ca.Function("slope", place, [slope])
+        self._nodes = _fast(ca.Function("nodes", place, [nodes]))
+        self._g_of = _fast(ca.Function("g", [*place, self._b], [self._g]))
+        self._slope = ca.Function("slope", [*place, self._b], [slope])
         self._made: dict[tuple[str, Mode], Callable[..., list[Array]]] = {}
 
     def _along(self, expression: ca.SX) -> ca.SX:
@@ -106,7 +102,7 @@ class SwitchedField:
         for i in mode:
             own = ca.DM((self.owner == i).astype(float))
             rise.append(ca.substitute(self._field, self._b, b + c * own) - base)
-        g = ca.vertcat(*[self._g[i] for i in mode])
+        g = ca.substitute(ca.vertcat(*[self._g[i] for i in mode]), self._b, b)
         slope = ca.jacobian(g, self.x)
         rest = slope @ base + ca.jacobian(g, self.t)
         found = -ca.solve(slope @ ca.horzcat(*rise), rest)
@@ -116,9 +112,9 @@ class SwitchedField:
         """(nb,) values of the jumps at a point."""
         return self._nodes(x[: self.n], t, segment)[0]
 
-    def g(self, x: Array, t: float, segment: Array) -> Array:
-        """(switches,) switching functions at a point."""
-        return self._g_of(x[: self.n], t, segment)[0]
+    def g(self, x: Array, t: float, segment: Array, b: Array) -> Array:
+        """(switches,) switching functions at a point; one may depend on the values b of other jumps."""
+        return self._g_of(x[: self.n], t, segment, b)[0]
 
     def field_function(self, mode: Mode) -> ca.Function:
         """(x, t, segment, b, c) -> (dx/dt, α); with sensitivities x is [x; vec S], S (n, n + nz) to (start, z)."""
@@ -154,23 +150,29 @@ class SwitchedField:
             self._made[key] = _fast(ca.Function("slope", [self.x, self.t, self._segment, bs, cs], [slope]))
         return self._made[key](x[: self.n], t, segment, b, c)[0].reshape(self.n, self.n).T
 
-    def slopes(self, x: Array, t: float, segment: Array) -> Array:
+    def slopes(self, x: Array, t: float, segment: Array, b: Array) -> Array:
         """(switches, n + 1 + nz) derivatives of the switching functions to (x, t, z)."""
-        return np.asarray(self._slope(x[: self.n], t, segment), dtype=float).reshape(self.switches, -1)
+        return np.asarray(self._slope(x[: self.n], t, segment, b), dtype=float).reshape(self.switches, -1)
 
-    def sides(self, x: Array, t: float, segment: Array, i: int, sizes: Array) -> tuple[Array, Array]:
-        """Held values (nb,) on the side g_i < 0 and on the side g_i > 0 of a point on the switch i.
+    def sides(
+        self, x: Array, t: float, segment: Array, b: Array, i: int, sizes: Array
+    ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """Held values (nb,) and switching functions on the sides g_i < 0 and g_i > 0 of a point on the switch i.
 
         sizes : (n,) of the states, by which a point to either side is chosen
         """
-        slope, x = self.slopes(x, t, segment)[i], x[: self.n]
+        slope, x = self.slopes(x, t, segment, b)[i], x[: self.n]
         scaled = slope[: self.n] * sizes
         norm = float(scaled @ scaled)
         if norm > 0:
             move = 1e-7 * sizes * scaled / np.sqrt(norm)
-            return self.nodes(x - move, t, segment), self.nodes(x + move, t, segment)
+            return self._there(x - move, t, segment), self._there(x + move, t, segment)
         late = 1e-9 * max(abs(t), 1e-3) * (1 if slope[self.n] >= 0 else -1)
-        return self.nodes(x, t - late, segment), self.nodes(x, t + late, segment)
+        return self._there(x, t - late, segment), self._there(x, t + late, segment)
+
+    def _there(self, x: Array, t: float, segment: Array) -> tuple[Array, Array]:
+        values = self.nodes(x, t, segment)
+        return values, self.g(x, t, segment, values)
 
 
 def _rows(column: ca.SX, rows: list[int]) -> ca.SX:

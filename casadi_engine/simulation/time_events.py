@@ -102,6 +102,10 @@ def time_events(equations: ca.SX, u: ca.SX, t: ca.SX, inside: ca.SX) -> TimeEven
     ]
     if not any(timed):
         return None
+    # A jump may sit on a corner (the sign of max(u - 1, 0)): then the corner says when.
+    under = ca.vertcat(*[switch.g for switch, cut in zip(found.switches, timed, strict=True) if cut])
+    deciding = {found.at[b] for b in range(found.symbols.numel()) if ca.depends_on(under, found.symbols[b])}
+    timed = [cut or (k in deciding and not ca.depends_on(plain[k], inside)) for k, cut in enumerate(timed)]
     back = [b for b, at in enumerate(found.at) if not timed[at]]
     held = found.expression
     if back:

@@ -128,7 +128,8 @@ def _run(
     high: Array,
     tolerance: float,
 ) -> Run:
-    machine = Adaptive(field, tolerance)
+    scale = np.array([state.scale for state in model.states])
+    machine = Adaptive(field, tolerance, scale=scale)
     try:
         with np.errstate(all="ignore"):
             return machine.run(start, time, low, high)
