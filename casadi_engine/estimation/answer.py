@@ -13,8 +13,8 @@ from scipy.special import chdtri
 from casadi_engine.estimation.final_check import cure, printed_cost, relabelled, residual, response, verdict
 from casadi_engine.estimation.fit import Fit, Innovations, Optimum, Trace
 from casadi_engine.estimation.fit_percent import fit_measures
-from casadi_engine.estimation.integration import integration_of
 from casadi_engine.estimation.innovations import SizedPriors, loop_of
+from casadi_engine.estimation.integration import integration_of
 from casadi_engine.estimation.predictor import output_stride
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
@@ -92,8 +92,7 @@ def make_fit(
         fit_percent=percents,
         timing=timing,
         options=options,
-        messages=_messages(search, best, errors, optima, reason, stopped=stopped)
-        + _coarse(integration),
+        messages=_messages(search, best, errors, optima, reason, stopped=stopped) + _coarse(integration),
         states_at_start=first,
         gain=None if predictor is None else predictor.gain,
         innovations=predictor,
