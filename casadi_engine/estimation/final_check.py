@@ -67,8 +67,8 @@ def verdict(
     """
     status = best.solution.status
     if status == "converged" and not np.isfinite(errors.decrement):
-        reason = "the equations have no finite slope at this point, where a root, a power or a quotient of a state is at 0"
-        return f"not converged: {reason}", reason
+        bare = "the equations have no finite slope at this point: a root, a power or a quotient of a state is at 0"
+        return f"not converged: {bare}", bare
     reason = _saddle(search, errors, printed_cost(search, errors.v, residuals))
     if reason is not None:
         return f"not converged: {reason}", reason

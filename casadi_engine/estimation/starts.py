@@ -75,7 +75,7 @@ def _first_guess(parts: Callable[[Array], list[Array]], scale: Array) -> Array:
 
 
 def _shortened(function: Callable[[Array], Any], guess: Array, shift: Array) -> Array:
-    """The shifts (n, M) of a state, those shortened by halves that lead to where the equations have no values or slopes."""
+    """The shifts (n, M) of a state, halved where they lead to a state without values or slopes."""
     shift, count = shift.copy(), shift.shape[1]
     for _ in range(_HALVINGS):
         found = [np.asarray(part, dtype=float) for part in function(guess[:, None] + shift)]

@@ -117,7 +117,7 @@ def test_an_output_without_a_slope_at_zero_has_its_start_found():
     assert all(fit.values[key] == pytest.approx(truth[key], rel=0.1) for key in truth)
 
 
-def test_a_record_that_is_too_coarse_is_said():
+def test_a_coarse_record_is_integrated_finely_enough():
     make, truth, slope, start = SYSTEMS["duffing"]
     fine = solved(slope, start, 2401, np.zeros(2401))[0]
     time = STEP * np.arange(0, 2401, 80)
@@ -132,9 +132,10 @@ def test_a_record_that_is_too_coarse_is_said():
     )
     (found,) = fit.integration.values()
     off = np.abs(fit.traces["run"]["y"].simulated - fine[::80]).max()
-    assert off > 5e-5
-    assert found.absolute[0] == pytest.approx(off, rel=0.3)
-    assert any("the integration of run/y is off" in message for message in fit.messages)
+    assert off < 0.02 * 1e-4  # of the noise: it may move no estimate by more of its standard error
+    assert found.shift <= 0.02
+    assert found.substeps > 1
+    assert not any("integration" in message for message in fit.messages)
     assert "relative error" in str(fit)
 
 
