@@ -40,9 +40,7 @@ def freedom_of(
     scatter : record -> output -> (N, g) columns of random amplitudes; levels : record -> (g,) their standard deviations
     """
     count = next(iter(next(iter(columns.values())).values())).shape[1]
-    if count == 0 or (
-        not noise.freedom and all(colour.covariance is None for colour in noise.colour.values())
-    ):
+    if count == 0 or (not noise.freedom and all(c.covariance is None for c in noise.colour.values())):
         return np.full(count, np.inf)
     if not noise.colour:
         return np.full(count, min(noise.freedom.values()))

@@ -365,7 +365,9 @@ class Adaptive:
             self.mode = tuple(sorted((*self.mode, i)))
             x = x.copy()
             x[:n] -= (
-                float(self.field.g(x, t, segment, self.b)[i]) * slope[:n] / max(float(slope[:n] @ slope[:n]), 1e-300)
+                float(self.field.g(x, t, segment, self.b)[i])
+                * slope[:n]
+                / max(float(slope[:n] @ slope[:n]), 1e-300)
             )
             after = self.field.field(self.mode)(x, t, segment, self.b, self.c)[0][:n]
             return self._moved(x, slope, before, after)

@@ -150,7 +150,7 @@ def _adaptive_path(model: Model, grid: Grid, p: Array, start: Array) -> NullPath
     field, most = SwitchedField(model, ca.SX(0, 1), ca.SX(ca.DM(p))), _MOST * grid.samples
     while True:
         halves = with_parts(grid, np.full(grid.samples - 1, 2))
-        x = _states(field, halves, start)
+        x = _states(field, halves, start, np.array([state.scale for state in model.states]))
         path = with_slope(model, grid, np.ascontiguousarray(x[:, ::2]), p)
         off = np.abs(path.between(0.5).x - x[:, 1::2]) > _CUBIC * np.abs(x).max(axis=1, keepdims=True)
         bent = off.any(axis=0)
@@ -159,13 +159,12 @@ def _adaptive_path(model: Model, grid: Grid, p: Array, start: Array) -> NullPath
         grid = with_parts(grid, np.where(bent, _PARTS, 1))
 
 
-def _states(field: SwitchedField, grid: Grid, start: Array) -> Array:
+def _states(field: SwitchedField, grid: Grid, start: Array, scale: Array) -> Array:
     """(n, N) states on the grid."""
     first = np.array([[hold == "first"] for hold in grid.holds]).reshape(len(grid.channels), 1)
     low = grid.channels[:, :-1]
     high = np.where(first, grid.channels[:, 1:], low)
     with np.errstate(all="ignore"):
-        scale = np.array([state.scale for state in model.states])
         x = Adaptive(field, _TOLERANCE, scale=scale).run(start, grid.time, low, high).states.T
     if not np.isfinite(x).all():
         raise FloatingPointError("the model's state is not finite here")

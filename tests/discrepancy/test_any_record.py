@@ -139,7 +139,9 @@ def measured(kind):
     return model, record(times, angle, torque=torque)
 
 
-@pytest.mark.parametrize("kind", ["jittered", "offset", "missing", "time"])
+@pytest.mark.parametrize(
+    "kind", ["jittered", "offset", "missing", pytest.param("time", marks=pytest.mark.slow)]
+)
 def test_the_friction_of_a_swing_is_found_whatever_the_samples(kind):
     model, data = measured(kind)
     found = ce.repair(model, data, noise=ce.Noise(angle=SIGMA), effects=FEW, progress=False)
