@@ -27,6 +27,14 @@ _SAFETY, _LEAST, _MOST = 0.9, 0.2, 6.0
 _SMALL = 1e-9
 # Of its declared size, what a state that has always been at rest is integrated to: it may be set in motion by a corner.
 _REST = 1e-9
+# To this share of its largest value the course of a switching function within a step is known.
+_COURSE = 1e-3
+# And so near to 0 a cubic through it is looked at more closely.
+_NEAR = 1e-2
+# What is left of two fields that cancel, relative to them.
+_ROUNDING = 1e-14
+# Two passes of a switch within this share of the record count as none.
+_BRIEF = 1e-6
 # A switching function counts as passed beyond this share of its largest value.
 _PASSED = 1e-12
 MOST_STEPS, MOST_EVENTS = 2_000_000, 50_000
@@ -44,30 +52,38 @@ class Run:
 
 
 def _dormand_prince(field: ca.Function) -> ca.Function:
-    """(x, t, h, segment, b, c) -> (end, its errors of order 5 and 3, α at the end)."""
+    """(x, t, h, segment, b, c) -> (end, its errors of order 5 and 3, α at the end, those errors of the switches)."""
     x, t, h = ca.SX.sym("x", field.size1_in(0)), ca.SX.sym("t"), ca.SX.sym("h")
     rest = [ca.SX.sym(name, field.size1_in(k)) for k, name in ((2, "segment"), (3, "b"), (4, "c"))]
-    slopes: list[ca.SX] = []
+    slopes: list[tuple[ca.SX, ca.SX]] = []
     for row, node in zip(DOP853.A, DOP853.C, strict=True):
         inner = x
-        for weight, slope in zip(row, slopes, strict=False):
+        for weight, (slope, _) in zip(row, slopes, strict=False):
             if weight:
                 inner = inner + h * weight * slope
-        slopes.append(field(inner, t + node * h, *rest)[0])
+        rate, _, passing = field(inner, t + node * h, *rest)
+        slopes.append((rate, passing))
     end = x
-    for weight, slope in zip(DOP853.B, slopes, strict=True):
+    for weight, (slope, _) in zip(DOP853.B, slopes, strict=True):
         if weight:
             end = end + h * weight * slope
-    last, share = field(end, t + h, *rest)
-    slopes.append(last)
+    last, share, passing = field(end, t + h, *rest)
+    slopes.append((last, passing))
     errors = []
-    for weights in (DOP853.E5, DOP853.E3):
-        error = ca.SX.zeros(x.shape)
-        for weight, slope in zip(weights, slopes, strict=True):
-            if weight:
-                error = error + h * weight * slope
-        errors.append(error)
-    return ca.Function("step", [x, t, h, *rest], [end, *errors, share])
+    for part in (0, 1):
+        for weights in (DOP853.E5, DOP853.E3):
+            error = ca.SX.zeros(slopes[0][part].shape)
+            for weight, pair in zip(weights, slopes, strict=True):
+                if weight:
+                    error = error + h * weight * pair[part]
+            errors.append(error)
+    return ca.Function("step", [x, t, h, *rest], [end, *errors[:2], share, *errors[2:]])
+
+
+def _norm(fifth: Array, third: Array) -> float:
+    """The scheme's error in units of what is allowed, from its errors of order 5 and 3 in these units."""
+    five, three = float(fifth @ fifth), float(third @ third)
+    return five / float(np.sqrt((five + 0.01 * three) * len(fifth))) if five else 0.0 if five == 0 else np.nan
 
 
 class Adaptive:
@@ -86,6 +102,8 @@ class Adaptive:
         self.steps = self.events = self.limited = 0
         self.stiff = False
         self.h = self.time = 0.0
+        # (n,) what the fields on both sides of the switches differ by on which the state stays: they cancel
+        self._held = np.zeros(field.n)
 
     # ---- the whole run
 
@@ -100,6 +118,7 @@ class Adaptive:
         states[0] = x
         self.peak, self.g_peak = np.abs(x), np.zeros(self.field.switches)
         # Without channels and switches nothing asks for a fresh start at a knot.
+        self._span = float(time[-1] - time[0])
         self._free = not len(low) and not self.field.switches
         for k in range(len(time) - 1):
             length = time[k + 1] - time[k]
@@ -162,11 +181,15 @@ class Adaptive:
         """A step that meets the tolerance: its length, end, and α there."""
         h = min(self.h, left)
         while True:
-            ahead, fifth, third, share = self._step(x, t, h, segment)
+            ahead, fifth, third, share, passing5, passing3 = self._step(x, t, h, segment)
             weight = self._weights(np.maximum(np.abs(x), np.abs(ahead)))
-            five, three = float(np.sum((fifth / weight) ** 2)), float(np.sum((third / weight) ** 2))
-            finite = np.isfinite(five) and np.isfinite(three) and np.isfinite(ahead).all()
-            error = five / np.sqrt((five + 0.01 * three) * len(x)) if finite and five else 0.0
+            weight[: self.field.n] += _ROUNDING * h * self._held
+            finite = bool(np.isfinite(ahead).all())
+            error = _norm(fifth / weight, third / weight)
+            if self.field.switches and h > _BRIEF * self._span:  # a switch that is passed twice within a step is seen where its course is known
+                weight = _COURSE * np.maximum(self.g_peak, np.abs(self.field.g(ahead, t + h, segment, self.b)))
+                error = max(error, _norm(passing5 / (weight + 1e-300), passing3 / (weight + 1e-300)))
+            finite = finite and bool(np.isfinite(error))
             if finite and error <= 1:
                 break
             h *= max(_LEAST, _SAFETY * error ** (-1 / 8)) if finite else _LEAST
@@ -245,7 +268,7 @@ class Adaptive:
     def _at(self, x: Array, t: float, h: float, segment: Array) -> tuple[Array, Array]:
         if self.stiff:
             return self._stiff_step(x, t, h, segment)
-        ahead, _, _, share = self._step(x, t, h, segment)
+        ahead, _, _, share, _, _ = self._step(x, t, h, segment)
         return ahead, share
 
     def _event(
@@ -260,11 +283,10 @@ class Adaptive:
             flat = self._turned_flat(x, t, h, ahead, segment)
             if flat is not None:
                 return flat
-            # a switch may be passed twice within a step
-            middle, there = self._at(x, t, 0.5 * h, segment)
-            if (self._functions(middle, t + 0.5 * h, there, segment) >= 0).all():
+            found = self._passed_twice(x, t, h, ahead, segment)
+            if found is None:
                 return None
-            reach, end = 0.5 * h, self._functions(middle, t + 0.5 * h, there, segment)
+            reach, end = found
 
         def value(i: int, length: float) -> float:
             if length == 0.0:
@@ -285,6 +307,35 @@ class Adaptive:
         at = t + length
         passed = [i for found, i in instants if found <= length * (1 + 1e-12)]
         return at, self._after(where, at, segment, passed)
+
+    def _passed_twice(
+        self, x: Array, t: float, h: float, ahead: Array, segment: Array
+    ) -> tuple[float, Array] | None:
+        """A place within a step at which a switch is on its other side, though not at the end; and the functions there.
+
+        Looked for at the lowest points of the cubics through the functions and their rates at both ends and in the middle.
+        """
+        middle, _ = self._at(x, t, 0.5 * h, segment)
+        rows = []
+        for point, at in ((x, t), (middle, t + 0.5 * h), (ahead, t + h)):
+            rate = self.field.field(self.mode)(point, at, segment, self.b, self.c)[2]
+            rows.append((self.side * self.field.g(point, at, segment, self.b), 0.5 * h * self.side * rate))
+        places = {0.5}
+        for k in (0, 1):
+            (p, m), (q, n) = rows[k], rows[k + 1]
+            a, b = 2 * p + m - 2 * q + n, -3 * p + 3 * q - 2 * m - n
+            root = np.sqrt(np.maximum(b * b - 3 * a * m, 0.0))
+            low = np.where(a != 0, (-b + root) / np.where(a != 0, 3 * a, 1), -m / np.where(b != 0, 2 * b, 1))
+            low = np.where((low > 0) & (low < 1), low, 0.0)
+            value = ((a * low + b) * low + m) * low + p
+            near = (low > 0) & (value < _NEAR * self.g_peak) & (self.side != 0)
+            places |= {0.5 * (k + float(share)) for share in low[near]}
+        for share in sorted(places):
+            point, alpha = self._at(x, t, share * h, segment)
+            found = self._functions(point, t + share * h, alpha, segment)
+            if (found < 0).any():
+                return share * h, found
+        return None
 
     def _turned_flat(
         self, x: Array, t: float, h: float, ahead: Array, segment: Array
@@ -350,6 +401,8 @@ class Adaptive:
     def _decide(self, i: int, x: Array, t: float, segment: Array, *, came_from: float) -> Array:
         """Pass a switch, turn back from it, or stay on it, by where the fields on both sides point."""
         n = self.field.n
+        if not self.field.slopes(x, t, segment, self.b)[i, : n + 1].any():
+            return self._left_flat(i, x, t, segment)
         sizes = np.maximum(self.peak[:n], 1e-12) + np.abs(x[:n])
         (low, g_low), (high, g_high) = self.field.sides(x, t, segment, self.b, i, sizes)
         own = self.field.owner == i
@@ -363,6 +416,7 @@ class Adaptive:
         if rates[0] > 0 > rates[1]:
             self.b, self.c = np.where(own, low, self.b), np.where(own, high - low, self.c)
             self.mode = tuple(sorted((*self.mode, i)))
+            self._held = np.maximum(self._held, np.abs(fields[0]) + np.abs(fields[1]))
             x = x.copy()
             x[:n] -= (
                 float(self.field.g(x, t, segment, self.b)[i])
@@ -381,6 +435,14 @@ class Adaptive:
         self.b = np.where(own, high if side > 0 else low, self.b)
         self._follow(i, high if side > 0 else low, g_high if side > 0 else g_low)
         return self._moved(x, slope, before, fields[1] if side > 0 else fields[0]) if came_from else x
+
+    def _left_flat(self, i: int, x: Array, t: float, segment: Array) -> Array:
+        """The side of a switch that has no slope here, by where it is a moment later."""
+        late = 1e-9 * max(abs(t), 1e-3)
+        ahead = x + late * self.field.field(self.mode)(x, t, segment, self.b, self.c)[0]
+        self.side[i] = np.sign(self.field.g(ahead, t + late, segment, self.b)[i])
+        self.b = np.where(self.field.owner == i, self.field.nodes(ahead, t + late, segment), self.b)
+        return x
 
     def _moved(self, x: Array, slope: Array, before: Array, after: Array) -> Array:
         """The sensitivities after an event: its instant moves with start and z, and the field is another before it.

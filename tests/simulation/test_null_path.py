@@ -64,4 +64,6 @@ def test_two_bursts_ten_minutes_apart():
     states, wide = [np.array([1.0, 0.0])], np.array([[0.0, 1, 0], [-2, -0.4, 1], [0, 0, 0]])
     for h, level in zip(np.diff(t), np.sin(3 * t), strict=False):
         states.append((expm(wide * h) @ [*states[-1], level])[:2])
-    np.testing.assert_allclose(path.x, np.array(states).T, rtol=0, atol=3e-6)
+    at = np.searchsorted(path.grid.time, t - 1e-9)
+    np.testing.assert_allclose(path.grid.time[at], t, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(path.x[:, at], np.array(states).T, rtol=0, atol=3e-6)
