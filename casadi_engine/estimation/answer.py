@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
+from scipy.special import chdtrc, chdtri
 
 from casadi_engine.estimation.final_check import cure, printed_cost, relabelled, residual, response, verdict
 from casadi_engine.estimation.fit import Fit, Innovations, Optimum, Trace
@@ -23,6 +24,8 @@ from casadi_engine.simulation.error_estimate import ErrorEstimate
 
 Array = NDArray[np.float64]
 
+# A sum of squares that chance makes so rarely is not of the stated noise level.
+_IMPOSSIBLE = 1e-9
 # Lag-one correlation, in its standard errors, from which a residual counts as coloured; least samples to say so.
 _COLOUR, _FEW = 5.0, 30
 # An integration error that may move an estimate by this share of its standard error is said.
@@ -79,7 +82,10 @@ def make_fit(
         z=z,
         covariance=errors.of_parameters(),
         undetermined=errors.directions,
-        initial=errors.initial_estimates(),
+        initial={
+            record.experiment.name: {key: replace(one, time=record.grid.start) for key, one in states.items()}
+            for record, states in zip(search.records, errors.initial_estimates().values(), strict=True)
+        },
         noise=_noise(search, best.sigma, pmap.values(z)),
         cost=(cost if np.isfinite(cost) else best.cost) - size,
         n=problem.samples,
@@ -170,8 +176,8 @@ def _integration(search: Search, x: Array) -> dict[str, ErrorEstimate]:
 def _coarse(integration: dict[str, ErrorEstimate]) -> tuple[str, ...]:
     """What integration errors do to the estimates, where it is more than they are allowed to."""
     return tuple(
-        f"the integration of {record} moves the estimates by up to {found.shift:.2g} standard errors, even with "
-        f"{found.substeps} steps to a sample: the equations change too sharply; make them smoother"
+        f"the integration of {record} moves the estimates by up to {found.shift:.2g} standard errors, and shorter "
+        "steps were not reached: the equations change too sharply; make them smoother"
         for record, found in integration.items()
         if found.shift is not None and found.shift > _FELT
     )
@@ -238,6 +244,7 @@ def _messages(
     if violated:
         found.append(f"not met: {', '.join(violated)}")
     found += _rates(search)
+    found += _beyond_noise(search, best)
     found += _coloured(search, best)
     found += _rivals(best, optima)
     if stopped:
@@ -271,6 +278,31 @@ def _rivals(best: Attempt, optima: tuple[Optimum, ...]) -> list[str]:
         f"{len(others)} other optim{'a explain' if len(others) > 1 else 'um explains'} the data as well: {ways}; "
         "the standard errors are those of one optimum alone"
     ]
+
+
+def _beyond_noise(search: Search, best: Attempt) -> list[str]:
+    """Outputs whose residuals are far larger than the level that was stated for them."""
+    found = []
+    point = search.problem.at(best.solution.x)
+    names = search.records[0].outputs
+    for name, estimated, sigma in zip(names, search.levels.estimated, search.sigma, strict=True):
+        rows = [
+            record.observation.series(part.r, name)[record.observation.series(record.weight, name) > 0]
+            for record, part in zip(search.records, point.records, strict=True)
+            if name in record.observation.where
+        ]
+        r = np.concatenate([np.zeros(0), *rows])
+        left = len(r) - search.free_count
+        if estimated or search.loss.robust or left < 1:
+            continue
+        square = float(r @ r)
+        if chdtrc(left, square) < _IMPOSSIBLE:
+            found.append(
+                f"the residual of {name} is {math.sqrt(square / left):.3g} times the stated noise level of "
+                f"{sigma:.3g}: the level (its unit?) or the model is wrong, or the search ended at a "
+                "local optimum (try starts=10); the standard errors are too small"
+            )
+    return found
 
 
 def _coloured(search: Search, best: Attempt) -> list[str]:

@@ -19,7 +19,7 @@ from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.loss import read_loss
 from casadi_engine.estimation.moved_jumps import refuse_moved_jumps
 from casadi_engine.estimation.multistart import attempts_from, best_of, distinct_optima, interrupted
-from casadi_engine.estimation.options import chosen, small, whole
+from casadi_engine.estimation.options import begun_at, chosen, small, whole
 from casadi_engine.estimation.parallel import checked_jobs
 from casadi_engine.estimation.search import Search
 from casadi_engine.estimation.workers import Workers
@@ -101,6 +101,8 @@ def estimate(
     """
     begun = time.perf_counter()
     records = _records(data, model)
+    names = tuple(record.name for record in records)
+    records = tuple(begun_at(record, initial, model, names) for record in records)
     starts = whole("starts", starts, 1)
     max_iterations = whole("max_iterations", max_iterations, 1)
     seed, tolerance = whole("seed", seed, 0), small(tolerance)

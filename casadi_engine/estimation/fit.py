@@ -25,6 +25,7 @@ class Estimate:
 
     value, stderr : in ``unit``; stderr is None where there is none, and ``why`` says why
     at_bound : False, "min" or "max"; at a bound there is no symmetric error
+    time : of an initial state, the instant that it holds at [s]
     """
 
     value: float
@@ -33,6 +34,7 @@ class Estimate:
     at_bound: AtBound = False
     why: str | None = None
     fixed: bool = False
+    time: float | None = None
 
 
 @dataclass(frozen=True)

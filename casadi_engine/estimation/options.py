@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.fit import Estimate
+from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import near_matches
 from casadi_engine.simulation.grid import Grid
@@ -101,6 +103,25 @@ def initial_bounds(
         else:
             raise _bad_initial({name: value})
     return lower, upper, start
+
+
+def begun_at(record: Experiment, initial: Any, model: Model, records: Sequence[str]) -> Experiment:
+    """The record, told at which instant its initial states hold.
+
+    Numbers given for initial states hold where the inputs begin; estimates of a fit at their own instant; states that
+    are all free at the first valid sample of the outputs.
+    """
+    if not isinstance(initial, Mapping):
+        return record
+    if initial and all(isinstance(value, Mapping) for value in initial.values()):
+        initial = initial.get(record.name, {}) if record.name in records else {}
+    times = [
+        value.time for value in initial.values() if isinstance(value, Estimate) and value.time is not None
+    ]
+    inputs = [record[v.name].span[0] for v in model.inputs if v.name in record]
+    fixed = any(as_number(value) is not None for value in initial.values())
+    begin = min(times) if times else max(inputs) if fixed and inputs else None
+    return replace(record, begin=begin)
 
 
 def as_number(value: Any) -> float | None:

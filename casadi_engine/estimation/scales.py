@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 
 # A start is the size of its parameter unless the misfit asks for a change a million times as large.
 _NO_SIZE = 1e-6
+# And beyond so many times, the slope itself says nothing.
+_NO_SLOPE = 1e15
 # A state's scale is of no use where the state is so many times as large.
 _LARGE = 1e3
 
@@ -58,5 +60,6 @@ def felt_scale(problem: ShootingProblem, coordinates: Coordinates, z: Array, x: 
     with np.errstate(divide="ignore"):
         felt = np.where(slope > 0, np.sqrt(max(square, 1.0) / np.where(slope > 0, slope, 1.0)), 1.0)
     blind = np.abs(z) < _NO_SIZE * felt
-    blind &= (slope > 0) | (z == 0)
+    # a slope that asks for more than the digits of a number is what is left of an underflow: it says nothing
+    blind &= np.where(z == 0, True, (slope > 0) & (felt < _NO_SLOPE * np.abs(z)))
     return np.where(blind, felt, np.nan) if blind.any() else None

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from casadi_engine.errors import SimulationError
 from casadi_engine.estimation.estimate import estimate
 from casadi_engine.estimation.fit import Estimate, Fit
-from casadi_engine.estimation.options import as_number, small
+from casadi_engine.estimation.options import as_number, begun_at, small
 from casadi_engine.experiment import Channel, Experiment
 from casadi_engine.experiment.channel import Step
 from casadi_engine.model import Model
@@ -43,11 +43,9 @@ def simulate(
         record of that name, the records' mean in any other) and, for a record of the fit, from its initial states
     data : the inputs, and the outputs if they were measured
     parameters : a set, or name -> value (others at the model's defaults, or the fit's values), or None
-    initial : state -> value. One number for each state: they hold where the inputs begin, and the simulation starts
-    there.
-        States left out, or None for all, are fitted to the outputs by least squares; values given beside fitted
-        ones, and estimates of a fit (``fit.initial["record"]``, taken as it is), are at the first valid sample of the
-        outputs, and the simulation starts there
+    initial : state -> value. Numbers hold where the inputs begin, and the simulation starts there; states left out, or
+        None for all, are fitted to the outputs by least squares (all at the first valid sample of the outputs, where no
+        number is given). Estimates of a fit (``fit.initial["record"]``, taken as it is) hold at their own instant
     method : "exact", or "euler" for a linear model
     tolerance : largest estimated error of an output, relative to its largest value. A linear model is solved exactly;
         any other by steps that follow the error. Jumps in the equations (``sign``, ``if_else``) are met at
@@ -70,7 +68,7 @@ def simulate(
     _check_kinds(model, data, parameters, initial)
     data = arriving(model, data)
     names = [state.name for state in model.states]
-    given = dict(initial or {})
+    given: dict[str, Any] = dict(initial or {})
     for name, value in given.items():
         number = as_number(value)
         if name in names and (number is None or not math.isfinite(number)):
@@ -100,7 +98,8 @@ def simulate(
             )
         given = _fitted_start(model, data, values, given, method)
     of_fit = bool(measured) and all(isinstance(value, Estimate) for value in given.values())
-    grid = _fitted_grid(model, data) if missing or of_fit else _whole_grid(model, data)
+    data = begun_at(data, given, model, ())
+    grid = _fitted_grid(model, data) if of_fit else _whole_grid(model, data)
     start = np.array([as_number(given[name]) for name in names], dtype=float)
     return _run(model, data, values, start, replace(grid, measured={}), method, small(tolerance))
 
@@ -114,8 +113,8 @@ def _of_fit(
         own = {name: known[name] for name in fit.model.parameter_names}
         parameters = own | dict(parameters or {})
     if initial is None and isinstance(data, Experiment):
-        begun = {record.name: _begin(fit.model, record) for record in fit.data}
-        if data.name in begun and begun[data.name] == _begin(fit.model, data):
+        begins = {record.name: _begin(fit.model, record) for record in fit.data}
+        if data.name in begins and begins[data.name] == _begin(fit.model, data):
             initial = fit.initial[data.name]
     return fit.model, parameters, initial
 
@@ -147,7 +146,7 @@ def _check_kinds(model: Any, data: Any, parameters: Any, initial: Any) -> None:
 
 def _fitted_start(
     model: Model, data: Experiment, values: Array, given: Mapping[str, float], method: Method
-) -> dict[str, float]:
+) -> dict[str, Any]:
     """The initial state that explains the measured outputs best, parameters held."""
     known = [k for k, out in enumerate(model.outputs) if out.name in data]
     model = replace(
@@ -169,11 +168,11 @@ def _fitted_start(
             seen=fit.status,
             cure="give initial={state: value, ...}",
         )
-    return {name: estimate.value for name, estimate in fit.initial[data.name].items()}
+    return dict(fit.initial[data.name])
 
 
 def _fitted_grid(model: Model, data: Experiment) -> Grid:
-    """The grid of a fit, from the first valid output sample to the last."""
+    """The grid of a fit, from where its initial states hold to the last valid sample of the outputs."""
     return lay_grid(model, data, outputs=tuple(out.name for out in model.outputs if out.name in data))
 
 

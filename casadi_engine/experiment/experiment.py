@@ -40,6 +40,7 @@ class Experiment:
     history : what was done, one :class:`Step` a verb.  ignored : columns of the file that were not read.
     source, sha256 : file that it was read from (None when made of arrays).
     inputs : channels known to be inputs (may be empty: the model knows them).
+    begin : instant [s] at which its initial states hold, where that is not the first valid sample of the outputs.
 
     Raises :class:`ExperimentError` for no channel, a repeated one or an unknown input.
 
@@ -57,6 +58,7 @@ class Experiment:
     source: str | None = None
     sha256: str | None = None
     inputs: tuple[str, ...] = ()
+    begin: float | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip():

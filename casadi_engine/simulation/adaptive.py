@@ -1,13 +1,14 @@
 """Values of any model to a tolerance: steps that follow the error, events met at their instant, stiff equations too.
 
 Smooth pieces are integrated by the explicit scheme of order 8 of Dormand and Prince (Hairer, Nørsett & Wanner,
-Solving Ordinary Differential Equations I, section II.10), each step one CasADi call; by CVODES (Hindmarsh et al. 2005)
-from where the step is limited by stability and not by accuracy.
+Solving Ordinary Differential Equations I, section II.10), each step one CasADi call; by CVODES (Hindmarsh et al.
+2005) from where the step is limited by stability and not by accuracy.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -186,8 +187,12 @@ class Adaptive:
             weight[: self.field.n] += _ROUNDING * h * self._held
             finite = bool(np.isfinite(ahead).all())
             error = _norm(fifth / weight, third / weight)
-            if self.field.switches and h > _BRIEF * self._span:  # a switch that is passed twice within a step is seen where its course is known
-                weight = _COURSE * np.maximum(self.g_peak, np.abs(self.field.g(ahead, t + h, segment, self.b)))
+            if (
+                self.field.switches and h > _BRIEF * self._span
+            ):  # a switch that is passed twice within a step is seen where its course is known
+                weight = _COURSE * np.maximum(
+                    self.g_peak, np.abs(self.field.g(ahead, t + h, segment, self.b))
+                )
                 error = max(error, _norm(passing5 / (weight + 1e-300), passing3 / (weight + 1e-300)))
             finite = finite and bool(np.isfinite(error))
             if finite and error <= 1:
@@ -283,10 +288,10 @@ class Adaptive:
             flat = self._turned_flat(x, t, h, ahead, segment)
             if flat is not None:
                 return flat
-            found = self._passed_twice(x, t, h, ahead, segment)
-            if found is None:
+            between = self._passed_twice(x, t, h, ahead, segment)
+            if between is None:
                 return None
-            reach, end = found
+            reach, end = between
 
         def value(i: int, length: float) -> float:
             if length == 0.0:
@@ -296,16 +301,16 @@ class Adaptive:
 
         instants = []
         for i in np.flatnonzero(end < 0):
-            begin = value(int(i), 0.0)
-            found = 0.0 if begin <= 0 else brentq(
-                lambda length, i=i: value(int(i), length), 0.0, reach, xtol=1e-15 * max(abs(t), reach), rtol=1e-15
-            )  # fmt: skip
-            instants.append((found, int(i)))
+            begin, least = value(int(i), 0.0), 1e-15 * max(abs(t), reach)
+            at_most = 0.0
+            if begin > 0:
+                at_most = float(brentq(partial(value, int(i)), 0.0, reach, xtol=least, rtol=1e-15))
+            instants.append((at_most, int(i)))
         length, _ = min(instants)
         self.events += 1
         where, _ = self._at(x, t, length, segment) if length > 0 else (x, share)
         at = t + length
-        passed = [i for found, i in instants if found <= length * (1 + 1e-12)]
+        passed = [i for instant, i in instants if instant <= length * (1 + 1e-12)]
         return at, self._after(where, at, segment, passed)
 
     def _passed_twice(
@@ -313,7 +318,8 @@ class Adaptive:
     ) -> tuple[float, Array] | None:
         """A place within a step at which a switch is on its other side, though not at the end; and the functions there.
 
-        Looked for at the lowest points of the cubics through the functions and their rates at both ends and in the middle.
+        Looked for at the lowest points of the cubics through the functions and their rates at both ends and in the
+        middle.
         """
         middle, _ = self._at(x, t, 0.5 * h, segment)
         rows = []

@@ -69,6 +69,8 @@ class ErrorEstimate:
         )
         how = ", ".join(part for part in (self.integrator, kind) if part)
         text = f"integration: {how}, estimated relative error {errors}"
+        if self.shift is not None:
+            return f"{text}; it moves no estimate by more than {self.shift:.1g} standard errors"
         return text if self.within else f"{text}; more than the tolerance {self.tolerance:.1e}"
 
     def to_dict(self) -> dict[str, object]:

@@ -104,6 +104,8 @@ def lay_grid(model: Model, experiment: Experiment, *, outputs: tuple[str, ...] |
     for channel in (*inputs, *observed):
         _check_size(channel, experiment.place)
     first, last = _span(observed) if observed else _common_span(inputs, experiment.place)
+    if experiment.begin is not None:
+        first = min(first, max([experiment.begin, *(channel.span[0] for channel in inputs)]))
     found = _equally_spaced(inputs, observed, first, last, experiment.place)
     if found is None:
         found = _of_all_times(inputs, observed, first, last)

@@ -69,7 +69,7 @@ class SwitchedField:
         self.x, self.t = model.x, model.t
         self._segment = ca.SX.sym("segment", 1 + 2 * nu + self.nz)
         moving = self._segment[1 : 1 + nu] + (model.t - self._segment[0]) * self._segment[1 + nu : 1 + 2 * nu]
-        self._z = self._segment[1 + 2 * nu :]
+        self._z = self._segment[1 + 2 * nu :] if self.nz else ca.SX(0, 1)
         self._given = (ca.vertcat(model.u, z), ca.vertcat(moving, self._z))
         self._b = _rows(held.symbols, kept)
         self._field = self._along(ca.densify(field))
@@ -117,7 +117,7 @@ class SwitchedField:
         return self._g_of(x[: self.n], t, segment, b)[0]
 
     def field_function(self, mode: Mode) -> ca.Function:
-        """(x, t, segment, b, c) -> (dx/dt, α, dg/dt); with sensitivities x is [x; vec S], S (n, n + nz) to (start, z)."""
+        """(x, t, segment, b, c) -> (dx/dt, α, dg/dt); with sensitivities x is [x; vec S], S : (n, n + nz)."""
         b, c, field, share = self._sliding(mode)
         g = ca.substitute(self._g, self._b, b) if self._b.numel() else self._g
         passing = ca.jacobian(g, self.x) @ field + ca.jacobian(g, self.t)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from casadi_engine.errors import EstimationError
 from casadi_engine.estimation import Fit, estimate
 from casadi_engine.estimation.summary import with_error
 from casadi_engine.experiment import Experiment
@@ -58,6 +59,13 @@ def parameters_for(fit: Fit, record: str) -> Parameters:
 def held_on(fit: Fit, data: Any, *, noise: Noise, method: str) -> Fit:
     """A Fit of other records with the fit's parameters, initial states found; see ``parameters_for``."""
     records = with_unique_names((data,) if isinstance(data, Experiment) else tuple(data))
+    if not records:
+        raise EstimationError(
+            "there are no fresh data to judge",
+            seen="an empty sequence",
+            allowed="one Experiment or several",
+            cure="give validate(fit, record), or leave the data out to test the fit on its own",
+        )
     alike: dict[Any, list[Experiment]] = {}
     for record in records:
         known = any(key.partition("@")[2] == record.name for key in fit.values)

@@ -333,3 +333,30 @@ def test_a_parameter_that_varies_takes_the_value_of_the_records_name(run_up):
         parameters={"J_eng": fit.values["J_eng"], "C_eng": fit.values[f"C_eng@{name}"]},
     )  # fmt: skip
     np.testing.assert_array_equal(own["omega"].values, by_hand["omega"].values)
+
+
+def test_a_number_for_an_initial_state_holds_where_the_inputs_begin():
+    """An infusion from 0 on, whose first sample is drawn an hour later: A(0) = 0, and not A(1 h) = 0."""
+    b = ce.Blueprint("drug", time_unit="h")
+    k, volume = b.parameter("k", 1.0, unit="1/h", min=0), b.parameter("V", 10.0, unit="L", min=0.1)
+    amount, rate = b.state("A", unit="mg"), b.input("R", unit="mg/h")
+    b.ode("A", rate - k * amount)
+    b.output("c", amount / volume, unit="mg/L")
+    t = np.array([1, 2, 3, 4, 6, 8, 12.0])
+    c = 100 / 0.5 * (1 - np.exp(-0.5 * np.minimum(t, 2))) * np.exp(-0.5 * np.maximum(t - 2, 0)) / 20
+    data = ce.Experiment.from_arrays(
+        "run",
+        units={"R": "mg/h", "c": "mg/L", "time": "h"},
+        hold={"R": "zero"},
+        R=([0, 2, 12.0], [100, 0, 0]),
+        c=(t, c),
+    )
+    fit = ce.estimate(b.model(), data, initial={"A": 0.0}, noise=ce.Noise(c=0.02), progress=False)
+    assert fit.values["V"] == pytest.approx(20, abs=1e-4)
+    assert fit.values["k"] == pytest.approx(0.5, abs=1e-5)
+    assert fit.initial["run"]["A"].time == 0.0
+    run = ce.simulate(fit, data)
+    at = np.isin(np.round(run["c"].time / 3600, 9), t)
+    np.testing.assert_allclose(run["c"].values[at], c, atol=1e-5)
+    free = ce.estimate(b.model(), data, noise=ce.Noise(c=0.02), progress=False)
+    assert free.initial["run"]["A"].time == 3600.0

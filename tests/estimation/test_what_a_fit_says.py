@@ -78,3 +78,33 @@ def test_ctrl_c_ends_the_fit_and_is_told(model):
     assert fit.status == "interrupted"
     assert said(fit, "stopped by the user")
     assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_stated_level_that_the_residual_cannot_have_is_named(model):
+    record = run_up(sigma=0.2)
+    right = ce.estimate(model, record, noise=ce.Noise(omega=0.2), progress=False)
+    assert not said(right, "times the stated noise level")
+    small = ce.estimate(model, record, noise=ce.Noise(omega=0.2 * np.pi / 30), progress=False)
+    assert said(small, "times the stated noise level of 0.0209: the level (its unit?) or the model is wrong")
+    estimated = ce.estimate(model, record, progress=False)
+    assert not said(estimated, "times the stated noise level")
+
+
+def test_a_slope_that_is_an_underflow_is_no_size():
+    """exp(-100 h) says nothing of a rate: the fit ends, at the truth or with a word, and does not crash."""
+    b = ce.Blueprint("decay", time_unit="h")
+    k, x = b.parameter("k", 100.0, unit="1/h", min=0, max=1e9), b.state("x")
+    b.ode("x", -k * x)
+    b.output("c", x)
+    t = np.array([0, 1, 2, 3, 4.0, 6])
+    data = ce.Experiment.from_arrays("a", units={"time": "h", "c": "1"}, time=t, c=5 * np.exp(-0.7 * t))
+    fit = ce.estimate(b.model(), data, noise=ce.Noise(c=0.01), progress=False)
+    assert not fit.converged or abs(fit.values["k"] - 0.7) < 3 * fit.stderr["k"]
+
+
+def test_no_fresh_data_are_refused(model):
+    fit = ce.estimate(model, run_up(), progress=False)
+    with pytest.raises(
+        ce.errors.EstimationError, match="there are no fresh data to judge; seen: an empty sequence"
+    ):
+        ce.validate(fit, [])

@@ -18,11 +18,12 @@ def field_of(rates, states=1, inputs=0, parameters=None):
     for k, rate in enumerate(rates(b.time, x, u, p)):
         b.ode(f"x{k}", rate)
     b.output("y", x[0])
-    return SwitchedField(b.model(), np.array(list((parameters or {}).values())))
+    values = np.array(list((parameters or {}).values()))
+    return SwitchedField(b.model(), ca.SX(0, 1), ca.SX(ca.DM(values)))
 
 
 def still(inputs=0):
-    return Segment(0.0, np.zeros(inputs), np.zeros(inputs)).row
+    return Segment(0.0, np.zeros(inputs), np.zeros(inputs), np.zeros(0)).row
 
 
 @pytest.mark.parametrize(
@@ -30,8 +31,8 @@ def still(inputs=0):
     [
         (lambda x, u, t: -x, 0),
         (lambda x, u, t: ca.sign(x), 1),
-        (lambda x, u, t: ca.fabs(x), 1),
-        (lambda x, u, t: ca.fabs(u) - ca.fmax(u, 0.3), 0),  # corners of a recorded channel
+        (lambda x, u, t: ca.fabs(x), 0),  # corners are the error control's
+        (lambda x, u, t: ca.fabs(u) - ca.fmax(u, 0.3), 0),
         (lambda x, u, t: ca.sign(u), 1),
         (lambda x, u, t: ca.fabs(t - 1) * ca.sign(t - 1), 1),  # the same function twice
         (lambda x, u, t: ca.if_else(x > 0, 1, ca.if_else(x < 0, -1, 0)), 1),
@@ -48,25 +49,28 @@ def test_the_field_with_the_values_that_hold_is_the_model():
     field = field_of(
         lambda t, x, u, p: [u[0] - p[0] * ca.sign(x[0]) + ca.sin(t)], inputs=1, parameters={"F": 2.0}
     )
-    row = Segment(1.0, np.array([3.0]), np.array([0.5])).row
+    row = Segment(1.0, np.array([3.0]), np.array([0.5]), np.zeros(0)).row
     for x in (-0.7, 0.4):
         place = np.array([x])
-        (held,) = field.nodes(place, 3.0, row)
-        rate, share = field.field(())(place, 3.0, row, held, np.zeros_like(held))
+        held = field.nodes(place, 3.0, row)
+        rate, share, _ = field.field(())(place, 3.0, row, held, np.zeros_like(held))
         assert rate[0] == pytest.approx(4.0 - 2 * np.sign(x) + np.sin(3.0))
         assert share.size == 0
 
 
 def test_values_on_both_sides_of_a_switch():
     field = field_of(lambda t, x, u, p: [ca.if_else(x[0] > 0.5, 3, -1)])
-    low, high = field.sides(np.array([0.5]), 0.0, still(), 0, np.ones(1))
+    here = field.nodes(np.array([0.5]), 0.0, still())
+    (low, below), (high, above) = field.sides(np.array([0.5]), 0.0, still(), here, 0, np.ones(1))
+    assert below[0] < 0 < above[0]
     none = np.zeros_like(low)
     rates = [field.field(())(np.array([0.5]), 0.0, still(), b, none)[0][0] for b in (low, high)]
-    rising = field.slopes(np.array([0.5]), 0.0, still())[0, 0] > 0
+    rising = field.slopes(np.array([0.5]), 0.0, still(), here)[0, 0] > 0
     assert rates == ([-1, 3] if rising else [3, -1])
     at_time = field_of(lambda t, x, u, p: [ca.if_else(t < 2, 5, 7)])
-    low, high = at_time.sides(np.array([0.0]), 2.0, still(), 0, np.ones(1))
-    g = [at_time.g(np.zeros(1), t, still())[0][0] for t in (1.9, 2.1)]
+    here = at_time.nodes(np.zeros(1), 2.0, still())
+    (low, _), (high, _) = at_time.sides(np.array([0.0]), 2.0, still(), here, 0, np.ones(1))
+    g = [at_time.g(np.zeros(1), t, still(), here)[0] for t in (1.9, 2.1)]
     wanted = [5, 7] if g[0] < g[1] else [7, 5]
     rates = [at_time.field(())(np.zeros(1), 2.0, still(), b, none)[0][0] for b in (low, high)]
     assert rates == wanted
@@ -78,9 +82,11 @@ def test_a_sliding_mode_is_the_mean_of_both_fields_that_stays_on_the_switch():
         lambda t, x, u, p: [(1.5 - 2 * ca.sign(x[0])) / 0.5, 10 * ca.sign(x[0]) - x[1]], states=2
     )
     place = np.array([0.0, 0.25])
-    low, high = field.sides(place, 0.0, still(), 0, np.ones(2))
-    rate, share = field.field((0,))(place, 0.0, still(), low, high - low)
+    here = field.nodes(place, 0.0, still())
+    (low, _), (high, _) = field.sides(place, 0.0, still(), here, 0, np.ones(2))
+    rate, share, passing = field.field((0,))(place, 0.0, still(), low, high - low)
     assert rate[0] == pytest.approx(0.0, abs=1e-12)
+    assert passing[0] == pytest.approx(0.0, abs=1e-12)
     # the friction is 1.5 = 2 * (2 α - 1)
     assert share[0] == pytest.approx(0.875)
     assert rate[1] == pytest.approx(10 * 0.75 - 0.25)
@@ -91,15 +97,15 @@ def test_a_sliding_mode_is_the_mean_of_both_fields_that_stays_on_the_switch():
 def test_slopes_and_jacobian():
     field = field_of(lambda t, x, u, p: [x[1] * ca.sign(x[0] * x[1] - t), -(x[0] ** 2)], states=2)
     place = np.array([2.0, 3.0])
-    (held,) = field.nodes(place, 1.0, still())
-    slope = field.slopes(place, 1.0, still())[0]
+    held = field.nodes(place, 1.0, still())
+    slope = field.slopes(place, 1.0, still(), held)[0]
     np.testing.assert_allclose(slope / slope[2] * -1.0, [3, 2, -1])
     found = field.jacobian(place, 1.0, still(), held, np.zeros_like(held), ())
     np.testing.assert_allclose(found, [[0, 1], [-4, 0]])
 
 
 def test_a_channel_runs_on_its_line():
-    row = Segment(2.0, np.array([1.0, -1.0]), np.array([3.0, 0.0])).row
+    row = Segment(2.0, np.array([1.0, -1.0]), np.array([3.0, 0.0]), np.zeros(0)).row
     field = field_of(lambda t, x, u, p: [u[0] + 10 * u[1]], inputs=2)
     none = np.zeros(0)
     assert field.field(())(np.zeros(1), 2.5, row, none, none)[0][0] == pytest.approx(1 + 1.5 - 10)
