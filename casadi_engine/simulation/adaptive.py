@@ -12,9 +12,9 @@ from functools import partial
 
 import casadi as ca
 import numpy as np
-from scipy.integrate import DOP853
 from scipy.optimize import brentq
 
+from casadi_engine.simulation.adaptive_steps import cvodes, dormand_prince, error_norm
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.switched_field import Mode, Segment, SwitchedField
 
@@ -50,41 +50,6 @@ class Run:
     steps: int
     events: int
     stiff: bool
-
-
-def _dormand_prince(field: ca.Function) -> ca.Function:
-    """(x, t, h, segment, b, c) -> (end, its errors of order 5 and 3, α at the end, those errors of the switches)."""
-    x, t, h = ca.SX.sym("x", field.size1_in(0)), ca.SX.sym("t"), ca.SX.sym("h")
-    rest = [ca.SX.sym(name, field.size1_in(k)) for k, name in ((2, "segment"), (3, "b"), (4, "c"))]
-    slopes: list[tuple[ca.SX, ca.SX]] = []
-    for row, node in zip(DOP853.A, DOP853.C, strict=True):
-        inner = x
-        for weight, (slope, _) in zip(row, slopes, strict=False):
-            if weight:
-                inner = inner + h * weight * slope
-        rate, _, passing = field(inner, t + node * h, *rest)
-        slopes.append((rate, passing))
-    end = x
-    for weight, (slope, _) in zip(DOP853.B, slopes, strict=True):
-        if weight:
-            end = end + h * weight * slope
-    last, share, passing = field(end, t + h, *rest)
-    slopes.append((last, passing))
-    errors = []
-    for part in (0, 1):
-        for weights in (DOP853.E5, DOP853.E3):
-            error = ca.SX.zeros(slopes[0][part].shape)
-            for weight, pair in zip(weights, slopes, strict=True):
-                if weight:
-                    error = error + h * weight * pair[part]
-            errors.append(error)
-    return ca.Function("step", [x, t, h, *rest], [end, *errors[:2], share, *errors[2:]])
-
-
-def _norm(fifth: Array, third: Array) -> float:
-    """The scheme's error in units of what is allowed, from its errors of order 5 and 3 in these units."""
-    five, three = float(fifth @ fifth), float(third @ third)
-    return five / float(np.sqrt((five + 0.01 * three) * len(fifth))) if five else 0.0 if five == 0 else np.nan
 
 
 class Adaptive:
@@ -176,7 +141,7 @@ class Adaptive:
     # ---- explicit steps
 
     def _step(self, x: Array, t: float, h: float, segment: Array) -> list[Array]:
-        return self.field.stepper(self.mode, _dormand_prince)(x, t, h, segment, self.b, self.c)
+        return self.field.stepper(self.mode, dormand_prince)(x, t, h, segment, self.b, self.c)
 
     def _accepted(self, x: Array, t: float, left: float, segment: Array) -> tuple[float, Array, Array]:
         """A step that meets the tolerance: its length, end, and α there."""
@@ -186,14 +151,14 @@ class Adaptive:
             weight = self._weights(np.maximum(np.abs(x), np.abs(ahead)))
             weight[: self.field.n] += _ROUNDING * h * self._held
             finite = bool(np.isfinite(ahead).all())
-            error = _norm(fifth / weight, third / weight)
+            error = error_norm(fifth / weight, third / weight)
             if (
                 self.field.switches and h > _BRIEF * self._span
             ):  # a switch that is passed twice within a step is seen where its course is known
                 weight = _COURSE * np.maximum(
                     self.g_peak, np.abs(self.field.g(ahead, t + h, segment, self.b))
                 )
-                error = max(error, _norm(passing5 / (weight + 1e-300), passing3 / (weight + 1e-300)))
+                error = max(error, error_norm(passing5 / (weight + 1e-300), passing3 / (weight + 1e-300)))
             finite = finite and bool(np.isfinite(error))
             if finite and error <= 1:
                 break
@@ -228,7 +193,7 @@ class Adaptive:
         made = self.field.__dict__.setdefault("solvers", {})
         name = (*key, self.tolerance)
         if name not in made:
-            made[name] = _cvodes(self.field.field_function(self.mode), self.tolerance)
+            made[name] = cvodes(self.field.field_function(self.mode), self.tolerance)
         scale = self._scale()
         try:
             found = made[name](x0=x / scale, p=ca.vertcat(t, h, segment, self.b, self.c, scale))["xf"]
@@ -242,7 +207,7 @@ class Adaptive:
     def _stiff_rest(self, x: Array, time: Array, segment: Array) -> Array:
         """(K, n) states at all knots after the first, in one run."""
         scale, span = self._scale(), float(time[-1] - time[0])
-        solver = _cvodes(self.field.field_function(()), self.tolerance, (time[1:] - time[0]) / span)
+        solver = cvodes(self.field.field_function(()), self.tolerance, (time[1:] - time[0]) / span)
         try:
             found = solver(x0=x / scale, p=ca.vertcat(time[0], span, segment, self.b, self.c, scale))["xf"]
         except RuntimeError as failure:
@@ -483,17 +448,3 @@ class Adaptive:
         self.c = np.where(own, 0.0, self.c)
         self.mode = tuple(j for j in self.mode if j != i)
         self.side[i] = side
-
-
-def _cvodes(field: ca.Function, tolerance: float, at: Array | None = None) -> ca.Function:
-    """(x0 / scale, p = [t, h, segment, b, c, scale]) -> the states at t + h s for s in ``at`` (None: 1), by CVODES."""
-    n = field.size1_in(0)
-    z, s, t, h = ca.SX.sym("z", n), ca.SX.sym("s"), ca.SX.sym("t"), ca.SX.sym("h")
-    rest = [ca.SX.sym(name, field.size1_in(k)) for k, name in ((2, "segment"), (3, "b"), (4, "c"))]
-    scale = ca.SX.sym("scale", n)
-    rate = h * field(z * scale, t + h * s, *rest)[0] / scale
-    options = {
-        "reltol": tolerance, "abstol": 1e-3 * tolerance, "max_num_steps": 200_000, "show_eval_warnings": False,
-    }  # fmt: skip
-    problem = {"x": z, "t": s, "p": ca.vertcat(t, h, *rest, scale), "ode": rate}
-    return ca.integrator("stiff", "cvodes", problem, 0.0, 1.0 if at is None else at.tolist(), options)
