@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from casadi_engine.simulation.error_estimate import (
 )
 from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
 from casadi_engine.simulation.observed import ObservedPropagator
+from casadi_engine.simulation.propagator import fineness_of
 
 Array = NDArray[np.float64]
 
@@ -39,11 +41,24 @@ def signed_errors(
 ) -> list[SignedError | None]:
     """The estimated integration error of each record; None for one that is solved exactly."""
     return [
-        signed_error(record.propagator, v[record.active], at)
-        if isinstance(record.propagator, Stepped)
-        else None
+        _signed_error(record, v[record.active], at) if isinstance(record.propagator, Stepped) else None
         for record, at in zip(records, nodes, strict=True)
     ]
+
+
+def _signed_error(record: RecordTerm, v: Array, nodes: Array) -> SignedError:
+    """The error of one record. The last one is remembered: what ends the shortening of steps is also reported."""
+    propagator: Any = record.propagator
+    if record.last_error is not None:
+        *place, before, steps, found = record.last_error
+        same = before is propagator and steps == fineness_of(propagator)
+        if same and all(np.array_equal(old, new) for old, new in zip(place, (v, nodes), strict=True)):
+            known: SignedError = found
+            return known
+    error = signed_error(propagator, v, nodes)
+    # the run may have refined the propagator's steps for stability
+    record.last_error = (v.copy(), nodes.copy(), propagator, fineness_of(propagator), error)
+    return error
 
 
 def shift_of(record: RecordTerm, found: SignedError) -> float:

@@ -16,6 +16,8 @@ def refuse_moved_jumps(model: Model, parameters: Parameters) -> None:
     By its derivative, 0, the parameter would stay at its start and the others take its part, with small errors. Jumps
     of the equations are met at their instants, which have slopes.
     """
+    if not model.has_jumps:
+        return
     free = {name for name, one in parameters.items() if one.vary or one.tie is not None}
     rows = [row for row, name in enumerate(model.parameter_names) if name in free]
     moving = model.p[rows] if rows else ca.SX(0, 1)

@@ -93,6 +93,7 @@ class RecordTerm:
             self.observation.leave_out(after_missing(self.grid))
         self.weight = self.observation.valid.astype(float)
         self._most: int | None = None
+        self.last_error: Any = None  # the integration error that was estimated last, and where
         self._common: float | None = None  # the weight, where all samples count and count alike
 
     @property

@@ -53,7 +53,8 @@ def felt_scale(problem: ShootingProblem, coordinates: Coordinates, z: Array, x: 
     except (FloatingPointError, np.linalg.LinAlgError, ModelError):
         return None
     for lay, found in zip(problem.layouts, point.records, strict=True):
-        slope[lay.active] += np.square(found.jz).reshape(len(lay.active), -1).sum(axis=1)
+        rows = found.jz.reshape(len(lay.active), -1)
+        slope[lay.active] += np.einsum("ij,ij->i", rows, rows)
     slope /= coordinates.slope(x[: problem.nv]) ** 2
     if not (np.isfinite(square) and np.isfinite(slope).all()):
         return None

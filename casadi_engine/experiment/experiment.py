@@ -163,7 +163,7 @@ class Experiment:
         return tuple(channel.name for channel in self.channels)
 
     def __contains__(self, name: object) -> bool:
-        return isinstance(name, str) and name in self.names
+        return isinstance(name, str) and any(channel.name == name for channel in self.channels)
 
     def __getitem__(self, name: str) -> Channel:
         for channel in self.channels:

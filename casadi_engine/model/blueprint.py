@@ -166,7 +166,10 @@ class Blueprint:
         """The unit of a slot: the one given, or that which goes with the units of the states among the signals."""
         if given is not None:
             return Variable("slot", given).unit
-        symbols = {symbol.element_hash() for value in signals.values() for symbol in ca.symvar(value)}
+        if {made.unit for made, _ in self._states.values()} <= {"1", "rad", "rad/s"}:
+            return "N m"  # whichever states the signals are made of
+        everything = ca.vertcat(ca.SX(0, 1), *signals.values())
+        symbols = {symbol.element_hash() for symbol in ca.symvar(everything)}
         units = {made.unit for made, symbol in self._states.values() if symbol.element_hash() in symbols} - {
             "1"
         }

@@ -120,8 +120,14 @@ def jumps_in(expression: Any, of: Any) -> bool:
     return False
 
 
+def has_jumps(expression: Any) -> bool:
+    """True if the SX expression jumps (a kink is no jump) in any of its symbols."""
+    return _has(expression, _JUMPS)
+
+
 def _has(expression: Any, operations: frozenset[int]) -> bool:
-    function = _function(expression)
+    # free symbols: what the operations are does not depend on which inputs a function has
+    function = ca.Function("operations", [], [expression], {"allow_free": True})
     return any(function.instruction_id(k) in operations for k in range(function.n_instructions()))
 
 

@@ -16,7 +16,7 @@ from casadi_engine.model import sheets
 from casadi_engine.model.attach import attach
 from casadi_engine.model.declarations import ParameterDeclaration, Ports, Variable
 from casadi_engine.model.effect import Attachment
-from casadi_engine.model.jumps import Switch, jumps
+from casadi_engine.model.jumps import Switch, has_jumps, jumps
 from casadi_engine.model.linear import LinearCore, linear_core
 from casadi_engine.model.modes import Modes, displacement_states, is_geometric, modes_of
 from casadi_engine.parameters import Parameters, near_matches
@@ -159,6 +159,11 @@ class Model:
     def jumps(self) -> tuple[Switch, ...]:
         """The switching functions of the closed equations and outputs, SX in (x, u, t, p); () for smooth ones."""
         return tuple(jumps(ca.vertcat(self.closed_ode, self.closed_outputs)))
+
+    @cached_property
+    def has_jumps(self) -> bool:
+        """True if the closed equations or outputs jump anywhere; kinks are no jumps."""
+        return has_jumps(ca.vertcat(self.closed_ode, self.closed_outputs))
 
     # ---- effects
 

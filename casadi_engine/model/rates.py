@@ -25,7 +25,7 @@ def with_rates(model: Model) -> Model:
     An output without a rate, because it jumps or holds another delay already, has the signal value alone.
     """
     shown = model.output_expressions
-    if model.d.numel():
+    if model.d.numel() and ca.depends_on(shown, model.d):
         shown = ca.substitute(shown, model.d, model.drive_expressions)
     smooth = [_has_rate(model, shown[row]) for row in range(shown.numel())]
     model = _with_symbols(model, [shown[row] for row, good in enumerate(smooth) if good])
@@ -53,6 +53,8 @@ def _has_rate(model: Model, shown: Any) -> bool:
 def _with_symbols(model: Model, shown: list[Any]) -> Model:
     """The model with a rate in u for each channel that one of these outputs shows."""
     column = ca.vertcat(ca.SX(0, 1), *shown)
+    if not ca.depends_on(column, model.channels):
+        return model
     names = [
         variable.name
         for row, variable in enumerate(model.inputs)
@@ -70,7 +72,7 @@ def _total_rates(model: Model) -> Any:
     channels = ca.vertcat(ca.SX(0, 1), *[model.channels[known.index(name)] for name in model.rates])
     outputs = model.output_expressions
     rates = ca.jtimes(outputs, model.x, model.ode) + _partial_rates(outputs, channels, model)
-    if model.d.numel():
+    if model.d.numel() and ca.depends_on(outputs, model.d):
         rates = rates + ca.jtimes(outputs, model.d, _partial_rates(model.drive_expressions, channels, model))
     return rates
 

@@ -64,9 +64,15 @@ class Parameter:
         self._prior = _prior(name, prior)
         _check_order(name, self._value, self._min, self._max)
 
-    name = property(lambda self: self._name, doc="Name in the set.")
-    unit = property(lambda self: self._unit, doc="Unit as text.")
-    description = property(lambda self: self._description, doc="One clause for tables.")
+    name = property(
+        lambda self: self._name, lambda self, new: self._refuse("name", new), doc="Name in the set."
+    )
+    unit = property(lambda self: self._unit, lambda self, new: self._refuse("unit", new), doc="Unit as text.")
+    description = property(
+        lambda self: self._description,
+        lambda self, new: self._refuse("description", new),
+        doc="One clause for tables.",
+    )
     min = property(
         lambda self: self._min, lambda self, new: self.set(min=new), doc="Lower bound, -inf if there is none."
     )
@@ -127,20 +133,22 @@ class Parameter:
         """True if every record has its own value; has no effect while the parameter is fixed or tied."""
         return self._varies and self.vary
 
-    def __setattr__(self, name: str, new: Any) -> None:
-        if name in ("name", "unit", "description", "varies_by_experiment"):
-            cure = (
-                f'call vary_by_experiment("{self._name}") of the set'
-                if name == "varies_by_experiment"
-                else "declare it where the parameter is made: Blueprint.parameter(...), or Parameters.add(...)"
-            )
-            raise ParameterError(
-                f"the {name} of the parameter {self._name} cannot be changed",
-                seen=f"{name} = {new!r}",
-                allowed="value, min, max, vary, prior and tie",
-                cure=cure,
-            )
-        object.__setattr__(self, name, new)
+    @varies_by_experiment.setter
+    def varies_by_experiment(self, new: Any) -> None:
+        self._refuse("varies_by_experiment", new)
+
+    def _refuse(self, name: str, new: Any) -> None:
+        cure = (
+            f'call vary_by_experiment("{self._name}") of the set'
+            if name == "varies_by_experiment"
+            else "declare it where the parameter is made: Blueprint.parameter(...), or Parameters.add(...)"
+        )
+        raise ParameterError(
+            f"the {name} of the parameter {self._name} cannot be changed",
+            seen=f"{name} = {new!r}",
+            allowed="value, min, max, vary, prior and tie",
+            cure=cure,
+        )
 
     def set(
         self,

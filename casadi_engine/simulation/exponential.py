@@ -54,10 +54,11 @@ def balance(value: Array) -> Array | None:
     A series loses digits of what is small beside the norm: a heavy mass beside a light one, a position beside a speed.
     None if less than a digit is at stake (Parlett & Reinsch, Numerische Mathematik 13, 1969, 293-304).
     """
-    if jets.norm(value[None]) <= _RADIUS:
+    size = jets.norm(value[None])
+    if size <= _RADIUS:
         return None
     balanced, _, _, scale, _ = dgebal(value, scale=1)
-    return scale if _DIGIT * jets.norm(balanced[None]) < jets.norm(value[None]) else None
+    return scale if _DIGIT * jets.norm(balanced[None]) < size else None
 
 
 def phi_functions(z: Array, d: int) -> tuple[Array, Array, Array]:

@@ -137,9 +137,14 @@ def _equally_spaced(
         if at is None:
             return None
         measured[channel.name] = Measured(channel.time[index], channel.values[index], at, index)
-    if not all(_on_points(channel, start, step, samples) for channel in inputs):
+    if not all(_on_points(own, start, step, samples) for own in _distinct(inputs)):
         return None
-    channels = np.array([_sampled(channel, time, step) for channel in inputs]).reshape(len(inputs), samples)
+    found = {id(own): _own_part(own, time, step) for own in _distinct(inputs)}
+    rows = [
+        channel.values[part] if (part := found[id(channel.time)]) else _sampled(channel, time, step)
+        for channel in inputs
+    ]
+    channels = np.array(rows).reshape(len(inputs), samples)
     return Grid(start, step, samples, channels, tuple(c.hold for c in inputs), measured)
 
 
@@ -150,6 +155,8 @@ def with_rates(
 
     The rate of a channel is its central difference, whatever its hold: that of a stair is its slope over two steps.
     """
+    if not model.rates:
+        return channels, holds
     names = [variable.name for variable in model.inputs]
     order: Literal[1, 2] = 2 if len(time) > 2 else 1
     rates = [np.gradient(channels[names.index(name)], time, edge_order=order) for name in model.rates]
@@ -196,9 +203,14 @@ def _held(channel: Channel, times: Array) -> Array:
     return channel.values[np.clip(held, 0, len(channel.time) - 1)]
 
 
-def _on_points(channel: Channel, start: float, step: float, samples: int) -> bool:
-    """True if the channel's samples within the grid lie on its points."""
-    position = (channel.time - start) / step
+def _distinct(channels: list[Channel]) -> list[Array]:
+    """The channels' times; those that several share are one."""
+    return list({id(c.time): c.time for c in channels}.values())
+
+
+def _on_points(own: Array, start: float, step: float, samples: int) -> bool:
+    """True if the samples (N,) of a channel within the grid lie on its points."""
+    position = (own - start) / step
     inside = position[(position > 0) & (position < samples - 1)]
     return not inside.size or bool(np.abs(inside - np.rint(inside)).max() < _ON_GRID)
 
@@ -219,6 +231,8 @@ def _span(channels: list[Channel]) -> tuple[float, float]:
 
 def _check_size(channel: Channel, place: str) -> None:
     """Raise for a value so large that sums of its square with others are not finite."""
+    if channel.values.max(initial=0.0) <= _LARGEST and channel.values.min(initial=0.0) >= -_LARGEST:
+        return  # none is, and none is NaN
     values = np.abs(np.where(channel.mask, channel.values, 0.0))
     if values.max(initial=0.0) > _LARGEST:
         index = int(values.argmax())
@@ -252,16 +266,21 @@ def _refinement(step: float, outputs: list[Channel]) -> int:
 
 def _leader(channels: list[Channel]) -> Channel:
     """The channel that sets the grid: the uniform one with the highest rate, else the densest."""
-    uniform = [c for c in channels if sampling_rate(c.time, _ON_GRID)]
+    equal = {id(time) for time in _distinct(channels) if sampling_rate(time, _ON_GRID)}
+    uniform = [c for c in channels if id(c.time) in equal]
     return max(uniform or channels, key=lambda c: (len(c.time) - 1) / (c.span[1] - c.span[0]))
+
+
+def _own_part(own: Array, time: Array, step: float) -> slice | None:
+    """The part of a channel's times (N,) that is the grid; None if there is no such part."""
+    at = int(np.searchsorted(own, time[0] - 0.5 * step))
+    part = slice(at, at + len(time))
+    there = len(own[part]) == len(time) and np.abs(own[part] - time).max() < _ON_GRID * step
+    return part if there else None
 
 
 def _sampled(channel: Channel, time: Array, step: float) -> Array:
     """The channel's values at the grid times, by its hold."""
-    at = np.searchsorted(channel.time, time[0] - 0.5 * step)
-    own = channel.time[at : at + len(time)]
-    if len(own) == len(time) and np.abs(own - time).max() < _ON_GRID * step:
-        return channel.values[at : at + len(time)]
     if channel.hold == "first":
         return np.interp(time, channel.time, channel.values)
     held = np.searchsorted(channel.time, time + _ON_GRID * step, side="right") - 1

@@ -67,7 +67,10 @@ def _stride(grid: Grid) -> tuple[int, int]:
     """Step and offset of the grid points at which any output was measured."""
     if not grid.measured:
         return 1, 0
-    points = np.unique(np.concatenate([m.position for m in grid.measured.values()]))
+    there = np.zeros(grid.samples, dtype=bool)
+    for measured in grid.measured.values():
+        there[measured.position] = True
+    points = np.flatnonzero(there)
     stride = int(np.gcd.reduce(np.diff(points))) if len(points) > 1 else 1
     return (stride, int(points[0] % stride)) if 1 < stride <= _LONGEST_BLOCK else (1, 0)
 

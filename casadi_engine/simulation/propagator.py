@@ -146,13 +146,13 @@ def make_propagator(
 @lru_cache(maxsize=64)
 def switches_with_states(model: Model) -> bool:
     """True if the equations jump where the states say so: their events are met one by one."""
-    return jumps_in(model.closed_ode, model.x)
+    return model.has_jumps and jumps_in(model.closed_ode, model.x)
 
 
 @lru_cache(maxsize=64)
 def switches_in_time(model: Model) -> bool:
     """True if the equations jump at instants that time or a channel decides: steps are cut there."""
-    return jumps_in(model.closed_ode, ca.vertcat(model.u, model.t))
+    return model.has_jumps and jumps_in(model.closed_ode, ca.vertcat(model.u, model.t))
 
 
 def _check_options(grid: Grid, method: Method, gain: Array | Gain | None) -> None:
