@@ -64,9 +64,9 @@ _NEAR = {
 # standard error changes it by.
 _FLAT_CHANGE, _FLAT_ITERATIONS = 0.1, 4
 
-# Points at which the model cannot be evaluated that are tried in one run of IPOPT, and their share of all: with more of
+# Points at which the model cannot be evaluated that are tried from one start by IPOPT, and their share of all: with more of
 # both the search stands before a wall, and every further halving of its steps meets it again.
-_REFUSED, _MOSTLY = 50, 0.5
+_REFUSED, _MOSTLY = 30, 0.5
 _WALL = "the model could not be evaluated at most of the points tried"
 
 _WORDS = {
@@ -140,7 +140,7 @@ def _shapes(problem: ShootingProblem) -> tuple[Any, ...]:
 
 @dataclass
 class _Tried:
-    """The points of one run of IPOPT, and those of them at which the model could not be evaluated."""
+    """The points IPOPT tries from one start, and those of them at which the model could not be evaluated."""
 
     points: int = 0
     refused: int = 0
@@ -285,6 +285,7 @@ class Solver:
         problem = self.problem
         problem.damping = _DAMPING
         self._history, self._best, self._interrupted = [], None, False
+        self._tried.points = self._tried.refused = 0
         done = 0
         if not problem.user.count:
             first = self._descend(start, lower, upper, exact)
@@ -296,7 +297,7 @@ class Solver:
                 return Solution(x, np.zeros(problem.rows), np.zeros(problem.size), status, done, words)
             if first.settled or first.flat:
                 last = self._ipopt_from(first.x, lower, upper, where="valley" if first.flat else "optimum")
-                if last.status in ("converged", "interrupted"):
+                if last.status in ("converged", "interrupted") or self._tried.wall:
                     return replace(last, iterations=done + last.iterations)
             self._history = []
         problem.exact = exact
@@ -319,7 +320,6 @@ class Solver:
         low = np.concatenate([problem.user.lower, np.zeros(joints)])
         high = np.concatenate([problem.user.upper, np.zeros(joints)])
         problem.exact = problem.exact or where != "anywhere"
-        self._tried.points = self._tried.refused = 0
         answer = self._solver(where)(x0=start, lbx=lower, ubx=upper, lbg=low, ubg=high)
         for function in self._kept:
             if function.failure is not None:
