@@ -64,6 +64,11 @@ _NEAR = {
 # standard error changes it by.
 _FLAT_CHANGE, _FLAT_ITERATIONS = 0.1, 4
 
+# Points at which the model cannot be evaluated that are tried from one start by IPOPT, and their share of all: with more of
+# both the search stands before a wall, and every further halving of its steps meets it again.
+_REFUSED, _MOSTLY = 30, 0.5
+_WALL = "the model could not be evaluated at most of the points tried"
+
 _WORDS = {
     "Infeasible_Problem_Detected": "the constraints cannot be met together",
     "Maximum_Iterations_Exceeded": "the iterations ran out; allow more with max_iterations",
@@ -133,7 +138,20 @@ def _shapes(problem: ShootingProblem) -> tuple[Any, ...]:
     return tuple(ca.Sparsity.dense(k, 1) for k in (problem.size, problem.rows, 0, 1))
 
 
-def _functions(problem: ShootingProblem) -> list[_Supplied]:
+@dataclass
+class _Tried:
+    """The points IPOPT tries from one start, and those of them at which the model could not be evaluated."""
+
+    points: int = 0
+    refused: int = 0
+
+    @property
+    def wall(self) -> bool:
+        """True if the run is to end."""
+        return self.refused > _REFUSED and self.refused > _MOSTLY * self.points
+
+
+def _functions(problem: ShootingProblem, tried: _Tried) -> list[_Supplied]:
     """The problem, its gradient, constraint Jacobian and Hessian, as nlpsol asks for them."""
     x, g, none, one = _shapes(problem)
     jac, hess = problem.jacobian_pattern, problem.hessian_pattern
@@ -143,9 +161,13 @@ def _functions(problem: ShootingProblem) -> list[_Supplied]:
 
     def point(value: Any) -> Any:
         """The point, or None where the model cannot be evaluated: IPOPT then shortens its step."""
+        if tried.wall:
+            return None
+        tried.points += 1
         try:
             return problem.at(np.asarray(value, dtype=float).ravel())
         except (FloatingPointError, np.linalg.LinAlgError, ModelError):
+            tried.refused += 1
             return None
 
     def jacobian(value: Any, _: Any) -> Any:
@@ -195,7 +217,8 @@ class Solver:
         self._history: list[float] = []
         self._best: tuple[float, Array] | None = None
         # The solver holds no reference of its own to Python callbacks.
-        self._kept = [*_functions(problem), self._watcher()]
+        self._tried = _Tried()
+        self._kept = [*_functions(problem, self._tried), self._watcher()]
         self._ipopt = {**_OPTIONS, "max_iter": max_iterations, "tol": tolerance}
         self._most = max_iterations
         self._made: dict[str, Any] = {}
@@ -262,6 +285,7 @@ class Solver:
         problem = self.problem
         problem.damping = _DAMPING
         self._history, self._best, self._interrupted = [], None, False
+        self._tried.points = self._tried.refused = 0
         done = 0
         if not problem.user.count:
             first = self._descend(start, lower, upper, exact)
@@ -273,7 +297,7 @@ class Solver:
                 return Solution(x, np.zeros(problem.rows), np.zeros(problem.size), status, done, words)
             if first.settled or first.flat:
                 last = self._ipopt_from(first.x, lower, upper, where="valley" if first.flat else "optimum")
-                if last.status in ("converged", "interrupted"):
+                if last.status in ("converged", "interrupted") or self._tried.wall:
                     return replace(last, iterations=done + last.iterations)
             self._history = []
         problem.exact = exact
@@ -309,6 +333,8 @@ class Solver:
             x = self._best[1] if self._best is not None else x
         elif stats["success"]:
             status = "converged"
+        elif self._tried.wall:
+            status = f"not converged: {_WALL}"
         else:
             status = f"not converged: {_WORDS.get(words, words.replace('_', ' ').lower())}"
         lam_g, lam_x = (np.asarray(answer[key], dtype=float).ravel() for key in ("lam_g", "lam_x"))

@@ -11,6 +11,7 @@ projected out of every step as by Golub & Pereyra 1973).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,7 @@ from casadi_engine.errors import ModelError
 from casadi_engine.estimation.coordinates import Coordinates
 from casadi_engine.estimation.options import interval_length
 from casadi_engine.estimation.record import RecordPoint, RecordTerm
+from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 
 Array = NDArray[np.float64]
 
@@ -31,6 +33,9 @@ _STEPS, _MORE, _FALL = 25, 40, 1e-4
 _GROWTH, _LEAST = 4, 4
 # Longest step of a logarithm, or of a number in units of its size.
 _LONGEST = 1.5
+# Integration steps of a candidate, in multiples of those at the start: one whose motions are so much faster than the
+# start's is not looked at.
+_SLOWER = 4
 # Share of the largest slope in a state below which nothing is known of the state.
 _FLAT = 1e-6
 # Damping at first, its change after a step that helps or does not, and where the search gives up.
@@ -75,7 +80,8 @@ class Pieces:
         cost, gradient, matrix, changes = 0.0, np.zeros(size), np.zeros((size, size)), []
         for record, at in zip(self.records, nodes, strict=True):
             try:
-                point = record.evaluate(v, at, order=order)
+                with _steps_kept(record):
+                    point = record.evaluate(v, at, order=order)
             except (FloatingPointError, np.linalg.LinAlgError, ModelError):
                 return None
             rest, change = _without_states(record, point)
@@ -134,6 +140,12 @@ class Pieces:
             if fall < _FALL * here.cost:
                 break
         return at, np.inf if here is None else here.cost
+
+
+def _steps_kept(record: RecordTerm) -> AbstractContextManager[None]:
+    """What a candidate far off asks of the integration is not asked of the others."""
+    propagator = record.propagator
+    return propagator.unchanged(_SLOWER) if isinstance(propagator, RungeKuttaPropagator) else nullcontext()
 
 
 def _without_states(record: RecordTerm, point: RecordPoint) -> tuple[Array, Array]:

@@ -26,7 +26,7 @@ from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.scales import felt_scale, state_factors
 from casadi_engine.estimation.shooting import ShootingProblem
 from casadi_engine.estimation.slopes import check_slopes
-from casadi_engine.estimation.starts import chained_nodes, drawn_starts, nodes_from_measurement
+from casadi_engine.estimation.starts import chained_nodes, drawn_starts, fitted_nodes, nodes_from_measurement
 from casadi_engine.estimation.unreachable import unreachable
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
@@ -34,6 +34,7 @@ from casadi_engine.parameters import Parameters, compile
 from casadi_engine.problem.noise import Noise
 from casadi_engine.simulation.grid import Grid, lay_grid
 from casadi_engine.simulation.propagator import switches_with_states
+from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 from casadi_engine.simulation.shared_core import Cores
 
 Array = NDArray[np.float64]
@@ -239,10 +240,33 @@ class Search:
             nodes = self._warm_nodes(record, x[:nv]) if first else None
             if nodes is None:
                 nodes = nodes_from_measurement(record, self.pmap.unpack(z, record.experiment.name))
+                if isinstance(record.propagator, RungeKuttaPropagator):
+                    nodes = fitted_nodes(record, x[:nv], nodes)
             low, high, given = (part / record.scale for part in bounds)
             nodes[0] = np.clip(np.where(np.isfinite(given), given, nodes[0]), low, high)
             x[lay.at : lay.at + nodes.size] = nodes.ravel()
-        return x
+        simulated = self._simulated(x)
+        return x if simulated is None or not self._lower(simulated, x) else simulated
+
+    def _lower(self, one: Array, other: Array) -> bool:
+        """True if the objective is lower at one point than at another, or is none there."""
+        before, after = self._objective(other), self._objective(one)
+        return bool(after < before or (np.isfinite(after) and not np.isfinite(before)))
+
+    def _simulated(self, x: Array) -> Array | None:
+        """The point with the nodes of one run from its first states; None where no nodes change.
+
+        Measured outputs say little of the states of a model without a linear core.
+        """
+        found, nv = x.copy(), self.problem.nv
+        for record, lay in zip(self.records, self.problem.layouts, strict=True):
+            if isinstance(record.propagator, RungeKuttaPropagator) and lay.m > 1:
+                try:
+                    nodes = chained_nodes(record, x[:nv], lay.take(x)[0])
+                except FloatingPointError:
+                    return None
+                found[lay.at : lay.at + nodes.size] = nodes.ravel()
+        return None if np.array_equal(found, x) else found
 
     def _warm_nodes(self, record: RecordTerm, v: Array) -> Array | None:
         states = (
@@ -264,8 +288,8 @@ class Search:
         """Search from z : (nz,), in the parameters' units."""
         z = self._warm_values(z) if first and self.warm is not None else z
         given, z = z, self._approached(z) if first else z
-        x = self._start(z, first=first)
         self._weigh(self.levels.first(self.warm if first else None))
+        x = self._start(z, first=first)
         if not np.isfinite(self._objective(x)):
             raise EstimationError(
                 "the model cannot be evaluated at the start values",
@@ -277,9 +301,20 @@ class Search:
         check_slopes(self.records, self.problem.at(x))
         known = {record.experiment.name for record in self.records} <= set(getattr(self.warm, "initial", ()))
         near = first and known and bool(getattr(self.warm, "converged", False))
-        solution = self.solver.solve(x, self.lower, self.upper, exact=near)
+        solution = self._solved(x, exact=near)
         solution, iterations = self._levelled(solution)
         return self._outcome(self._blamed(solution), iterations, given)
+
+    def _solved(self, x: Array, *, exact: bool) -> Solution:
+        """The solution from ``x``; from the simulation at the start instead where that explains the data better."""
+        solution = self.solver.solve(x, self.lower, self.upper, exact=exact)
+        simulated = None if solution.status == "interrupted" else self._simulated(x)
+        if simulated is None or not self._lower(simulated, solution.x):
+            return solution
+        other = self.solver.solve(simulated, self.lower, self.upper)
+        better = other.status == "converged" and self._lower(other.x, solution.x)
+        best = other if better or solution.status != "converged" else solution
+        return replace(best, iterations=solution.iterations + other.iterations)
 
     def _levelled(self, solution: Solution) -> tuple[Solution, int]:
         """The solution with the noise levels settled, and the iterations that it took in all."""

@@ -20,6 +20,9 @@ _SMOOTH = 4
 _TRUST = 1e3
 # A step to a state whose outputs are not finite is halved this often at most.
 _HALVINGS = 10
+# Steps to the states that explain an interval, the fall of the misfit that ends them; the damping at first, its change;
+# share of the largest slope in a state below which nothing is known of the state.
+_NODE_STEPS, _SMALL, _DAMPING, _HINDER, _BLIND = 10, 1e-2, 1e-2, 6.0, 1e-6
 # A start is drawn within this factor of the given one where the bounds leave more room.
 _REACH = 3.0
 
@@ -119,6 +122,44 @@ def _measured_at_nodes(record: RecordTerm) -> Array:
         smooth = np.convolve(measured.values, kernel, mode="same")[: len(measured.values)] / weight
         found.append(np.interp(np.arange(plan.m) * plan.length, measured.position, smooth))
     return np.array(found)
+
+
+def fitted_nodes(record: RecordTerm, v: Array, nodes: Array) -> Array:
+    """Nodes (M, n), each moved to where its own interval's run explains the interval's samples, by Levenberg's steps.
+
+    v : the parameters' vector, which is kept. States that an interval does not show stay as they are.
+    """
+    at, damping = nodes, np.full(len(nodes), _DAMPING)
+    here = _of_intervals(record, v, at)
+    for _ in range(_NODE_STEPS if here is not None else 0):
+        cost, slope, matrix = here
+        size = np.einsum("maa->ma", matrix)
+        size = np.maximum(size, _BLIND * size.max(axis=1, keepdims=True)) + 1e-300
+        trial = at - np.linalg.solve(matrix + (damping[:, None] * size)[..., None] * np.eye(at.shape[1]), slope[..., None])[..., 0]
+        there = _of_intervals(record, v, trial)
+        if there is None:
+            damping = _HINDER * damping
+            continue
+        better = there[0] < cost
+        fall = np.where(better, cost - there[0], 0.0).sum()
+        at = np.where(better[:, None], trial, at)
+        here = tuple(np.where(better.reshape(-1, *[1] * (old.ndim - 1)), new, old) for old, new in zip(here, there, strict=True))
+        damping = np.where(better, damping / _HINDER, damping * _HINDER)
+        if better.any() and fall < _SMALL * cost.sum():
+            break
+    return at
+
+
+def _of_intervals(record: RecordTerm, v: Array, nodes: Array) -> tuple[Array, Array, Array] | None:
+    """Each interval's own summed squares (M,), their slope (M, n) and Gauss-Newton matrix (M, n, n) in its first state."""
+    try:
+        point = record.evaluate(v, nodes)
+    except (FloatingPointError, np.linalg.LinAlgError):
+        return None
+    js = (point.js if point.js.ndim == 3 else point.js[:, None, :]) * record.weight[..., None]
+    cost = np.square(point.r).sum(axis=0)
+    slope, matrix = np.einsum("kma,km->ma", js, point.r), np.einsum("kma,kmb->mab", js, js)
+    return (cost, slope, matrix) if np.isfinite(cost).all() and np.isfinite(matrix).all() else None
 
 
 def chained_nodes(record: RecordTerm, v: Array, first: Array) -> Array:

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_engine.model import Model
-from casadi_engine.simulation.adaptive import Adaptive
+from casadi_engine.simulation.adaptive import TOO_MANY, Adaptive
 from casadi_engine.simulation.grid import Drives, Grid
 from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.jets import Array
@@ -23,6 +23,9 @@ from casadi_engine.simulation.switched_field import SwitchedField
 
 # Tolerance of the steps at first, what a finer run has of it, and the least.
 _TOLERANCE, _FINER, _LEAST = 1e-8, 1e-2, 1e-13
+# Events of a trial point, in multiples of the most that a point has had so far; but one to a sample is not too many.
+# A point that asks for more chatters, and the search shortens its step.
+_RUNAWAY = 4
 
 # Fields are long to build, and a fit makes several propagators of one model: (z, physical, sensitivities, field).
 _Made = list[tuple[ca.SX, ca.SX, bool, SwitchedField]]
@@ -38,6 +41,17 @@ def _field(model: Model, z: ca.SX, physical: ca.SX, sensitivities: bool) -> Swit
     field = SwitchedField(model, z, physical, sensitivities=sensitivities)
     known.append((z, physical, sensitivities, field))
     return field
+
+
+class _Bounded(Adaptive):
+    """An integration that meets ``most`` events at most, or as many as there may be for 0."""
+
+    most = 0
+
+    def _count(self) -> None:
+        super()._count()
+        if self.most and self.events > self.most:
+            raise FloatingPointError(TOO_MANY)
 
 
 @dataclass
@@ -96,7 +110,7 @@ class EventPropagator:
         first = np.array([[hold == "first"] for hold in grid.holds]).reshape(len(grid.channels), 1)
         self._low = grid.channels[:, :-1]
         self._high = np.where(first, grid.channels[:, 1:], self._low)
-        self.events = 0
+        self.events = self._usual = 0
 
     def finer(self, factor: int) -> EventPropagator:
         """The same propagator with a smaller tolerance, by a hundred whatever the factor."""
@@ -123,22 +137,23 @@ class EventPropagator:
         field = self._first if order else self._value
         wide = n + self.nz
         states = np.empty((plan.length + 1, plan.m, field.size))
-        times, events = grid.time, 0
+        times, events, most = grid.time, 0, 0
         for i, node in enumerate(np.asarray(nodes, dtype=float)):
             first = i * plan.length
             last = min(first + plan.length, grid.samples - 1)
             start = node * self.scale
             if order:
                 start = np.concatenate([start, np.eye(n, wide).T.ravel()])
-            machine = Adaptive(field, self.tolerance, z, self.scale)
+            machine = _Bounded(field, self.tolerance, z, self.scale)
+            machine.most = self._usual
             cells = slice(first, last)
             run = machine.run(start, times[first : last + 1], self._low[:, cells], self._high[:, cells])
             states[: last - first + 1, i] = run.states
             states[last - first + 1 :, i] = run.states[-1]
-            events += run.events
+            events, most = events + run.events, max(most, run.events)
         if not np.isfinite(states).all():
             raise FloatingPointError("the model's state is not finite here")
-        self.events = events
+        self.events, self._usual = events, max(self._usual, _RUNAWAY * most, plan.length)
         x = np.ascontiguousarray((states[..., :n] / self.scale).transpose(0, 2, 1))
         if not order:
             none = np.zeros((0,) * 4)

@@ -8,6 +8,8 @@ steps of the record at once and chained by batched products.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -124,6 +126,7 @@ class RungeKuttaPropagator:
         self._fineness = fineness
         self._sweeps: Sweeps | None = None
         self._evaluated = False  # at any point so far
+        self._most = MOST_STEPS
         if fineness is not None:
             self._lay(fineness)
 
@@ -204,8 +207,24 @@ class RungeKuttaPropagator:
         cells = counted.astype(np.float64)
         return to_rows(plan, off.transpose(2, 0, 1)[None])[0], cells
 
+    @contextmanager
+    def unchanged(self, most: int) -> Iterator[None]:
+        """Within it, finer steps serve the point alone that asks for them, and a point that asks for more than ``most``
+        times the steps there are now cannot be evaluated. Of use where points lie far apart: one bad one would make
+        all later ones slow."""
+        if self._sweeps is None:
+            yield
+            return
+        before = self._fineness, self.layout, self._sweeps, self._most
+        assert self._fineness is not None  # as there are sweeps
+        self._most = min(self._most, most * int(self._fineness.counts.sum()))
+        try:
+            yield
+        finally:
+            self._fineness, self.layout, self._sweeps, self._most = before
+
     def _lay(self, fineness: Fineness) -> None:
-        if int(fineness.counts.sum()) > MOST_STEPS + len(fineness.counts):
+        if int(fineness.counts.sum()) > self._most + len(fineness.counts):
             raise FloatingPointError("the equations ask for more integration steps than are allowed")
         self._fineness = fineness
         self.layout: StepLayout = lay_steps(self.grid, self.intervals, fineness.counts)
