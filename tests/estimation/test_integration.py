@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 import casadi_engine as ce
+from casadi_engine.estimation import integration
 from casadi_engine.estimation import search as search_module
 from casadi_engine.estimation.integration import SHIFT, shorten_steps
 
@@ -131,6 +132,20 @@ def test_the_refined_fit_is_scipys_least_squares(name):
 
 
 # ---- no cost where none is needed
+
+
+def test_an_integration_error_is_worked_out_once_for_each_place_and_fineness(monkeypatch):
+    make, slope, start, time = SYSTEMS["exponential"]
+    y = solved(lambda t, x: slope(t, x, 0.2, 3.0), start, time)[0]
+    places = []
+    original = integration.signed_error
+    monkeypatch.setattr(
+        integration, "signed_error", lambda p, v, at: places.append((p, p.substeps)) or original(p, v, at)
+    )
+    fit = ce.estimate(make(), record(time, y, SIGMA), noise=ce.Noise(y=SIGMA), progress=False)
+    assert len(set(places)) == len(places) > 1  # shorter steps are judged anew
+    assert fit.integration["run"].substeps == places[-1][1]
+    assert fit.integration["run"].shift <= SHIFT
 
 
 def test_steps_that_suffice_stay(monkeypatch):

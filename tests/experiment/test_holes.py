@@ -187,3 +187,17 @@ def test_a_value_held_over_a_hole_ends_a_local_step_before_the_next_sample():
     held = experiment.bridged(u="hold")
     held.require(inputs=["u"])
     assert np.setdiff1d(held["u"].time, time) == pytest.approx([0.059])
+
+
+def test_channels_that_share_their_times_are_each_judged_by_their_own_hold():
+    """Rows missing where steps grow by a tenth: a hole between samples of a line, none of a stair's."""
+    time = np.cumsum(np.r_[np.tile([0.01, 0.012], 100), 0.2, np.tile([0.01, 0.012], 100)])
+    assert len(holes_in(time, "first")) == 1
+    assert not len(holes_in(time, "zero"))
+    units = {"stair": "1", "line": "1", "y": "1"}
+    shared = Experiment.from_arrays(
+        "run", time=time, units=units, hold={"stair": "zero"}, stair=time, line=time, y=time
+    )
+    shared.require(inputs=("stair",), outputs=("y",))
+    with pytest.raises(ExperimentError, match="column 'line', after sample 199: rows are missing"):
+        shared.require(inputs=("stair", "line"), outputs=("y",))

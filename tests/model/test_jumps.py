@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from casadi_engine.model.jumps import jumps, jumps_in, with_held_jumps
+from casadi_engine.model.jumps import has_jumps, jumps, jumps_in, with_held_jumps
 from tests.model.random_expressions import expressions
 
 X, Y, P = ca.SX.sym("x"), ca.SX.sym("y"), ca.SX.sym("p")
@@ -120,3 +120,12 @@ def test_an_angle_is_continued_over_its_jump():
     at = ca.Function("at", [X, Y, held.symbols], [held.expression])
     for angle in np.linspace(2.0, 4.2, 12):
         assert float(at(np.cos(angle), np.sin(angle), 1.0)) == pytest.approx(angle, rel=1e-14)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_an_expression_has_jumps_where_a_switch_is_one(name):
+    """Kinks are none; also among the rows of a column that has smooth ones and zeros."""
+    expression, switches = CASES[name]
+    jumping = any(kind != "kink" for _, kind in switches)
+    assert has_jumps(expression) == jumping
+    assert has_jumps(ca.vertcat(ca.SX(1, 1), X, expression)) == jumping

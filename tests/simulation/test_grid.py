@@ -51,6 +51,22 @@ def test_the_fastest_input_sets_the_grid_and_slower_ones_are_interpolated(model)
     np.testing.assert_array_equal(grid.measured["y"].position, 2 * np.arange(51))
 
 
+def test_channels_that_share_an_array_of_times_have_the_grid_of_those_that_do_not(model):
+    time = np.arange(60) / 50
+    slow, values = time[::3].copy(), np.random.default_rng(1).normal(size=60)
+    once, again = (
+        lay_grid(
+            model,
+            record(a=(time, values), c=(times, values[::3]), y=(slow, values[::3]), w=(times, values[::3])),
+        )
+        for times in (slow, slow.copy())
+    )
+    np.testing.assert_array_equal(once.channels[0], values[:58])
+    np.testing.assert_allclose(once.channels[1], np.interp(once.time, slow, values[::3]), rtol=1e-13)
+    for one, other in ((once.channels, again.channels), (once.time, again.time)):
+        np.testing.assert_array_equal(one, other)
+
+
 def test_a_channel_on_the_grid_is_taken_as_it_is(model):
     rng = np.random.default_rng(0)
     time, values = np.arange(50) / 14402, rng.normal(size=50)
