@@ -64,8 +64,8 @@ _NEAR = {
 # standard error changes it by.
 _FLAT_CHANGE, _FLAT_ITERATIONS = 0.1, 4
 
-# Points at which the model cannot be evaluated that are tried from one start by IPOPT, and their share of all: with more of
-# both the search stands before a wall, and every further halving of its steps meets it again.
+# Points at which the model cannot be evaluated that are tried from one start by IPOPT, and their share of all: with
+# more of both the search stands before a wall, and every further halving of its steps meets it again.
 _REFUSED, _MOSTLY = 30, 0.5
 _WALL = "the model could not be evaluated at most of the points tried"
 

@@ -125,25 +125,30 @@ def _measured_at_nodes(record: RecordTerm) -> Array:
 
 
 def fitted_nodes(record: RecordTerm, v: Array, nodes: Array) -> Array:
-    """Nodes (M, n), each moved to where its own interval's run explains the interval's samples, by Levenberg's steps.
+    """Nodes (M, n), each moved to where its own interval's run explains the interval's samples (Levenberg 1944).
 
     v : the parameters' vector, which is kept. States that an interval does not show stay as they are.
     """
     at, damping = nodes, np.full(len(nodes), _DAMPING)
     here = _of_intervals(record, v, at)
-    for _ in range(_NODE_STEPS if here is not None else 0):
-        cost, slope, matrix = here
+    if here is None:
+        return nodes
+    cost, slope, matrix = here
+    for _ in range(_NODE_STEPS):
         size = np.einsum("maa->ma", matrix)
         size = np.maximum(size, _BLIND * size.max(axis=1, keepdims=True)) + 1e-300
-        trial = at - np.linalg.solve(matrix + (damping[:, None] * size)[..., None] * np.eye(at.shape[1]), slope[..., None])[..., 0]
+        damped = matrix + (damping[:, None] * size)[..., None] * np.eye(at.shape[1])
+        trial = at - np.linalg.solve(damped, slope[..., None])[..., 0]
         there = _of_intervals(record, v, trial)
         if there is None:
             damping = _HINDER * damping
             continue
         better = there[0] < cost
-        fall = np.where(better, cost - there[0], 0.0).sum()
+        fall = float((cost - there[0])[better].sum())
         at = np.where(better[:, None], trial, at)
-        here = tuple(np.where(better.reshape(-1, *[1] * (old.ndim - 1)), new, old) for old, new in zip(here, there, strict=True))
+        slope = np.where(better[:, None], there[1], slope)
+        matrix = np.where(better[:, None, None], there[2], matrix)
+        cost = np.where(better, there[0], cost)
         damping = np.where(better, damping / _HINDER, damping * _HINDER)
         if better.any() and fall < _SMALL * cost.sum():
             break
@@ -151,7 +156,7 @@ def fitted_nodes(record: RecordTerm, v: Array, nodes: Array) -> Array:
 
 
 def _of_intervals(record: RecordTerm, v: Array, nodes: Array) -> tuple[Array, Array, Array] | None:
-    """Each interval's own summed squares (M,), their slope (M, n) and Gauss-Newton matrix (M, n, n) in its first state."""
+    """Each interval's own summed squares (M,), their slope (M, n) and Gauss-Newton matrix (M, n, n) in its start."""
     try:
         point = record.evaluate(v, nodes)
     except (FloatingPointError, np.linalg.LinAlgError):

@@ -207,6 +207,13 @@ class RungeKuttaPropagator:
         cells = counted.astype(np.float64)
         return to_rows(plan, off.transpose(2, 0, 1)[None])[0], cells
 
+    def _lay(self, fineness: Fineness) -> None:
+        if int(fineness.counts.sum()) > self._most + len(fineness.counts):
+            raise FloatingPointError("the equations ask for more integration steps than are allowed")
+        self._fineness = fineness
+        self.layout: StepLayout = lay_steps(self.grid, self.intervals, fineness.counts)
+        self._sweeps = Sweeps(self.slope, fineness.scheme, self.layout)
+
     @contextmanager
     def unchanged(self, most: int) -> Iterator[None]:
         """Within it, finer steps serve the point alone that asks for them, and a point that asks for more than ``most``
@@ -222,13 +229,6 @@ class RungeKuttaPropagator:
             yield
         finally:
             self._fineness, self.layout, self._sweeps, self._most = before
-
-    def _lay(self, fineness: Fineness) -> None:
-        if int(fineness.counts.sum()) > self._most + len(fineness.counts):
-            raise FloatingPointError("the equations ask for more integration steps than are allowed")
-        self._fineness = fineness
-        self.layout: StepLayout = lay_steps(self.grid, self.intervals, fineness.counts)
-        self._sweeps = Sweeps(self.slope, fineness.scheme, self.layout)
 
     def _begin(self, z: Array, nodes: Array) -> None:
         """Lay the first steps, by the fastest mode at the intervals' starts."""

@@ -1,0 +1,175 @@
+"""Where fits of models without a linear core begin, and how they end where no point can be evaluated."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import casadi_engine as ce
+from casadi_engine.estimation import search as searches
+from casadi_engine.estimation.loss import Loss
+from casadi_engine.estimation.search import Search
+from casadi_engine.simulation.adaptive import Adaptive
+from casadi_engine.simulation.event_propagator import EventPropagator
+from casadi_engine.simulation.grid import lay_grid
+from casadi_engine.simulation.intervals import cut
+from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
+
+
+def duffing(seed=0):
+    """A hard spring at an amplitude of 20, whose period is 10 samples, and its record by SciPy."""
+    b = ce.Blueprint("duffing")
+    c = b.parameter("c", 0.21, unit="1/s", min=0, max=100)
+    k3 = b.parameter("k3", 3.02, unit="1/s^2", min=0, max=100)
+    q, v = b.state("q"), b.state("v", unit="1/s")
+    b.ode("q", v)
+    b.ode("v", -c * v - k3 * q**3)
+    b.output("q", q)
+    t = 0.02 * np.arange(60)
+    found = solve_ivp(
+        lambda t, x: [x[1], -0.2 * x[1] - 3 * x[0] ** 3], t[[0, -1]], [20, 0],
+        method="DOP853", rtol=1e-11, atol=1e-11, t_eval=t,
+    )  # fmt: skip
+    noisy = found.y[0] + 0.02 * np.random.default_rng(seed).standard_normal(60)
+    return b.model(), ce.Experiment.from_arrays("swing", units={"q": "1", "time": "s"}, time=t, q=noisy)
+
+
+def arrived(fit, truth):
+    assert fit.status == "converged"
+    assert fit.cost / fit.n < 1.5
+    for name, value in truth.items():
+        assert abs(fit.values[name] - value) < 4 * fit.stderr[name]
+
+
+@pytest.mark.parametrize("initial", [{"q": 20.0, "v": 0.0}, None])
+def test_a_fast_swing_is_found_from_beside_the_truth(initial):
+    model, data = duffing()
+    fit = ce.estimate(model, data, noise=ce.Noise(q=0.02), initial=initial, progress=False)
+    arrived(fit, {"c": 0.2, "k3": 3.0})
+
+
+def test_the_simulation_from_the_given_states_is_a_start_too(monkeypatch):
+    # Without the states that explain their intervals, those of a steady state are left, with speeds of 0.
+    monkeypatch.setattr(searches, "fitted_nodes", lambda record, v, nodes: nodes)
+    model, data = duffing(1)
+    fit = ce.estimate(model, data, noise=ce.Noise(q=0.02), initial={"q": 20.0, "v": 0.0}, progress=False)
+    arrived(fit, {"c": 0.2, "k3": 3.0})
+
+
+def test_a_fit_that_ends_worse_than_the_simulation_at_its_start_begins_again_there(monkeypatch):
+    monkeypatch.setattr(searches, "fitted_nodes", lambda record, v, nodes: nodes)
+    model, data = duffing(2)
+    search = Search(
+        model, (data,), model.parameters(), ce.Noise(q=0.02), interval="auto",
+        initial={"q": 20.0, "v": 0.0}, loss=Loss(), ties="substitute", method="exact", max_iterations=200,
+        tolerance=1e-9, warm=None, progress=None,
+    )  # fmt: skip
+    start = search._start(search.pmap.start, first=True)
+    start[search.problem.nv + 2 :] = 0.0  # rest in all intervals but the first
+    own, starts = search.solver.solve, []
+
+    def solve(x, lower, upper, *, exact=False):
+        starts.append(x)
+        found = own(x, lower, upper, exact=exact)
+        return found if len(starts) > 1 else replace(found, x=start)  # a poor optimum
+
+    monkeypatch.setattr(search.solver, "solve", solve)
+    found = search._solved(start, exact=False)
+    assert 2 * search._objective(start) > 100
+    assert len(starts) == 2
+    assert 2 * search._objective(found.x) < 1.5
+
+
+def test_predators_and_prey_are_found_from_far_off():
+    b = ce.Blueprint("predators", time_unit="d")
+    p = [b.parameter(name, 0.8, unit="1/d", min=0, max=20) for name in "abcd"]
+    x, y = b.state("x"), b.state("y")
+    b.ode("x", p[0] * x - p[1] * x * y)
+    b.ode("y", p[3] * x * y - p[2] * y)
+    b.output("x", x)
+    b.output("y", y)
+    rng = np.random.default_rng(5)
+    t = np.sort(rng.uniform(0, 30, 40))
+    t[0] = 0
+    found = solve_ivp(
+        lambda t, z: [1.1 * z[0] - 0.4 * z[0] * z[1], 0.1 * z[0] * z[1] - 0.4 * z[1]], (0, 30), [10, 5],
+        rtol=1e-11, atol=1e-12, t_eval=t,
+    ).y + 0.3 * rng.standard_normal((2, 40))  # fmt: skip
+    units = {"x": "1", "y": "1", "time": "d"}
+    data = ce.Experiment.from_arrays("years", units=units, time=t, x=found[0], y=found[1])
+    fit = ce.estimate(b.model(), data, noise=ce.Noise(x=0.3, y=0.3), approach="prediction", progress=False)
+    arrived(fit, {"a": 1.1, "b": 0.4, "c": 0.4, "d": 0.1})
+
+
+def test_a_bad_point_makes_no_other_slow():
+    b = ce.Blueprint("decay")
+    k, x = b.parameter("k", 1.0), b.state("x")
+    b.ode("x", -k * x * ca.fabs(x))
+    b.output("x", x)
+    model = b.model()
+    t = 0.1 * np.arange(21)
+    grid = lay_grid(model, ce.Experiment.from_arrays("r", units={"time": "s", "x": "1"}, time=t, x=0 * t))
+    z, one = ca.SX.sym("z"), np.ones((1, 1))
+    propagator = RungeKuttaPropagator(model, grid, cut(grid, None), z, z, scale=np.ones(1))
+    propagator.propagate(np.array([1.0]), one)
+    before = propagator.fineness
+    with propagator.unchanged(30):
+        fast = propagator.propagate(np.array([60.0]), one)
+        assert propagator.substeps > before.most
+    with propagator.unchanged(1), pytest.raises(FloatingPointError, match="more integration steps"):
+        propagator.propagate(np.array([60.0]), one)
+    np.testing.assert_allclose(fast.x[:, 0, 0][-1], 1 / (1 + 60 * 2.0), rtol=1e-2)
+    assert propagator.fineness is before
+
+
+def thermostat():
+    """A heater that lags behind its thermostat; with a weak heater the thermostat chatters at its upper limit."""
+    b = ce.Blueprint("thermostat")
+    tau, gain = b.parameter("tau", 3.0, unit="s", min=0.1), b.parameter("G", 25.0, unit="K", min=1)
+    T, z = b.state("T", unit="degC"), b.state("z")
+    on = ca.if_else(T < 19, 1, ca.if_else(T > 21, 0, ca.if_else(z > 0.5, 1, 0)))
+    b.ode("T", (5 - T + gain * z) / tau)
+    b.ode("z", (on - z) * 200)
+    b.output("T", T, unit="degC")
+    return b.model()
+
+
+def test_a_point_that_chatters_is_given_up_soon(monkeypatch):
+    model = thermostat()
+    t = np.linspace(0, 6, 49)
+    data = ce.Experiment.from_arrays("r", units={"time": "s", "T": "degC"}, time=t, T=20 + 0 * t)
+    grid = lay_grid(model, data)
+    z, steps = ca.SX.sym("z", 2), []
+    monkeypatch.setattr(Adaptive, "_count", lambda self, own=Adaptive._count: (steps.append(1), own(self))[1])
+    propagator = EventPropagator(model, grid, cut(grid, None), z, z, scale=np.ones(2))
+    start = np.array([[15.0, 1.0]])
+    good = model.parameter_vector()
+    propagator.propagate(np.asarray(good, dtype=float).ravel(), start)
+    usual = len(steps)
+    bad = model.parameters()
+    bad["tau"], bad["G"] = 2.0, 21.5
+    with pytest.raises(FloatingPointError, match="too many"):
+        propagator.propagate(np.asarray(model.parameter_vector(bad), dtype=float).ravel(), start)
+    assert len(steps) < 10 * usual
+
+
+def test_a_search_before_a_wall_ends(monkeypatch):
+    model, data = duffing()
+    search = Search(
+        model, (data,), model.parameters(), ce.Noise(q=0.02), interval="single", initial=None, loss=Loss(),
+        ties="substitute", method="exact", max_iterations=200, tolerance=1e-9, warm=None, progress=None,
+    )  # fmt: skip
+    start, own, tried = search._start(search.pmap.start, first=True), search.problem.at, []
+
+    def at(x):
+        tried.append(x)
+        if abs(x[0] - start[0]) > 1e-7:
+            raise FloatingPointError("beyond the wall")
+        return own(x)
+
+    monkeypatch.setattr(search.problem, "at", at)
+    found = search.solver.solve(start, search.lower, search.upper)
+    assert found.status.startswith("not converged")
+    assert len(tried) < 500
