@@ -52,10 +52,17 @@ def fresh_misfit(repair: Repair) -> str | None:
 
 
 def held_to_fresh_data(repair: Repair) -> Repair:
-    """The repair as it is; where it does not describe the fresh data, with this said first, and not confirmed: a gain
-    alone confirms nothing there."""
+    """The repair with what its model does not describe of the fresh data said first.
+
+    It is not confirmed where more of the gap is left there than the effects closed: a gain alone confirms nothing then.
+    """
     misfit = fresh_misfit(repair)
     if misfit is None:
         return repair
-    confirmed = None if repair.confirmed is None else False
+    gaps, confirmed = repair.gaps, repair.confirmed
+    before = None if gaps is None else gaps.validation_before
+    after = None if gaps is None else gaps.validation_after
+    mostly = before is None or after is None or 2 * after.gap.chi2_per_sample > before.gap.chi2_per_sample
+    if confirmed and mostly:
+        confirmed = False
     return replace(repair, confirmed=confirmed, messages=(misfit, *repair.messages))
