@@ -68,6 +68,7 @@ class Adaptive:
         self.steps = self.events = self.limited = 0
         self.stiff = False
         self.h = self.time = 0.0
+        self._rates: list[Array] = []
         # (n,) what the fields on both sides of the switches differ by on which the state stays: they cancel
         self._held = np.zeros(field.n)
 
@@ -147,7 +148,7 @@ class Adaptive:
         """A step that meets the tolerance: its length, end, and α there."""
         h = min(self.h, left)
         while True:
-            ahead, fifth, third, share, passing5, passing3 = self._step(x, t, h, segment)
+            ahead, fifth, third, share, passing5, passing3, *self._rates = self._step(x, t, h, segment)
             weight = self._weights(np.maximum(np.abs(x), np.abs(ahead)))
             weight[: self.field.n] += _ROUNDING * h * self._held
             finite = bool(np.isfinite(ahead).all())
@@ -238,7 +239,7 @@ class Adaptive:
     def _at(self, x: Array, t: float, h: float, segment: Array) -> tuple[Array, Array]:
         if self.stiff:
             return self._stiff_step(x, t, h, segment)
-        ahead, _, _, share, _, _ = self._step(x, t, h, segment)
+        ahead, _, _, share, *_ = self._step(x, t, h, segment)
         return ahead, share
 
     def _event(
@@ -250,6 +251,8 @@ class Adaptive:
             raise FloatingPointError("the equations are not finite at a switch")
         reach = h
         if (end >= 0).all():
+            if self._far(x, t, h, ahead, segment):
+                return None
             flat = self._turned_flat(x, t, h, ahead, segment)
             if flat is not None:
                 return flat
@@ -277,6 +280,18 @@ class Adaptive:
         at = t + length
         passed = [i for instant, i in instants if instant <= length * (1 + 1e-12)]
         return at, self._after(where, at, segment, passed)
+
+    def _far(self, x: Array, t: float, h: float, ahead: Array, segment: Array) -> bool:
+        """True if the free switches are so far from 0 at both ends of a step that none is passed in between."""
+        if self.stiff:
+            return False
+        free = np.ones(self.field.switches, dtype=bool)
+        free[list(self.mode)] = False
+        if (free & (self.side == 0)).any():
+            return False
+        ends = [self.side * self.field.g(*point, segment, self.b) for point in ((x, t), (ahead, t + h))]
+        reach = 0.5 * h * np.maximum(np.abs(self._rates[0]), np.abs(self._rates[1]))
+        return bool((np.minimum(*ends) > reach)[free].all())
 
     def _passed_twice(
         self, x: Array, t: float, h: float, ahead: Array, segment: Array

@@ -10,7 +10,8 @@ from casadi_engine.simulation.jets import Array
 
 
 def dormand_prince(field: ca.Function) -> ca.Function:
-    """(x, t, h, segment, b, c) -> (end, its errors of order 5 and 3, α at the end, those errors of the switches)."""
+    """(x, t, h, segment, b, c) -> (end, its errors of order 5 and 3, α at the end, those errors of the switches, and
+    the switches' rates at both ends)."""
     x, t, h = ca.SX.sym("x", field.size1_in(0)), ca.SX.sym("t"), ca.SX.sym("h")
     rest = [ca.SX.sym(name, field.size1_in(k)) for k, name in ((2, "segment"), (3, "b"), (4, "c"))]
     slopes: list[tuple[ca.SX, ca.SX]] = []
@@ -25,8 +26,8 @@ def dormand_prince(field: ca.Function) -> ca.Function:
     for weight, (slope, _) in zip(DOP853.B, slopes, strict=True):
         if weight:
             end = end + h * weight * slope
-    last, share, passing = field(end, t + h, *rest)
-    slopes.append((last, passing))
+    last, share, last_rate = field(end, t + h, *rest)
+    slopes.append((last, last_rate))
     errors = []
     for part in (0, 1):
         for weights in (DOP853.E5, DOP853.E3):
@@ -35,7 +36,8 @@ def dormand_prince(field: ca.Function) -> ca.Function:
                 if weight:
                     error = error + h * weight * pair[part]
             errors.append(error)
-    return ca.Function("step", [x, t, h, *rest], [end, *errors[:2], share, *errors[2:]])
+    found = [end, *errors[:2], share, *errors[2:], slopes[0][1], last_rate]
+    return ca.Function("step", [x, t, h, *rest], found)
 
 
 def error_norm(fifth: Array, third: Array) -> float:
