@@ -27,13 +27,15 @@ _SAFETY, _LEAST, _MOST = 0.9, 0.2, 6.0
 # Of the largest state: a state smaller than that is integrated as exactly as one of that size.
 _SMALL = 1e-9
 # Of its declared size, what a state that has always been at rest is integrated to: it may be set in motion by a corner.
-_REST = 1e-9
+_REST = 1e-18
 # To this share of its largest value the course of a switching function within a step is known.
 _COURSE = 1e-3
 # And so near to 0 a cubic through it is looked at more closely.
 _NEAR = 1e-2
 # What is left of two fields that cancel, relative to them.
 _ROUNDING = 1e-14
+# Knots that CVODES meets in one run: the last is at most so many times as far as the first.
+_SPREAD = 1e3
 # Two passes of a switch within this share of the record count as none.
 _BRIEF = 1e-6
 # A switching function counts as passed beyond this share of its largest value.
@@ -87,7 +89,10 @@ class Adaptive:
         # Without channels and switches nothing asks for a fresh start at a knot.
         self._span = float(time[-1] - time[0])
         self._free = not len(low) and not self.field.switches
+        done = 0
         for k in range(len(time) - 1):
+            if k + 1 < done:
+                continue
             length = time[k + 1] - time[k]
             segment = Segment(time[k], low[:, k], (high[:, k] - low[:, k]) / length, self.z).row
             jumped = k == 0 or bool((low[:, k] != high[:, k - 1]).any())
@@ -95,11 +100,15 @@ class Adaptive:
                 self.h = self._first_step(x, time[0], length, segment)
             if self.field.switches and jumped:
                 x = self._settle(x, time[k], segment)
-            if self.stiff and self._free:
-                states[k + 1 :] = self._stiff_rest(x, time[k:], segment)
-                break
             x = self._piece(x, time[k], time[k + 1], segment)
             states[k + 1] = x
+            while self.stiff and self._free and k + 1 < len(time) - 1:
+                # knots whose distances are not too different in one run: CVODES counts its time from its beginning
+                far = time[k + 1] + _SPREAD * (time[k + 2] - time[k + 1])
+                done = max(int(np.searchsorted(time, far, side="right")), k + 3)
+                states[k + 2 : done] = self._stiff_rest(x, time[k + 1 : done], segment)
+                self.peak = np.maximum(self.peak, np.abs(states[k + 2 : done]).max(axis=0))
+                k, x = done - 2, states[done - 1]
         return Run(states, self.steps, self.events, self.stiff)
 
     def _first_step(self, x: Array, t: float, length: float, segment: Array) -> float:
