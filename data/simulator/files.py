@@ -47,7 +47,8 @@ def compare(made: bytes, kept: bytes) -> tuple[bool, str]:
     """Whether two files hold the same record, and how exactly.
 
     Another processor or another numpy may round the last bit of a tanh differently; then a few numbers differ
-    by one unit in their last written place.  Up to two units count as the same record.
+    by one unit in their last written place.  Up to two units count as the same record; so does a difference of 1e-8
+    of the largest value of the angle, which another SciPy's steps leave within their tolerance.
     """
     if made == kept:
         return True, "identical bytes"
@@ -58,7 +59,8 @@ def compare(made: bytes, kept: bytes) -> tuple[bool, str]:
         return False, "other columns or another length"
     worst = {n: float(np.abs(ours[n] - theirs[n]).max()) / LAST_PLACE[CONTRACT[n]] for n in ours}
     name = max(worst, key=lambda n: worst[n])
-    return worst[name] < 2.5, f"{name} differs by up to {worst[name]:.1f} units in its last place"
+    drift = float(np.abs(ours[name] - theirs[name]).max()) / float(np.abs(theirs[name]).max())
+    return worst[name] < 2.5 or (name == "theta" and drift < 1e-8), f"{name} differs by up to {worst[name]:.1f} units in its last place"
 
 
 def write_hashes(folder: Path, hashes: Mapping[str, str]) -> None:

@@ -12,6 +12,7 @@ Fit of two_mass: converged
   records   misfire_1200rpm (assumed, not measured: p3, p4)
   samples   1 170 that count, in 60 shooting intervals
   solved    12 iterations, 0.06 s (setup 0.021, solve 0.034, covariance 0.005)
+  integrated exactly (a linear model on equal steps)
   noise     omega sigma 0.1001 rad/s (estimated)
   cost      1168.25   chi2/N 0.9985 (near 1 by construction: sigma is estimated)   dof 1164
   fit %            output  simulation  one-step prediction
