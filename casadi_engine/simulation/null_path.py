@@ -20,7 +20,7 @@ from casadi_engine.simulation.switched_field import SwitchedField
 from casadi_engine.simulation.tape import ArrayFunction
 
 # Of the steps that follow the error.
-_TOLERANCE = 1e-8
+_TOLERANCE = 1e-9
 # Of the largest value of a state, what the cubic in the middle between two points may be off by.
 _CUBIC = 1e-4
 # Parts that a cell is cut into where it is more, and points of a path for each of the record's at most.
