@@ -60,7 +60,9 @@ def compare(made: bytes, kept: bytes) -> tuple[bool, str]:
     worst = {n: float(np.abs(ours[n] - theirs[n]).max()) / LAST_PLACE[CONTRACT[n]] for n in ours}
     name = max(worst, key=lambda n: worst[n])
     drift = float(np.abs(ours[name] - theirs[name]).max()) / float(np.abs(theirs[name]).max())
-    return worst[name] < 2.5 or (name == "theta" and drift < 1e-8), f"{name} differs by up to {worst[name]:.1f} units in its last place"
+    return worst[name] < 2.5 or (
+        name == "theta" and drift < 1e-8
+    ), f"{name} differs by up to {worst[name]:.1f} units in its last place"
 
 
 def write_hashes(folder: Path, hashes: Mapping[str, str]) -> None:

