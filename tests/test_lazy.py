@@ -44,7 +44,7 @@ str(ce.estimate(model, run, noise=ce.Noise(omega="estimate")))
 
 def loaded(code: str) -> set[str]:
     """The modules that a new process has after `code`."""
-    code = f"import sys, numpy as np\n{code}\nprint('\\n', *sys.modules)"
+    code = f"import sys\n{code}\nprint('\\n', *sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
     return {*done.stdout.splitlines()[-1].split()}
@@ -75,6 +75,14 @@ def test_a_linear_model_is_fitted_without_the_large_modules_of_scipy():
     assert heavy(modules) <= {"scipy"}
     large = {f"scipy.{name}" for name in ("stats", "signal", "optimize", "integrate", "ndimage", "sparse")}
     assert modules & large == set()
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["fit", "--help"], ["--version"]])
+def test_the_help_of_the_command_computes_nothing(arguments):
+    code = f"from casadi_engine import cli\nassert cli.main({arguments!r}) == 0"
+    modules = loaded(code)
+    assert "typer" in modules
+    assert modules & {"numpy", "casadi", "scipy", "pandas", "matplotlib", "jinja2"} == set()
 
 
 @pytest.mark.parametrize("package", PACKAGES)
