@@ -7,7 +7,7 @@ and everything that is reported, are of the whole data.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +20,8 @@ from casadi_engine.experiment import Experiment
 from casadi_engine.experiment.decimation import REACH, decimated, rows_at_lower_rate
 from casadi_engine.model import Model
 from casadi_engine.problem.noise import Noise
-from casadi_engine.simulation.event_propagator import EventPropagator
+from casadi_engine.simulation.grid import Grid
+from casadi_engine.simulation.propagator import switches_with_states
 
 Array = NDArray[np.float64]
 
@@ -28,7 +29,7 @@ Array = NDArray[np.float64]
 LOST = 1e-3
 # Factors that are tried, and samples that a record of a lower rate has at least.
 _FACTORS = (32, 24, 16, 12, 8, 6, 4, 3)
-_LEAST = 200
+_LEAST = 1000
 # Straight lines between samples carry frequencies to a tenth of the rate well, the filter passes those to a fifth.
 _MARGIN = 2
 # Samples of a record from which the information is computed: as much of a longer one as this.
@@ -58,7 +59,7 @@ def lower_rate(search: Search) -> LowerRate | str:
     why = _unsuitable(search)
     if why:
         return why
-    factor, lost = _factor(search)
+    factor, lost = lost_at_lower_rate(search)
     if factor == 1:
         return "no lower rate keeps the information"
     model = search.model
@@ -83,28 +84,28 @@ def thinned_noise(noise: Noise, model: Model, record: Experiment) -> Noise:
 
 
 def _unsuitable(search: Search) -> str:
-    """Why the records cannot be thinned; empty if they can."""
+    """Why a search does not run on thinned records; empty if it does."""
     if search.noise.predicts:
         return "a predictor corrects its states sample by sample"
     if search.loss.robust:
         return "a filter would spread outliers"
-    for record in search.records:
-        if record.linear:
-            return "a linear model is as fast"
-        why = _unsuitable_record(record)
-        if why:
-            return why
-    return ""
+    if search.cut not in ("auto", "single"):
+        return "a shooting interval was given"
+    if getattr(search.warm, "converged", False):
+        return "it starts at an optimum"
+    if all(record.linear for record in search.records):
+        return "a linear model is as fast"
+    found = (unsuitable_record(r.model, r.grid, r.experiment) for r in search.records)
+    return next((why for why in found if why), "")
 
 
-def _unsuitable_record(record: RecordTerm) -> str:
-    grid, experiment = record.grid, record.experiment
+def unsuitable_record(model: Model, grid: Grid, experiment: Experiment) -> str:
+    """Why a record cannot be thinned; empty if it can."""
     if experiment.decimation is not None:
         return "the records are of a lower rate"
-    if isinstance(record.propagator, EventPropagator):
+    if switches_with_states(model):
         return "the equations jump with their states"
-    names = [*(v.name for v in record.model.inputs), *grid.measured]
-    times = [experiment[name].time for name in names]
+    times = [experiment[name].time for name in (*(v.name for v in model.inputs), *grid.measured)]
     alike = all(own is times[0] or np.array_equal(own, times[0]) for own in times)
     if not grid.uniform or not alike or grid.samples != len(times[0]):
         return "the channels were not sampled together at equal steps"
@@ -115,8 +116,11 @@ def _unsuitable_record(record: RecordTerm) -> str:
     return ""
 
 
-def _factor(search: Search) -> tuple[int, float]:
-    """The largest factor that loses little, and the share of information that it loses."""
+def lost_at_lower_rate(search: Search, others: Sequence[Experiment] = ()) -> tuple[int, float]:
+    """The largest factor that loses little, and the share of information that it loses; 1 where there is none.
+
+    The slopes are those at the search's start. others : records that are to be thinned alike
+    """
     problem = search.problem
     try:
         point = problem.at(search.first_point())
@@ -126,7 +130,8 @@ def _factor(search: Search) -> tuple[int, float]:
         whole_slopes(record, found, lay.m)
         for record, found, lay in zip(search.records, point.records, problem.layouts, strict=True)
     ]
-    shortest = min(record.grid.samples for record in search.records)
+    lengths = [len(record[record.names[0]].time) for record in others]
+    shortest = min([record.grid.samples for record in search.records] + lengths)
     for factor in _FACTORS:
         if shortest < factor * _LEAST:
             continue

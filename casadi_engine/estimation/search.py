@@ -98,7 +98,7 @@ class Search:
         self.pmap, self._whole_tails = self.predictor.split(whole)
         self.parameters = parameters
         self._initial = [initial_bounds(initial, model, name, names) for name in names]
-        self._cut, self._method = interval, method
+        self.cut, self._method = interval, method
         self._first: tuple[Array, Array] | None = None  # the set's own start and its variables, once laid out
         self._lay(noise, Coordinates(self.pmap))
         if self.problem.nv:
@@ -126,7 +126,7 @@ class Search:
         self._scale = scale if larger is None else scale * larger
         self.coordinates = coordinates
         self._tails: dict[str, Any] = {}
-        self.records, level = self._terms(self._grids, self._whole_tails, self._cut, self._method)
+        self.records, level = self._terms(self._grids, self._whole_tails, self.cut, self._method)
         priors: Any = Priors(self.pmap, self.coordinates)
         if level is not None:
             self._check_loss()

@@ -332,7 +332,10 @@ class Drives:
         whole, self._decimation = grid.whole or (grid, None)
         late = np.array(
             [
-                any(h == "zero" and ca.depends_on(expression[j], model.u[i]) for i, h in enumerate(whole.holds))
+                any(
+                    h == "zero" and ca.depends_on(expression[j], model.u[i])
+                    for i, h in enumerate(whole.holds)
+                )
                 for j in range(count)
             ],
             dtype=bool,
