@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 # Share of the Fisher information of any parameter that thinning may lose.
 LOST = 1e-3
 # Factors that are tried, and samples that a record of a lower rate has at least.
-_FACTORS = (32, 24, 16, 12, 8, 6, 4, 3)
+_FACTORS = (32, 24, 16, 12, 8, 6, 4)
 _LEAST = 1000
 # Straight lines between samples carry frequencies to a tenth of the rate well, the filter passes those to a fifth.
 _MARGIN = 2
