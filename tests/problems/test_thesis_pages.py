@@ -56,3 +56,10 @@ def test_tables_4_3_to_4_5(quick):
     assert lines["4.3(b) misfire", "C_el does not converge"].ours.startswith(
         "61 % off with the start known, 0.4 %"
     )
+
+
+def test_figures_4_11_to_4_19(quick):
+    lines = quick("residual_tests")
+    assert len(lines) == 7
+    assert lines["Figure 4.11", "full rate: high correlation"].ours.startswith("25 of 25 lags")
+    assert lines["Figure 4.13", "by 20: within the band"].ours.startswith("speed alone by 20: 0 of 25")
