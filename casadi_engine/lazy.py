@@ -28,6 +28,10 @@ class LazyPackage(ModuleType):
         if not (name in self._homes and isinstance(value, ModuleType)):
             super().__setattr__(name, value)
 
+    def __reduce__(self) -> tuple[Any, tuple[str]]:
+        # a function sent to another process takes the packages that it names along
+        return import_module, (self.__name__,)
+
     def __dir__(self) -> Iterable[str]:
         return sorted({*super().__dir__(), *self._homes})
 
