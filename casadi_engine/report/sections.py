@@ -6,12 +6,11 @@ import math
 import platform
 from collections.abc import Mapping, Sequence
 from functools import singledispatch
+from importlib.metadata import version
 from typing import Any
 
 import casadi
-import matplotlib
 import numpy
-import scipy
 
 import casadi_engine
 from casadi_engine.errors import ResultError
@@ -296,8 +295,7 @@ def _how(arguments: Mapping[str, Any], options: Mapping[str, Any], timing: Mappi
         "Python": platform.python_version(),
         "CasADi": casadi.CasadiMeta.version(),
         "NumPy": numpy.__version__,
-        "SciPy": scipy.__version__,
-        "Matplotlib": matplotlib.__version__,
+        "SciPy": version("scipy"),
     }
     rows += [("version", name, value) for name, value in versions.items()]
     return Section("how", "How it was made", tables=[table(("kind", "name", "value"), rows)])
