@@ -15,7 +15,7 @@ from casadi_engine.estimation.fit import Fit, Trace
 from casadi_engine.experiment import Experiment
 from casadi_engine.report import panels
 from casadi_engine.report.files import write_file
-from casadi_engine.report.kinds import Simulated, not_shown
+from casadi_engine.report.kinds import Simulated, shown_by_others
 from casadi_engine.report.matplotlib_figure import drawn, figure_of
 from casadi_engine.report.panels import Subject
 from casadi_engine.report.sketch import Sketch
@@ -56,7 +56,8 @@ def plot(result: Any, *, path: Any = None, what: str = "overview") -> Figure:
 @singledispatch
 def figures(result: Any) -> dict[str, Maker]:
     """Name -> function that makes the sketch of a figure, in the order of a report; "overview" is the first."""
-    raise not_shown(result, "plot")
+    made: dict[str, Maker] = shown_by_others(figures, result, "plot")(result)
+    return made
 
 
 @figures.register

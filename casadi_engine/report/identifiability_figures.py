@@ -78,7 +78,7 @@ def _sweep_at(sweep: LossSweep, panel: Panel, name: str) -> None:
     draw_sweep(panel, sweep, name)
 
 
-def draw_profile(panel: Panel, line: ProfileLine, *, level: float) -> None:
+def draw_profile(panel: Panel, line: ProfileLine, *, level: float, title: str = "") -> None:
     """Rise of the cost along one parameter, the parabola of its standard error, the threshold and the interval."""
     fine = np.linspace(line.values[0], line.values[-1], 200)
     parabola = line.quadratic(fine)
@@ -93,18 +93,20 @@ def draw_profile(panel: Panel, line: ProfileLine, *, level: float) -> None:
             panel.plot(*ends, color=panels.PREDICTED, linewidth=0.8, linestyle=":")
     panel.plot([line.estimate.value], [0], "o", color="black", markersize=4, zorder=3)
     panel.ylim = (-0.05 * _HEIGHT * line.threshold, _HEIGHT * line.threshold)
-    title = f"{line.name}: {shape(line)}"
+    title = title or f"{line.name}: {shape(line)}"
     panels.dress(panel, x=f"{line.name} [{line.unit}]", y="rise of the cost [1]", title=title)
 
 
-def draw_sweep(panel: Panel, sweep: LossSweep, name: str) -> None:
+def draw_sweep(
+    panel: Panel, sweep: LossSweep, name: str, *, label: str = "loss V", colour: str = panels.SIMULATED
+) -> None:
     """The loss over one parameter, the others held, on a logarithmic axis; the reference is marked."""
     values, loss = sweep.values[name], sweep.loss[name]
     panel.yscale = "log"
-    panel.plot(values, loss, color=panels.SIMULATED, linewidth=1.3, label="loss V")
+    panel.plot(values, loss, color=colour, linewidth=1.3, label=label)
     panel.axvline(sweep.reference[name], color="0.5", linewidth=0.8, linestyle=":")
     at, lowest = sweep.minimum(name)
-    panel.plot([at], [lowest], "o", color=panels.SIMULATED, markersize=4)
+    panel.plot([at], [lowest], "o", color=colour, markersize=4)
     words = "U-shape" if sweep.has_minimum(name) else "no minimum in the range"
     title = f"{name}: {words}"
     panels.dress(panel, x=f"{name} [{sweep.units[name]}]", y="V [squared output unit]", title=title)

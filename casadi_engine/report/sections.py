@@ -20,7 +20,7 @@ from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.report import tables
 from casadi_engine.report.figures import each, figures
-from casadi_engine.report.kinds import Simulated, not_shown
+from casadi_engine.report.kinds import Simulated, shown_by_others
 from casadi_engine.report.page import Folded, Section
 from casadi_engine.report.tables import table
 from casadi_engine.validation import summary as validations
@@ -33,9 +33,10 @@ Page = tuple[str, str, list[Section]]
 
 
 @singledispatch
-def page_of(result: Any, _validation: Any, _arguments: Mapping[str, Any]) -> Page:
+def page_of(result: Any, validation: Any, arguments: Mapping[str, Any]) -> Page:
     """Title, subtitle and sections of a page."""
-    raise not_shown(result, "report")
+    made: Page = shown_by_others(page_of, result, "report")(result, validation, arguments)
+    return made
 
 
 @page_of.register
