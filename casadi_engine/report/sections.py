@@ -6,10 +6,10 @@ import math
 import platform
 from collections.abc import Mapping, Sequence
 from functools import singledispatch
+from importlib.metadata import version
 from typing import Any
 
 import casadi
-import matplotlib
 import numpy
 
 import casadi_engine
@@ -291,15 +291,12 @@ def _how(arguments: Mapping[str, Any], options: Mapping[str, Any], timing: Mappi
     rows = [("argument", name, _shown(value)) for name, value in arguments.items()]
     rows += [("option", name, _shown(value)) for name, value in options.items()]
     rows += [("seconds", name, f"{value:.3g}") for name, value in timing.items()]
-    import scipy
-
     versions = {
         "casadi-engine": casadi_engine.__version__,
         "Python": platform.python_version(),
         "CasADi": casadi.CasadiMeta.version(),
         "NumPy": numpy.__version__,
-        "SciPy": scipy.__version__,
-        "Matplotlib": matplotlib.__version__,
+        "SciPy": version("scipy"),
     }
     rows += [("version", name, value) for name, value in versions.items()]
     return Section("how", "How it was made", tables=[table(("kind", "name", "value"), rows)])
