@@ -13,10 +13,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize, stats
 
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.score import Scores, upper_tail
+from casadi_engine.distributions import chi2_isf, chi2_sf, f_sf, normal_isf
 
 _DRAWS = 4000
 _SMALLEST = 1e-300
@@ -45,14 +45,14 @@ class Row:
             return (1 if self.side else 2) * upper_tail(beyond, self.freedom)
         value = (inner**2).sum(axis=0)
         if np.isfinite(self.freedom):
-            return np.asarray(stats.f.sf(value / rank, rank, self.freedom))
-        return np.asarray(stats.chi2.sf(value, rank))
+            return np.asarray(f_sf(value / rank, rank, self.freedom))
+        return np.asarray(chi2_sf(value, rank))
 
     def limit(self, p: float) -> float:
         """The value of the statistic (one-sided z, |z| or chi) that has this p-value."""
         if self.frame.shape[1] == 1:
-            return float(stats.norm.isf(p if self.side else p / 2))
-        return float(np.sqrt(np.asarray(stats.chi2.isf(p, self.frame.shape[1]))))
+            return float(normal_isf(p if self.side else p / 2))
+        return float(np.sqrt(np.asarray(chi2_isf(p, self.frame.shape[1]))))
 
 
 def library_rows(scores: Scores, groups: dict[str, Sequence[int]] | None = None) -> list[Row]:
@@ -109,6 +109,8 @@ class NullDistribution:
 
     def threshold(self, alpha: float) -> float:
         """The p-value of a single test below which the library's smallest one falls with probability ``alpha``."""
+        from scipy import optimize
+
         if not self.tests:
             return alpha
         low = alpha / len(self.tests)
@@ -123,7 +125,7 @@ class NullDistribution:
 
     def critical(self, alpha: float) -> float:
         """c_alpha: the |z| of a two-sided test at the threshold."""
-        return float(stats.norm.isf(self.threshold(alpha) / 2))
+        return float(normal_isf(self.threshold(alpha) / 2))
 
     def _given(self, p: float) -> Array:
         """The draws (m, n), each given that its picked test is significant at p."""
@@ -133,14 +135,14 @@ class NullDistribution:
             column = self._column[self._picked]
             mine = np.flatnonzero(column >= 0)
             vectors, side = self._vectors[:, column[mine]], self._sides[column[mine]]
-            one, two = stats.norm.isf(tail[mine]), stats.norm.isf(tail[mine] / 2)
+            one, two = normal_isf(tail[mine]), normal_isf(tail[mine] / 2)
             wanted = np.where(side == 0, self._sign[mine] * two, side * one)
             y[:, mine] += vectors * (wanted - (vectors * y[:, mine]).sum(axis=0))
         for number in self._wide:
             mine = np.flatnonzero(self._picked == number)
             frame = self.tests[number].frame
             inner = frame.T @ y[:, mine]
-            radius = np.sqrt(stats.chi2.isf(tail[mine], frame.shape[1]))
+            radius = np.sqrt(chi2_isf(tail[mine], frame.shape[1]))
             y[:, mine] += frame @ (inner / np.linalg.norm(inner, axis=0) * radius - inner)
         return y
 
@@ -149,7 +151,7 @@ class NullDistribution:
         count = np.zeros(y.shape[1])
         if self._single:
             z = self._vectors.T @ y
-            two, one = stats.norm.isf(p / 2), stats.norm.isf(p)
+            two, one = normal_isf(p / 2), normal_isf(p)
             side = self._sides[:, None]
             hit = np.where(side == 0, np.abs(z) >= two * (1 - 1e-12), side * z >= one - 1e-12 * abs(one))
             count += hit.sum(axis=0)

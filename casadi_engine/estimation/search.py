@@ -98,16 +98,16 @@ class Search:
         self.pmap, self._whole_tails = self.predictor.split(whole)
         self.parameters = parameters
         self._initial = [initial_bounds(initial, model, name, names) for name in names]
-        self._cut, self._method = interval, method
+        self.cut, self._method = interval, method
         self._first: tuple[Array, Array] | None = None  # the set's own start and its variables, once laid out
         self._lay(noise, Coordinates(self.pmap))
         if self.problem.nv:
             check_samples(noise, self.records, self.free_count, len(self.pmap.priors))
         self._weigh(self.levels.first(self.warm))
-        z = self._warm_values(self.pmap.start) if self.warm is not None else self.pmap.start
-        self._first = (z, self._start(z, first=True))
+        x = self.first_point()
+        assert self._first is not None
         felt = felt_scale(self.problem, self.coordinates, *self._first)
-        larger = state_factors(self.problem, self._first[1]) if self.predictor.kind == "none" else None
+        larger = state_factors(self.problem, x) if self.predictor.kind == "none" else None
         if felt is not None or larger is not None:
             self._first = None
             self._lay(noise, Coordinates(self.pmap, felt), larger)
@@ -126,7 +126,7 @@ class Search:
         self._scale = scale if larger is None else scale * larger
         self.coordinates = coordinates
         self._tails: dict[str, Any] = {}
-        self.records, level = self._terms(self._grids, self._whole_tails, self._cut, self._method)
+        self.records, level = self._terms(self._grids, self._whole_tails, self.cut, self._method)
         priors: Any = Priors(self.pmap, self.coordinates)
         if level is not None:
             self._check_loss()
@@ -247,6 +247,13 @@ class Search:
             x[lay.at : lay.at + nodes.size] = nodes.ravel()
         simulated = self._simulated(x)
         return x if simulated is None or not self._lower(simulated, x) else simulated
+
+    def first_point(self) -> Array:
+        """The point (size,) at which a search from the set's own values begins."""
+        z = self._warm_values(self.pmap.start) if self.warm is not None else self.pmap.start
+        if self._first is None or not np.array_equal(self._first[0], z):
+            self._first = (z, self._start(z, first=True))
+        return self._first[1]
 
     def _lower(self, one: Array, other: Array) -> bool:
         """True if the objective is lower at one point than at another, or is none there."""

@@ -18,7 +18,7 @@ from casadi_engine.experiment import Experiment
 from casadi_engine.report import panels
 from casadi_engine.report.envelope import envelope
 from casadi_engine.report.files import write_file
-from casadi_engine.report.kinds import Simulated, not_shown
+from casadi_engine.report.kinds import Simulated, shown_by_others
 from casadi_engine.report.panels import Subject
 from casadi_engine.validation import autocorrelation
 from casadi_engine.validation.validate import Validation
@@ -67,7 +67,8 @@ def plot(result: Any, *, path: Any = None, what: str = "overview") -> Figure:
 @singledispatch
 def figures(result: Any) -> dict[str, Maker]:
     """Name -> function that makes the figure, in the order of a report; "overview" is the first."""
-    raise not_shown(result, "plot")
+    made: dict[str, Maker] = shown_by_others(figures, result, "plot")(result)
+    return made
 
 
 @figures.register

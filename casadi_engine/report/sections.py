@@ -11,7 +11,6 @@ from typing import Any
 import casadi
 import matplotlib
 import numpy
-import scipy
 
 import casadi_engine
 from casadi_engine.errors import ResultError
@@ -21,7 +20,7 @@ from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.report import tables
 from casadi_engine.report.figures import each, figures
-from casadi_engine.report.kinds import Simulated, not_shown
+from casadi_engine.report.kinds import Simulated, shown_by_others
 from casadi_engine.report.page import Folded, Section
 from casadi_engine.report.tables import table
 from casadi_engine.validation import summary as validations
@@ -34,9 +33,10 @@ Page = tuple[str, str, list[Section]]
 
 
 @singledispatch
-def page_of(result: Any, _validation: Any, _arguments: Mapping[str, Any]) -> Page:
+def page_of(result: Any, validation: Any, arguments: Mapping[str, Any]) -> Page:
     """Title, subtitle and sections of a page."""
-    raise not_shown(result, "report")
+    made: Page = shown_by_others(page_of, result, "report")(result, validation, arguments)
+    return made
 
 
 @page_of.register
@@ -291,6 +291,8 @@ def _how(arguments: Mapping[str, Any], options: Mapping[str, Any], timing: Mappi
     rows = [("argument", name, _shown(value)) for name, value in arguments.items()]
     rows += [("option", name, _shown(value)) for name, value in options.items()]
     rows += [("seconds", name, f"{value:.3g}") for name, value in timing.items()]
+    import scipy
+
     versions = {
         "casadi-engine": casadi_engine.__version__,
         "Python": platform.python_version(),
