@@ -78,7 +78,15 @@ def test_effects_are_asked_for_by_name_and_port(shaft, friction):
     }
     assert found.effects[0].key == "coupling.coulomb_friction"
     held = ce.repair(
-        shaft.model, friction, effects=FEW, at="load", noise=NOISE, most=1, holdout=0, starts=1, progress=False
+        shaft.model,
+        friction,
+        effects=FEW,
+        at="load",
+        noise=NOISE,
+        most=1,
+        holdout=0,
+        starts=1,
+        progress=False,
     )
     assert {row.at for row in held.scores} == {"load"}
 
