@@ -50,7 +50,7 @@ def test_a_short_refit_ends_where_a_whole_one_does(case, whole):
 
 
 def test_it_starts_from_the_parameters_own_values_too(case, whole):
-    fit, refitter, screened = case
+    _, refitter, screened = case
     one = added(screened, "coulomb_friction", "coupling", size=0.1)
     shorts = ShortRefits(refitter, LEVELS)
     first = shorts([one], None, 6)
@@ -93,7 +93,7 @@ def test_a_hopeless_one_gives_up(case):
 
 def test_a_long_record_is_not_integrated_in_any_number_of_steps(case, whole, monkeypatch):
     """A friction so large at the start that it asks for many steps is started from less, and found all the same."""
-    fit, refitter, screened = case
+    _, refitter, screened = case
     refitter = Refitter(
         refitter.model, refitter.parameters, refitter.data, refitter.noise
     )  # no corner narrowed yet
