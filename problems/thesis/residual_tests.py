@@ -24,8 +24,6 @@ from casadi_engine.model import thesis_ties
 
 TWO = ce.two_mass(reciprocating_speed="measured")
 SEVEN = ce.crankshaft(reciprocating_speed="measured")
-PRESSURES = ("p1", "p2", "p3", "p4")
-CUTOFF = 400.0  # Hz; the thesis does not print its own
 
 
 @dataclass(frozen=True)
@@ -51,13 +49,8 @@ def records(kind, rough=False):
     return made
 
 
-def thesis(record, every, cutoff=CUTOFF, hold="zero"):
-    """The thesis's conditioning: filter, resample everything (with an anti-alias filter), hold the torques."""
-    data = shared.experiment(record, hold=hold).moving_average(T_load=1001)
-    data = data.low_pass(cutoff_hz=cutoff, channels=("omega",)) if cutoff else data
-    if every > 1:
-        data = data.low_pass(cutoff_hz=0.8 * shared.RATE / 2 / every, channels=("omega", *PRESSURES))
-    return data.resample(**dict.fromkeys(shared.UNITS, every))
+def thesis(record, every, cutoff=400.0, hold="zero"):
+    return shared.conditioned(ours(record), every, cutoff, hold)
 
 
 def ours(record, every=1):
@@ -108,7 +101,7 @@ def page(quick, out):
     factors = (1, 20) if quick else (1, 10, 15, 20)
     old = {n: Tested(f"thesis, two masses, every {n}", thesis, engine, n) for n in factors}
     raw = Tested("the same, every 1, no filter", thesis, engine, 1, None)
-    linear = Tested("the same, every 20, torques linear", thesis, engine, 20, CUTOFF, "first")
+    linear = Tested("the same, every 20, torques linear", thesis, engine, 20, 400.0, "first")
     wheel = [Tested("thesis, seven inertias, every 15", thesis, engine, 15, model=SEVEN)] if not quick else []
     two = Tested("ours, two masses, speed every 20", ours, engine, 20, noise="estimate")
     seven = Tested("ours, seven inertias, all", ours, engine, noise="estimate", model=SEVEN)

@@ -81,6 +81,20 @@ def experiment(made: dict[str, np.ndarray], name: str = "record", hold: str = "f
     )
 
 
+def conditioned(
+    data: ce.Experiment, every: int, cutoff: float | None = 400.0, hold: str = "zero"
+) -> ce.Experiment:
+    """The thesis's conditioning: zero-phase filter, everything resampled behind an anti-alias filter, torques held.
+
+    cutoff : of the filter of the speed [Hz], None for no filter; the thesis does not print its own
+    """
+    data = data.with_hold(**dict.fromkeys([name for name in UNITS if name in data], hold))
+    data = data.low_pass(cutoff_hz=cutoff, channels=("omega",)) if cutoff else data
+    if every > 1:
+        data = data.low_pass(cutoff_hz=0.4 * RATE / every, channels=("omega", "p1", "p2", "p3", "p4"))
+    return data.resample(**dict.fromkeys(UNITS, every))
+
+
 def error(fit: Fit, name: str, truth: Mapping[str, float]) -> float:
     """Error of an estimate [%]."""
     return 100 * abs(fit.values[name] / truth[name] - 1)
@@ -92,17 +106,6 @@ def stderr(fit: Fit, name: str) -> float:
     return float("inf") if one.stderr is None or one.at_bound else 100 * one.stderr / abs(one.value)
 
 
-def cells(fit: Fit, truth: Mapping[str, float]) -> list[str]:
-    """Error and standard error [%] of every parameter in words."""
-    words = []
-    for name in truth:
-        known = f"{error(fit, name, truth):.2f} ± {stderr(fit, name):.2g}"
-        words.append(
-            "fixed" if name not in fit.free else "at bound" if fit.estimates[name].at_bound else known
-        )
-    return words
-
-
 def print_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print a table with a title, columns aligned."""
     widths = [max(len(row[k]) for row in (head, *rows)) for k in range(len(head))]
@@ -111,12 +114,25 @@ def print_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) 
         print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
 
 
+def print_errors(title: str, truth: Mapping[str, float], fits: Mapping[str, Fit]) -> None:
+    """Print error and standard error [%] of every parameter of every fit."""
+    rows = []
+    for way, fit in fits.items():
+        words = [f"{error(fit, name, truth):.2f} ± {stderr(fit, name):.2g}" for name in truth]
+        bound = {name for name in truth if fit.estimates[name].at_bound}
+        words = ["at bound" if name in bound else word for name, word in zip(truth, words, strict=True)]
+        known = ["fixed" if name not in fit.free else word for name, word in zip(truth, words, strict=True)]
+        rows.append([way, *known])
+    print_table(f"{title}: error ± standard error [%]", ["way", *truth], rows)
+
+
 def panels(rows: int, columns: int, width: float = 10.0, height: float = 3.0):
     """A figure and its (rows, columns) axes."""
     figure = Figure(figsize=(width, height * rows), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False)
     for ax in axes.flat:
         ax.grid(True, color="0.92", linewidth=0.6)
+        ax.set_axisbelow(True)
         ax.spines[["top", "right"]].set_visible(False)
         ax.title.set_fontsize(9)
     return figure, axes

@@ -90,8 +90,7 @@ def page(quick, out):
     tables["Table 4.5, noisy, wrong guesses, C_el fixed, misfire"] = five
     tables["Beyond Table 4.5: noisy, wrong guesses, all five free, misfire"] = beyond
     for title, fits in tables.items():
-        rows = [[name, *shared.cells(found, TABLE_4_1)] for name, found in fits.items()]
-        shared.print_table(f"{title}: error ± standard error [%]", ["procedure", *TABLE_4_1], rows)
+        shared.print_errors(title, TABLE_4_1, fits)
 
     sweeps, points = {}, 21 if quick else 51
     for kind in (UNEQUAL, MISFIRE):

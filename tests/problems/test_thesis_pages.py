@@ -63,3 +63,10 @@ def test_figures_4_11_to_4_19(quick):
     assert len(lines) == 7
     assert lines["Figure 4.11", "full rate: high correlation"].ours.startswith("25 of 25 lags")
     assert lines["Figure 4.13", "by 20: within the band"].ours.startswith("speed alone by 20: 0 of 25")
+
+
+def test_tables_4_7_to_4_13(quick):
+    lines = quick("crankshaft_tables")
+    assert len(lines) == 7
+    assert lines["Table 4.13", "six natural frequencies"].ours == "within 0.9 Hz"
+    assert lines["Table 4.13", "deformations to four digits"].ours == "within 0.0003"
