@@ -38,7 +38,8 @@ _SURE, _COLOURED_P = 1e-4, 0.01
 _WANDER = 4.0
 # A coloured residual is larger than a stated noise by so many standard errors; it is that of at least so many swings.
 _LARGER, _SWINGS = 4.0, 20
-# Samples of every channel from which a colour may wait: there the whiteness test sees any that would change a score.
+# Samples of every channel from which a colour may wait: there the whiteness test sees any that would change a score. A
+# record of a lower rate counts as what it was made of: it keeps all slow colour, and leaves out what no score looks at.
 _LONG = 2000
 _COLOURED = "the residual is coloured: the score tests count with an autoregression of the noise"
 
@@ -109,7 +110,7 @@ def choose_noise(
     white = white.relevelled(noise, scatter)
     if colour is False or (colour == "auto" and _is_white(null, noise, beside(null, columns, ()), random)):
         return NoiseChoice(noise, scatter, cylinders, messages, white)
-    if wait and colour == "auto" and not scatter and _is_long(null):
+    if wait and colour == "auto" and not scatter and _is_long(null, data):
         return NoiseChoice(noise, scatter, cylinders, messages, white, waits=True)
     found, held = coloured_noise(null, candidates, columns, white, scatter=scatter, random=random)
     left = beside(null, columns, held)
@@ -149,8 +150,13 @@ def noise_left(
     return noise if _is_white(null, noise, {r.name: dict(r.slopes) for r in null.records}, None) else None
 
 
-def _is_long(null: NullModel) -> bool:
-    return all(length >= _LONG for record in null.records for length in record.length.values())
+def _is_long(null: NullModel, data: Sequence[Experiment]) -> bool:
+    factors = [1 if one.decimation is None else one.decimation.factor for one in data]
+    return all(
+        length * factor >= _LONG
+        for record, factor in zip(null.records, factors, strict=True)
+        for length in record.length.values()
+    )
 
 
 def check_choice(model: Model, cylinders: Any, colour: Any) -> None:

@@ -25,7 +25,7 @@ from casadi_engine.model.effect import Amplitude, Effect, check_effect
 from casadi_engine.model.law_checks import OwnState
 from casadi_engine.model.linearity import is_affine
 from casadi_engine.model.port_view import Courses, MissingSignalError, PortView
-from casadi_engine.model.term import NotApplicable, Term, ports_for, read_term, takes_torque
+from casadi_engine.model.term import NotApplicable, Term, ports_for, read_term, read_terms, takes_torque
 from casadi_engine.parameters import Parameters
 
 # A combustion counts as a cycle of the record if at least this much of it is inside [rad].
@@ -133,14 +133,22 @@ def candidate(
         sharp dead zone at half-width 0 counts as the sign of its argument, the limit from above
     EffectError as `Model.with_effect`; ModelError for an unknown port.
     """
-    given = dict(values or {})
-    given.pop(effect.amplitude.name, None)
-    term = read_term(model, effect, at, values=given, sharp=sharp)
+    term = read_term(model, effect, at, values=_without_amplitude(effect, values or {}), sharp=sharp)
+    return _made(model, term, size)
+
+
+def _without_amplitude(effect: Effect, values: Mapping[str, float]) -> dict[str, float]:
+    return {name: value for name, value in values.items() if name != effect.amplitude.name}
+
+
+def _made(model: Model, term: Term, size: float | None) -> Candidate:
+    """The candidate of a term, at the values of its declarations."""
     numbers = {one.name.rpartition(".")[2]: one.value for one in term.declarations[1:]}
     value = _per_amplitude(term, size)
     if numbers:
         value = ca.substitute(value, ca.vertcat(*term.symbols[1:]), ca.SX(ca.DM(list(numbers.values()))))
     states = _own_states(term, list(numbers.values()))
+    effect = term.effect
     every = {name: term.constants.get(name, numbers.get(name, math.nan)) for name in effect.nuisance}
     slots, drives, outputs, beyond = _responses(model, term, value)
     return Candidate(model, effect, term.port.name, every, size, slots, drives, outputs, states, beyond)
@@ -211,10 +219,9 @@ def _at_port(
             allowed="fitted, narrowed, choices and sizes as ce.Effect describes them",
             cure="correct that method of the effect, or leave it out",
         ) from fault
-    made = (
-        candidate(model, sharper, port, values, size=size, sharp=sharp) for values in points for size in sizes
-    )
-    return [replace(one, effect=own) for one in made]
+    points = [_without_amplitude(sharper, values) for values in points]
+    terms = read_terms(model, sharper, port, points, sharp=sharp) if points else []
+    return [replace(_made(model, term, size), effect=own) for term in terms for size in sizes]
 
 
 def grid_values(
