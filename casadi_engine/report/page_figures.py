@@ -22,10 +22,11 @@ class PageFigures:
         self.left = left
         self.numbers = Numbers()
         self.charts: list[dict[str, Any]] = []
-        self._counted = 0
 
     def html(self, sketch: Sketch, caption: str) -> str | None:
         """The HTML of a figure; None if the page has no more room for it."""
+        if not self.left:
+            return None
         width = PAGE if sketch.width >= FULL else round(INCH * sketch.width)
         before = len(self.charts), len(self.numbers.entries)
         columns = _shares(sketch.across, sketch.grid[1])
