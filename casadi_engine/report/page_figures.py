@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from casadi_engine.report.charts import Numbers, as_json, chart
+from casadi_engine.report.colours import css
 from casadi_engine.report.sketch import Mark, Panel, Sketch
-from casadi_engine.report.svg import css, svg
+from casadi_engine.report.svg import svg
 
 # Pixels across a page, and between two panels; narrower sketches are as wide as so many pixels an inch.
 PAGE, GAP, INCH = 960, 14, 106
