@@ -5,7 +5,7 @@ from casadi_engine.discrepancy import repair
 from casadi_engine.effects import Effect
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation import estimate, simulate
-from casadi_engine.experiment import Experiment, read_experiment
+from casadi_engine.experiment import Experiment, orders, read_experiment
 from casadi_engine.identifiability import choose_experiments, identifiability, profile
 from casadi_engine.model import Blueprint, Model, crankshaft, one_inertia, two_mass
 from casadi_engine.parameters import Parameters
@@ -32,6 +32,7 @@ __all__ = [
     "load_problem",
     "load_result",
     "one_inertia",
+    "orders",
     "plot",
     "profile",
     "read_experiment",

@@ -2,6 +2,7 @@
 
 from .channel import Channel, Step
 from .experiment import Experiment, with_unique_names
+from .order_analysis import Orders, orders
 from .reader import read_experiment
 from .units import ALLOWED_UNITS, si_unit, split_header, to_si
 
@@ -9,7 +10,9 @@ __all__ = [
     "ALLOWED_UNITS",
     "Channel",
     "Experiment",
+    "Orders",
     "Step",
+    "orders",
     "read_experiment",
     "si_unit",
     "split_header",

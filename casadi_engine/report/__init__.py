@@ -2,6 +2,7 @@
 
 import casadi_engine.report.identifiability_figures
 import casadi_engine.report.modes_figures
+import casadi_engine.report.orders_figures
 import casadi_engine.report.repaired
 import casadi_engine.report.repaired_figures
 import casadi_engine.report.repaired_page

@@ -13,7 +13,7 @@ KINDS = "a Fit, a Validation, a Simulated, a Repair"
 # What report and plot also take.
 READ_BACK = ", a loaded Result"
 # What can be drawn, but has no page.
-DRAWN_ONLY = ", Modes, a Reduction, an Experiment"
+DRAWN_ONLY = ", Modes, a Reduction, an Experiment, Orders"
 
 
 @dataclass(frozen=True, eq=False)
