@@ -102,9 +102,7 @@ class NullDistribution:
     @cached_property
     def _vectors(self) -> Array:
         """(m, singles) the vectors of the tests of one, each towards its side."""
-        return np.concatenate(
-            [self.tests[k].frame * (self.tests[k].side or 1) for k in self._single], axis=1
-        )
+        return np.concatenate([self.tests[k].frame * (self.tests[k].side or 1) for k in self._single], axis=1)
 
     @cached_property
     def _scores(self) -> Array:

@@ -125,7 +125,9 @@ def check_symbols(model: Model, terms: Sequence[Term]) -> None:
     owner = {s.element_hash(): letter for letter, column in columns.items() for s in _symbols(column)}
     own = [s for term in terms for s in (*term.symbols, *(state.symbol for state in term.states))]
     fine = {s.element_hash() for s in own}
-    used = [expression for term in terms for expression in (term.value, *(state.rate for state in term.states))]
+    used = [
+        expression for term in terms for expression in (term.value, *(state.rate for state in term.states))
+    ]
     for symbol in ca.symvar(ca.vertcat(*used)):
         key = symbol.element_hash()
         if key in fine or owner.get(key) in allowed:
