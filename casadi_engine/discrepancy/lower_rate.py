@@ -33,7 +33,7 @@ from casadi_engine.simulation.grid import lay_grid
 
 @dataclass(frozen=True, eq=False)
 class LowerRate:
-    """The records of a repair at a rate ``factor`` times lower, and the fit without effects there and on the whole data.
+    """The records of a repair at a rate ``factor`` times lower, and the fit without effects there and on all data.
 
     share : standard deviation of the noise there over that of the whole data; lost : share of the information left out
     """

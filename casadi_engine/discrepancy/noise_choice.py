@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from scipy import stats
 
 from casadi_engine.discrepancy.assumed_pressure import carried_cylinders
 from casadi_engine.discrepancy.candidate import Candidate
@@ -21,6 +20,7 @@ from casadi_engine.discrepancy.noise_model import NoiseModel, estimated_noise, l
 from casadi_engine.discrepancy.null_model import Index, NullModel
 from casadi_engine.discrepancy.score import score
 from casadi_engine.discrepancy.wander import spectrum, wander_of
+from casadi_engine.distributions import chi2_sf
 from casadi_engine.errors import EstimationError
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
@@ -137,7 +137,7 @@ def noise_left(
     share = 1 - estimated / max(sum(counts.values()), 1)
     freedom = {name: max(count * share, 1.0) for name, count in counts.items()}
     for name, (sigma, own) in levels.items():
-        if not own and stats.chi2.sf(squares[name] / sigma**2, freedom[name]) < _SURE:
+        if not own and chi2_sf(squares[name] / sigma**2, freedom[name]) < _SURE:
             return None
     left = {
         name: math.sqrt(squares[name] / freedom[name]) if own else sigma
@@ -219,7 +219,7 @@ def _white_noise(
     messages = []
     for name in list(known):
         count = noise.freedom[name]
-        if stats.chi2.sf(count * (noise.sigma[name] / known[name]) ** 2, count) < _SURE:
+        if chi2_sf(count * (noise.sigma[name] / known[name]) ** 2, count) < _SURE:
             messages.append(
                 f"the noise of {name} is larger than stated: {noise.sigma[name]:.4g} is left when the whole library "
                 f"may explain the residual, {known[name]:.4g} was given; the larger one counts"

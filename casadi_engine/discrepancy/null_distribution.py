@@ -15,10 +15,10 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, special, stats
 
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.score import Scores, upper_tail
+from casadi_engine.distributions import chi2_isf, chi2_sf, f_sf, normal_isf
 
 _DRAWS = 4000
 _SMALLEST = 1e-300
@@ -49,14 +49,14 @@ class Row:
             return (1 if self.side else 2) * upper_tail(beyond, self.freedom)
         value = (inner**2).sum(axis=0)
         if np.isfinite(self.freedom):
-            return np.asarray(stats.f.sf(value / rank, rank, self.freedom))
-        return np.asarray(stats.chi2.sf(value, rank))
+            return np.asarray(f_sf(value / rank, rank, self.freedom))
+        return np.asarray(chi2_sf(value, rank))
 
     def limit(self, p: float) -> float:
         """The value of the statistic (one-sided z, |z| or chi) that has this p-value."""
         if self.frame.shape[1] == 1:
-            return float(stats.norm.isf(p if self.side else p / 2))
-        return float(np.sqrt(np.asarray(stats.chi2.isf(p, self.frame.shape[1]))))
+            return float(normal_isf(p if self.side else p / 2))
+        return float(np.sqrt(np.asarray(chi2_isf(p, self.frame.shape[1]))))
 
 
 def library_rows(scores: Scores, groups: dict[str, Sequence[int]] | None = None) -> list[Row]:
@@ -133,6 +133,8 @@ class NullDistribution:
 
     def threshold(self, alpha: float) -> float:
         """The p-value of a single test below which the library's smallest one falls with probability ``alpha``."""
+        from scipy import optimize
+
         if not self.tests:
             return alpha
         low = alpha / len(self.tests)
@@ -147,7 +149,7 @@ class NullDistribution:
 
     def critical(self, alpha: float) -> float:
         """c_alpha: the |z| of a two-sided test at the threshold."""
-        return float(stats.norm.isf(self.threshold(alpha) / 2))
+        return float(normal_isf(self.threshold(alpha) / 2))
 
     def _significant(self, p: float) -> Array:
         """(n,) number of tests that are significant at p in each draw, given that its picked test is; that one counts
@@ -161,11 +163,11 @@ class NullDistribution:
         own = column[mine]
         if len(mine):
             two_sided = own < self._both
-            z = -special.ndtri(np.where(two_sided, tail[mine] / 2, tail[mine]))
+            z = normal_isf(np.where(two_sided, tail[mine] / 2, tail[mine]))
             moved[mine] = np.where(two_sided, self._sign[mine] * z, z) - self._scores[mine, own]
         wide = self._wide_draws(tail)
         if self._single:
-            two, one = -special.ndtri(p / 2), -special.ndtri(p)
+            two, one = normal_isf(p / 2), normal_isf(p)
             for first in range(0, len(tail), _PART):
                 part = slice(first, first + _PART)
                 z = self._inner[np.maximum(column[part], 0)] * moved[part, None]
@@ -194,7 +196,7 @@ class NullDistribution:
             mine = np.flatnonzero(self._picked == number)
             frame, y = self.tests[number].frame, self._y[:, mine]
             inner = frame.T @ y
-            radius = np.sqrt(stats.chi2.isf(tail[mine], frame.shape[1]))
+            radius = np.sqrt(chi2_isf(tail[mine], frame.shape[1]))
             found.append((mine, y + frame @ (inner / np.linalg.norm(inner, axis=0) * radius - inner)))
         return found
 

@@ -14,11 +14,11 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.compression import Compressed, Reduced, shifts
 from casadi_engine.discrepancy.linear_algebra import Array, basis, without
+from casadi_engine.distributions import chi2_sf, normal_isf, normal_sf, t_sf
 
 # Below this share of its sensitivity left after all parameters took theirs, a candidate cannot be tested.
 TESTABLE = 1e-4
@@ -80,7 +80,7 @@ class Scores:
     def detectable(self, threshold: float, *, power: float = 0.95) -> Array:
         """(k,) smallest size found with probability ``power`` at the threshold c: (c + z_power)/sqrt(q), in units."""
         with np.errstate(divide="ignore"):
-            found = (threshold + stats.norm.ppf(power)) / np.sqrt(self.information)
+            found = (threshold - normal_isf(power)) / np.sqrt(self.information)
         return np.where(self.testable, found, np.inf)
 
     def subspace(self, members: Sequence[int]) -> Array:
@@ -91,15 +91,15 @@ class Scores:
         """chi-squared of several candidates together, its degrees of freedom and p-value."""
         frame = self.subspace(members)
         value = float(((frame.T @ self.y) ** 2).sum())
-        return value, frame.shape[1], float(stats.chi2.sf(value, frame.shape[1]) if frame.shape[1] else 1.0)
+        return value, frame.shape[1], float(chi2_sf(value, frame.shape[1]) if frame.shape[1] else 1.0)
 
 
 def upper_tail(z: Array, freedom: Array | float | None) -> Array:
     """P(a score > z): normal, or Student's t where its variance was estimated with so many degrees of freedom."""
     if freedom is None:
-        return np.asarray(stats.norm.sf(z))
+        return np.asarray(normal_sf(z))
     known = ~np.isfinite(freedom)
-    return np.where(known, stats.norm.sf(z), stats.t.sf(z, np.where(known, 1.0, freedom)))
+    return np.where(known, normal_sf(z), t_sf(z, np.where(known, 1.0, freedom)))
 
 
 def score(compressed: Compressed, chosen: Sequence[tuple[str, int]] | None = None) -> Scores:

@@ -11,7 +11,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.compression import (
@@ -42,6 +41,7 @@ from casadi_engine.discrepancy.random_families import (
 )
 from casadi_engine.discrepancy.requests import Request, check_alpha, read_request
 from casadi_engine.discrepancy.score import Scores, score
+from casadi_engine.distributions import normal_isf
 from casadi_engine.errors import EffectError, EstimationError
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.options import whole
@@ -124,7 +124,7 @@ class Screened:
     @property
     def threshold(self) -> float:
         """The |z| of a two-sided test at the threshold."""
-        return float(stats.norm.isf(self.threshold_p / 2))
+        return float(normal_isf(self.threshold_p / 2))
 
     @property
     def order(self) -> list[int]:

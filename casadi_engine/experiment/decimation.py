@@ -64,7 +64,7 @@ class Decimation:
 def decimated(
     experiment: Experiment, inputs: tuple[str, ...], outputs: tuple[str, ...], factor: int
 ) -> Experiment:
-    """The record with every channel at a rate ``factor`` times lower; outputs are missing where the filter does not fit.
+    """The record with every channel at a rate ``factor`` times lower; outputs are missing where no filter fits.
 
     All channels have to be sampled together, equally spaced and complete.
     """
@@ -148,11 +148,11 @@ def _filtered(values: FloatArray, kernel: FloatArray, factor: int, count: int) -
 
 
 def _mirrored(count: int, size: int) -> NDArray[np.intp]:
-    """Numbers ``count`` .. 1 of the samples that mirror those before the first; the last one where a record is short."""
+    """Numbers ``count`` .. 1 of the samples that mirror those before the first; the last one if a record is short."""
     return np.minimum(np.arange(count, 0, -1), size - 1)
 
 
 def rows_at_lower_rate(rows: FloatArray, factor: int, count: int) -> FloatArray:
-    """(..., N) outputs filtered, at ``count`` samples of the lower rate, weighted so that white noise keeps its size."""
+    """(..., N) outputs filtered, at ``count`` samples of the lower rate; white noise keeps its size."""
     kernel = _kernel(factor, False, False)
     return _filtered(rows, kernel, factor, count) / float(np.linalg.norm(kernel))

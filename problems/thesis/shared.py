@@ -1,0 +1,160 @@
+"""What the pages of this folder share: simulated records, the published tables, printing and figures.
+
+The thesis's records are not public. Those used here come from the simulator in data/simulator, which integrates the
+thesis's equations and shares no code with casadi_engine.
+"""
+
+import argparse
+import hashlib
+import json
+import os
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+import casadi_engine as ce
+from casadi_engine.estimation import Fit
+
+ROOT = Path(__file__).resolve().parents[2]
+RESULTS = ROOT / "results" / "thesis"
+sys.path.insert(0, str(ROOT / "data"))
+
+import simulator  # noqa: E402
+
+UNITS = {"theta": "rad", **dict.fromkeys(("p1", "p2", "p3", "p4"), "Pa"), "T_load": "N m", "omega": "rad/s"}
+SIGMA = 0.1  # rad/s, the thesis's measurement noise
+RATE = simulator.simulate.SAMPLE_RATE  # Hz
+MEASURED, OURS, THESIS = "0.6", "#0072B2", "#D55E00"
+
+# Tables 4.1 and 4.7: the thesis prints the reciprocals 2.557 and 5.646 of the inertias.
+TABLE_4_1 = {"J_eng": 1 / 2.557, "C_el": 2.5, "K_el": 1992.0, "C_eng": 0.1541, "J_load": 1 / 5.646}
+TABLE_4_12 = {"J1": 1 / 33.39, "J2": 1 / 22.3, "J6": 1 / 5.968, "K21": 241.8e3, "K32": 1270e3, "K65": 1427e3}
+TABLE_4_13 = {  # natural frequency [Hz]: |deformation| of the couplings 21, 32, 43, 54, 65, 76
+    20.5: (0.0007, 0.0003, 0.0005, 0.0007, 0.0008, 1),
+    335: (1, 0.3229, 0.4038, 0.4216, 0.3322, 0.6414),
+    548: (1, 0.0692, 0.1030, 0.2109, 0.2085, 0.1501),
+    936: (1, 0.7600, 0.7693, 0.1636, 0.7937, 0.1953),
+    1340: (0.4898, 1, 0.4202, 0.7870, 0.7273, 0.0873),
+    1604: (0.2091, 0.6531, 1, 0.9355, 0.4324, 0.0363),
+}
+
+
+@dataclass(frozen=True)
+class Line:
+    """One result of the thesis beside ours; ``holds`` says whether our numbers bear the conclusion out."""
+
+    place: str
+    published: str
+    ours: str
+    conclusion: str
+    holds: bool
+
+
+def record(kind: str = "two_mass", rpm: float = 1200.0, **options) -> dict[str, np.ndarray]:
+    """A record of the simulator, "two_mass" or "crankshaft", kept in results/thesis/records once it was made."""
+    source = b"".join(path.read_bytes() for path in sorted((ROOT / "data" / "simulator").glob("*.py")))
+    asked = repr((kind, rpm, sorted(options.items()))).encode()
+    path = RESULTS / "records" / f"{hashlib.sha256(source + asked).hexdigest()[:20]}.npz"
+    if not path.is_file():
+        made = getattr(simulator, f"simulate_{kind}")(rpm, **options)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_suffix(f".{os.getpid()}.npz")
+        np.savez(part, **made)
+        part.replace(path)
+    with np.load(path) as arrays:
+        return dict(arrays)
+
+
+def noisy(made: dict[str, np.ndarray], seed: int, sigma: float = SIGMA) -> dict[str, np.ndarray]:
+    """The record with fresh white measurement noise [rad/s]."""
+    return simulator.add_noise(made, sigma=sigma, seed=seed)
+
+
+def experiment(made: dict[str, np.ndarray], name: str = "record", hold: str = "first") -> ce.Experiment:
+    """The record as casadi_engine takes it; hold "zero" keeps the inputs constant between samples."""
+    return ce.Experiment.from_arrays(
+        name, time=made["time"], units=UNITS, hold=hold, **{channel: made[channel] for channel in UNITS}
+    )
+
+
+def conditioned(
+    data: ce.Experiment, every: int, cutoff: float | None = 400.0, hold: str = "zero"
+) -> ce.Experiment:
+    """The thesis's conditioning: zero-phase filter, everything resampled behind an anti-alias filter, torques held.
+
+    cutoff : of the filter of the speed [Hz], None for no filter; the thesis does not print its own
+    """
+    data = data.with_hold(**dict.fromkeys([name for name in UNITS if name in data], hold))
+    data = data.low_pass(cutoff_hz=cutoff, channels=("omega",)) if cutoff else data
+    if every > 1:
+        data = data.low_pass(cutoff_hz=0.4 * RATE / every, channels=("omega", "p1", "p2", "p3", "p4"))
+    return data.resample(**dict.fromkeys(UNITS, every))
+
+
+def error(fit: Fit, name: str, truth: Mapping[str, float]) -> float:
+    """Error of an estimate [%]."""
+    return 100 * abs(fit.values[name] / truth[name] - 1)
+
+
+def stderr(fit: Fit, name: str) -> float:
+    """Standard error of an estimate [%]; infinite where there is none, as at a bound."""
+    one = fit.estimates[name]
+    return float("inf") if one.stderr is None or one.at_bound else 100 * one.stderr / abs(one.value)
+
+
+def print_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table with a title, columns aligned."""
+    widths = [max(len(row[k]) for row in (head, *rows)) for k in range(len(head))]
+    print(f"\n{title}")
+    for row in (head, *rows):
+        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+
+
+def print_errors(title: str, truth: Mapping[str, float], fits: Mapping[str, Fit]) -> None:
+    """Print error and standard error [%] of every parameter of every fit."""
+    rows = []
+    for way, fit in fits.items():
+        words = [f"{error(fit, name, truth):.2f} ± {stderr(fit, name):.2g}" for name in truth]
+        bound = {name for name in truth if fit.estimates[name].at_bound}
+        words = ["at bound" if name in bound else word for name, word in zip(truth, words, strict=True)]
+        known = ["fixed" if name not in fit.free else word for name, word in zip(truth, words, strict=True)]
+        rows.append([way, *known])
+    print_table(f"{title}: error ± standard error [%]", ["way", *truth], rows)
+
+
+def panels(rows: int, columns: int, width: float = 10.0, height: float = 3.0):
+    """A figure and its (rows, columns) axes."""
+    figure = Figure(figsize=(width, height * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False)
+    for ax in axes.flat:
+        ax.grid(True, color="0.92", linewidth=0.6)
+        ax.set_axisbelow(True)
+        ax.spines[["top", "right"]].set_visible(False)
+        ax.title.set_fontsize(9)
+    return figure, axes
+
+
+def run(page: Callable[[bool, Path], list[Line]], name: str, about: str) -> int:
+    """Run a page from the command line: print its comparison, keep it as JSON beside the figure."""
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="the part that a test runs")
+    quick = parser.parse_args().quick
+    out = RESULTS / "quick" if quick else RESULTS
+    out.mkdir(parents=True, exist_ok=True)
+    lines = page(quick, out)
+    rows = [
+        (
+            line.place,
+            line.published,
+            line.ours,
+            line.conclusion if line.holds else f"NOT BORNE OUT: {line.conclusion}",
+        )
+        for line in lines
+    ]
+    print_table("Published and ours", ("where", "thesis", "ours", "conclusion"), rows)
+    (out / f"{name}.json").write_text(json.dumps([asdict(line) for line in lines], indent=1), "utf-8")
+    return 0 if all(line.holds for line in lines) else 1

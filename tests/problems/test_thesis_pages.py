@@ -1,0 +1,72 @@
+"""The pages of problems/thesis: each in its quick form, its conclusions and the numbers that the thesis gives."""
+
+import importlib
+import sys
+from pathlib import Path
+
+import matplotlib.image
+import pytest
+
+FOLDER = Path(__file__).parents[2] / "problems" / "thesis"
+PAGES = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem != "shared")
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory):
+    """Runs a page in its quick form, with records in a folder of their own; (place, published) -> Line."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(FOLDER))
+        patch.setattr(importlib.import_module("shared"), "RESULTS", tmp_path_factory.mktemp("thesis"))
+
+        def run(name):
+            out = tmp_path_factory.mktemp(name)
+            lines = importlib.import_module(name).page(True, out)
+            picture = matplotlib.image.imread(out / f"{name}.png")
+            assert picture.std() > 0.02  # something is drawn
+            assert [line for line in lines if not line.holds] == []
+            assert len({(line.place, line.published) for line in lines}) == len(lines)
+            return {(line.place, line.published): line for line in lines}
+
+        yield run
+        for name in (*PAGES, "shared"):
+            sys.modules.pop(name, None)
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_a_page_is_short_says_what_it_is_and_where_its_records_come_from(name):
+    text = (FOLDER / f"{name}.py").read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 150
+    goal = text.split('"""')[1]
+    assert "simulated" in goal
+    assert "not public" in goal
+    assert f"python problems/thesis/{name}.py [--quick]" in goal
+    imported = [
+        line for line in text.splitlines() if line.startswith(("from casadi_engine", "import casadi"))
+    ]
+    assert imported
+    for line in imported:
+        assert "._" not in line
+        assert line.count(".") <= 1, "names of a room come from the room, not from its files"
+
+
+def test_tables_4_3_to_4_5(quick):
+    lines = quick("two_mass_tables")
+    assert len(lines) == 10
+    assert lines["4.4", "four converge with C_el fixed"].ours == "errors up to 0.14 %"
+    assert lines["4.3(b) misfire", "C_el does not converge"].ours.startswith(
+        "61 % off with the start known, 0.4 %"
+    )
+
+
+def test_figures_4_11_to_4_19(quick):
+    lines = quick("residual_tests")
+    assert len(lines) == 7
+    assert lines["Figure 4.11", "full rate: high correlation"].ours.startswith("25 of 25 lags")
+    assert lines["Figure 4.13", "by 20: within the band"].ours.startswith("speed alone by 20: 0 of 25")
+
+
+def test_tables_4_7_to_4_13(quick):
+    lines = quick("crankshaft_tables")
+    assert len(lines) == 7
+    assert lines["Table 4.13", "six natural frequencies"].ours == "within 0.9 Hz"
+    assert lines["Table 4.13", "deformations to four digits"].ours == "within 0.0003"
