@@ -175,6 +175,7 @@ def _searched(
             **{name: arguments[name] for name in ("ties", "method", "max_iterations", "tolerance")},
             "seed": seed,
             **shown,
+            "searched on": best.searched,
         }
         stopped = interrupted(attempts) or interrupts.stopped
         fit = make_fit(search, best, optima, options, timing, begun, stopped=stopped)
