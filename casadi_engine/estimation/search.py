@@ -70,6 +70,8 @@ class Attempt:
 class Search:
     """A fit's problem and solver."""
 
+    solver: Solver
+
     def __init__(
         self,
         model: Model,
