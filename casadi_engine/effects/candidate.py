@@ -219,8 +219,8 @@ def _at_port(
             allowed="fitted, narrowed, choices and sizes as ce.Effect describes them",
             cure="correct that method of the effect, or leave it out",
         ) from fault
-    points = [_without_amplitude(sharper, values) for values in points]
-    terms = read_terms(model, sharper, port, points, sharp=sharp) if points else []
+    known = [_without_amplitude(sharper, values) for values in points]
+    terms = read_terms(model, sharper, port, known, sharp=sharp) if known else []
     return [replace(_made(model, term, size), effect=own) for term in terms for size in sizes]
 
 

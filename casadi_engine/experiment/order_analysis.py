@@ -339,7 +339,7 @@ def _asked(orders: Iterable[float] | None, pieces: Sequence[_Piece], length: flo
         most = min(HIGHEST, 0.4 * finest, *(base * (piece.angle.size / 4 - 1) for piece in pieces))
         if most < base:
             raise _coarse(min(pieces, key=lambda piece: piece.angle.size), "any order", base)
-        return base * np.arange(1, math.floor(most / base + 1e-9) + 1)
+        return np.asarray(base * np.arange(1, math.floor(most / base + 1e-9) + 1), dtype=np.float64)
     try:
         asked = np.unique([finite(one, "an order") for one in orders])
     except TypeError:

@@ -44,7 +44,9 @@ def draw(exact, lumped, data, spectra, out):
     hz = lumped[2].exact.hz
     receptance.loglog(hz, np.abs(lumped[2].exact.values[:, 0, 0]), color="black", label="seven inertias")
     for dof, colour in COLOURS.items():
-        receptance.loglog(hz, np.abs(lumped[dof].lumped.values[:, 0, 0]), color=colour, label=f"lumped to {dof}")
+        receptance.loglog(
+            hz, np.abs(lumped[dof].lumped.values[:, 0, 0]), color=colour, label=f"lumped to {dof}"
+        )
         found = speed(lumped[dof].model, data)
         zoom.plot(1e3 * found.time, found.values, color=colour, linewidth=1, label=f"lumped to {dof}")
     zoom.plot(1e3 * exact.time, exact.values, color="black", linewidth=1, label="seven inertias")
@@ -73,8 +75,12 @@ def amplitudes(channel, data, top=RANGE):
 
 
 def page(quick, out):
-    data = {rpm: shared.experiment(shared.record("crankshaft", rpm, sigma=0.0, scatter_seed=113, cycles=4, rtol=1e-9))
-            for rpm in (1200, 3000, 6000)}
+    data = {
+        rpm: shared.experiment(
+            shared.record("crankshaft", rpm, sigma=0.0, scatter_seed=113, cycles=4, rtol=1e-9)
+        )
+        for rpm in (1200, 3000, 6000)
+    }
     exact = {rpm: speed(FULL, one) for rpm, one in data.items()}
     rows, spread, lumped = [], {}, {}
     for dof in (1, 2, 3, 4):
@@ -84,12 +90,22 @@ def page(quick, out):
             spread[dof, rpm] = off(below(exact[rpm]), below(found))
         hz = " ".join(f"{mode:.1f}" for _, mode in one.frequencies if mode is not None) or "-"
         rows.append([f"{dof}", hz, f"{one.limit_hz:.0f} Hz", *(f"{spread[dof, rpm]:.1f} %" for rpm in data)])
-    head = ["inertias", "modes [Hz]", "receptances within 10 % up to", *(f"speed at {rpm} RPM" for rpm in data)]
+    head = [
+        "inertias",
+        "modes [Hz]",
+        "receptances within 10 % up to",
+        *(f"speed at {rpm} RPM" for rpm in data),
+    ]
     shared.print_table("The crankshaft lumped: errors, of the speed below 300 Hz", head, rows)
     for rpm in data:
-        hz, a = amplitudes(exact[rpm], data[rpm]); _, b = amplitudes(speed(lumped[2].model, data[rpm]), data[rpm])
-        print(rpm, [(f"{x:.0f}", f"{abs(u):.3g}", f"{100*abs(v-u)/abs(u):.1f}") for x,u,v in zip(hz,a,b)])
+        hz, a = amplitudes(exact[rpm], data[rpm])
+        _, b = amplitudes(speed(lumped[2].model, data[rpm]), data[rpm])
+        print(
+            rpm,
+            [(f"{x:.0f}", f"{abs(u):.3g}", f"{100 * abs(v - u) / abs(u):.1f}") for x, u, v in zip(hz, a, b)],
+        )
     return rows
+
 
 if __name__ == "__main__":
     page(False, None)
