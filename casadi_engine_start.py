@@ -1,6 +1,6 @@
-"""Where the command ``casadi-engine`` begins: ready for Ctrl-C before the package is imported, which takes seconds.
+"""Where the command ``casadi-engine`` begins: ready for Ctrl-C before the package is imported.
 
-It lies beside the package because importing anything inside one imports all of the package first.
+It lies beside the package because importing anything inside one imports the package first.
 """
 
 from __future__ import annotations
@@ -24,19 +24,16 @@ def main() -> int:
         signal.signal(signal.SIGINT, _stop)
     from casadi_engine import cli
 
-    return cli.main(begin=_begin)
-
-
-def _begin() -> None:
-    """From here on the commands take Ctrl-C themselves."""
-    if signal.getsignal(signal.SIGINT) is _stop:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    return cli.main()
 
 
 def _stop(_number: int, _frame: Any) -> None:
     """End at once: half-imported packages are in no state to be taken down in order."""
     os.write(2, b"casadi-engine: interrupted before there was anything to write\n")
     os._exit(130)
+
+
+_stop.until_a_command_begins = True  # type: ignore[attr-defined]
 
 
 if __name__ == "__main__":

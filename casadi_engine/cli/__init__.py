@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from casadi_engine.errors import MissingDependencyError
 
 NEEDED = ("typer", "rich", "jinja2")
 
 
-def main(arguments: Sequence[str] | None = None, *, begin: Callable[[], None] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``casadi-engine`` with `arguments` (left out: those of the process) and return its exit code.
-
-    begin : called when all is imported and the command is about to begin
 
     0 answered, 1 negative with --check, 2 the input is at fault, 3 no answer, 4 our bug, 130 interrupted.
     """
@@ -29,8 +27,6 @@ def main(arguments: Sequence[str] | None = None, *, begin: Callable[[], None] | 
         return error.exit_code
     from casadi_engine.cli.app import app
 
-    if begin is not None:
-        begin()
     try:
         app(args=arguments if arguments is None else list(arguments), prog_name="casadi-engine")
     except SystemExit as end:  # typer ends every call so, also after --help and wrong options

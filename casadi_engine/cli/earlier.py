@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from casadi_engine.cli.options import Options
 from casadi_engine.errors import ResultError
-from casadi_engine.parameters import Parameters, near_matches
+
+if TYPE_CHECKING:
+    from casadi_engine.parameters import Parameters
 
 From = Annotated[
     Path | None,
@@ -29,6 +31,8 @@ def values_of(path: Path, parameters: Parameters, *, given: Options) -> Paramete
     path : a result.json, or the folder that holds one. ResultError if it holds no parameters, none for a
     parameter of the set, one that the set does not have, or values by record for one of the set.
     """
+    from casadi_engine.parameters import near_matches
+
     stored = _stored(path)
     result = parameters.copy()
     chosen = {text.partition("=")[0].strip() for text in (*given.set, *given.fix) if "=" in text}

@@ -12,15 +12,16 @@ import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from casadi_engine.cli.folder import check_folder
 from casadi_engine.cli.options import Options
-from casadi_engine.cli.settings import apply_settings
 from casadi_engine.errors import CasadiEngineError
-from casadi_engine.problem import Problem, load_problem
+
+if TYPE_CHECKING:
+    from casadi_engine.problem import Problem
 
 ANSWERED, NEGATIVE, NO_ANSWER, OUR_BUG, INTERRUPTED = 0, 1, 3, 4, 130
 
@@ -44,6 +45,9 @@ def prepare(options: Options) -> Job:
 
     All that can be wrong with the command is found out here, before the long work.
     """
+    from casadi_engine.cli.settings import apply_settings
+    from casadi_engine.problem import load_problem
+
     problem = load_problem(options.problem)
     problem = problem.with_data(options.data, options.validate)
     parameters = apply_settings(problem.parameters, set=options.set, free=options.free, fix=options.fix)
@@ -60,6 +64,7 @@ def run(options: Options, work: Callable[[Job], int]) -> None:
 def guarded(command: str, work: Callable[[], int], *, debug: bool) -> int:
     """Exit code of `work`; every error becomes one message on standard error."""
     found: BaseException
+    _take_interrupts()
     try:
         return work()
     except CasadiEngineError as error:
@@ -75,6 +80,12 @@ def guarded(command: str, work: Callable[[], int], *, debug: bool) -> int:
         traceback.print_exception(found)
     complain(command, message)
     return code
+
+
+def _take_interrupts() -> None:
+    """Take Ctrl-C over from the start of the program, whose handler says that it waits for this."""
+    if getattr(signal.getsignal(signal.SIGINT), "until_a_command_begins", False):
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def complain(command: str, message: str) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib.resources
 import os
 from pathlib import Path
 from typing import Annotated
@@ -13,7 +12,6 @@ import typer
 from casadi_engine.cli.job import ANSWERED, guarded, say
 from casadi_engine.cli.options import Debug
 from casadi_engine.errors import OutputError, ProblemError
-from casadi_engine.problem import NAME
 
 Name = Annotated[str, typer.Argument(metavar="NAME", help="Name of the problem; writes NAME.py.")]
 
@@ -39,6 +37,10 @@ def write_template(name: str) -> Path:
 
     ProblemError for a name that is not acceptable, OutputError for a file that is there or cannot be made.
     """
+    import importlib.resources
+
+    from casadi_engine.problem import NAME
+
     path = Path(name if name.endswith(".py") else f"{name}.py")
     if not NAME.fullmatch(path.stem):
         raise ProblemError(

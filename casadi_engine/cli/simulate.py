@@ -9,7 +9,6 @@ from typing import Any
 from casadi_engine.cli.earlier import From, values_of
 from casadi_engine.cli.folder import remove_files, simulated_files
 from casadi_engine.cli.job import ANSWERED, Job, run, say
-from casadi_engine.cli.one_time import on_one_time
 from casadi_engine.cli.options import (
     Data,
     Debug,
@@ -50,6 +49,7 @@ def simulate(
 
 def _work(job: Job) -> int:
     from casadi_engine import estimation
+    from casadi_engine.cli.one_time import on_one_time
     from casadi_engine.report import Simulated, text
 
     problem, parameters = job.problem, job.problem.parameters

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any
 from casadi_engine.cli.folder import make_folder
 from casadi_engine.cli.job import Job, say, uninterrupted
 from casadi_engine.errors import NotConvergedError
-from casadi_engine.experiment import Experiment
-from casadi_engine.parameters import Parameters
 
 if TYPE_CHECKING:
     from casadi_engine.estimation.fit import Fit
-
+    from casadi_engine.experiment import Experiment
+    from casadi_engine.parameters import Parameters
 
 # What the contract asks of a result where there is no answer to take it from.
 EMPTY: dict[str, dict[str, Any]] = {
@@ -70,6 +69,8 @@ def held(parameters: Parameters, free: Sequence[str] = ()) -> Parameters:
 
     Ties and constraints are left behind when nothing is free: they restrict a search, and there is none.
     """
+    from casadi_engine.parameters import Parameters
+
     result = parameters.copy() if free else Parameters(parameters[name] for name in parameters)
     for name in result:
         if name not in free and result[name].tie is None:

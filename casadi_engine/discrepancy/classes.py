@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.score import Scores
+from casadi_engine.distributions import normal_sf
 
 # Rows that correlate more are one row with several names.
 SAME_ROW = 0.9999
@@ -26,9 +26,7 @@ def ranking_probability(mu: Array | float, rho: Array | float) -> Array:
     """
     size, share = np.abs(mu), np.abs(rho)
     a, b = size * np.sqrt((1 - share) / 2), size * np.sqrt((1 + share) / 2)
-    return np.asarray(
-        stats.norm.cdf(a) * stats.norm.cdf(b) + stats.norm.cdf(-a) * stats.norm.cdf(-b), dtype=np.float64
-    )
+    return np.asarray(normal_sf(-a) * normal_sf(-b) + normal_sf(a) * normal_sf(b), dtype=np.float64)
 
 
 def separation(mu: Array | float, rho: Array | float) -> Array:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import optimize
 
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.null_model import FOUR_STROKE, RecordNull
@@ -91,6 +90,8 @@ def scatter_likelihood(scatter: Array, rest: Array, tau: float) -> float:
 
 def scatter_level(scatter: Array, rest: Array) -> float:
     """The standard deviation of the scatter amplitudes that is most likely; arguments as ``scatter_likelihood``."""
+    from scipy import optimize
+
     if not scatter.shape[1]:
         return 0.0
     energy, directions = np.linalg.eigh(scatter.T @ scatter)

@@ -331,7 +331,9 @@ def side(pairs: Sequence[tuple[Fit, NullModel]], choice: NoiseChoice, *, source:
                 p = white_p(record, output, left[record.name][output], held)
                 white[record.name][output] = p
     memory = MEMORY if choice.noise.colour else 1.0
-    return Side(gap_of([null for _, null in pairs], choice.noise), white, traces, *pooled(splits, memory))
+    within, chance = pooled(splits, memory)
+    found = gap_of([null for _, null in pairs], choice.noise)
+    return Side(found, white, traces, within, chance, tuple(fit for fit, _ in pairs))
 
 
 @dataclass(frozen=True)

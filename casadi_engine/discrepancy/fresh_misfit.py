@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from scipy import stats
+from casadi_engine.distributions import f_sf
 
 if TYPE_CHECKING:
     from casadi_engine.discrepancy.repaired import Repair
@@ -35,7 +35,7 @@ def fresh_misfit(repair: Repair) -> str | None:
     left = found if fresh.within_errors is None else fresh.within_errors
     ratio = left / own.chi2_per_sample
     memory = MEMORY if repair.noise.colour else 1.0
-    chance = stats.f.sf(ratio, max(fresh.gap.samples / memory, 1.0), max(own.samples / memory, 1.0))
+    chance = f_sf(ratio, max(fresh.gap.samples / memory, 1.0), max(own.samples / memory, 1.0))
     where = f"chi2/N is {found:.3g} there and {own.chi2_per_sample:.3g} on the data of the search"
     if ratio > _LARGER and chance < _SURE:
         within = "" if left == found else f", {left:.3g} within the errors of the parameters"

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
-from scipy import optimize
 
 from casadi_engine.discrepancy.linear_algebra import Array, basis, triangle, without
 from casadi_engine.discrepancy.noise_model import NoiseModel
@@ -212,6 +211,8 @@ class _Process:
 
     @staticmethod
     def of(rows: Sequence[Array], times: Sequence[Array], kernel: str, length: float) -> _Process:
+        from scipy import optimize
+
         factors, energy, frames, slopes = [], [], [], []
         for own, knots in zip(rows, times, strict=True):
             factor = _factor(kernel, knots, length)

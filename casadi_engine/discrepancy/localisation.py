@@ -12,11 +12,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import FOUR_STROKE, Index, NullModel, RecordNull
+from casadi_engine.distributions import chi2_sf, normal_isf
 
 _BLOCKS = 48  # of an engine cycle: 15 degrees of the crank
 _LEVEL = 0.01
@@ -53,7 +53,7 @@ def where_in_data(null: NullModel, noise: NoiseModel) -> Where | None:
     order = _order(record, noise)
     window = _angle_window(own)
     count = len(own.statistic)
-    chance = stats.chi2.sf(float(own.statistic.sum()), count) * len(null.records)
+    chance = chi2_sf(float(own.statistic.sum()), count) * len(null.records)
     if chance > _LEVEL and order is None and window is None:
         return None
     first, last = _scan(own.statistic - 1)
@@ -147,7 +147,7 @@ def _cycles(blocks: _Blocks) -> tuple[int, ...] | None:
     value = np.array([float(blocks.statistic[i].mean()) for i in inside])
     middle = float(np.median(value))
     spread = np.array([math.sqrt(2 * max(middle, 1.0) ** 2 / i.sum()) for i in inside])
-    limit = stats.norm.isf(_LEVEL / len(numbers))
+    limit = normal_isf(_LEVEL / len(numbers))
     out = numbers[value - middle > limit * spread]
     return tuple(int(number) + 1 for number in out) if 0 < len(out) < len(numbers) else None
 
@@ -159,7 +159,7 @@ def _angle_window(blocks: _Blocks) -> tuple[float, float] | None:
     total = np.bincount(blocks.bin, blocks.total, _BLOCKS)
     samples = np.bincount(blocks.bin, blocks.samples, _BLOCKS)
     statistic = total**2 / np.maximum(samples, 1.0)
-    if stats.chi2.sf(float(statistic.sum()), _BLOCKS) > _LEVEL:
+    if chi2_sf(float(statistic.sum()), _BLOCKS) > _LEVEL:
         return None
     doubled = np.concatenate([statistic, statistic])[:-1] - 1
     sums = np.concatenate([[0.0], np.cumsum(doubled)])
@@ -198,5 +198,5 @@ def _order(record: RecordNull, noise: NoiseModel) -> float | None:
     orders, power = found
     k = int(np.argmax(power))
     outputs = len(record.residual)
-    chance = stats.chi2.sf(power[k] * outputs, 2 * outputs) * len(orders)
+    chance = chi2_sf(power[k] * outputs, 2 * outputs) * len(orders)
     return float(orders[k]) if chance < _LEVEL else None

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from scipy import stats
 
 from casadi_engine.discrepancy.assumed_pressure import carried_cylinders
 from casadi_engine.discrepancy.candidate import Candidate
@@ -21,6 +20,7 @@ from casadi_engine.discrepancy.noise_model import NoiseModel, estimated_noise, l
 from casadi_engine.discrepancy.null_model import Index, NullModel
 from casadi_engine.discrepancy.score import score
 from casadi_engine.discrepancy.wander import spectrum, wander_of
+from casadi_engine.distributions import chi2_sf
 from casadi_engine.errors import EstimationError
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
@@ -38,7 +38,8 @@ _SURE, _COLOURED_P = 1e-4, 0.01
 _WANDER = 4.0
 # A coloured residual is larger than a stated noise by so many standard errors; it is that of at least so many swings.
 _LARGER, _SWINGS = 4.0, 20
-# Samples of every channel from which a colour may wait: there the whiteness test sees any that would change a score.
+# Samples of every channel from which a colour may wait: there the whiteness test sees any that would change a score. A
+# record of a lower rate counts as what it was made of: it keeps all slow colour, and leaves out what no score looks at.
 _LONG = 2000
 _COLOURED = "the residual is coloured: the score tests count with an autoregression of the noise"
 
@@ -48,8 +49,9 @@ class NoiseChoice:
     """The noise model, its random amplitudes by record, the cylinders that were asked for ("assumed", or names), and
     what the user should know.
 
-    compressed : the records with this noise, where they are at hand; larger : (record, output) of a coloured residual
-    that is larger than the noise that was stated; stated : that noise, if there is such a residual
+    compressed, white : the records with this noise, and with white noise, where they are at hand
+    larger : (record, output) of a coloured residual that is larger than the noise that was stated; stated : that noise,
+    if there is such a residual
     waits : the residual is coloured and white noise counts for now, until a refit has shown what colours it
     """
 
@@ -61,6 +63,7 @@ class NoiseChoice:
     larger: tuple[tuple[str, str], ...] = ()
     stated: NoiseModel | None = None
     waits: bool = False
+    white: Compressed | None = None
 
 
 def scatter_of(
@@ -90,35 +93,40 @@ def choose_noise(
     data: Sequence[Experiment],
     colour: ColourChoice = "auto",
     wait: bool = False,
+    white: Compressed | None = None,
 ) -> NoiseChoice:
     """The noise of a null model's residuals.
 
     levels : output -> (sigma, estimated); a known one is held unless the residual that all candidates together leave is
     larger than chance allows. colour : True, False, or "auto" for where the residual is not white
     wait : with "auto", leave the colour of long records open (``NoiseChoice.waits``)
+    white : the records compressed with white noise, of whatever levels, if they are at hand
     Raises EstimationError for another colour, or cylinders that are none.
     """
     check_choice(null.model, cylinders, colour)
     scatter = scatter_of(null, data, cylinders)
     random = {r.name: scatter_columns(r, scatter) for r in null.records} if scatter else None
     rough = NoiseModel({name: sigma for name, (sigma, _) in levels.items()})
-    white = compress(null, candidates, rough, scatter=scatter, columns=columns)
+    if white is None:
+        white = compress(null, candidates, rough, scatter=scatter, columns=columns)
+    else:
+        white = white.relevelled(rough, scatter)
     noise, messages = _white_noise(null, columns, white, levels, random)
     noise = replace(noise, sigma=_above_rounding(null, noise.sigma))
     _check_levels(noise.sigma)
     white = white.relevelled(noise, scatter)
     if colour is False or (colour == "auto" and _is_white(null, noise, beside(null, columns, ()), random)):
-        return NoiseChoice(noise, scatter, cylinders, messages, white)
-    if wait and colour == "auto" and not scatter and _is_long(null):
-        return NoiseChoice(noise, scatter, cylinders, messages, white, waits=True)
+        return NoiseChoice(noise, scatter, cylinders, messages, white, white=white)
+    if wait and colour == "auto" and not scatter and _is_long(null, data):
+        return NoiseChoice(noise, scatter, cylinders, messages, white, waits=True, white=white)
     found, held = coloured_noise(null, candidates, columns, white, scatter=scatter, random=random)
     left = beside(null, columns, held)
     if colour == "auto" and (not found.colour or _is_white(null, noise, left, random)):
-        return NoiseChoice(noise, scatter, cylinders, messages, white)
+        return NoiseChoice(noise, scatter, cylinders, messages, white, white=white)
     known = {name: sigma for name, (sigma, estimated) in levels.items() if not estimated}
     larger = _too_large(null, found, known)
     stated = NoiseModel({**found.sigma, **known}) if larger else None
-    return NoiseChoice(found, scatter, cylinders, (_COLOURED,), None, larger, stated)
+    return NoiseChoice(found, scatter, cylinders, (_COLOURED,), None, larger, stated, white=white)
 
 
 def noise_left(
@@ -136,7 +144,7 @@ def noise_left(
     share = 1 - estimated / max(sum(counts.values()), 1)
     freedom = {name: max(count * share, 1.0) for name, count in counts.items()}
     for name, (sigma, own) in levels.items():
-        if not own and stats.chi2.sf(squares[name] / sigma**2, freedom[name]) < _SURE:
+        if not own and chi2_sf(squares[name] / sigma**2, freedom[name]) < _SURE:
             return None
     left = {
         name: math.sqrt(squares[name] / freedom[name]) if own else sigma
@@ -149,8 +157,13 @@ def noise_left(
     return noise if _is_white(null, noise, {r.name: dict(r.slopes) for r in null.records}, None) else None
 
 
-def _is_long(null: NullModel) -> bool:
-    return all(length >= _LONG for record in null.records for length in record.length.values())
+def _is_long(null: NullModel, data: Sequence[Experiment]) -> bool:
+    factors = [1 if one.decimation is None else one.decimation.factor for one in data]
+    return all(
+        length * factor >= _LONG
+        for record, factor in zip(null.records, factors, strict=True)
+        for length in record.length.values()
+    )
 
 
 def check_choice(model: Model, cylinders: Any, colour: Any) -> None:
@@ -213,7 +226,7 @@ def _white_noise(
     messages = []
     for name in list(known):
         count = noise.freedom[name]
-        if stats.chi2.sf(count * (noise.sigma[name] / known[name]) ** 2, count) < _SURE:
+        if chi2_sf(count * (noise.sigma[name] / known[name]) ** 2, count) < _SURE:
             messages.append(
                 f"the noise of {name} is larger than stated: {noise.sigma[name]:.4g} is left when the whole library "
                 f"may explain the residual, {known[name]:.4g} was given; the larger one counts"

@@ -11,15 +11,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from scipy import optimize, stats
+from numpy.typing import NDArray
 
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.score import Scores, upper_tail
+from casadi_engine.distributions import chi2_isf, chi2_sf, f_sf, normal_isf
 
 _DRAWS = 4000
 _SMALLEST = 1e-300
+# Draws looked at side by side: their scores stay near the cache.
+_PART = 500
 _LIBRARY_SHARE = 0.8
 
 
@@ -45,14 +49,14 @@ class Row:
             return (1 if self.side else 2) * upper_tail(beyond, self.freedom)
         value = (inner**2).sum(axis=0)
         if np.isfinite(self.freedom):
-            return np.asarray(stats.f.sf(value / rank, rank, self.freedom))
-        return np.asarray(stats.chi2.sf(value, rank))
+            return np.asarray(f_sf(value / rank, rank, self.freedom))
+        return np.asarray(chi2_sf(value, rank))
 
     def limit(self, p: float) -> float:
         """The value of the statistic (one-sided z, |z| or chi) that has this p-value."""
         if self.frame.shape[1] == 1:
-            return float(stats.norm.isf(p if self.side else p / 2))
-        return float(np.sqrt(np.asarray(stats.chi2.isf(p, self.frame.shape[1]))))
+            return float(normal_isf(p if self.side else p / 2))
+        return float(np.sqrt(np.asarray(chi2_isf(p, self.frame.shape[1]))))
 
 
 def library_rows(scores: Scores, groups: dict[str, Sequence[int]] | None = None) -> list[Row]:
@@ -84,18 +88,38 @@ class NullDistribution:
 
     def __init__(self, tests: Sequence[Row], *, draws: int = _DRAWS, seed: int = 0) -> None:
         self.tests = tuple(tests)
-        self._single = [k for k, t in enumerate(self.tests) if t.frame.shape[1] == 1]
+        # those of one vector, the two-sided ones first
+        single = [k for k, t in enumerate(self.tests) if t.frame.shape[1] == 1]
+        self._single = sorted(single, key=lambda k: self.tests[k].side != 0)
+        self._both = sum(self.tests[k].side == 0 for k in single)
         self._wide = [k for k, t in enumerate(self.tests) if t.frame.shape[1] > 1]
         m = self.tests[0].frame.shape[0] if self.tests else 0
         rng = np.random.default_rng(seed)
         self._picked = rng.permutation(np.arange(draws) % max(len(self.tests), 1))
         self._y = rng.standard_normal((m, draws))
         self._level, self._sign = rng.random(draws), np.where(rng.random(draws) < 0.5, -1.0, 1.0)
-        if self._single:
-            self._vectors = np.concatenate([self.tests[k].frame for k in self._single], axis=1)
-            self._sides = np.array([self.tests[k].side for k in self._single])
-            self._column = np.full(len(self.tests), -1)
-            self._column[self._single] = np.arange(len(self._single))
+
+    @cached_property
+    def _vectors(self) -> Array:
+        """(m, singles) the vectors of the tests of one, each towards its side."""
+        return np.concatenate([self.tests[k].frame * (self.tests[k].side or 1) for k in self._single], axis=1)
+
+    @cached_property
+    def _scores(self) -> Array:
+        """(draws, singles) the scores of the draws."""
+        return np.asarray(self._y.T @ self._vectors)
+
+    @cached_property
+    def _inner(self) -> Array:
+        """(singles, singles) inner products of the vectors."""
+        return np.asarray(self._vectors.T @ self._vectors)
+
+    @cached_property
+    def _columns(self) -> NDArray[np.intp]:
+        """(draws,) the number of the picked test among those of one vector; -1 for a wide one."""
+        column = np.full(len(self.tests), -1)
+        column[self._single] = np.arange(len(self._single))
+        return np.asarray(column[self._picked], dtype=np.intp)
 
     def pooled(self, p: float) -> float:
         """P(the smallest p-value of the library <= p) when nothing is missing."""
@@ -103,12 +127,14 @@ class NullDistribution:
             return 0.0
         if p >= 1:
             return 1.0
-        inside = self._significant(p, self._given(p))
+        inside = self._significant(p)
         share = float((1 / np.maximum(inside, 1)).mean())
         return min(1.0, p * len(self.tests) * share)
 
     def threshold(self, alpha: float) -> float:
         """The p-value of a single test below which the library's smallest one falls with probability ``alpha``."""
+        from scipy import optimize
+
         if not self.tests:
             return alpha
         low = alpha / len(self.tests)
@@ -123,40 +149,56 @@ class NullDistribution:
 
     def critical(self, alpha: float) -> float:
         """c_alpha: the |z| of a two-sided test at the threshold."""
-        return float(stats.norm.isf(self.threshold(alpha) / 2))
+        return float(normal_isf(self.threshold(alpha) / 2))
 
-    def _given(self, p: float) -> Array:
-        """The draws (m, n), each given that its picked test is significant at p."""
-        y = self._y.copy()
+    def _significant(self, p: float) -> Array:
+        """(n,) number of tests that are significant at p in each draw, given that its picked test is; that one counts
+        whatever its last digit says."""
         tail = np.maximum(self._level * p, _SMALLEST)
+        count = np.zeros(len(tail))
+        # what is added to the draws of tests of one vector: so much of it
+        column = self._columns if self._single else np.full(len(tail), -1)
+        moved = np.zeros(len(tail))
+        mine = np.flatnonzero(column >= 0)
+        own = column[mine]
+        if len(mine):
+            two_sided = own < self._both
+            z = normal_isf(np.where(two_sided, tail[mine] / 2, tail[mine]))
+            moved[mine] = np.where(two_sided, self._sign[mine] * z, z) - self._scores[mine, own]
+        wide = self._wide_draws(tail)
         if self._single:
-            column = self._column[self._picked]
-            mine = np.flatnonzero(column >= 0)
-            vectors, side = self._vectors[:, column[mine]], self._sides[column[mine]]
-            one, two = stats.norm.isf(tail[mine]), stats.norm.isf(tail[mine] / 2)
-            wanted = np.where(side == 0, self._sign[mine] * two, side * one)
-            y[:, mine] += vectors * (wanted - (vectors * y[:, mine]).sum(axis=0))
+            two, one = normal_isf(p / 2), normal_isf(p)
+            for first in range(0, len(tail), _PART):
+                part = slice(first, first + _PART)
+                z = self._inner[np.maximum(column[part], 0)] * moved[part, None]
+                z += self._scores[part]
+                for at, y in wide:
+                    inside = np.flatnonzero((at >= first) & (at < first + _PART))
+                    z[at[inside] - first] = y[:, inside].T @ self._vectors
+                both, rest = z[:, : self._both], z[:, self._both :]
+                count[part] += (np.abs(both, out=both) >= two * (1 - 1e-12)).sum(axis=1)
+                count[part] += (rest >= one - 1e-12 * abs(one)).sum(axis=1)
+        if self._wide:
+            y = self._y.copy()
+            if len(mine):
+                y[:, mine] += self._vectors[:, own] * moved[mine]
+            for at, given in wide:
+                y[:, at] = given
+            for k in self._wide:
+                test = self.tests[k]
+                count += ((test.frame.T @ y) ** 2).sum(axis=0) >= test.limit(p) ** 2 * (1 - 1e-12)
+        return count
+
+    def _wide_draws(self, tail: Array) -> list[tuple[NDArray[np.intp], Array]]:
+        """For each wide test the draws at which it was picked, and these (m, n), given that it is significant."""
+        found = []
         for number in self._wide:
             mine = np.flatnonzero(self._picked == number)
-            frame = self.tests[number].frame
-            inner = frame.T @ y[:, mine]
-            radius = np.sqrt(stats.chi2.isf(tail[mine], frame.shape[1]))
-            y[:, mine] += frame @ (inner / np.linalg.norm(inner, axis=0) * radius - inner)
-        return y
-
-    def _significant(self, p: float, y: Array) -> Array:
-        """(n,) number of tests that are significant at p; a picked one counts whatever its last digit says."""
-        count = np.zeros(y.shape[1])
-        if self._single:
-            z = self._vectors.T @ y
-            two, one = stats.norm.isf(p / 2), stats.norm.isf(p)
-            side = self._sides[:, None]
-            hit = np.where(side == 0, np.abs(z) >= two * (1 - 1e-12), side * z >= one - 1e-12 * abs(one))
-            count += hit.sum(axis=0)
-        for k in self._wide:
-            test = self.tests[k]
-            count += ((test.frame.T @ y) ** 2).sum(axis=0) >= test.limit(p) ** 2 * (1 - 1e-12)
-        return count
+            frame, y = self.tests[number].frame, self._y[:, mine]
+            inner = frame.T @ y
+            radius = np.sqrt(chi2_isf(tail[mine], frame.shape[1]))
+            found.append((mine, y + frame @ (inner / np.linalg.norm(inner, axis=0) * radius - inner)))
+        return found
 
 
 def split_alpha(alpha: float, *, library: float = _LIBRARY_SHARE) -> tuple[float, float]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from weakref import WeakKeyDictionary
 
 import casadi as ca
 import numpy as np
@@ -97,8 +98,11 @@ class NullModel:
         return sum(len(e) for record in self.records for e in record.residual.values())
 
 
+_KNOWN: WeakKeyDictionary[Fit, NullModel] = WeakKeyDictionary()
+
+
 def null_model(fit: Fit) -> NullModel:
-    """The null model of a fit, by single shooting from its initial states.
+    """The null model of a fit, by single shooting from its initial states; once for as long as the fit is there.
 
     Raises EstimationError for a fit with a correction gain, whose residuals are innovations of a predictor, and for
     equations that jump with their states.
@@ -110,6 +114,12 @@ def null_model(fit: Fit) -> NullModel:
             allowed="output error: noise without gain",
             cure="fit again without a gain",
         )
+    if fit not in _KNOWN:
+        _KNOWN[fit] = _null_of(fit)
+    return _KNOWN[fit]
+
+
+def _null_of(fit: Fit) -> NullModel:
     names = tuple(record.name for record in fit.data)
     starts = {name: dict(fit.initial[name]) for name in names}
     held = {

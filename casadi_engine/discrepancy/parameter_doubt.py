@@ -10,12 +10,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import stats
 
 from casadi_engine.discrepancy.assumed_pressure import is_carried
 from casadi_engine.discrepancy.confirmation import Residuals
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.null_model import NullModel, null_at
+from casadi_engine.distributions import chi2_sf
 from casadi_engine.estimation import Fit
 from casadi_engine.parameters import compile
 from casadi_engine.validation.parameter_prior import PriorSplit
@@ -102,5 +102,5 @@ def pooled(splits: Sequence[PriorSplit], memory: float) -> tuple[float | None, f
     if not count:
         return None, None
     within = sum(float(one.within @ one.within) for one in splits) / count
-    chances = [float(stats.chi2.sf(one.value / memory, one.dof)) for one in splits if one.dof > 0]
+    chances = [float(chi2_sf(one.value / memory, one.dof)) for one in splits if one.dof > 0]
     return within, min(1.0, min(chances) * len(chances)) if chances else None

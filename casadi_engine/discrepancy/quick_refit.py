@@ -158,8 +158,10 @@ class ShortRefits:
 
     @property
     def long(self) -> bool:
-        """True for records so long that what promises little is not followed to its end."""
-        return self.samples > _LONG
+        """True for records so long that what promises little is not followed to its end; records of a lower rate count
+        as those they were made of."""
+        factors = [1 if one.decimation is None else one.decimation.factor for one in self.refitter.data]
+        return self.samples * min(factors) > _LONG
 
 
 def _first(search: Search, warm: Any, amplitude: str | None) -> Array:

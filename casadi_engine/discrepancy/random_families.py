@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from scipy import optimize
 
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.linear_algebra import Array
@@ -175,6 +174,8 @@ class Course:
 
 def family_course(scores: Scores, family: Family, *, dimensions: int = 2 * _DIMENSIONS) -> Course:
     """The most likely course of a family's function."""
+    from scipy import optimize
+
     frame, strength, turn = _seen(scores, family, dimensions)
     energy, slope = strength**2, strength * (frame.T @ scores.y)
 

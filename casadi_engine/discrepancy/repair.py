@@ -11,6 +11,7 @@ from typing import Any
 from casadi_engine.discrepancy.answer import Answer
 from casadi_engine.discrepancy.assumed_pressure import carry, remarks, settle_scatter
 from casadi_engine.discrepancy.fresh import Portions, portions
+from casadi_engine.discrepancy.lower_rate import at_lower_rate
 from casadi_engine.discrepancy.noise_choice import ColourChoice, check_choice
 from casadi_engine.discrepancy.null_model import refuse_jumps
 from casadi_engine.discrepancy.refit import Refitter
@@ -18,6 +19,7 @@ from casadi_engine.discrepancy.repaired import Repair
 from casadi_engine.discrepancy.requests import check_alpha, read_request
 from casadi_engine.discrepancy.screening import Screened, screen_in_turn
 from casadi_engine.discrepancy.search import Search
+from casadi_engine.effects.candidate import Known
 from casadi_engine.errors import EstimationError, ExperimentError
 from casadi_engine.estimation import Fit, estimate
 from casadi_engine.estimation.estimate import _own, _records
@@ -124,15 +126,29 @@ def repair(
     if not null_fit.converged:
         return _no_answer(null_fit, portion, alpha, asked, timing, begun)
 
-    def scores(fit: Fit) -> Screened:
-        return screen_in_turn(fit, effects, at=at, alpha=alpha, colour=colour, scatter=scatter, seed=seed)
+    laws: Known = {}
 
-    search = Search(Refitter(model, pars, portion.data, noise, options), scores, most, tell)
+    def scores(fit: Fit) -> Screened:
+        return screen_in_turn(
+            fit, effects, at=at, alpha=alpha, colour=colour, scatter=scatter, seed=seed, known=laws
+        )
+
+    lower = at_lower_rate(null_fit, pars, portion, noise, options)
+    searched, own_noise = (portion, noise) if lower is None else (lower.portion, lower.noise)
+    search = Search(Refitter(model, pars, searched.data, own_noise, options), scores, most, tell)
     try:
-        search.run(null_fit)
+        search.run(null_fit if lower is None else lower.fit)
         timing |= search.timing
         told = remarks(search.stations[-1].fit, scatter)
-        return Answer(search, portion, alpha, asked, timing, begun, tell, told).made()
+        made = Answer(search, searched, alpha, asked, timing, begun, tell, told).made()
+        if lower is None:
+            return made
+        tell("fits of the whole data")
+        clock = time.perf_counter()
+        made = lower.told(made)
+        timing["whole data"] = time.perf_counter() - clock
+        timing["total"] = time.perf_counter() - begun
+        return made
     except KeyboardInterrupt:
         best = search.stations[-1].fit if search.stations else null_fit
         timing["total"] = time.perf_counter() - begun

@@ -134,6 +134,7 @@ class Side:
 
     On fresh data: within_errors : chi-squared per sample that is left once the parameters have moved as far as their
     errors allow; parameters_p : the chance that they would have to move so far; both None elsewhere
+    fits : those that the traces are of
     """
 
     gap: Gap
@@ -141,6 +142,7 @@ class Side:
     traces: Mapping[str, Mapping[str, Trace]]
     within_errors: float | None = None
     parameters_p: float | None = None
+    fits: tuple[Fit, ...] = field(default=(), repr=False)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,11 +14,11 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.compression import Compressed, Reduced, shifts
 from casadi_engine.discrepancy.linear_algebra import Array, basis, without
+from casadi_engine.distributions import chi2_sf, normal_isf, normal_sf, t_sf
 
 # Below this share of its sensitivity left after all parameters took theirs, a candidate cannot be tested.
 TESTABLE = 1e-4
@@ -57,22 +57,26 @@ class Scores:
         """R (k, k); zero rows and columns where not testable."""
         return np.asarray(self.directions.T @ self.directions)
 
-    @property
+    @cached_property
+    def _side(self) -> NDArray[np.intp]:
+        return np.array([c.side for c in self.candidates], dtype=np.intp)
+
+    @cached_property
     def statistic(self) -> Array:
         """(k,) |z|, or for one-sided candidates z in the allowed direction, not below 0."""
-        side = np.array([c.side for c in self.candidates])
+        side = self._side
         return np.where(side == 0, np.abs(self.z), np.maximum(side * self.z, 0.0))
 
-    @property
+    @cached_property
     def drop(self) -> Array:
         """(k,) predicted drop of chi-squared; zero for an amplitude of the forbidden sign."""
         return np.asarray(self.statistic**2)
 
-    @property
+    @cached_property
     def p_value(self) -> Array:
         """(k,) p-value of each candidate on its own; 1 where not testable. Normal where the noise is known, else by
         Student's t of its degrees of freedom."""
-        side = np.array([c.side for c in self.candidates])
+        side = self._side
         beyond = np.where(side == 0, np.abs(self.z), side * self.z)
         p = np.where(side == 0, 2.0, 1.0) * upper_tail(beyond, self.freedom)
         return np.where(self.testable, p, 1.0)
@@ -80,7 +84,7 @@ class Scores:
     def detectable(self, threshold: float, *, power: float = 0.95) -> Array:
         """(k,) smallest size found with probability ``power`` at the threshold c: (c + z_power)/sqrt(q), in units."""
         with np.errstate(divide="ignore"):
-            found = (threshold + stats.norm.ppf(power)) / np.sqrt(self.information)
+            found = (threshold - normal_isf(power)) / np.sqrt(self.information)
         return np.where(self.testable, found, np.inf)
 
     def subspace(self, members: Sequence[int]) -> Array:
@@ -91,15 +95,15 @@ class Scores:
         """chi-squared of several candidates together, its degrees of freedom and p-value."""
         frame = self.subspace(members)
         value = float(((frame.T @ self.y) ** 2).sum())
-        return value, frame.shape[1], float(stats.chi2.sf(value, frame.shape[1]) if frame.shape[1] else 1.0)
+        return value, frame.shape[1], float(chi2_sf(value, frame.shape[1]) if frame.shape[1] else 1.0)
 
 
 def upper_tail(z: Array, freedom: Array | float | None) -> Array:
     """P(a score > z): normal, or Student's t where its variance was estimated with so many degrees of freedom."""
     if freedom is None:
-        return np.asarray(stats.norm.sf(z))
+        return np.asarray(normal_sf(z))
     known = ~np.isfinite(freedom)
-    return np.where(known, stats.norm.sf(z), stats.t.sf(z, np.where(known, 1.0, freedom)))
+    return np.where(known, normal_sf(z), t_sf(z, np.where(known, 1.0, freedom)))
 
 
 def score(compressed: Compressed, chosen: Sequence[tuple[str, int]] | None = None) -> Scores:

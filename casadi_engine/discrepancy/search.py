@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from casadi_engine.discrepancy.assumed_pressure import SCATTER, settle_scatter
 from casadi_engine.discrepancy.gauss_newton import chi_squared
@@ -32,6 +31,7 @@ from casadi_engine.discrepancy.selection import (
     selection_frequency,
 )
 from casadi_engine.discrepancy.trials import Trial, Trials, make_trials, trials_beside
+from casadi_engine.distributions import chi2_isf, chi2_sf, normal_sf, t_sf
 from casadi_engine.estimation import Fit
 
 __all__ = ["Search", "Station", "members_of", "proposals"]
@@ -375,7 +375,7 @@ class Search:
     def _price(pair: Station, base: Station, one: Trial) -> float:
         """The rise of chi-squared at which one effect more is worth keeping."""
         more = freedom(pair.fit) - freedom(base.fit) - 1 - freed(base.screened, one.candidate)
-        return float(stats.chi2.isf(base.screened.share, max(more, 1)))
+        return float(chi2_isf(base.screened.share, max(more, 1)))
 
 
 def _better_known(before: Screened, after: Screened) -> NoiseChoice:
@@ -391,7 +391,7 @@ def _sure(decided: Screened, first: int, count: float) -> Screened | None:
     """
     tests = int(decided.scores.testable.sum())
     z = float(decided.scores.statistic[first])
-    p = float(stats.t.sf(z, count)) if math.isfinite(count) else float(stats.norm.sf(z))
+    p = float(t_sf(z, count)) if math.isfinite(count) else float(normal_sf(z))
     return decided if 2 * tests * p <= _ADDED * decided.share and decided.significant else None
 
 
@@ -421,7 +421,7 @@ def _doubtful(tried: Trials, leads: Sequence[Trial]) -> list[Trial]:
 def _pooled(one: Trial, tried: Trials, screened: Screened) -> float:
     """The p-value of a trial's drop of chi-squared, pooled over the library."""
     drop = max(tried.base - one.cost, 0.0)
-    return screened.law.pooled(float(stats.chi2.sf(drop, 1 + freed(screened, one.candidate))))
+    return screened.law.pooled(float(chi2_sf(drop, 1 + freed(screened, one.candidate))))
 
 
 def _by_trials(tried: Trials, screened: Screened, lead: int, gains: Mapping[int, float]) -> dict[int, float]:

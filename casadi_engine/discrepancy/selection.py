@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 import numpy as np
-from scipy import stats
 from scipy.special import gammaln
 
 from casadi_engine.discrepancy.compression import Compressed
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.score import score
+from casadi_engine.distributions import chi2_isf
 
 State = TypeVar("State")
 
@@ -108,7 +108,7 @@ def select(
     worth keeping.
     """
     here, steps = null, []
-    worth = float(stats.chi2.isf(alpha, 1))
+    worth = float(chi2_isf(alpha, 1))
 
     def criterion(fit: Refit[State]) -> float:
         return extended_bic(fit.cost, fit.freedom, len(fit.effects), samples=samples, library=library)

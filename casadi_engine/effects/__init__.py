@@ -4,18 +4,28 @@ An effect can act at a port of its kind that has the signals which its law reads
 the library reads, ``print(model.ports)`` what the ports of a model have, ``ports_for(model, effect)`` where it fits.
 """
 
-from casadi_engine.effects.candidate import Candidate, candidate, candidates, cycles_of
-from casadi_engine.effects.combustion import CylinderImbalance, Misfire
-from casadi_engine.effects.friction import CoulombFriction, QuadraticDrag, StribeckFriction, ViscousFriction
-from casadi_engine.effects.library import library
-from casadi_engine.effects.sensor import SensorDelay, SensorOffset
-from casadi_engine.effects.stiffness import Backlash, CubicStiffness
-from casadi_engine.effects.torque import ConstantTorque, LoadStep
-from casadi_engine.model.combustion import Motored, fit_motored
-from casadi_engine.model.effect import Amplitude, Effect, Grid, Law
-from casadi_engine.model.effect_math import Sharp, Smooth
-from casadi_engine.model.port_view import port_view
-from casadi_engine.model.term import ports_for
+from typing import TYPE_CHECKING
+
+from casadi_engine.lazy import import_at_first_use
+
+if TYPE_CHECKING:
+    from casadi_engine.effects.candidate import Candidate, candidate, candidates, cycles_of
+    from casadi_engine.effects.combustion import CylinderImbalance, Misfire
+    from casadi_engine.effects.friction import (
+        CoulombFriction,
+        QuadraticDrag,
+        StribeckFriction,
+        ViscousFriction,
+    )
+    from casadi_engine.effects.library import library
+    from casadi_engine.effects.sensor import SensorDelay, SensorOffset
+    from casadi_engine.effects.stiffness import Backlash, CubicStiffness
+    from casadi_engine.effects.torque import ConstantTorque, LoadStep
+    from casadi_engine.model.combustion import Motored, fit_motored
+    from casadi_engine.model.effect import Amplitude, Effect, Grid, Law
+    from casadi_engine.model.effect_math import Sharp, Smooth
+    from casadi_engine.model.port_view import port_view
+    from casadi_engine.model.term import ports_for
 
 __all__ = [
     "Amplitude",
@@ -46,3 +56,26 @@ __all__ = [
     "port_view",
     "ports_for",
 ]
+
+import_at_first_use(
+    __name__,
+    {
+        "casadi_engine.effects.candidate": ("Candidate", "candidate", "candidates", "cycles_of"),
+        "casadi_engine.effects.combustion": ("CylinderImbalance", "Misfire"),
+        "casadi_engine.effects.friction": (
+            "CoulombFriction",
+            "QuadraticDrag",
+            "StribeckFriction",
+            "ViscousFriction",
+        ),
+        "casadi_engine.effects.library": ("library",),
+        "casadi_engine.effects.sensor": ("SensorDelay", "SensorOffset"),
+        "casadi_engine.effects.stiffness": ("Backlash", "CubicStiffness"),
+        "casadi_engine.effects.torque": ("ConstantTorque", "LoadStep"),
+        "casadi_engine.model.combustion": ("Motored", "fit_motored"),
+        "casadi_engine.model.effect": ("Amplitude", "Effect", "Grid", "Law"),
+        "casadi_engine.model.effect_math": ("Sharp", "Smooth"),
+        "casadi_engine.model.port_view": ("port_view",),
+        "casadi_engine.model.term": ("ports_for",),
+    },
+)

@@ -25,8 +25,11 @@ from casadi_engine.model.effect import Amplitude, Effect, check_effect
 from casadi_engine.model.law_checks import OwnState
 from casadi_engine.model.linearity import is_affine
 from casadi_engine.model.port_view import Courses, MissingSignalError, PortView
-from casadi_engine.model.term import NotApplicable, Term, ports_for, read_term, takes_torque
+from casadi_engine.model.term import NotApplicable, Term, ports_for, read_term, read_terms, takes_torque
 from casadi_engine.parameters import Parameters
+
+# What was read of laws: by port, effect and values the terms, and with the model and the sizes the candidates.
+Known = dict[tuple[Any, ...], list[Any]]
 
 # A combustion counts as a cycle of the record if at least this much of it is inside [rad].
 _INSIDE = 0.5
@@ -133,14 +136,22 @@ def candidate(
         sharp dead zone at half-width 0 counts as the sign of its argument, the limit from above
     EffectError as `Model.with_effect`; ModelError for an unknown port.
     """
-    given = dict(values or {})
-    given.pop(effect.amplitude.name, None)
-    term = read_term(model, effect, at, values=given, sharp=sharp)
+    term = read_term(model, effect, at, values=_without_amplitude(effect, values or {}), sharp=sharp)
+    return _made(model, term, size)
+
+
+def _without_amplitude(effect: Effect, values: Mapping[str, float]) -> dict[str, float]:
+    return {name: value for name, value in values.items() if name != effect.amplitude.name}
+
+
+def _made(model: Model, term: Term, size: float | None) -> Candidate:
+    """The candidate of a term, at the values of its declarations."""
     numbers = {one.name.rpartition(".")[2]: one.value for one in term.declarations[1:]}
     value = _per_amplitude(term, size)
     if numbers:
         value = ca.substitute(value, ca.vertcat(*term.symbols[1:]), ca.SX(ca.DM(list(numbers.values()))))
     states = _own_states(term, list(numbers.values()))
+    effect = term.effect
     every = {name: term.constants.get(name, numbers.get(name, math.nan)) for name in effect.nuisance}
     slots, drives, outputs, beyond = _responses(model, term, value)
     return Candidate(model, effect, term.port.name, every, size, slots, drives, outputs, states, beyond)
@@ -155,6 +166,7 @@ def candidates(
     sharp: bool = False,
     courses: Courses | None = None,
     skipped: list[NotApplicable] | None = None,
+    known: Known | None = None,
 ) -> tuple[Candidate, ...]:
     """Return all candidates of effects at all ports of a model, over the grids of their nuisance parameters.
 
@@ -163,6 +175,7 @@ def candidates(
     courses : an SX scalar of the model -> its values (N,) along each record, for effects that look at the motion
     skipped : a list to which effects are added whose other methods read signals that a port lacks; None raises
     MissingSignalError for them
+    known : what earlier calls have read, to be used again; this call adds to it
     Effects that the model has already at a port are left out there, and ports that lack a signal which the law reads.
     """
     record = arriving(model, record)
@@ -176,7 +189,7 @@ def candidates(
             if (port.name, effect.name) in there:
                 continue
             try:
-                found += _at_port(model, effect, port, record, numbers, courses, sharp)
+                found += _at_port(model, effect, port, record, numbers, courses, sharp, known)
             except MissingSignalError as fault:
                 if skipped is None:
                     raise
@@ -193,6 +206,7 @@ def _at_port(
     numbers: Mapping[str, float],
     courses: Courses | None,
     sharp: bool,
+    known: Known | None,
 ) -> list[Candidate]:
     """The candidates of one effect at one port; EffectError where a method of the effect fails."""
     view = PortView(model, port, courses, effect=effect.name)
@@ -211,10 +225,23 @@ def _at_port(
             allowed="fitted, narrowed, choices and sizes as ce.Effect describes them",
             cure="correct that method of the effect, or leave it out",
         ) from fault
-    made = (
-        candidate(model, sharper, port, values, size=size, sharp=sharp) for values in points for size in sizes
-    )
-    return [replace(one, effect=own) for one in made]
+    places = tuple(_without_amplitude(sharper, values) for values in points)
+    law = (port, sharper, tuple(tuple(one.items()) for one in places), sharp)
+    key = (model, *law, sizes)
+    # an effect that is no value may have changed since
+    if known is None or not _is_value(sharper):
+        known = {}
+    if key not in known:
+        if law not in known and places:
+            known[law] = read_terms(model, sharper, port, places, sharp=sharp)
+        known[key] = [_made(model, term, size) for term in known.get(law, ()) for size in sizes]
+    return [one if one.effect is own else replace(one, effect=own) for one in known[key]]
+
+
+def _is_value(effect: Effect) -> bool:
+    """True for a frozen dataclass, which is what its fields say."""
+    made = getattr(effect, "__dataclass_params__", None)
+    return made is not None and made.frozen and "__hash__" in vars(type(effect))
 
 
 def grid_values(

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, chdtri
 
 from casadi_engine.estimation.final_check import cure, printed_cost, relabelled, residual, response, verdict
 from casadi_engine.estimation.fit import Fit, Innovations, Optimum, Trace
@@ -269,8 +268,12 @@ def _rates(search: Search) -> list[str]:
 
 def _rivals(best: Attempt, optima: tuple[Optimum, ...]) -> list[str]:
     """Other optima that explain the data about as well: inside the 95 % region that the costs span."""
-    limit = best.cost + float(chdtri(max(len(best.v), 1), 0.05))
-    others = [o for o in optima if o.status == "converged" and o.apart and o.cost <= limit]
+    others = [o for o in optima if o.status == "converged" and o.apart]
+    if others:
+        from scipy.special import chdtri
+
+        limit = best.cost + float(chdtri(max(len(best.v), 1), 0.05))
+        others = [o for o in others if o.cost <= limit]
     if not others:
         return []
     ways = "; ".join(f"{o.apart} at a cost {o.cost - best.cost:.2g} higher" for o in others[:3])
@@ -295,6 +298,8 @@ def _beyond_noise(search: Search, best: Attempt) -> list[str]:
         left = len(r) - search.free_count
         if estimated or search.loss.robust or left < 1:
             continue
+        from scipy.special import chdtrc
+
         square = float(r @ r)
         if chdtrc(left, square) < _IMPOSSIBLE:
             found.append(

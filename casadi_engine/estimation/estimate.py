@@ -17,11 +17,13 @@ from casadi_engine.estimation.corner_widths import follow_motion
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.loss import read_loss
+from casadi_engine.estimation.lower_rate import lower_rate
 from casadi_engine.estimation.moved_jumps import refuse_moved_jumps
 from casadi_engine.estimation.multistart import attempts_from, best_of, distinct_optima, interrupted
 from casadi_engine.estimation.options import begun_at, chosen, small, whole
 from casadi_engine.estimation.parallel import checked_jobs
 from casadi_engine.estimation.search import Search
+from casadi_engine.estimation.two_stages import lower_search, on_whole_data, searched_on
 from casadi_engine.estimation.workers import Workers
 from casadi_engine.experiment import Experiment
 from casadi_engine.experiment.experiment import with_unique_names
@@ -162,10 +164,15 @@ def _searched(
         report = _reporter(progress, starts + 2 * neighbours, arguments["max_iterations"])
         search = Search(**arguments, progress=report, interrupts=interrupts)
         setup = time.perf_counter() - entered
+        lower = lower_rate(search)
+        first = search if isinstance(lower, str) else lower_search(search, arguments, lower, report)
+        own = arguments | {"data": first.data, "noise": first.noise}
         several = jobs != 1 and starts + neighbours > 1
-        workers = Workers(arguments, jobs, interrupts, search.tell) if several else None
-        drawn = search.drawn(starts, seed)
-        attempts = attempts_from(search, drawn, neighbours, outcomes=workers.outcomes if workers else None)
+        workers = Workers(own, jobs, interrupts, first.tell) if several else None
+        drawn = first.drawn(starts, seed)
+        attempts = attempts_from(first, drawn, neighbours, outcomes=workers.outcomes if workers else None)
+        if first is not search:
+            attempts = on_whole_data(search, first, attempts)
         found = best_of(attempts)
         best = search.integrated(found)
         attempts = [best if attempt is found else attempt for attempt in attempts]
@@ -175,6 +182,7 @@ def _searched(
             **{name: arguments[name] for name in ("ties", "method", "max_iterations", "tolerance")},
             "seed": seed,
             **shown,
+            "searched on": searched_on(search, best, lower),
         }
         stopped = interrupted(attempts) or interrupts.stopped
         fit = make_fit(search, best, optima, options, timing, begun, stopped=stopped)

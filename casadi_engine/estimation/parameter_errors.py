@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import null_space
 
 Array = NDArray[np.float64]
 
@@ -41,6 +40,8 @@ class ParameterErrors:
     ) -> ParameterErrors:
         """From the covariance (nz, nz) of the directions determined, those that are not (nz, k), and the size (nz,) of
         the entries, all in the units of z."""
+        from scipy.linalg import null_space
+
         if not len(scale):
             return ParameterErrors((), np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0))
         blind = unknown / scale[:, None]
@@ -68,6 +69,8 @@ class ParameterErrors:
         return self._over(self.held, names)[0]
 
     def _over(self, rows: Array, names: Sequence[str]) -> tuple[Array, Array]:
+        from scipy.linalg import null_space
+
         here = [k for k, name in enumerate(names) if name in self.names]
         mine = [self.names.index(names[k]) for k in here]
         others = [k for k, name in enumerate(self.names) if name not in names]

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import null_space
 
 from casadi_engine.estimation.condensing import joint_multipliers
 from casadi_engine.estimation.record import Blocks, RecordPoint, RecordTerm
@@ -75,6 +74,8 @@ def invert(
     gradients of the active constraints; at : (N,) the entries, whose size counts where they are beyond their scale.
 
     Where a slope is not finite (a root at zero) nothing is known: the matrix is NaN, the rank 0."""
+    from scipy.linalg import null_space
+
     size = len(information)
     if not np.isfinite(information).all():
         return Covariance(np.full((size, size), np.nan), 0, [])

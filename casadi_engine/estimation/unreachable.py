@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from casadi_engine.errors import ModelError
 from casadi_engine.estimation.constraints import ParameterConstraints
@@ -41,6 +40,8 @@ def _least(
     constraints: ParameterConstraints, v: Array, low: Array, high: Array
 ) -> tuple[float, Array] | None:
     """The least summed squares of the violations that a search from v finds, and the values (nc,) there."""
+    from scipy.optimize import least_squares
+
     open_ = low < high
 
     def whole(part: Array) -> Array:

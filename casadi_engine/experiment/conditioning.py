@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import signal
 
 from casadi_engine.errors import ExperimentError
 
@@ -122,6 +121,8 @@ def low_pass(
 
 
 def _low_passed(channel: Channel, cutoff_hz: float, order: int) -> Channel:
+    from scipy import signal
+
     what = f"channel {channel.name!r}"
     rate = sampling_rate(channel.time, FILTER_JITTER)
     if rate is None:

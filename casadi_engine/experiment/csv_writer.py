@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import csv
 import gzip
 import io
 import os
@@ -10,7 +11,6 @@ import secrets
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from casadi_engine.errors import ExperimentError, OutputError
 
@@ -54,7 +54,12 @@ def csv_text(experiment: Experiment) -> str:
         values = np.full(time.size, np.nan)
         values[place] = channel.values
         columns[label] = values
-    return pd.DataFrame(columns).to_csv(index=False, na_rep="", lineterminator="\n")
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(columns)
+    cells = [["" if value != value else value for value in column.tolist()] for column in columns.values()]
+    writer.writerows(zip(*cells, strict=True))
+    return stream.getvalue()
 
 
 def write_atomically(path: str, content: bytes) -> None:

@@ -23,6 +23,7 @@ from . import (
     summary,
 )
 from .channel import Channel, Step
+from .decimation import Decimation
 from .header import make_request, name_list
 from .source import read_source, record_key
 
@@ -41,6 +42,7 @@ class Experiment:
     source, sha256 : file that it was read from (None when made of arrays).
     inputs : channels known to be inputs (may be empty: the model knows them).
     begin : instant [s] at which its initial states hold, where that is not the first valid sample of the outputs.
+    decimation : how it was made of a record of a higher rate, for the search of a fit.
 
     Raises :class:`ExperimentError` for no channel, a repeated one or an unknown input.
 
@@ -59,6 +61,7 @@ class Experiment:
     sha256: str | None = None
     inputs: tuple[str, ...] = ()
     begin: float | None = None
+    decimation: Decimation | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip():

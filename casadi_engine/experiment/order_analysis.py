@@ -263,12 +263,10 @@ class _Piece:
         base = 2 * math.pi / length
         if not self.tells(float(asked[-1]), base):
             raise _coarse(self, f"order {asked[-1]:g}", base)
-        # What is not asked for is fitted as well: its samples never fill whole cycles to the last one, and it would
-        # leak into what is.
-        top = next(
-            high for high in (HIGHEST, float(asked[-1])) if high <= asked[-1] or self.tells(high, base)
-        )
-        count = max(math.floor(top / base + 1e-9), round(float(asked[-1]) / base))
+        # Orders that nobody asked for are fitted as well: over cycles that the samples do not quite fill they would
+        # leak into those that were.
+        top = max(float(asked[-1]), HIGHEST if self.tells(HIGHEST, base) else 0.0)
+        count = math.floor(top / base + 1e-6)
         turn = np.exp(1j * base * self.angle)[:, None]
         turns = np.cumprod(np.broadcast_to(turn, (turn.size, count)), axis=1)
         trend = (self.angle - self.angle.mean()) / np.ptp(self.angle)
@@ -352,7 +350,7 @@ def _asked(orders: Iterable[float] | None, pieces: Sequence[_Piece], length: flo
         most = min(HIGHEST, 0.4 * finest, *(base * (piece.angle.size / 4 - 1) for piece in pieces))
         if most < base:
             raise _coarse(min(pieces, key=lambda piece: piece.angle.size), "any order", base)
-        return base * np.arange(1, math.floor(most / base + 1e-9) + 1)
+        return np.asarray(base * np.arange(1, math.floor(most / base + 1e-9) + 1), dtype=np.float64)
     try:
         asked = np.unique(np.array([finite(one, "an order") for one in orders], dtype=float))
     except TypeError:

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import null_space
 
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.fit import Estimate
@@ -208,6 +207,8 @@ class _Judge:
 
     def value(self, names: Sequence[str]) -> float:
         """The criterion of a set with those already made; small is good."""
+        from scipy.linalg import null_space
+
         total = self._base + sum((self.parts[name] for name in names), np.zeros_like(self._base))
         there = {*names, *self.made}
         open_ = np.array([owner is None or owner in there for owner in self._owner])

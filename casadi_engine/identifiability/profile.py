@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
-from scipy.stats import f as f_distribution
 
+from casadi_engine.distributions import chi2_isf, f_isf
 from casadi_engine.errors import CasadiEngineError, EstimationError
 from casadi_engine.estimation.estimate import estimate
 from casadi_engine.estimation.fit import Estimate, Fit
@@ -146,7 +145,8 @@ def profile(
                 cure="name parameters that are free and shared by all records",
             )
     estimated = any(found for _, found in fit.noise.values())
-    quantile = f_distribution.ppf(level, 1, fit.dof) if estimated and fit.dof > 0 else chi2.ppf(level, 1)
+    beyond = 1 - level
+    quantile = f_isf(beyond, 1, fit.dof) if estimated and fit.dof > 0 else chi2_isf(beyond, 1)
     walker = _Walker(fit, float(quantile), points, progress)
     lines = {name: walker.line(name) for name in dict.fromkeys(names or known)}
     return Profile(fit, lines, level, walker.refits, tuple(dict.fromkeys(walker.messages)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from typing import TYPE_CHECKING, Any
@@ -117,37 +117,45 @@ def _is_finite(value: Any) -> bool:
     return all(math.isfinite(float(constant)) for constant in constants)
 
 
-def check_symbols(model: Model, term: Term) -> None:
-    own = [*term.symbols, *(state.symbol for state in term.states)]
-    allowed = _MAY_USE[term.port.kind]
+def check_symbols(model: Model, terms: Sequence[Term]) -> None:
+    """Raise EffectError unless terms of one effect at one port use nothing but what is known there, and their own."""
+    port, effect = terms[0].port, terms[0].effect
+    allowed = _MAY_USE[port.kind]
     columns = {letter: getattr(model, letter) for letter in _WORDS}
     owner = {s.element_hash(): letter for letter, column in columns.items() for s in _symbols(column)}
+    own = [s for term in terms for s in (*term.symbols, *(state.symbol for state in term.states))]
     fine = {s.element_hash() for s in own}
-    for symbol in ca.symvar(ca.vertcat(term.value, *(state.rate for state in term.states))):
+    used = [
+        expression for term in terms for expression in (term.value, *(state.rate for state in term.states))
+    ]
+    for symbol in ca.symvar(ca.vertcat(*used)):
         key = symbol.element_hash()
         if key in fine or owner.get(key) in allowed:
             continue
         where = f"one of the {_WORDS[owner[key]]}" if key in owner else "not of this model"
         raise EffectError(
-            f"the law of {term.effect.name} at {term.port.name} uses a symbol that it may not use",
+            f"the law of {effect.name} at {port.name} uses a symbol that it may not use",
             seen=f"{symbol.name()} ({where})",
             allowed=", ".join(_WORDS[letter] for letter in allowed),
             cure="write the law with the port's signals, p and math",
         )
 
 
-def check_null(term: Term) -> None:
-    """The law must vanish at amplitude 0: tried at a few points."""
-    symbols = ca.symvar(ca.vertcat(term.value, term.amplitude))
-    others = [s for s in symbols if s.element_hash() != term.amplitude.element_hash()]
-    function = ca.Function("law", [term.amplitude, ca.vertcat(*others)], [term.value])
+def check_null(terms: Sequence[Term]) -> None:
+    """The laws of terms of one effect at one port must vanish at amplitude 0: tried at a few points."""
+    values = ca.vertcat(*[term.value for term in terms])
+    amplitudes = {term.amplitude.element_hash(): term.amplitude for term in terms}
+    others = [s for s in ca.symvar(values) if s.element_hash() not in amplitudes]
+    function = ca.Function("law", [ca.vertcat(*amplitudes.values()), ca.vertcat(*others)], [values])
     points = np.random.default_rng(0).uniform(0.1, 2.0, (len(others), 5))
-    there = np.abs(np.array(function(1.0, points)))
-    left = np.abs(np.array(function(0.0, points)))
-    if np.nanmax(left, initial=0.0) > _ABSENT * max(1.0, float(np.nanmax(there, initial=0.0))):
+    there, left = (np.abs(np.array(function(np.full(len(amplitudes), size), points))) for size in (1.0, 0.0))
+    most = np.nanmax(left, axis=1, initial=0.0)
+    wrong = np.flatnonzero(most > _ABSENT * np.maximum(1.0, np.nanmax(there, axis=1, initial=0.0)))
+    if len(wrong):
+        effect = terms[0].effect
         raise EffectError(
-            f"the law of {term.effect.name} does not vanish at amplitude 0",
-            seen=f"{float(np.nanmax(left)):.6g} at {term.effect.amplitude.name} = 0",
+            f"the law of {effect.name} does not vanish at amplitude 0",
+            seen=f"{float(most[wrong[0]]):.6g} at {effect.amplitude.name} = 0",
             allowed="0 for every state and channel",
             cure="write the law so that the amplitude switches it on",
         )

@@ -12,7 +12,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
 from casadi_engine.errors import ModelError
@@ -227,6 +226,8 @@ def _eigen(a: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128], Ar
     times its condition, 1/|yᵀ x| of the unit left and right eigenvectors, and a double one, which has no finite
     condition, by the geometric mean of that and the norm.
     """
+    import scipy.linalg
+
     if not a.size:
         return np.zeros(0, complex), np.zeros((0, 0), complex), np.zeros(0)
     balanced, turn = scipy.linalg.matrix_balance(a)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from numbers import Real
 from typing import TYPE_CHECKING, Any
 
@@ -172,6 +172,19 @@ def read_term(
     EffectError for an effect, port, value or law that does not fit; MissingSignalError names all signals that the law
     reads and the port lacks.
     """
+    return read_terms(model, effect, at, [values or {}], sharp=sharp, again=again)[0]
+
+
+def read_terms(
+    model: Model,
+    effect: Any,
+    at: Any,
+    choices: Sequence[Mapping[str, float]],
+    *,
+    sharp: bool = False,
+    again: bool = False,
+) -> list[Term]:
+    """As ``read_term``, for several choices of values: the law is read once for each choice of whole numbers."""
     check_effect(effect)
     port = find_port(model, effect, at)
     if not again and any(one.at == port.name and one.effect.name == effect.name for one in model.effects):
@@ -181,8 +194,29 @@ def read_term(
             allowed="an effect once at each port",
             cure="leave it out, or attach it at another port",
         )
+    whole = [name for name, grid in effect.nuisance.items() if grid.whole]
+    laws: dict[tuple[float, ...], Term] = {}
+    found = []
+    for values in choices:
+        given = _checked_values(effect, values)
+        key = tuple(given[name] for name in whole)
+        term = laws.get(key)
+        if term is None:
+            term = laws[key] = _law_read(model, effect, port, given, sharp)
+            found.append(term)
+        else:
+            view = PortView(model, port, effect=effect.name)
+            named = _declarations(effect, port, view, given, unit_at(model, port))
+            width = term.declarations[len(named) :]
+            found.append(replace(term, declarations=(*named, *width)))
+    check_symbols(model, [*laws.values()])
+    check_null([*laws.values()])
+    return found
+
+
+def _law_read(model: Model, effect: Any, port: Port, given: Mapping[str, float], sharp: bool) -> Term:
+    """The term of one choice of whole numbers."""
     view = TrialView(model, port, effect=effect.name)
-    given = _checked_values(effect, values or {})
     declarations = _declarations(effect, port, view, given, unit_at(model, port))
     symbols = tuple(ca.SX.sym(declared.name) for declared in declarations)
     known = dict(zip(_estimated(effect), symbols, strict=True))
@@ -210,10 +244,7 @@ def read_term(
             (*declarations, _width(name, default, port.in_its_unit(unit))),
             (*symbols, symbol),
         )
-    term = Term(effect, port, value, states, declarations, symbols, constants, sharp, name)
-    check_symbols(model, term)
-    check_null(term)
-    return term
+    return Term(effect, port, value, states, declarations, symbols, constants, sharp, name)
 
 
 def _tried_values(effect: Any) -> dict[str, float]:

@@ -1,18 +1,23 @@
 """Report: tables, figures and self-contained pages of the results."""
 
-import casadi_engine.report.identifiability_figures
-import casadi_engine.report.modes_figures
-import casadi_engine.report.orders_figures
-import casadi_engine.report.repaired
-import casadi_engine.report.repaired_figures
-import casadi_engine.report.repaired_page
-import casadi_engine.report.stored_view  # noqa: F401  registers what it draws
-from casadi_engine.report.figures import plot
-from casadi_engine.report.kinds import Simulated
-from casadi_engine.report.page import report
-from casadi_engine.report.result_file import to_result, write_result
-from casadi_engine.report.stored import Result, load_result
-from casadi_engine.report.tables import as_html, fit_html, fit_text, text, validation_html, validation_text
+from typing import TYPE_CHECKING
+
+from casadi_engine.lazy import import_at_first_use
+
+if TYPE_CHECKING:
+    from casadi_engine.report.figures import plot
+    from casadi_engine.report.kinds import Simulated
+    from casadi_engine.report.page import report
+    from casadi_engine.report.result_file import to_result, write_result
+    from casadi_engine.report.stored import Result, load_result
+    from casadi_engine.report.tables import (
+        as_html,
+        fit_html,
+        fit_text,
+        text,
+        validation_html,
+        validation_text,
+    )
 
 __all__ = [
     "Result",
@@ -29,3 +34,22 @@ __all__ = [
     "validation_text",
     "write_result",
 ]
+
+import_at_first_use(
+    __name__,
+    {
+        "casadi_engine.report.figures": ("plot",),
+        "casadi_engine.report.kinds": ("Simulated",),
+        "casadi_engine.report.page": ("report",),
+        "casadi_engine.report.result_file": ("to_result", "write_result"),
+        "casadi_engine.report.stored": ("Result", "load_result"),
+        "casadi_engine.report.tables": (
+            "as_html",
+            "fit_html",
+            "fit_text",
+            "text",
+            "validation_html",
+            "validation_text",
+        ),
+    },
+)

@@ -11,6 +11,11 @@ Array = NDArray[np.float64]
 BINS = 900
 
 
+def ascending(x: Array) -> bool:
+    """Whether a signal goes from left to right, as a time does."""
+    return bool(np.all(x[1:] >= x[:-1]))
+
+
 def envelope(time: Array, values: Array, *, bins: int = BINS) -> tuple[Array, Array]:
     """Return (time, values) with two points a bin, the smallest and the largest in their order of time.
 

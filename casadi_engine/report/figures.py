@@ -1,13 +1,11 @@
-"""Figures of results, built from panels with matplotlib's object interface (no display is needed)."""
+"""Figures of results, built from panels."""
 
 from __future__ import annotations
 
-import io
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from functools import singledispatch
+from functools import partial, singledispatch
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,29 +14,21 @@ from casadi_engine.errors import OutputError, ResultError
 from casadi_engine.estimation.fit import Fit, Trace
 from casadi_engine.experiment import Experiment
 from casadi_engine.report import panels
-from casadi_engine.report.envelope import envelope
 from casadi_engine.report.files import write_file
-from casadi_engine.report.kinds import Simulated, not_shown
+from casadi_engine.report.kinds import Simulated, shown_by_others
+from casadi_engine.report.matplotlib_figure import drawn, figure_of
 from casadi_engine.report.panels import Subject
+from casadi_engine.report.sketch import Sketch
 from casadi_engine.validation import autocorrelation
 from casadi_engine.validation.validate import Validation
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Maker = Callable[[], Any]  # () -> matplotlib Figure
+Maker = Callable[[], Sketch]
 FORMATS = ("png", "svg", "pdf")
 # Records drawn in one overview; the pages have a figure for each.
 OVERVIEW = 4
-STYLE = {
-    "font.size": 9,
-    "axes.titlesize": 9,
-    "axes.labelsize": 9,
-    "legend.fontsize": 8,
-    "svg.hashsalt": "casadi-engine",
-    "figure.facecolor": "white",
-    "axes.facecolor": "white",
-}
 
 
 def plot(result: Any, *, path: Any = None, what: str = "overview") -> Figure:
@@ -58,8 +48,7 @@ def plot(result: Any, *, path: Any = None, what: str = "overview") -> Figure:
             allowed=", ".join(map(repr, known)),
             cure="give one of them, or leave `what` out",
         )
-    with styled():
-        figure = known[what]()
+    figure = figure_of(known[what]())
     if path is not None:
         _save(figure, path)
     return figure
@@ -67,8 +56,9 @@ def plot(result: Any, *, path: Any = None, what: str = "overview") -> Figure:
 
 @singledispatch
 def figures(result: Any) -> dict[str, Maker]:
-    """Name -> function that makes the figure, in the order of a report; "overview" is the first."""
-    raise not_shown(result, "plot")
+    """Name -> function that makes the sketch of a figure, in the order of a report; "overview" is the first."""
+    made: dict[str, Maker] = shown_by_others(figures, result, "plot")(result)
+    return made
 
 
 @figures.register
@@ -76,17 +66,18 @@ def _(result: Fit) -> dict[str, Maker]:
     made: dict[str, Maker] = {"overview": lambda: _overview(result.traces, result, result.data)}
     made |= _trace_figures(result.traces, result, result.data)
     made |= {
-        f"autocorrelation {record} {output}": _later(
+        f"autocorrelation {record} {output}": partial(
             _autocorrelation, trace, subject_of(result, record, output)
         )
         for record, output, trace in each(result.traces)
     }
     if result.free:
-        made["parameters"] = lambda: _parameters(result)
+        names = [name for name in result.free if name in result.estimates]
+        made["parameters"] = partial(parameter_sketch, result, names)
     if len(result.free) > 1:
-        made["correlation matrix"] = lambda: _matrix(result)
+        made["correlation matrix"] = partial(matrix_sketch, result.correlation, result.free)
     if sum(optimum.starts for optimum in result.optima) > 1:
-        made["waterfall"] = lambda: _waterfall(result)
+        made["waterfall"] = partial(waterfall_sketch, result.optima)
     return made
 
 
@@ -99,7 +90,9 @@ def _(result: Validation) -> dict[str, Maker]:
     made: dict[str, Maker] = {"overview": lambda: _overview(traces, result.fit, result.fit.data)}
     made |= _trace_figures(traces, result.fit, result.fit.data)
     made |= {
-        f"correlation {record} {output}": _later(_correlations, check, subject_of(result.fit, record, output))
+        f"correlation {record} {output}": partial(
+            _correlations, check, subject_of(result.fit, record, output)
+        )
         for record, output, check in each(result.records)
     }
     return made
@@ -107,14 +100,14 @@ def _(result: Validation) -> dict[str, Maker]:
 
 @figures.register
 def _(result: Experiment) -> dict[str, Maker]:
-    return {"overview": lambda: _channels(result, result.names)}
+    return {"overview": partial(_channels, result)}
 
 
 @figures.register
 def _(result: Simulated) -> dict[str, Maker]:
     names = [variable.name for variable in result.model.outputs]
     made: dict[str, Maker] = {"overview": lambda: _simulated(result, names)}
-    made |= {f"record {one.name}": _later(_channels, one, one.names) for one in result.simulated}
+    made |= {f"record {one.name}": partial(_channels, one) for one in result.simulated}
     return made
 
 
@@ -147,16 +140,6 @@ def last_cycle(trace: Trace, experiment: Experiment | None) -> tuple[float, floa
 # ---- whole figures ------------------------------------------------------------------------------------
 
 
-def _new(width: float, height: float) -> Figure:
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
-
-
-def _later(make: Callable[..., Figure], *arguments: Any) -> Maker:
-    return lambda: make(*arguments)
-
-
 def _of(data: tuple[Experiment, ...], record: str) -> Experiment | None:
     return next((experiment for experiment in data if experiment.name == record), None)
 
@@ -167,169 +150,125 @@ def _trace_figures(
     made: dict[str, Maker] = {}
     for record, output, trace in each(traces):
         subject = subject_of(fit, record, output)
-        made[f"trace {record} {output}"] = _later(_trace, trace, subject, _of(data, record))
-        made[f"residual {record} {output}"] = _later(_residual, trace, subject)
+        made[f"trace {record} {output}"] = partial(_trace, trace, subject, _of(data, record))
+        made[f"residual {record} {output}"] = partial(_residual, trace, subject)
     return made
 
 
-def _trace(trace: Trace, subject: Subject, experiment: Experiment | None) -> Figure:
-    figure = _new(9, 4.6)
-    whole, zoom = figure.subplots(2, 1)
+def _trace(trace: Trace, subject: Subject, experiment: Experiment | None) -> Sketch:
+    sketch = Sketch(9, 4.6, (2, 1), key=True)
+    whole, zoom = sketch.cells()
     panels.draw_trace(whole, trace, subject)
     window = last_cycle(trace, experiment)
     whole.axvspan(*window, color=panels.BAND, linewidth=0, zorder=0)
     panels.draw_trace(zoom, trace, subject, window=window)
-    _legend(figure, zoom)
-    return figure
+    return sketch
 
 
-def _legend(figure: Figure, ax: Any) -> None:
-    figure.legend(*ax.get_legend_handles_labels(), loc="outside upper right", ncols=3, frameon=False)
-
-
-def _residual(trace: Trace, subject: Subject) -> Figure:
-    figure = _new(9, 4.8)
-    time, spectrum = figure.subplots(2, 1)
+def _residual(trace: Trace, subject: Subject) -> Sketch:
+    sketch = Sketch(9, 4.8, (2, 1))
+    time, spectrum = sketch.cells()
     panels.draw_residual(time, trace, subject)
-    if time.get_legend_handles_labels()[0]:
-        time.legend(frameon=False, loc="upper right")
     panels.draw_spectrum(spectrum, trace, subject)
-    return figure
+    return sketch
 
 
-def _overview(traces: Mapping[str, Mapping[str, Trace]], fit: Fit, data: tuple[Experiment, ...]) -> Figure:
+def _overview(traces: Mapping[str, Mapping[str, Trace]], fit: Fit, data: tuple[Experiment, ...]) -> Sketch:
     """Whole trace, last cycle and residual of the first records."""
     entries = list(each(traces))
     shown = entries[:OVERVIEW]
-    figure = _new(10, 2.6 * max(len(shown), 1) + 0.4)
-    axes = figure.subplots(max(len(shown), 1), 3, squeeze=False, width_ratios=(1.2, 1, 1))
-    for row, (record, output, trace) in zip(axes, shown, strict=False):
+    rows = max(len(shown), 1)
+    sketch = Sketch(10, 2.6 * rows + 0.4, (rows, 3), across=(1.2, 1, 1), key=True)
+    cells = sketch.cells()
+    for record, output, trace in shown:
         subject = subject_of(fit, record, output)
-        panels.draw_trace(row[0], trace, subject)
-        panels.draw_trace(row[1], trace, subject, window=last_cycle(trace, _of(data, record)))
-        panels.draw_residual(row[2], trace, subject)
-        row[2].set_title("residual and ±2σ", loc="left")
-    if shown:
-        _legend(figure, axes[0][1])
+        panels.draw_trace(next(cells), trace, subject)
+        panels.draw_trace(next(cells), trace, subject, window=last_cycle(trace, _of(data, record)))
+        residual = next(cells)
+        panels.draw_residual(residual, trace, subject)
+        residual.title, residual.key = "residual and ±2σ", None
     if len(entries) > len(shown):
-        figure.supxlabel(f"{len(entries) - len(shown)} more outputs are not drawn here", fontsize=9)
-    return figure
+        sketch.foot = f"{len(entries) - len(shown)} more outputs are not drawn here"
+    return sketch
 
 
-def _autocorrelation(trace: Trace, subject: Subject) -> Figure:
-    figure = _new(9, 2.6)
+def _autocorrelation(trace: Trace, subject: Subject) -> Sketch:
+    sketch = Sketch(9, 2.6)
     residual = trace.residual
-    mask = np.isfinite(residual)
-    found = autocorrelation(residual, mask=mask, lags=25)
-    panels.draw_correlation(
-        figure.subplots(), found, title=f"{subject.title}: residual with itself", with_itself=True
-    )
-    return figure
+    found = autocorrelation(residual, mask=np.isfinite(residual), lags=25)
+    title = f"{subject.title}: residual with itself"
+    panels.draw_correlation(sketch.panel(), found, title=title, with_itself=True)
+    return sketch
 
 
-def _correlations(check: Any, subject: Subject) -> Figure:
+def _correlations(check: Any, subject: Subject) -> Sketch:
     names = list(check.cross_correlation)
     rows = 1 + -(-len(names) // 2)
-    figure = _new(9, 2.3 * rows)
-    grid = figure.add_gridspec(rows, 2)
+    sketch = Sketch(9, 2.3 * rows, (rows, 2))
     title = f"{subject.title}: residual with itself"
-    panels.draw_correlation(
-        figure.add_subplot(grid[0, :]), check.autocorrelation, title=title, with_itself=True
-    )
+    panels.draw_correlation(sketch.panel(columns=2), check.autocorrelation, title=title, with_itself=True)
     for index, name in enumerate(names):
-        ax = figure.add_subplot(
-            grid[1 + index // 2, index % 2 if index < len(names) - 1 or index % 2 else slice(0, 2)]
-        )
-        panels.draw_correlation(
-            ax,
-            check.cross_correlation[name],
-            title=f"residual with {name} (its past: lag > 0)",
-            with_itself=False,
-        )
-    return figure
+        alone = index == len(names) - 1 and index % 2 == 0
+        panel = sketch.panel(1 + index // 2, index % 2, columns=2 if alone else 1)
+        title = f"residual with {name} (its past: lag > 0)"
+        panels.draw_correlation(panel, check.cross_correlation[name], title=title, with_itself=False)
+    return sketch
 
 
-def _parameters(fit: Fit) -> Figure:
-    names = [name for name in fit.free if name in fit.estimates]
-    figure = _new(9, 1.3 + 0.36 * len(names))
-    left, right = figure.subplots(1, 2, width_ratios=(1.6, 1))
+def parameter_sketch(fit: Any, names: list[str]) -> Sketch:
+    """Estimates with their intervals, and how sure they are; ``fit`` has estimates, parameters and start."""
+    sketch = Sketch(9, 1.3 + 0.36 * len(names), (1, 2), across=(1.6, 1))
+    left, right = sketch.cells()
     panels.draw_parameters(left, fit, names)
     panels.draw_precision(right, fit, names)
-    return figure
+    return sketch
 
 
-def _matrix(fit: Fit) -> Figure:
-    size = min(max(4.2, 1.6 + 0.5 * len(fit.free)), 11)
-    figure = _new(size + 1, size)
-    ax = figure.subplots()
-    image = panels.draw_matrix(ax, fit.correlation, fit.free)
-    figure.colorbar(image, ax=ax, label="correlation [1]")
-    return figure
+def matrix_sketch(matrix: Any, names: Any) -> Sketch:
+    """The correlation matrix of the estimates."""
+    size = min(max(4.2, 1.6 + 0.5 * len(names)), 11)
+    sketch = Sketch(size + 1, size)
+    panels.draw_matrix(sketch.panel(), matrix, names)
+    return sketch
 
 
-def _waterfall(fit: Fit) -> Figure:
-    figure = _new(9, 3.2)
-    panels.draw_waterfall(figure.subplots(), fit.optima)
-    return figure
+def waterfall_sketch(optima: Any) -> Sketch:
+    """Where the starts of a multi-start ended."""
+    sketch = Sketch(9, 3.2)
+    panels.draw_waterfall(sketch.panel(), optima)
+    return sketch
 
 
-def _channels(experiment: Experiment, names: Any) -> Figure:
-    chosen = [experiment[name] for name in names]
-    figure = _new(9, 0.6 + 1.35 * len(chosen))
-    axes = figure.subplots(len(chosen), 1, squeeze=False, sharex=True)[:, 0]
-    for ax, channel in zip(axes, chosen, strict=True):
-        ax.plot(*envelope(channel.time, channel.values), color=panels.SIMULATED, linewidth=0.9)
+def _channels(experiment: Experiment) -> Sketch:
+    names = experiment.names
+    sketch = Sketch(9, 0.6 + 1.35 * len(names), (len(names), 1))
+    for panel, name in zip(sketch.cells(), names, strict=False):
+        channel = experiment[name]
+        panel.plot(channel.time, channel.values, color=panels.SIMULATED, linewidth=0.9)
         title = f"{experiment.name}: {channel.name} ({channel.origin})"
-        panels.dress(ax, x="", y=f"{channel.name}\n[{channel.unit}]", title=title)
-    for ax in axes:
-        ax.set_xlabel("time [s]" if ax is axes[-1] else "")
-    return figure
+        label = "time [s]" if name == names[-1] else ""
+        panels.dress(panel, x=label, y=f"{channel.name}\n[{channel.unit}]", title=title)
+        panel.linked, panel.margin = experiment.name, 0.01
+    return sketch
 
 
-def _simulated(result: Simulated, names: list[str]) -> Figure:
+def _simulated(result: Simulated, names: list[str]) -> Sketch:
     """Simulated outputs, over the measured ones where there are any."""
     entries = [(one, name) for one in result.simulated for name in names if name in one][:OVERVIEW]
-    figure = _new(9, 0.8 + 2.0 * max(len(entries), 1))
-    axes = figure.subplots(max(len(entries), 1), 1, squeeze=False)[:, 0]
-    for ax, (one, name) in zip(axes, entries, strict=False):
+    sketch = Sketch(9, 0.8 + 2.0 * max(len(entries), 1), (max(len(entries), 1), 1), key=True)
+    for one, name in entries:
+        panel = sketch.panel(len(sketch.panels))
         channel, source = one[name], _of(result.data, one.name)
         if source is not None and name in source:
             measured = source[name]
-            ax.plot(
-                *envelope(measured.time, measured.values),
-                color=panels.MEASURED,
-                linewidth=1.6,
-                label="measured",
-            )
-        ax.plot(
-            *envelope(channel.time, channel.values), color=panels.SIMULATED, linewidth=0.9, label="simulated"
-        )
-        panels.dress(ax, x="time [s]", y=f"{name} [{channel.unit}]", title=f"{one.name}: {name}")
-    if entries:
-        _legend(figure, axes[0])
-    return figure
+            panel.plot(measured.time, measured.values, color=panels.MEASURED, linewidth=1.6, label="measured")
+        panel.plot(channel.time, channel.values, color=panels.SIMULATED, linewidth=0.9, label="simulated")
+        panels.dress(panel, x="time [s]", y=f"{name} [{channel.unit}]", title=f"{one.name}: {name}")
+        panel.linked, panel.margin = one.name, 0.01
+    return sketch
 
 
 # ---- files --------------------------------------------------------------------------------------------
-
-
-@contextmanager
-def styled() -> Iterator[None]:
-    """Our sizes over matplotlib's defaults: a report must not depend on the user's settings."""
-    import matplotlib
-    import matplotlib.style
-
-    with matplotlib.style.context("default"), matplotlib.rc_context(STYLE):  # type: ignore[arg-type]
-        yield
-
-
-def drawn(figure: Figure, form: str, *, dpi: int = 110) -> bytes:
-    """The file of a figure; the same figure gives the same bytes."""
-    stream = io.BytesIO()
-    metadata: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(form, {})
-    with styled():
-        figure.savefig(stream, format=form, dpi=dpi, metadata=metadata)
-    return stream.getvalue()
 
 
 def _save(figure: Figure, path: Any) -> None:

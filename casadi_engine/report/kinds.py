@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
 
 from casadi_engine.errors import ResultError
 from casadi_engine.experiment import Experiment
@@ -14,6 +17,16 @@ KINDS = "a Fit, a Validation, a Simulated, a Repair"
 READ_BACK = ", a loaded Result"
 # What can be drawn, but has no page.
 DRAWN_ONLY = ", Modes, a Reduction, an Experiment, Orders"
+# The modules that show the less common kinds; each needs the package that its results come from.
+OTHERS = (
+    "identifiability_figures",
+    "modes_figures",
+    "orders_figures",
+    "repaired",
+    "repaired_figures",
+    "repaired_page",
+    "stored_view",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,9 +45,17 @@ class Simulated:
     files: tuple[str, ...] = ()
 
 
-def not_shown(result: object, verb: str) -> ResultError:
-    """The error for an object that is no result."""
-    return ResultError(
+def shown_by_others(show: Any, result: object, verb: str) -> Callable[..., Any]:
+    """Return the implementation of the generic function `show` for a less common kind of result.
+
+    Raises ResultError for an object that is no result.
+    """
+    for name in OTHERS:
+        import_module(f"casadi_engine.report.{name}")
+    found: Callable[..., Any] = show.dispatch(type(result))
+    if found is not show.dispatch(object):
+        return found
+    raise ResultError(
         f"{verb} does not know this kind of result",
         seen=type(result).__name__,
         allowed=KINDS

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cache
 from importlib.resources import files
@@ -13,22 +12,12 @@ from typing import Any
 
 import casadi_engine
 from casadi_engine.errors import MissingDependencyError
-from casadi_engine.report.figures import drawn, figures, styled
+from casadi_engine.report.figures import figures
 from casadi_engine.report.files import write_file
+from casadi_engine.report.page_figures import PageFigures
 
 # The figures of a page may take this many bytes of it; what is beyond is named, not drawn.
 FIGURE_BYTES = 2_300_000
-# A vector figure larger than this is stored as pixels.
-VECTOR_BYTES = 250_000
-
-
-@dataclass(frozen=True)
-class Picture:
-    """One figure of a page: a data URL, its caption, and whether it is shown at its own size."""
-
-    source: str
-    caption: str
-    small: bool = False
 
 
 @dataclass(frozen=True)
@@ -41,7 +30,7 @@ class Folded:
 
 @dataclass(frozen=True)
 class Section:
-    """One section of a page; tables are HTML, everything else is text."""
+    """One section of a page; tables and figures are HTML, everything else is text."""
 
     key: str
     title: str
@@ -52,13 +41,15 @@ class Section:
     folded: Sequence[Folded] = ()
     tables: Sequence[str] = ()
     wanted: Sequence[tuple[Any, str, str]] = ()  # (result, name of its figure, caption)
-    pictures: Sequence[Picture] = field(default=())
+    figures: Sequence[str] = ()  # HTML
 
 
 def report(
     result: Any, path: Any, *, validation: Any = None, arguments: Mapping[str, Any] | None = None
 ) -> Path:
     """Write a result as one self-contained report.html (at most 3 MB), atomically, and return its path.
+
+    A browser draws lines from the numbers in the page and zooms into them; without scripts static figures are shown.
 
     result : a Fit, a Validation, a Simulated, a Repair, or a result that was loaded (what result.json holds: no traces)
     validation : the Validation of a Fit, for its section of residual tests
@@ -71,59 +62,36 @@ def report(
     from casadi_engine.report.sections import page_of
 
     title, subtitle, sections = page_of(result, validation, dict(arguments or {}))
-    budget = _Budget(FIGURE_BYTES)
-    done = [_with_pictures(section, budget) for section in sections]
+    drawn = PageFigures(FIGURE_BYTES)
+    done = [_with_figures(section, drawn) for section in sections]
     content = template.render(
         title=title,
         subtitle=subtitle,
         sections=done,
         css=_packaged("page.css"),
+        script=_packaged("charts.js"),
+        uplot=_packaged("uplot/uPlot.iife.min.js").partition("\n")[
+            2
+        ],  # without the address in its first line
+        uplot_css=_packaged("uplot/uPlot.min.css"),
+        uplot_licence=_packaged("uplot/LICENSE.txt"),
+        **drawn.json(),
         footer=f"Written by casadi-engine {casadi_engine.__version__} on "
         f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC.",
     )
     return write_file(path, content.encode())
 
 
-class _Budget:
-    """What the figures of a page may still take."""
-
-    def __init__(self, left: int):
-        self.left = left
-
-    def take(self, source: str) -> bool:
-        if len(source) > self.left:
-            return False
-        self.left -= len(source)
-        return True
-
-
-def _with_pictures(section: Section, budget: _Budget) -> Section:
-    pictures, lines = [], list(section.lines)
-    missing = 0
-    for result, name, caption in section.wanted:
-        picture = None if missing else _picture(result, name, caption)
-        if picture is not None and budget.take(picture.source):
-            pictures.append(picture)
-        else:
-            missing += 1
-    if missing:
+def _with_figures(section: Section, drawn: PageFigures) -> Section:
+    made = [drawn.html(figures(result)[name](), caption) for result, name, caption in section.wanted]
+    shown = [one for one in made if one is not None]
+    lines = list(section.lines)
+    if len(shown) < len(made):
         lines.append(
-            f"{missing} figures are left out to keep this file small: ce.plot(result, what=...) draws them."
+            f"{len(made) - len(shown)} figures are left out to keep this file small: "
+            "ce.plot(result, what=...) draws them."
         )
-    return Section(
-        **{**{key: getattr(section, key) for key in section.__dataclass_fields__}, "wanted": ()}
-        | {"pictures": pictures, "lines": lines}
-    )
-
-
-def _picture(result: Any, name: str, caption: str) -> Picture:
-    with styled():
-        figure = figures(result)[name]()
-    content, kind = drawn(figure, "svg"), "svg+xml"
-    if len(content) > VECTOR_BYTES:
-        content, kind = drawn(figure, "png", dpi=120), "png"
-    source = f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
-    return Picture(source, caption, small=figure.get_figwidth() < 9)
+    return replace(section, wanted=(), lines=lines, figures=shown)
 
 
 @cache
@@ -133,12 +101,19 @@ def _packaged(name: str) -> str:
 
 def _template() -> Any:
     try:
-        import jinja2
+        import jinja2  # noqa: F401  asked for here, so that a missing one is said before the work
     except ImportError:
         raise MissingDependencyError(
             "report.html needs the package jinja2",
             seen="it is not installed",
             cure='pip install "casadi-engine[app]"',
         ) from None
+    return _compiled()
+
+
+@cache
+def _compiled() -> Any:
+    import jinja2
+
     environment = jinja2.Environment(autoescape=True, trim_blocks=True, undefined=jinja2.StrictUndefined)
     return environment.from_string(_packaged("page.html"))

@@ -1,4 +1,4 @@
-"""One panel of a figure each: a function that draws data into matplotlib axes."""
+"""One panel of a figure each: a function that puts data into a panel."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import math
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +13,9 @@ from numpy.typing import NDArray
 from casadi_engine.estimation.fit import Estimate, Fit, Optimum, Trace
 from casadi_engine.estimation.summary import BOUND_WORDS, number, parameter_of
 from casadi_engine.experiment.channel import sampling_rate
-from casadi_engine.report.envelope import envelope
+from casadi_engine.report.sketch import Panel
+from casadi_engine.report.spectrum import welch
 from casadi_engine.validation.correlation import Correlation
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
 
@@ -51,28 +48,13 @@ class Subject:
         return f"{what or self.output} [{self.unit or '1'}]"
 
 
-def dress(ax: Axes, *, x: str, y: str, title: str = "") -> None:
-    """Labels, a light grid and no frame above and right."""
-    ax.set_xlabel(x)
-    ax.set_ylabel(y)
-    if title:
-        ax.set_title(title, loc="left")
-    ax.grid(True, color="0.92", linewidth=0.6)
-    ax.set_axisbelow(True)
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(False)
-
-
-def note(ax: Axes, text: str) -> None:
-    """Say in the middle of a panel why it is empty."""
-    wrapped = "\n".join(textwrap.wrap(text, 42))
-    ax.text(0.5, 0.5, wrapped, transform=ax.transAxes, ha="center", va="center", color="0.3", fontsize=8)
-    ax.set_xticks([])
-    ax.set_yticks([])
+def dress(panel: Panel, *, x: str, y: str, title: str = "") -> None:
+    """Labels and title."""
+    panel.x, panel.y, panel.title = x, y, title or panel.title
 
 
 def draw_trace(
-    ax: Axes, trace: Trace, subject: Subject, *, window: tuple[float, float] | None = None
+    panel: Panel, trace: Trace, subject: Subject, *, window: tuple[float, float] | None = None
 ) -> None:
     """Measured, simulated and predicted output over time; ``window`` [s] shows a part, sample by sample."""
     inside = np.ones(trace.time.size, bool)
@@ -82,169 +64,147 @@ def draw_trace(
     measured = np.where(trace.mask, trace.measured, np.nan)[inside]
     few = time.size <= MARKED
     if few or (window is not None and time.size <= 10 * MARKED):
-        size = 3 if few else 1.5
-        # Many dots as paths would make a vector figure of megabytes.
-        ax.plot(time, measured, ".", color=MEASURED, markersize=size, label="measured", rasterized=not few)
+        panel.plot(time, measured, ".", color=MEASURED, markersize=3 if few else 1.5, label="measured")
     else:
-        ax.plot(*envelope(time, measured), color=MEASURED, linewidth=1.6, label="measured")
-    ax.plot(*envelope(time, trace.simulated[inside]), color=SIMULATED, linewidth=0.9, label="simulated")
+        panel.plot(time, measured, color=MEASURED, linewidth=1.6, label="measured")
+    panel.plot(time, trace.simulated[inside], color=SIMULATED, linewidth=0.9, label="simulated")
     # Over a whole record the prediction would hide the simulation.
     if trace.predicted is not None and (window is not None or few):
-        predicted = envelope(time, trace.predicted[inside])
-        ax.plot(*predicted, color=PREDICTED, linewidth=0.9, linestyle="--", label="predicted one step ahead")
+        words = "predicted one step ahead"
+        panel.plot(time, trace.predicted[inside], color=PREDICTED, linewidth=0.9, linestyle="--", label=words)
+    panel.margin = 0.01
+    if window is None:
+        panel.linked = subject.title
     title = subject.title if window is None else f"the last {1000 * (window[1] - window[0]):.3g} ms of it"
-    dress(ax, x="time [s]", y=subject.label(), title=title)
+    dress(panel, x="time [s]", y=subject.label(), title=title)
 
 
-def draw_residual(ax: Axes, trace: Trace, subject: Subject) -> None:
+def draw_residual(panel: Panel, trace: Trace, subject: Subject) -> None:
     """The residual over time with the band ±2σ of its noise, and the share of samples inside."""
     residual = trace.residual
     found = np.isfinite(residual)
-    ax.axhline(0.0, color="0.6", linewidth=0.6)
+    panel.linked, panel.margin = subject.title, 0.01
+    panel.axhline(0.0, color="0.6", linewidth=0.6)
     title = f"residual, measured less {'simulated' if trace.predicted is None else 'predicted'}"
     if subject.sigma is not None and math.isfinite(subject.sigma):
         band = 2 * subject.sigma
         known = "estimated" if subject.estimated else "known"
         label = f"±2σ, σ = {subject.sigma:.3g} {subject.unit} ({known})"
-        ax.axhspan(-band, band, color=BAND, linewidth=0)
+        panel.axhspan(-band, band, color=BAND, linewidth=0)
         for edge, words in ((band, label), (-band, None)):
-            ax.axhline(edge, color=PREDICTED, linewidth=0.9, linestyle="--", zorder=3, label=words)
+            panel.axhline(edge, color=PREDICTED, linewidth=0.9, linestyle="--", zorder=3, label=words)
         if found.any():
             share = 100 * np.mean(np.abs(residual[found]) <= band)
             title += f" ({share:.1f} % inside ±2σ, 95.4 % expected)"
     if residual.size <= MARKED:
-        ax.plot(trace.time, residual, ".", color=SIMULATED, markersize=3)
+        panel.plot(trace.time, residual, ".", color=SIMULATED, markersize=3)
     else:
-        ax.plot(*envelope(trace.time, residual), color=SIMULATED, linewidth=0.6)
+        panel.plot(trace.time, residual, color=SIMULATED, linewidth=0.6)
     if found.any():
         tallest = max(float(np.max(np.abs(residual[found]))), 2 * (subject.sigma or 0.0))
         if tallest > 0 and math.isfinite(tallest):
-            ax.set_ylim(-1.1 * tallest, 1.5 * tallest)  # room for the legend
+            panel.ylim, panel.room = (-1.1 * tallest, 1.1 * tallest), 0.2
     else:
-        note(ax, "no sample counts")
-    dress(ax, x="time [s]", y=subject.label("residual"), title=title)
+        panel.note = "no sample counts"
+    panel.key = "upper right"
+    dress(panel, x="time [s]", y=subject.label("residual"), title=title)
 
 
-def draw_spectrum(ax: Axes, trace: Trace, subject: Subject) -> None:
+def draw_spectrum(panel: Panel, trace: Trace, subject: Subject) -> None:
     """Power spectral density of the residual (Welch), and the level of white noise of its sigma."""
-    from scipy import signal  # slow to import, and only needed here
-
     residual, rate = trace.residual, sampling_rate(trace.time)
     found = np.isfinite(residual)
-    dress(
-        ax, x="frequency [Hz]", y=f"density [({subject.unit or '1'})²/Hz]", title="spectrum of the residual"
-    )
+    title, unit = "spectrum of the residual", f"density [({subject.unit or '1'})²/Hz]"
+    dress(panel, x="frequency [Hz]", y=unit, title=title)
     if rate is None:
-        note(ax, "no spectrum: the times are not evenly spaced")
+        panel.note = "no spectrum: the times are not evenly spaced"
         return
     if found.sum() < 16:
-        note(ax, "no spectrum: fewer than 16 samples")
+        panel.note = "no spectrum: fewer than 16 samples"
         return
     # Missing samples count as zero; dividing by the share of valid ones keeps the level of white noise.
     filled = np.where(found, residual, 0.0) - np.where(found, residual[found].mean(), 0.0)
-    segment = min(filled.size, max(256, filled.size // 8))
-    frequency, density = signal.welch(filled, fs=rate, nperseg=segment, detrend=False)
+    frequency, density = welch(filled, rate, min(filled.size, max(256, filled.size // 8)))
     density = density / found.mean()
     positive = (frequency > 0) & (density > 0)
     if not positive.any():
-        note(ax, "no spectrum: the residual is constant")
+        panel.note = "no spectrum: the residual is constant"
         return
-    ax.loglog(frequency[positive], density[positive], color=SIMULATED, linewidth=0.8)
-    _plain_log_labels(ax.xaxis)
-    _plain_log_labels(ax.yaxis)
+    panel.xscale = panel.yscale = "log"
+    panel.plot(frequency[positive], density[positive], color=SIMULATED, linewidth=0.8)
     if subject.sigma is not None and math.isfinite(subject.sigma) and subject.sigma > 0:
         level = 2 * subject.sigma**2 / rate
-        _mark_lines(ax, frequency, density, level)
-        ax.axhline(level, color=PREDICTED, linewidth=0.9, linestyle="--", label="white noise of this σ")
-        ax.legend(frameon=False, loc="best")
+        _mark_lines(panel, frequency, density, level)
+        panel.axhline(level, color=PREDICTED, linewidth=0.9, linestyle="--", label="white noise of this σ")
+        panel.key = "best"
     if not found.all():
-        ax.set_title(
-            f"spectrum of the residual ({100 * (1 - found.mean()):.2g} % missing, as zero)", loc="left"
-        )
+        panel.title = f"{title} ({100 * (1 - found.mean()):.2g} % missing, as zero)"
 
 
-def _mark_lines(ax: Axes, frequency: Array, density: Array, level: float) -> None:
+def _mark_lines(panel: Panel, frequency: Array, density: Array, level: float) -> None:
     """Write the frequencies of the strongest peaks over them: there the model lacks something."""
     inner = np.flatnonzero(
         (density[1:-1] > density[:-2]) & (density[1:-1] >= density[2:]) & (density[1:-1] > NOTICED * level)
     )
-    peaks = 1 + inner[np.argsort(density[1 + inner])[::-1][:MOST_LINES]]
-    for peak in peaks:
+    for peak in 1 + inner[np.argsort(density[1 + inner])[::-1][:MOST_LINES]]:
         words = f"{frequency[peak]:.3g} Hz"
-        ax.annotate(
-            words,
-            (frequency[peak], density[peak]),
-            (0, 2),
-            textcoords="offset points",
-            ha="center",
-            fontsize=7,
-        )
+        panel.write(words, frequency[peak], density[peak], shift=(0, 2), ha="center", size=7)
 
 
-def _plain_log_labels(axis: Any) -> None:
-    """Labels such as 100 and 2e-05: powers set as formulas take half of the time of a figure."""
-    from matplotlib.ticker import LogFormatter
-
-    axis.set_major_formatter(LogFormatter())
-    axis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.5)))
-
-
-def draw_correlation(ax: Axes, correlation: Correlation, *, title: str, with_itself: bool) -> None:
+def draw_correlation(panel: Panel, correlation: Correlation, *, title: str, with_itself: bool) -> None:
     """Correlation coefficients over lags with their 99 % band."""
-    dress(ax, x="lag [samples]", y="correlation [1]", title=title)
+    dress(panel, x="lag [samples]", y="correlation [1]", title=title)
     if correlation.values is None or correlation.band is None:
-        note(ax, correlation.why or "no correlation")
+        panel.note = correlation.why or "no correlation"
         return
     lags = correlation.lags
     first = 1 if with_itself else 0  # lag 0 of an autocorrelation is 1 and would squeeze the rest
     lags, values, band = lags[first:], correlation.values[first:], correlation.band[first:]
-    ax.fill_between(lags, -band, band, color=BAND, linewidth=0, step="mid", label="99 % band")
+    panel.fill_between(lags, -band, band, color=BAND, linewidth=0, step="mid", label="99 % band")
     outside = np.abs(values) > band
-    ax.axhline(0.0, color="0.6", linewidth=0.6)
+    panel.axhline(0.0, color="0.6", linewidth=0.6)
     for chosen, colour, label in ((~outside, SIMULATED, "inside"), (outside, PREDICTED, "outside")):
         if chosen.any():
-            ax.vlines(lags[chosen], 0, values[chosen], color=colour, linewidth=1.0)
-            ax.plot(lags[chosen], values[chosen], "o", color=colour, markersize=2.5, label=label)
-    ax.legend(frameon=False, loc="upper right", ncols=3)
+            panel.vlines(lags[chosen], 0, values[chosen], color=colour, linewidth=1.0)
+            panel.plot(lags[chosen], values[chosen], "o", color=colour, markersize=2.5, label=label)
+    panel.key = "upper right"
     tallest = max(float(np.nanmax(np.abs(values))), float(np.nanmax(band)))
-    ax.set_ylim(-1.2 * tallest, 1.6 * tallest)
+    panel.ylim, panel.room = (-1.2 * tallest, 1.2 * tallest), 0.2
 
 
-def draw_parameters(ax: Axes, fit: Fit, names: Sequence[str]) -> None:
+def draw_parameters(panel: Panel, fit: Fit, names: Sequence[str]) -> None:
     """Change of each free parameter from its start in percent, with its 95 % interval."""
-    rows = np.arange(len(names))[::-1]
+    rows = range(len(names) - 1, -1, -1)
     for row, name in zip(rows, names, strict=True):
         estimate = fit.estimates[name]
         scale = _scale(fit, name)
         change = 100 * (estimate.value - fit.start.get(name, estimate.value)) / scale
         error = half_width(estimate)
+        if error is not None:
+            width = 100 * error / scale
+            panel.errorbar(change, row, xerr=width, color=SIMULATED, capsize=3, markersize=4)
+            continue
+        shape, words = "x", "no error"
         if estimate.at_bound:
-            shape = "<" if estimate.at_bound == "min" else ">"
-            ax.plot(change, row, shape, color=PREDICTED, markersize=7)
-            words = f"at its {BOUND_WORDS[estimate.at_bound]} bound"
-            ax.annotate(words, (change, row), (8, 6), textcoords="offset points", fontsize=8, color=PREDICTED)
-        elif error is None:
-            ax.plot(change, row, "x", color=PREDICTED, markersize=6)
-            ax.annotate(
-                "no error", (change, row), (8, 6), textcoords="offset points", fontsize=8, color=PREDICTED
+            shape, words = (
+                "<" if estimate.at_bound == "min" else ">",
+                f"at its {BOUND_WORDS[estimate.at_bound]} bound",
             )
-        else:
-            ax.errorbar(
-                change, row, xerr=100 * error / scale, fmt="o", color=SIMULATED, capsize=3, markersize=4
-            )
-    ax.axvline(0.0, color="0.4", linewidth=0.8, linestyle=":")
-    ax.set_yticks(rows, list(names))
-    ax.set_ylim(-0.7, len(names) - 0.3)
-    ax.margins(x=0.15)
+        panel.plot(change, row, shape, color=PREDICTED, markersize=7)
+        panel.write(words, change, row, shift=(8, 6), color=PREDICTED)
+    panel.axvline(0.0, color="0.4", linewidth=0.8, linestyle=":")
+    panel.ynames = (list(rows), list(names))
+    panel.ylim = (-0.7, len(names) - 0.3)
+    panel.margin = 0.15
     title = "estimates with 95 % intervals"
-    if _mark_bounds(ax, fit, names):
+    if _mark_bounds(panel, fit, names):
         title += " (black: bounds)"
-    dress(ax, x="change from the start value [%]", y="parameter", title=title)
+    dress(panel, x="change from the start value [%]", y="parameter", title=title)
 
 
-def _mark_bounds(ax: Axes, fit: Fit, names: Sequence[str]) -> bool:
+def _mark_bounds(panel: Panel, fit: Fit, names: Sequence[str]) -> bool:
     """Mark the bounds that lie within the panel; the others are too far off to matter."""
-    low, high = ax.get_xlim()
+    panel.xlim = low, high = panel.limits("x")
     marked = False
     for row, name in zip(range(len(names) - 1, -1, -1), names, strict=True):
         parameter = parameter_of(fit, name)
@@ -252,39 +212,29 @@ def _mark_bounds(ax: Axes, fit: Fit, names: Sequence[str]) -> bool:
             start = fit.start.get(name, fit.estimates[name].value)
             place = 100 * (bound - start) / _scale(fit, name) if math.isfinite(bound) else math.nan
             if low < place < high:
-                ax.plot(place, row, "|", color="black", markersize=14, zorder=1)
+                panel.plot(place, row, "|", color="black", markersize=14, zorder=1)
                 marked = True
-    ax.set_xlim(low, high)
     return marked
 
 
-def draw_precision(ax: Axes, fit: Fit, names: Sequence[str]) -> None:
+def draw_precision(panel: Panel, fit: Fit, names: Sequence[str]) -> None:
     """Half width of each 95 % interval as a share of the value, on a logarithmic axis."""
-    rows = np.arange(len(names))[::-1]
+    rows = range(len(names) - 1, -1, -1)
     widths = []
     for row, name in zip(rows, names, strict=True):
         estimate = fit.estimates[name]
         error = half_width(estimate)
         if error is None or error <= 0 or estimate.value == 0:
-            why = "at its bound" if estimate.at_bound else "none"
-            ax.annotate(why, (0.02, row), xycoords=("axes fraction", "data"), va="center", fontsize=8)
+            panel.write("at its bound" if estimate.at_bound else "none", 0.02, row, inside=True, va="center")
             continue
         widths.append(100 * error / abs(estimate.value))
-        ax.plot(widths[-1], row, "o", color=SIMULATED, markersize=5)
-        ax.annotate(
-            f"{number(widths[-1], '.2g')} %",
-            (widths[-1], row),
-            (6, 4),
-            textcoords="offset points",
-            fontsize=8,
-        )
+        panel.plot(widths[-1], row, "o", color=SIMULATED, markersize=5)
+        panel.write(f"{number(widths[-1], '.2g')} %", widths[-1], row, shift=(6, 4))
     if widths:
-        ax.set_xscale("log")
-        _plain_log_labels(ax.xaxis)
-        ax.set_xlim(min(widths) / 4, max(widths) * 8)
-    ax.set_yticks(rows, [""] * len(names))
-    ax.set_ylim(-0.7, len(names) - 0.3)
-    dress(ax, x="95 % half width [% of the value]", y="", title="how sure")
+        panel.xscale, panel.xlim = "log", (min(widths) / 4, max(widths) * 8)
+    panel.ynames = (list(rows), [""] * len(names))
+    panel.ylim = (-0.7, len(names) - 0.3)
+    dress(panel, x="95 % half width [% of the value]", y="", title="how sure")
 
 
 def half_width(estimate: Estimate) -> float | None:
@@ -299,45 +249,25 @@ def _scale(fit: Fit, name: str) -> float:
     return abs(fit.start.get(name, 0.0)) or abs(fit.estimates[name].value) or 1.0
 
 
-def draw_matrix(ax: Axes, matrix: Array, names: Sequence[str]) -> Any:
-    """Correlation matrix as a map from −1 to 1, hatched where there is no number; returns the image."""
-    shown = np.ma.masked_invalid(matrix)
-    ax.set_facecolor("0.93")
-    image = ax.imshow(shown, vmin=-1, vmax=1, cmap="RdBu_r", interpolation="nearest")
-    places = range(len(names))
-    ax.set_xticks(
-        places, list(names), rotation=90 if len(names) > 6 else 45, ha="center" if len(names) > 6 else "right"
-    )
-    ax.set_yticks(places, list(names))
-    ax.set_xlabel("parameter")
-    ax.set_ylabel("parameter")
-    ax.set_title("correlation of the estimates (grey: no error)", loc="left")
-    if len(names) <= 12:
-        for (i, j), value in np.ndenumerate(matrix):
-            if np.isfinite(value):
-                colour = "white" if abs(value) > 0.6 else "black"
-                ax.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=8, color=colour)
-    return image
+def draw_matrix(panel: Panel, matrix: Array, names: Sequence[str]) -> None:
+    """Correlation matrix as a map from −1 to 1, grey where there is no number."""
+    panel.imshow(matrix, label="correlation [1]")
+    panel.xnames = panel.ynames = (range(len(names)), list(names))
+    panel.tilted = len(names) > 6
+    dress(panel, x="parameter", y="parameter", title="correlation of the estimates (grey: no error)")
 
 
-def draw_waterfall(ax: Axes, optima: Sequence[Optimum]) -> None:
+def draw_waterfall(panel: Panel, optima: Sequence[Optimum]) -> None:
     """Cost of every start above the lowest one, sorted; starts in one optimum stand beside each other in one colour."""
-    from matplotlib.ticker import MaxNLocator
-
     ordered = sorted((o for o in optima if math.isfinite(o.cost)), key=lambda optimum: optimum.cost)
-    dress(ax, x="start, sorted by cost", y="cost above the lowest [1]", title="where the starts ended")
+    dress(panel, x="start, sorted by cost", y="cost above the lowest [1]", title="where the starts ended")
     if not ordered:
-        note(ax, "no start ended at a finite cost")
+        panel.note = "no start ended at a finite cost"
         return
     above = [optimum.cost - ordered[0].cost for optimum in ordered]
     ends = np.cumsum([optimum.starts for optimum in ordered])
-    ax.plot(
-        np.arange(1, ends[-1] + 1),
-        np.repeat(above, [o.starts for o in ordered]),
-        color="0.8",
-        linewidth=0.8,
-        zorder=1,
-    )
+    every = np.repeat(above, [o.starts for o in ordered])
+    panel.plot(np.arange(1, ends[-1] + 1), every, color="0.8", linewidth=0.8, zorder=1)
     named = 0
     for optimum, cost, end in zip(ordered, above, ends, strict=True):
         places = np.arange(end - optimum.starts + 1, end + 1)
@@ -345,21 +275,19 @@ def draw_waterfall(ax: Axes, optima: Sequence[Optimum]) -> None:
         colour = OPTIMA[min(named, len(OPTIMA) - 1)] if good else MEASURED
         label = _optimum_words(optimum, cost) if named < len(OPTIMA) else None
         if not good:
-            label = None if "not converged" in ax.get_legend_handles_labels()[1] else "not converged"
-        ax.plot(
-            places, np.full(places.size, cost), "o" if good else "x", color=colour, markersize=5, label=label
-        )
+            label = None if "not converged" in panel.labels else "not converged"
+        shape = "o" if good else "x"
+        panel.plot(places, np.full(places.size, cost), shape, color=colour, markersize=5, label=label)
         named += good
     # Linear up to 1, where costs cannot be told apart by the data, logarithmic above.
-    ax.set_yscale("symlog", linthresh=1.0)
-    # room below for the lowest points, above for the names
-    ax.set_ylim(-0.3, max(3.0, 3 * above[-1]))
-    ax.set_xlim(0.5, ends[-1] + 0.5)
-    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    panel.yscale = "symlog"
+    panel.ylim = (-0.3, max(3.0, 3 * above[-1]))  # room below for the lowest points
+    panel.xlim = (0.5, ends[-1] + 0.5)
+    panel.xticks = range(1, ends[-1] + 1, -(-ends[-1] // 10))
     lost = sum(o.starts for o in optima if not math.isfinite(o.cost))
     if lost:
-        ax.set_title(f"where the starts ended ({lost} without a finite cost are not shown)", loc="left")
-    ax.legend(frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
+        panel.title = f"where the starts ended ({lost} without a finite cost are not shown)"
+    panel.key = "center left"
 
 
 def _optimum_words(optimum: Optimum, above: float) -> str:

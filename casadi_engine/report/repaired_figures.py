@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair
 from casadi_engine.report import panels
-from casadi_engine.report.figures import Maker, _new, figures
+from casadi_engine.report.figures import Maker, figures
 from casadi_engine.report.repaired_gap import (
     Pair,
     draw_course,
@@ -35,10 +34,7 @@ from casadi_engine.report.repaired_scores import (
     draw_scores,
     draw_shift,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from casadi_engine.report.sketch import Panel, Sketch
 
 # Records side by side in the overview.
 _ACROSS = 3
@@ -79,44 +75,40 @@ def _widest(chosen: list[Pair]) -> Pair:
     return max(old, key=lambda one: float(np.nanmean(one.before**2)))
 
 
-def _overview(repair: Repair, gaps: tuple[Pair, ...]) -> Figure:
+def _overview(repair: Repair, gaps: tuple[Pair, ...]) -> Sketch:
     """The gap that shrank, its orders, its spread, and the law that closed it."""
     chosen = _chosen(gaps)
-    figure = _new(11, 6.2)
-    top, bottom = figure.subfigures(2, 1, squeeze=False)[:, 0]
-    axes = top.subplots(1, len(chosen), squeeze=False)[0]
-    for ax, pair in zip(axes, chosen, strict=True):
-        draw_folded(ax, pair)
-    same_height(list(axes))
-    top.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False)
-    left, middle, right = bottom.subplots(1, 3)
+    sketch = Sketch(11, 6.2, (2, 6))  # six columns hold one, two or three panels
+    share = 6 // len(chosen)
+    tops = [sketch.panel(0, k * share, columns=share) for k in range(len(chosen))]
+    for panel, pair in zip(tops, chosen, strict=True):
+        draw_folded(panel, pair)
+        panel.key, panel.room = "upper right", 0.35
+    same_height(tops)
+    left, middle, right = (sketch.panel(1, column, columns=2) for column in (0, 2, 4))
     draw_orders(left, _widest(chosen))
-    if left.get_legend_handles_labels()[0]:
-        left.legend(frameon=False, loc="upper right", fontsize=7)
+    left.key, left.room = "upper right", 0.35
     draw_density(middle, tuple(gaps))
-    middle.set_ylim(0, 0.56)
-    middle.legend(frameon=False, loc="upper center", fontsize=7)
+    middle.key, middle.room = "upper center", 0.3
     _last(right, repair)
-    return figure
+    return sketch
 
 
-def _last(ax: Axes, repair: Repair) -> None:
+def _last(panel: Panel, repair: Repair) -> None:
     """The law found over the signal it depends on; else the scores."""
     latent = latent_at(repair)
     laws = () if latent is None else laws_at(repair, latent.port)
     if latent is None or not laws:
-        draw_scores(ax, repair, _ROWS_BESIDE)
+        draw_scores(panel, repair, _ROWS_BESIDE)
         return
     records = seen(repair, latent)
     signal = _signal_of(repair, [name for name in AXES if all(name in one.signals for one in records)])
     if signal is None:
-        draw_scores(ax, repair, _ROWS_BESIDE)
+        draw_scores(panel, repair, _ROWS_BESIDE)
         return
-    draw_over(ax, records, signal, law_words(laws))
-    ax.set_title(f"torque at {latent.port} {ax.get_title(loc='left')}", loc="left")
-    low, high = ax.get_ylim()
-    ax.set_ylim(low, high + 0.4 * (high - low))
-    ax.legend(frameon=False, loc="upper left", fontsize=7)
+    draw_over(panel, records, signal, law_words(laws))
+    panel.title = f"torque at {latent.port} {panel.title}"
+    panel.key, panel.room = "upper left", 0.4
 
 
 def _signal_of(repair: Repair, known: list[str]) -> str | None:
@@ -132,80 +124,61 @@ def _signal_of(repair: Repair, known: list[str]) -> str | None:
     return known[-1] if known else None
 
 
-def _gap(pair: Pair) -> Figure:
+def _gap(pair: Pair) -> Sketch:
     """One output of one record: its residual before and after over time, by crank angle, and by order."""
-    figure = _new(11, 6.4)
-    grid = figure.add_gridspec(3, 2, width_ratios=(1.35, 1))
+    sketch = Sketch(11, 6.4, (6, 2), across=(1.35, 1))
     shown = pair.shown
-    times = [figure.add_subplot(grid[row, 0]) for row in range(len(shown))]
-    for row, ax in enumerate(times):
-        draw_course(ax, pair, row)
+    times = [sketch.panel(2 * row, 0, rows=2) for row in range(len(shown))]
+    for row, panel in enumerate(times):
+        draw_course(panel, pair, row)
     same_height(times)
-    spread = figure.add_subplot(grid[len(shown), 0]) if len(shown) < 3 else None
-    if spread is not None:
-        draw_density(spread, (pair,))
-        spread.legend(frameon=False, loc="upper right", fontsize=7)
-    half = grid[:, 1].subgridspec(2, 1)
-    folded, orders = figure.add_subplot(half[0]), figure.add_subplot(half[1])
+    spread = sketch.panel(2 * len(shown), 0, rows=2)
+    draw_density(spread, (pair,))
+    folded, orders = (sketch.panel(row, 1, rows=3) for row in (0, 3))
     draw_folded(folded, pair)
     draw_orders(orders, pair)
-    for ax in (folded, orders):
-        low, high = ax.get_ylim()
-        ax.set_ylim(low, high + 0.35 * (high - low))
-        if ax.get_legend_handles_labels()[0]:
-            ax.legend(frameon=False, loc="upper right", fontsize=7, ncols=2)
-    return figure
+    for panel in (spread, folded, orders):
+        panel.key, panel.room = "upper right", 0.35
+    return sketch
 
 
-def _latent(repair: Repair, port: str) -> Figure:
+def _latent(repair: Repair, port: str) -> Sketch:
     """The latent torque at a port over time in each record, and over each signal."""
     latent = latent_at(repair, port)
     assert latent is not None
     records = seen(repair, latent)
     words = law_words(laws_at(repair, port))
     signals = [name for name in AXES if all(name in one.signals for one in records)]
-    panels_there = min(len(records), _ACROSS) + len(signals)
-    down = -(-panels_there // _ACROSS)
-    figure = _new(11, 3.0 * down + 0.3)
-    axes = figure.subplots(down, _ACROSS, squeeze=False).ravel()
-    for ax, one in zip(axes, records[:_ACROSS], strict=False):
-        draw_over_time(ax, one, words)
-    rest = axes[min(len(records), _ACROSS) :]
-    for ax, signal in zip(rest, signals, strict=False):
-        draw_over(ax, records, signal, words)
-    for ax in rest[len(signals) :]:
-        ax.set_visible(False)
-    handles, labels = axes[0].get_legend_handles_labels()
-    dots, dot_words = rest[0].get_legend_handles_labels() if signals else ([], [])
-    for handle, label in zip(dots, dot_words, strict=True):
-        if label not in labels and not label.endswith("(mean)"):
-            handles.append(handle)
-            labels.append(label)
-    figure.legend(handles, labels, loc="outside upper right", ncols=5, frameon=False, fontsize=7)
-    return figure
+    shown = records[:_ACROSS]
+    down = -(-(len(shown) + len(signals)) // _ACROSS)
+    sketch = Sketch(11, 3.0 * down + 0.3, (down, _ACROSS), key=True)
+    cells = sketch.cells()
+    for one in shown:
+        draw_over_time(next(cells), one, words)
+    for signal in signals:
+        draw_over(next(cells), records, signal, words)
+    return sketch
 
 
-def _unknown(repair: Repair) -> Figure:
+def _unknown(repair: Repair) -> Sketch:
     """The function that explains most of what no effect of the library does."""
     unknown = repair.unknown
     assert unknown is not None
     assert unknown.course is not None
     course = unknown.course
-    figure = _new(6.5, 3.4)
-    ax = figure.subplots()
-    ax.fill_between(
-        course.signal, course.mean - 2 * course.band, course.mean + 2 * course.band, color=panels.BAND, linewidth=0,
-        label="±2 standard errors",
-    )  # fmt: skip
-    ax.plot(course.signal, course.mean, color=panels.SIMULATED, linewidth=1.3, label="most likely course")
-    ax.axhline(0.0, color="0.6", linewidth=0.6)
+    sketch = Sketch(6.5, 3.4)
+    panel = sketch.panel()
+    low, high = course.mean - 2 * course.band, course.mean + 2 * course.band
+    panel.fill_between(course.signal, low, high, color=panels.BAND, linewidth=0, label="±2 standard errors")
+    panel.plot(course.signal, course.mean, color=panels.SIMULATED, linewidth=1.3, label="most likely course")
+    panel.axhline(0.0, color="0.6", linewidth=0.6)
     alike = next(iter(course.looks_like.items()), None)
     title = f"unknown torque at {unknown.port}"
     if alike is not None:
         title += f": looks {alike[0]} ({100 * alike[1]:.0f} % of its variance)"
-    panels.dress(ax, x=_with_unit(course.family.signal), y="torque [N m]", title=title)
-    ax.legend(frameon=False, loc="best")
-    return figure
+    panels.dress(panel, x=_with_unit(course.family.signal), y="torque [N m]", title=title)
+    panel.key = "best"
+    return sketch
 
 
 def _with_unit(signal: str) -> str:
@@ -213,24 +186,23 @@ def _with_unit(signal: str) -> str:
     return f"{signal.replace('_', ' ')} [{units.get(signal, '1')}]"
 
 
-def _scores(repair: Repair) -> Figure:
+def _scores(repair: Repair) -> Sketch:
     rows, _ = chart_rows(repair)
-    figure = _new(9, 1.3 + 0.22 * max(len(rows), 4))
-    draw_scores(figure.subplots(), repair)
-    return figure
+    sketch = Sketch(9, 1.3 + 0.22 * max(len(rows), 4))
+    draw_scores(sketch.panel(), repair)
+    return sketch
 
 
-def _classes(repair: Repair) -> Figure:
+def _classes(repair: Repair) -> Sketch:
     matrix = repair.matrix
     assert matrix is not None
     size = 2.6 + 0.34 * min(len(matrix.keys), MOST_IN_MATRIX)
-    figure = _new(size + 1.0, size)
-    ax = figure.subplots()
-    figure.colorbar(draw_matrix(ax, matrix), ax=ax, label="correlation ρ of the scores [1]")
-    return figure
+    sketch = Sketch(size + 1.0, size)
+    draw_matrix(sketch.panel(), matrix)
+    return sketch
 
 
-def _shift(repair: Repair, effect: FoundEffect) -> Figure:
-    figure = _new(8, 1.4 + 0.36 * max(len(effect.found_shift), 2))
-    draw_shift(figure.subplots(), repair, effect)
-    return figure
+def _shift(repair: Repair, effect: FoundEffect) -> Sketch:
+    sketch = Sketch(8, 1.4 + 0.36 * max(len(effect.found_shift), 2))
+    draw_shift(sketch.panel(), repair, effect)
+    return sketch

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +12,7 @@ from numpy.typing import NDArray
 from casadi_engine.discrepancy.repaired import Repair, Side
 from casadi_engine.estimation.fit import Trace
 from casadi_engine.report import panels
-from casadi_engine.report.envelope import envelope
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from casadi_engine.report.sketch import Panel
 
 Array = NDArray[np.float64]
 
@@ -28,8 +24,6 @@ HIGHEST_ORDER = 16
 # |A|^2 of white noise at one order is chi-squared with two degrees of freedom: so much of it is exceeded by 1 %.
 _ONE_PERCENT = -2 * math.log(0.01)
 _DENSITY_BINS = 60
-# Bins of a residual over time: the panel is half as wide as a page.
-_BINS = 350
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,8 +153,13 @@ def order_amplitudes(pair: Pair, residual: Array) -> tuple[Array, Array, float] 
     good = np.isfinite(residual) & (pair.theta < pair.theta[0] + whole * FOUR_STROKE - 1e-9)
     theta, e = pair.theta[good], residual[good]
     orders = np.asarray(0.5 * np.arange(1, 2 * HIGHEST_ORDER + 1), dtype=np.float64)
-    wave = np.exp(-1j * orders[:, None] * theta)
-    amplitude = 2 * np.abs(wave @ e) / len(e)
+    wave, amplitude = np.exp(-0.5j * theta), np.empty(len(orders))
+    power = np.ones_like(wave)
+    for k in range(
+        len(orders)
+    ):  # powers of the first: exponentials of all orders would cost more than the page
+        power = power * wave
+        amplitude[k] = 2 * abs(power @ e) / len(e)
     return np.asarray(orders), np.asarray(amplitude), pair.sigma * math.sqrt(2 * _ONE_PERCENT / len(e))
 
 
@@ -173,43 +172,35 @@ def inside_share(pair: Pair, residual: Array) -> float:
 # ---- panels -------------------------------------------------------------------------------------------
 
 
-def draw_folded(ax: Axes, pair: Pair) -> None:
+def draw_folded(panel: Panel, pair: Pair) -> None:
     """The gap by crank angle, mean of all cycles, with the band that noise alone would fill."""
-    count = folded(pair, pair.after)[2]
+    place, _, count = folded(pair, pair.after)
     if not len(count):
-        panels.note(ax, "no sample counts")
+        panel.note = "no sample counts"
         return
-    place = folded(pair, pair.after)[0]
     band = 2 * pair.sigma / np.sqrt(count)
-    ax.fill_between(place, -band, band, color=panels.BAND, linewidth=0, label="±2σ of the noise in this mean")
-    ax.axhline(0.0, color="0.6", linewidth=0.6)
+    words = "±2σ of the noise in this mean"
+    panel.fill_between(place, -band, band, color=panels.BAND, linewidth=0, label=words)
+    panel.axhline(0.0, color="0.6", linewidth=0.6)
     for label, colour, residual in pair.shown:
         where, mean, _ = folded(pair, residual)
-        ax.plot(where, mean, color=colour, linewidth=1.2, label=label)
+        panel.plot(where, mean, color=colour, linewidth=1.2, label=label)
+    gap = f"measured − simulated [{pair.unit}]"
     if pair.theta is None:
-        panels.dress(ax, x="time [s], mean of pieces", y=_gap_label(pair), title=pair.title)
+        panels.dress(panel, x="time [s], mean of pieces", y=gap, title=pair.title)
         return
     words = f"mean of {pair.cycles} cycles" if pair.cycles > 1 else "one cycle"
-    panels.dress(ax, x=f"crank angle [deg], {words}", y=_gap_label(pair), title=pair.title)
-    ax.set_xlim(0, 720)
-    ax.set_xticks(range(0, 721, 180))
+    panels.dress(panel, x=f"crank angle [deg], {words}", y=gap, title=pair.title)
+    panel.xlim, panel.xticks = (0, 720), range(0, 721, 180)
 
 
-def _gap_label(pair: Pair) -> str:
-    return f"measured − simulated [{pair.unit}]"
-
-
-def draw_orders(ax: Axes, pair: Pair) -> None:
+def draw_orders(panel: Panel, pair: Pair) -> None:
     """Amplitude of the gap at the engine orders, before and after, and what noise alone reaches."""
-    panels.dress(
-        ax,
-        x="engine order [per revolution]",
-        y=f"amplitude of the gap [{pair.unit}]",
-        title=f"{pair.title}: orders",
-    )
+    words = f"amplitude of the gap [{pair.unit}]"
+    panels.dress(panel, x="engine order [per revolution]", y=words, title=f"{pair.title}: orders")
     found = order_amplitudes(pair, pair.after)
     if found is None:
-        panels.note(ax, "no orders: no crank angle, or less than one engine cycle")
+        panel.note = "no orders: no crank angle, or less than one engine cycle"
         return
     orders, _, level = found
     shown = pair.shown
@@ -217,64 +208,51 @@ def draw_orders(ax: Axes, pair: Pair) -> None:
     for k, (label, colour, residual) in enumerate(shown):
         amplitude = order_amplitudes(pair, residual)
         assert amplitude is not None
-        ax.bar(orders + (k - (len(shown) - 1) / 2) * width, amplitude[1], width, color=colour, label=label)
-    ax.axhline(
-        level, color="black", linewidth=0.9, linestyle="--", label="noise alone exceeds this at 1 % of orders"
-    )
-    ax.set_xlim(0, min(HIGHEST_ORDER, 10) + 0.5)
+        place = orders + (k - (len(shown) - 1) / 2) * width
+        panel.bar(place, amplitude[1], width, color=colour, label=label)
+    words = "noise alone exceeds this at 1 % of orders"
+    panel.axhline(level, color="black", linewidth=0.9, linestyle="--", label=words)
+    panel.xlim = (0, min(HIGHEST_ORDER, 10) + 0.5)
 
 
-def draw_density(ax: Axes, chosen: tuple[Pair, ...]) -> None:
+def draw_density(panel: Panel, chosen: tuple[Pair, ...]) -> None:
     """How the residuals are spread in units of the noise, before and after, beside the normal distribution."""
     edges = np.linspace(-5, 5, _DENSITY_BINS + 1)
     middle = 0.5 * (edges[1:] + edges[:-1])
-    ax.fill_between(
-        middle,
-        np.exp(-0.5 * middle**2) / math.sqrt(2 * math.pi),
-        color=panels.BAND,
-        linewidth=0,
-        label="noise alone",
-    )
+    normal = np.exp(-0.5 * middle**2) / math.sqrt(2 * math.pi)
+    panel.fill_between(middle, normal, color=panels.BAND, linewidth=0, label="noise alone")
     for k, (label, colour, _) in enumerate(chosen[0].shown):
         scaled = np.concatenate([pair.shown[k][2] / pair.sigma for pair in chosen])
         scaled = scaled[np.isfinite(scaled)]
         density = np.histogram(scaled, edges)[0] / (max(len(scaled), 1) * np.diff(edges))
         inside = 100 * float(np.mean(np.abs(scaled) <= 2)) if len(scaled) else math.nan
-        ax.plot(middle, density, color=colour, linewidth=1.2, label=f"{label}: {inside:.1f} % within ±2σ")
+        words = f"{label}: {inside:.1f} % within ±2σ"
+        panel.plot(middle, density, color=colour, linewidth=1.2, label=words)
     words = "residual / σ of the noise [1]"
     if len({pair.sigma for pair in chosen}) == 1:
         words = f"residual / σ of the noise [1], σ = {chosen[0].sigma:.3g} {chosen[0].unit}"
     for edge in (-2, 2):
-        ax.axvline(edge, color="0.4", linewidth=0.7, linestyle=":")
-    panels.dress(
-        ax,
-        x=words,
-        y="probability density [1]",
-        title="residuals (noise: 95.4 % within ±2σ)",
-    )
-    ax.set_ylim(bottom=0)
+        panel.axvline(edge, color="0.4", linewidth=0.7, linestyle=":")
+    title = "residuals (noise: 95.4 % within ±2σ)"
+    panels.dress(panel, x=words, y="probability density [1]", title=title)
+    panel.ylim = (0, None)
 
 
-def draw_course(ax: Axes, pair: Pair, which: int) -> None:
+def draw_course(panel: Panel, pair: Pair, which: int) -> None:
     """One residual over time with the band ±2σ of the noise, and the share of samples inside."""
     label, colour, residual = pair.shown[which]
-    ax.axhspan(-2 * pair.sigma, 2 * pair.sigma, color=panels.BAND, linewidth=0)
-    ax.plot(*envelope(pair.time, residual, bins=_BINS), color=colour, linewidth=0.6)
+    panel.axhspan(-2 * pair.sigma, 2 * pair.sigma, color=panels.BAND, linewidth=0)
+    panel.plot(pair.time, residual, color=colour, linewidth=0.6)
     for edge in (-2 * pair.sigma, 2 * pair.sigma):
-        ax.axhline(edge, color="black", linewidth=0.8, linestyle="--", zorder=3)
+        panel.axhline(edge, color="black", linewidth=0.8, linestyle="--", zorder=3)
     share = 100 * inside_share(pair, residual)
-    panels.dress(
-        ax,
-        x="time [s]",
-        y=f"residual [{pair.unit}]",
-        title=f"{pair.title}, {label}: {share:.1f} % inside ±2σ (noise: 95.4 %)",
-    )
+    title = f"{pair.title}, {label}: {share:.1f} % inside ±2σ (noise: 95.4 %)"
+    panels.dress(panel, x="time [s]", y=f"residual [{pair.unit}]", title=title)
+    panel.linked, panel.margin = pair.title, 0.01
 
 
-def same_height(axes: list[Axes]) -> None:
+def same_height(chosen: list[Panel]) -> None:
     """One vertical scale for panels that are compared."""
-    limits = [ax.get_ylim() for ax in axes]
-    if limits:
-        low, high = min(low for low, _ in limits), max(high for _, high in limits)
-        for ax in axes:
-            ax.set_ylim(low, high)
+    limits = [panel.limits("y") for panel in chosen]
+    for panel in chosen:
+        panel.ylim = min(low for low, _ in limits), max(high for _, high in limits)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +13,7 @@ from casadi_engine.discrepancy.latent_torque import LatentCourse, LatentTorque
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair
 from casadi_engine.report import panels
 from casadi_engine.report.repaired_gap import FOUR_STROKE
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from casadi_engine.report.sketch import Panel
 
 Array = NDArray[np.float64]
 
@@ -149,19 +146,19 @@ def binned(signal: Array, value: Array, band: Array) -> tuple[Array, Array, Arra
 # ---- panels -------------------------------------------------------------------------------------------
 
 
-def draw_over_time(ax: Axes, one: Seen, law: str) -> None:
+def draw_over_time(panel: Panel, one: Seen, law: str) -> None:
     """The latent torque with its band over the last engine cycles, and the law."""
     start = _first_shown(one)
     inside = one.time >= start
-    time, mean, band = one.time[inside], one.mean[inside], one.band[inside]
-    ax.fill_between(
-        time, mean - 2 * band, mean + 2 * band, color=panels.BAND, linewidth=0, label="±2 standard errors"
-    )
-    ax.plot(time, mean, color=panels.SIMULATED, linewidth=1.0, label="torque that the data ask for")
+    time, mean, band = one.time[inside], one.mean[inside], 2 * one.band[inside]
+    words = "±2 standard errors"
+    panel.fill_between(time, mean - band, mean + band, color=panels.BAND, linewidth=0, label=words)
+    panel.plot(time, mean, color=panels.SIMULATED, linewidth=1.0, label="torque that the data ask for")
     if one.law is not None:
-        ax.plot(time, one.law[inside], color=LAW, linewidth=1.2, label=law)
-    ax.axhline(0.0, color="0.6", linewidth=0.6)
-    panels.dress(ax, x="time [s]", y="torque [N m]", title=f"{one.record}, its last {time[-1] - start:.2g} s")
+        panel.plot(time, one.law[inside], color=LAW, linewidth=1.2, label=law)
+    panel.axhline(0.0, color="0.6", linewidth=0.6)
+    title = f"{one.record}, its last {time[-1] - start:.2g} s"
+    panels.dress(panel, x="time [s]", y="torque [N m]", title=title)
 
 
 def _first_shown(one: Seen) -> float:
@@ -174,30 +171,29 @@ def _first_shown(one: Seen) -> float:
     return float(one.time[-1] - 0.2 * (one.time[-1] - one.time[0]))
 
 
-def draw_over(ax: Axes, records: Sequence[Seen], signal: str, law: str) -> None:
+def draw_over(panel: Panel, records: Sequence[Seen], signal: str, law: str) -> None:
     """The latent torque over a signal: knots, their means in pieces of the signal, and the law."""
     words, factor = AXES[signal]
     x = np.concatenate([one.signals[signal] for one in records])
     mean, band = (np.concatenate([getattr(one, name) for one in records]) for name in ("mean", "band"))
-    ax.plot(factor * x, mean, ".", color="0.75", markersize=2, label="at each knot", rasterized=True)
+    panel.plot(factor * x, mean, ".", color="0.75", markersize=2, label="at each knot")
     place, value, error = binned(x, mean, band)
-    ax.errorbar(
-        factor * place, value, 2 * error, fmt="o", color=panels.SIMULATED, markersize=3, linewidth=1.0,
+    panel.errorbar(
+        factor * place, value, yerr=2 * error, color=panels.SIMULATED, markersize=3, linewidth=1.0,
         label="torque that the data ask for, mean ±2 s.e.",
     )  # fmt: skip
     if all(one.law is not None for one in records):
         total = np.concatenate([np.asarray(one.law) for one in records])
         order = np.argsort(x)
         if _single_valued(total[order]):
-            ax.plot(factor * x[order], total[order], color=LAW, linewidth=1.4, label=law)
+            panel.plot(factor * x[order], total[order], color=LAW, linewidth=1.4, label=law)
         else:
             where, level, _ = binned(x, total, np.zeros(len(total)))
-            ax.plot(factor * where, level, color=LAW, linewidth=1.4, label=f"{law} (mean)")
-    ax.axhline(0.0, color="0.6", linewidth=0.6)
-    panels.dress(ax, x=words, y="torque [N m]", title=f"over {words.partition(' [')[0]}")
+            panel.plot(factor * where, level, color=LAW, linewidth=1.4, label=f"{law} (mean)")
+    panel.axhline(0.0, color="0.6", linewidth=0.6)
+    panels.dress(panel, x=words, y="torque [N m]", title=f"over {words.partition(' [')[0]}")
     if signal == "crank_angle":
-        ax.set_xlim(0, 720)
-        ax.set_xticks(range(0, 721, 180))
+        panel.xlim, panel.xticks = (0, 720), range(0, 721, 180)
 
 
 def _single_valued(values: Array) -> bool:

@@ -18,7 +18,7 @@ from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
 from casadi_engine.report.files import write_file
-from casadi_engine.report.kinds import Simulated, not_shown
+from casadi_engine.report.kinds import Simulated, shown_by_others
 from casadi_engine.report.plain import plain
 from casadi_engine.validation.validate import Validation
 
@@ -69,7 +69,8 @@ def write_result(path: Any, document: Mapping[str, Any]) -> Path:
 @singledispatch
 def content(result: Any) -> dict[str, Any]:
     """What one kind of result puts into result.json."""
-    raise not_shown(result, "result.json")
+    found: dict[str, Any] = shown_by_others(content, result, "result.json")(result)
+    return found
 
 
 @content.register

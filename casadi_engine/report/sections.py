@@ -6,12 +6,11 @@ import math
 import platform
 from collections.abc import Mapping, Sequence
 from functools import singledispatch
+from importlib.metadata import version
 from typing import Any
 
 import casadi
-import matplotlib
 import numpy
-import scipy
 
 import casadi_engine
 from casadi_engine.errors import ResultError
@@ -21,7 +20,7 @@ from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.report import tables
 from casadi_engine.report.figures import each, figures
-from casadi_engine.report.kinds import Simulated, not_shown
+from casadi_engine.report.kinds import Simulated, shown_by_others
 from casadi_engine.report.page import Folded, Section
 from casadi_engine.report.tables import table
 from casadi_engine.validation import summary as validations
@@ -34,9 +33,10 @@ Page = tuple[str, str, list[Section]]
 
 
 @singledispatch
-def page_of(result: Any, _validation: Any, _arguments: Mapping[str, Any]) -> Page:
+def page_of(result: Any, validation: Any, arguments: Mapping[str, Any]) -> Page:
     """Title, subtitle and sections of a page."""
-    raise not_shown(result, "report")
+    made: Page = shown_by_others(page_of, result, "report")(result, validation, arguments)
+    return made
 
 
 @page_of.register
@@ -296,8 +296,7 @@ def _how(arguments: Mapping[str, Any], options: Mapping[str, Any], timing: Mappi
         "Python": platform.python_version(),
         "CasADi": casadi.CasadiMeta.version(),
         "NumPy": numpy.__version__,
-        "SciPy": scipy.__version__,
-        "Matplotlib": matplotlib.__version__,
+        "SciPy": version("scipy"),
     }
     rows += [("version", name, value) for name, value in versions.items()]
     return Section("how", "How it was made", tables=[table(("kind", "name", "value"), rows)])

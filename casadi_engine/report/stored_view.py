@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,15 +15,20 @@ from casadi_engine.errors import ResultError
 from casadi_engine.estimation.fit import Estimate, Optimum
 from casadi_engine.experiment import read_experiment
 from casadi_engine.report import panels
-from casadi_engine.report.figures import Maker, each, figures
+from casadi_engine.report.figures import (
+    Maker,
+    each,
+    figures,
+    matrix_sketch,
+    parameter_sketch,
+    waterfall_sketch,
+)
 from casadi_engine.report.page import Section
 from casadi_engine.report.repaired_stored import stored_sections, stored_verdict
 from casadi_engine.report.sections import Page, page_of
+from casadi_engine.report.sketch import Sketch
 from casadi_engine.report.stored import Result
 from casadi_engine.report.tables import table
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -76,11 +81,11 @@ def _(result: Result) -> dict[str, Maker]:
     if list(each(_percents(result))):
         made["fit"] = partial(_percent_figure, result)
     if known.free:
-        made["parameters"] = partial(_parameter_figure, known)
+        made["parameters"] = partial(parameter_sketch, known, list(known.free))
     if "covariance" in result and len(known.free) > 1:
         made["correlation matrix"] = partial(_matrix_figure, result, known)
     if sum(one.starts for one in known.optima) > 1:
-        made["waterfall"] = partial(_waterfall_figure, known)
+        made["waterfall"] = partial(waterfall_sketch, known.optima)
     if _p_values(result):
         made["residual tests"] = partial(_test_figure, result)
     for name in result.get("files", ()):
@@ -95,11 +100,11 @@ def _(result: Result) -> dict[str, Maker]:
     return {"overview": next(iter(made.values()))} | made
 
 
-def _percent_figure(result: Result) -> Figure:
+def _percent_figure(result: Result) -> Sketch:
     """Bars of the fit percentages, simulation and prediction."""
     entries = list(each(_percents(result)))
-    figure = _new(8, 1.2 + 0.42 * len(entries))
-    ax = figure.subplots()
+    sketch = Sketch(8, 1.2 + 0.42 * len(entries))
+    panel = sketch.panel()
     both = any(found.get("prediction") is not None for _, _, found in entries)
     kinds = [("simulation", panels.SIMULATED, -0.18 * both, "simulation")]
     kinds += [("prediction", panels.PREDICTED, 0.18, "one-step prediction")] * both
@@ -107,63 +112,41 @@ def _percent_figure(result: Result) -> Figure:
         for row, (_, _, found) in enumerate(entries):
             value = found.get(kind)
             if value is not None:
-                ax.barh(row + shift, value, height=0.32, color=color, label=label if row == 0 else None)
-                ax.text(max(value, 0.0), row + shift, f" {value:.2f} %", va="center", fontsize=8)
-    ax.set_ylim(-0.6, len(entries) - 0.4)
-    ax.set_yticks(range(len(entries)), [f"{record}: {output}" for record, output, _ in entries])
-    ax.invert_yaxis()
-    ax.set_xlim(right=115)
-    panels.dress(ax, x="fit (2.32) [%]", y="", title=f"{result['command']}: {result['status']}")
-    if both:
-        ax.legend(frameon=False, loc="best")
-    return figure
+                panel.barh(
+                    row + shift, value, 0.32, color=color, label=None if label in panel.labels else label
+                )
+                panel.write(f" {value:.2f} %", max(value, 0.0), row + shift, va="center")
+    panel.ylim, panel.flipped = (-0.6, len(entries) - 0.4), True
+    panel.ynames = (range(len(entries)), [f"{record}: {output}" for record, output, _ in entries])
+    panel.xlim = (None, 115)
+    panel.key = "best" if both else None
+    panels.dress(panel, x="fit (2.32) [%]", y="", title=f"{result['command']}: {result['status']}")
+    return sketch
 
 
-def _parameter_figure(known: Any) -> Figure:
-    names = list(known.free)
-    figure = _new(9, 1.3 + 0.36 * len(names))
-    left, right = figure.subplots(1, 2, width_ratios=(1.6, 1))
-    panels.draw_parameters(left, known, names)
-    panels.draw_precision(right, known, names)
-    return figure
-
-
-def _matrix_figure(result: Result, known: _Estimates) -> Figure:
+def _matrix_figure(result: Result, known: _Estimates) -> Sketch:
     covariance = result.covariance
     errors = np.sqrt(np.where(np.diag(covariance) > 0, np.diag(covariance), np.nan))
-    size = min(max(4.2, 1.6 + 0.5 * len(known.free)), 11)
-    figure = _new(size + 1, size)
-    ax = figure.subplots()
-    image = panels.draw_matrix(ax, covariance / np.outer(errors, errors), known.free)
-    figure.colorbar(image, ax=ax, label="correlation [1]")
-    return figure
+    return matrix_sketch(covariance / np.outer(errors, errors), known.free)
 
 
-def _waterfall_figure(known: _Estimates) -> Figure:
-    figure = _new(9, 3.2)
-    panels.draw_waterfall(figure.subplots(), known.optima)
-    return figure
-
-
-def _test_figure(result: Result) -> Figure:
+def _test_figure(result: Result) -> Sketch:
     """p-values of the residual tests on a logarithmic axis, cut at 1e-16."""
     tests = _p_values(result)
-    figure = _new(8, 1.2 + 0.3 * len(tests))
-    ax = figure.subplots()
+    sketch = Sketch(8, 1.2 + 0.3 * len(tests))
+    panel = sketch.panel()
     values = np.maximum([value for _, value in tests], 1e-16)
-    ax.plot(values, range(len(tests)), "o", color=panels.SIMULATED, markersize=5)
+    panel.plot(values, range(len(tests)), "o", color=panels.SIMULATED, markersize=5)
     checked = result if "alpha" in result else result["validation"]
-    ax.axvline(checked["alpha"], color=panels.PREDICTED, linewidth=0.9, linestyle="--")
+    panel.axvline(checked["alpha"], color=panels.PREDICTED, linewidth=0.9, linestyle="--")
     words = f"{'passed' if checked['passed'] else 'not passed'}; dashed: alpha = {checked['alpha']:g}, for all together"
-    ax.set_xscale("log")
-    ax.set_xlim(1e-17, 3.0)
-    ax.set_yticks(range(len(tests)), [name for name, _ in tests])
-    ax.invert_yaxis()
-    panels.dress(ax, x="p-value [1]", y="", title=words)
-    return figure
+    panel.xscale, panel.xlim, panel.flipped = "log", (1e-17, 3.0), True
+    panel.ynames = (range(len(tests)), [name for name, _ in tests])
+    panels.dress(panel, x="p-value [1]", y="", title=words)
+    return sketch
 
 
-def _file_figure(result: Result, name: str) -> Figure:
+def _file_figure(result: Result, name: str) -> Sketch:
     """The outputs of a simulated file, which lies beside the result."""
     place = Path(result.path).parent / name
     if not place.is_file():
@@ -304,9 +287,3 @@ def _number(value: float | None) -> float:
 
 def _text(value: Any) -> str:
     return "-" if value is None else f"{value:.6g}" if isinstance(value, int | float) else str(value)
-
-
-def _new(width: float, height: float) -> Figure:
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")

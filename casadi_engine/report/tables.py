@@ -10,7 +10,7 @@ from typing import Any
 from casadi_engine.estimation import summary as fits
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.gain_table import gain_rows, predictor_words
-from casadi_engine.report.kinds import Simulated, not_shown
+from casadi_engine.report.kinds import Simulated, shown_by_others
 from casadi_engine.validation import summary as validations
 from casadi_engine.validation.validate import Validation
 
@@ -22,13 +22,13 @@ validation_text = validations.summary
 @singledispatch
 def text(result: Any) -> str:
     """Return a result as one screen of text. Raises ResultError for another kind of object."""
-    raise not_shown(result, "text")
+    return str(shown_by_others(text, result, "text")(result))
 
 
 @singledispatch
 def as_html(result: Any) -> str:
     """Return a result as HTML tables without a page around them. Raises ResultError for another kind."""
-    raise not_shown(result, "html")
+    return str(shown_by_others(as_html, result, "html")(result))
 
 
 @text.register

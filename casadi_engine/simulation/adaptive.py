@@ -12,7 +12,6 @@ from functools import partial
 
 import casadi as ca
 import numpy as np
-from scipy.optimize import brentq
 
 from casadi_engine.simulation.adaptive_steps import cvodes, dormand_prince, error_norm
 from casadi_engine.simulation.jets import Array
@@ -255,6 +254,8 @@ class Adaptive:
         self, x: Array, t: float, h: float, ahead: Array, share: Array, segment: Array
     ) -> tuple[float, Array] | None:
         """The first event within a step, (its instant, the state after it), or None."""
+        from scipy.optimize import brentq
+
         end = self._functions(ahead, t + h, share, segment)
         if not np.isfinite(end).all():
             raise FloatingPointError("the equations are not finite at a switch")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
-from scipy.integrate import DOP853
 
 from casadi_engine.simulation.jets import Array
 
@@ -12,6 +11,8 @@ from casadi_engine.simulation.jets import Array
 def dormand_prince(field: ca.Function) -> ca.Function:
     """(x, t, h, segment, b, c) -> (end, its errors of order 5 and 3, α at the end, those errors of the switches, and
     the switches' rates at both ends)."""
+    from scipy.integrate import DOP853
+
     x, t, h = ca.SX.sym("x", field.size1_in(0)), ca.SX.sym("t"), ca.SX.sym("h")
     rest = [ca.SX.sym(name, field.size1_in(k)) for k, name in ((2, "segment"), (3, "b"), (4, "c"))]
     slopes: list[tuple[ca.SX, ca.SX]] = []

@@ -11,7 +11,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dgebal
 
 from casadi_engine.simulation import jets
 from casadi_engine.simulation.jets import Array
@@ -54,6 +53,8 @@ def balance(value: Array) -> Array | None:
     A series loses digits of what is small beside the norm: a heavy mass beside a light one, a position beside a speed.
     None if less than a digit is at stake (Parlett & Reinsch, Numerische Mathematik 13, 1969, 293-304).
     """
+    from scipy.linalg.lapack import dgebal
+
     size = jets.norm(value[None])
     if size <= _RADIUS:
         return None

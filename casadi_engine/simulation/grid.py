@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from casadi_engine.errors import ExperimentError, SimulationError
 from casadi_engine.experiment import Channel, Experiment
 from casadi_engine.experiment.channel import sampling_rate
+from casadi_engine.experiment.decimation import Decimation
 from casadi_engine.model import Model
 from casadi_engine.model.arrival import arriving
 from casadi_engine.simulation.jets import Array
@@ -52,6 +53,7 @@ class Grid:
     """start [s], step [s], samples N; channels (nu, N) on the grid; holds of the channels; outputs by name.
 
     times : (N,) of a grid that is not equally spaced, whose ``step`` is the typical one; else None
+    whole : of a record of a lower rate that of the record which it was made of, and how; else None
     """
 
     start: float
@@ -61,6 +63,7 @@ class Grid:
     holds: tuple[str, ...]
     measured: dict[str, Measured]
     times: Array | None = None
+    whole: tuple[Grid, Decimation] | None = None
 
     @property
     def uniform(self) -> bool:
@@ -110,7 +113,19 @@ def lay_grid(model: Model, experiment: Experiment, *, outputs: tuple[str, ...] |
     if found is None:
         found = _of_all_times(inputs, observed, first, last)
     channels, holds = with_rates(model, found.time, found.channels, found.holds)
-    return replace(found, channels=channels, holds=holds)
+    found = replace(found, channels=channels, holds=holds)
+    return found if experiment.decimation is None else _thinned(model, found, experiment.decimation)
+
+
+def _thinned(model: Model, grid: Grid, made: Decimation) -> Grid:
+    """The grid of a record of a lower rate, with that of its whole record; outputs count where the filter fits."""
+    there = made.whole_filter(grid.samples)
+    measured = {}
+    for name, own in grid.measured.items():
+        keep = there[own.position]
+        measured[name] = Measured(own.time[keep], own.values[keep], own.position[keep], own.index[keep])
+    whole = (lay_grid(model, made.whole, outputs=()), made) if model.inputs else None
+    return replace(grid, measured=measured, whole=whole)
 
 
 def _equally_spaced(
@@ -313,12 +328,21 @@ class Drives:
         self.names = tuple(v.name for v in model.drives)
         count = len(self.names)
         expression = model.drive_expressions
-        self.holds = tuple(
-            "zero"
-            if any(h == "zero" and ca.depends_on(expression[j], model.u[i]) for i, h in enumerate(grid.holds))
-            else "first"
-            for j in range(count)
+        self._decimation = None if grid.whole is None else grid.whole[1]
+        whole = grid if grid.whole is None else grid.whole[0]
+        late = np.array(
+            [
+                any(
+                    h == "zero" and ca.depends_on(expression[j], model.u[i])
+                    for i, h in enumerate(whole.holds)
+                )
+                for j in range(count)
+            ],
+            dtype=bool,
         )
+        # drives of a lower rate are straight lines, whatever they were made of
+        self._late = late
+        self.holds = tuple("zero" if own and self._decimation is None else "first" for own in late)
         if model.p.numel() and ca.depends_on(expression, model.p):
             expression = ca.substitute(expression, model.p, physical)
         parts = [ca.densify(expression)]
@@ -332,7 +356,7 @@ class Drives:
             parts += [ca.vec(ca.densify(first)), ca.vec(ca.densify(second))]
         self._function = ArrayFunction([model.u, model.t, z], parts)
         self._count, self._samples = count, grid.samples
-        self._inputs = (grid.channels, grid.time.reshape(1, -1))
+        self._inputs = (whole.channels, whole.time.reshape(1, -1))
         self._constant: DriveSamples | None = None
 
     def at(self, z: Array) -> DriveSamples:
@@ -348,8 +372,27 @@ class Drives:
         found = self._function(*self._inputs, np.asarray(z, dtype=float))
         if a == 0:
             none = np.zeros((0, m, n))
-            self._constant = DriveSamples(found[0], self.active, none, none)
+            self._constant = DriveSamples(self._thinned(found[0]), self.active, none, none)
             return self._constant
         i, j = np.triu_indices(a)
-        second = found[2].reshape(a, a, m, n)[j, i]
-        return DriveSamples(found[0], self.active, found[1].reshape(a, m, n), second)
+        own = found[0].shape[1]
+        second = found[2].reshape(a, a, m, own)[j, i]
+        return DriveSamples(
+            self._thinned(found[0]),
+            self.active,
+            self._thinned(found[1].reshape(a, m, own)),
+            self._thinned(second),
+        )
+
+    def _thinned(self, values: Array) -> Array:
+        """(..., m, N) drives of the whole record at the grid's own samples."""
+        if self._decimation is None:
+            return values
+        found = np.empty((*values.shape[:-1], self._samples))
+        for late in (False, True):
+            rows = self._late == late
+            if rows.any():
+                found[..., rows, :] = self._decimation.sampled(
+                    values[..., rows, :], self._samples, late=late, sharp=True
+                )
+        return found

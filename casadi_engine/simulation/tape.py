@@ -11,12 +11,18 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.special import erf
 
 from casadi_engine.simulation.jets import Array
 
 # Columns worked on at a time: the arrays of one instruction then stay in the cache.
 _CHUNK = 4096
+
+
+def _erf(a: Any) -> Any:
+    from scipy.special import erf
+
+    return erf(a)
+
 
 _UNARY: dict[int, Callable[[Any], Any]] = {
     ca.OP_ASSIGN: lambda a: a,
@@ -42,7 +48,7 @@ _UNARY: dict[int, Callable[[Any], Any]] = {
     ca.OP_CEIL: np.ceil,
     ca.OP_FABS: np.abs,
     ca.OP_SIGN: np.sign,
-    ca.OP_ERF: erf,
+    ca.OP_ERF: _erf,
     ca.OP_INV: np.reciprocal,
     ca.OP_NOT: lambda a: np.where(a == 0, 1.0, 0.0),
 }

@@ -1,16 +1,21 @@
 """Validation: how well a model explains data, and whether its residuals are white."""
 
-from casadi_engine.estimation.fit_percent import FitMeasures, fit_measures
-from casadi_engine.validation.correlation import Correlation, autocorrelation, cross_correlation
-from casadi_engine.validation.residual_tests import (
-    ResidualChecks,
-    ResidualTest,
-    check_residual,
-    independence,
-    rejected,
-    whiteness,
-)
-from casadi_engine.validation.validate import OutputCheck, Validation, validate
+from typing import TYPE_CHECKING
+
+from casadi_engine.lazy import import_at_first_use
+
+if TYPE_CHECKING:
+    from casadi_engine.estimation.fit_percent import FitMeasures, fit_measures
+    from casadi_engine.validation.correlation import Correlation, autocorrelation, cross_correlation
+    from casadi_engine.validation.residual_tests import (
+        ResidualChecks,
+        ResidualTest,
+        check_residual,
+        independence,
+        rejected,
+        whiteness,
+    )
+    from casadi_engine.validation.validate import OutputCheck, Validation, validate
 
 __all__ = [
     "Correlation",
@@ -28,3 +33,20 @@ __all__ = [
     "validate",
     "whiteness",
 ]
+
+import_at_first_use(
+    __name__,
+    {
+        "casadi_engine.estimation.fit_percent": ("FitMeasures", "fit_measures"),
+        "casadi_engine.validation.correlation": ("Correlation", "autocorrelation", "cross_correlation"),
+        "casadi_engine.validation.residual_tests": (
+            "ResidualChecks",
+            "ResidualTest",
+            "check_residual",
+            "independence",
+            "rejected",
+            "whiteness",
+        ),
+        "casadi_engine.validation.validate": ("OutputCheck", "Validation", "validate"),
+    },
+)

@@ -14,9 +14,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import stats
-from scipy.optimize import least_squares
 
+from casadi_engine.distributions import f_sf, normal_sf
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation import Fit
 from casadi_engine.estimation.fit_percent import FloatArray
@@ -116,9 +115,8 @@ class Refit:
 def noise_changed(fit: Fit, again: Refit, output: str) -> float:
     """Chance of a ratio of the two noise levels of an output that is as far from one (two-sided, Fisher's F)."""
     fresh, own = again.levels[output]
-    law = stats.f(max(again.freedom[output], 1.0), max(fit.dof, 1.0))
-    ratio = (fresh / own) ** 2
-    return float(min(1.0, 2.0 * min(law.cdf(ratio), law.sf(ratio))))
+    larger = float(f_sf((fresh / own) ** 2, max(again.freedom[output], 1.0), max(fit.dof, 1.0)))
+    return 2.0 * min(larger, 1.0 - larger)
 
 
 def refit(fit: Fit, held: Fit) -> Refit:
@@ -190,6 +188,8 @@ class _Problem:
         return x, sigma
 
     def _solved(self, x: FloatArray, sigma: Mapping[str, float]) -> FloatArray:
+        from scipy.optimize import least_squares
+
         self.shots.weigh(sigma)
         stored: dict[bytes, tuple[FloatArray, FloatArray]] = {}
 
@@ -322,7 +322,7 @@ class _Problem:
         if not found:
             return None, ()
         found.sort(reverse=True)
-        chance = min(1.0, float(stats.norm.sf(found[0][0])) * len(found))
+        chance = min(1.0, float(normal_sf(found[0][0])) * len(found))
         return ResidualTest(found[0][0], 1, chance, self.shots.count), tuple(name for _, name in found)
 
     def _why_not(self) -> str:

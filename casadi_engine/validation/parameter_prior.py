@@ -16,8 +16,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
+from casadi_engine.distributions import chi2_sf, f_sf
 from casadi_engine.estimation.fit_percent import FloatArray
 from casadi_engine.validation.projection import REPEATED, orthonormal
 
@@ -69,5 +69,5 @@ class PriorSplit:
             return None
         doubt = self.share**2 / of_fit + (1.0 - self.share) ** 2 / of_fresh
         if doubt <= 0:
-            return float(stats.chi2.sf(self.value, self.dof))
-        return float(stats.f.sf(self.value / self.dof, self.dof, max(1.0 / doubt, 1.0)))
+            return float(chi2_sf(self.value, self.dof))
+        return float(f_sf(self.value / self.dof, self.dof, max(1.0 / doubt, 1.0)))

@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
-from scipy import stats
 
+from casadi_engine.distributions import beta_sf, f_sf
 from casadi_engine.errors import ExperimentError
 from casadi_engine.estimation.fit_percent import BoolArray, FloatArray, as_samples
 from casadi_engine.validation.correlation import (
@@ -328,7 +328,7 @@ def _whiteness(data: _Residual, lags: int) -> ResidualTest:
     statistic, rank = float(found @ found), int(usable.sum())
     # Residuals are few: the sum of squares varies by 2 rank + 4 rank^2/freedom, as does F with so many below.
     below = freedom / 2 + 4
-    p_value = float(stats.f.sf(statistic / rank * below / (below - 2), rank, below))
+    p_value = float(f_sf(statistic / rank * below / (below - 2), rank, below))
     return ResidualTest(statistic, rank, p_value, data.samples)
 
 
@@ -465,4 +465,4 @@ def _p_value(share: float, rank: int, data: _Residual) -> float:
     timid while N is not far above the rank.
     """
     freedom = data.samples - data.nuisance.shape[1]
-    return float(stats.beta.sf(share, rank / 2, (freedom - rank) / 2))
+    return float(beta_sf(share, rank / 2, (freedom - rank) / 2))

@@ -7,12 +7,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import fft, linalg, sparse
 
 from casadi_engine.estimation.fit_percent import BoolArray, FloatArray
 from casadi_engine.validation.autoregression import autoregression
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 SPECTRUM = 1024
 
@@ -58,7 +61,7 @@ class Whitener:
     def largest_gain_over(self, other: Whitener) -> float:
         """Return by how much at most, over frequency, this map amplifies more than another one."""
         own, others = (
-            np.abs(fft.rfft(noise.predictors[-1], SPECTRUM)) ** 2 / noise.variances[-1]
+            np.abs(np.fft.rfft(noise.predictors[-1], SPECTRUM)) ** 2 / noise.variances[-1]
             for noise in (self, other)
         )
         return float(np.max(own / others))
@@ -74,6 +77,8 @@ class Whitener:
         found = float(start.sum())
         if self.order and not self.valid.all():
             _, bands = _gap_precision(self.valid, self.matrix, self.order)
+            from scipy import linalg
+
             found += 2 * float(np.log(linalg.cholesky_banded(bands, lower=True)[0]).sum())
         return found
 
@@ -91,6 +96,8 @@ def _whitening_matrix(
 
     The first rows have less past than the order: they use the predictors of lower order, scaled.
     """
+    from scipy import sparse
+
     order = len(predictors) - 1
     rows, columns, entries = [], [], []
     for j, predictor in enumerate(predictors[:-1]):
@@ -112,6 +119,8 @@ def _filled(columns: FloatArray, valid: BoolArray, matrix: sparse.csr_array, ord
     With W the whitening matrix, filling the gaps so that ‖W x‖ is least gives xᵀ V⁻¹ x of the present
     samples exactly (Schur complement of the banded precision WᵀW), for all columns in one banded solve.
     """
+    from scipy import linalg
+
     gaps, bands = _gap_precision(valid, matrix, order)
     filled = columns.copy()
     filled[~valid] = -linalg.solveh_banded(bands, gaps.T @ (matrix @ columns), lower=True)

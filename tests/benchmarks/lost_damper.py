@@ -25,8 +25,9 @@ from simulator import add_noise, simulate_two_mass
 import casadi_engine as ce
 from casadi_engine.identifiability import LossSweep, Profile, loss_sweep, profile
 from casadi_engine.report import panels
-from casadi_engine.report.figures import drawn, styled
 from casadi_engine.report.identifiability_figures import draw_profile, draw_sweep
+from casadi_engine.report.matplotlib_figure import drawn, figure_of
+from casadi_engine.report.sketch import Sketch
 
 ROOT = Path(__file__).resolve().parents[2]
 SIGMA = 0.1
@@ -178,72 +179,50 @@ SENTENCE = (
 )
 
 
-def save(figure: Any, name: str) -> None:
+def save(sketch: Sketch, title: str, name: str) -> None:
+    figure = figure_of(sketch)
+    figure.suptitle(title, fontsize=11)
     (ROOT / ".pictures" / name).write_bytes(drawn(figure, "png", dpi=110))
 
 
 def draw_steps(rows: dict[str, list[Row]]) -> None:
     """The sweep of C_el with each step, normal and misfire."""
-    from matplotlib.figure import Figure
-
-    with styled():
-        figure = Figure(figsize=(10, 4.4), layout="constrained")
-        colours = ("#0072B2", "#56B4E9", "#009E73", "#D55E00", "#000000")
-        for ax, (kind, all_rows) in zip(figure.subplots(1, 2), rows.items(), strict=True):
-            shown = [row for row in all_rows if row.step.curve]
-            for row, colour in zip(shown, colours, strict=True):
-                values, loss = row.sweep.values["C_el"], row.sweep.loss["C_el"]
-                known = row.step.start != "estimated"
-                label = row.step.name.strip().removeprefix("and ")
-                ax.plot(
-                    values, loss, color=colour, linestyle="--" if known else "-", linewidth=1.6, label=label
-                )
-                at, lowest = row.sweep.minimum("C_el")
-                ax.plot([at], [lowest], "o", color=colour, markersize=5)
-            ax.axvline(TRUTH["C_el"], color="0.5", linewidth=0.8, linestyle=":")
-            ax.set_yscale("log")
-            panels.dress(ax, x="C_el [N m s/rad]", y="loss V [(rad/s)²]", title=f"{kind} combustion")
-        figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
-        figure.suptitle(
-            "C_el is lost where the initial state is taken as known (dashed); dots: lowest points, dotted line: truth",
-            fontsize=10,
-        )
-        save(figure, "lost_damper.png")
+    sketch = Sketch(10, 4.4, (1, 2), key=True)
+    colours = ("#0072B2", "#56B4E9", "#009E73", "#D55E00", "#000000")
+    for panel, (kind, all_rows) in zip(sketch.cells(), rows.items(), strict=True):
+        shown = [row for row in all_rows if row.step.curve]
+        for row, colour in zip(shown, colours, strict=True):
+            values, loss = row.sweep.values["C_el"], row.sweep.loss["C_el"]
+            dash = "-" if row.step.start == "estimated" else "--"
+            label = row.step.name.strip().removeprefix("and ")
+            panel.plot(values, loss, color=colour, linestyle=dash, linewidth=1.6, label=label)
+            at, lowest = row.sweep.minimum("C_el")
+            panel.plot([at], [lowest], "o", color=colour, markersize=5)
+        panel.axvline(TRUTH["C_el"], color="0.5", linewidth=0.8, linestyle=":")
+        panel.yscale = "log"
+        panels.dress(panel, x="C_el [N m s/rad]", y="loss V [(rad/s)²]", title=f"{kind} combustion")
+    words = "C_el is lost where the initial state is taken as known (dashed); dots: lowest points, dotted line: truth"
+    save(sketch, words, "lost_damper.png")
 
 
 def draw_figure_46(found: dict[str, tuple[LossSweep, LossSweep, Profile]]) -> None:
     """Figure 4.6 for both records, with the start estimated and as the thesis takes it, above the profiles."""
-    from matplotlib.figure import Figure
-
-    with styled():
-        figure = Figure(figsize=(13, 9.6), layout="constrained")
-        axes = figure.subplots(4, 5)
-        for pair, (kind, (right, thesis, curves)) in zip((0, 2), found.items(), strict=True):
-            for k, name in enumerate(SWEPT):
-                ax = axes[pair, k]
-                draw_sweep(
-                    ax, thesis, name, label="start known: speeds measured, twist 0", colour=panels.PREDICTED
-                )
-                draw_sweep(ax, right, name, label=RIGHT)
-                words = "U-shape" if thesis.has_minimum(name) else "lost, known start"
-                ax.set_title(f"{kind}, {name}: {words}", loc="left")
-                ax.set_ylabel("loss V [(rad/s)²]" if k == 0 else "")
-                plain = name.removeprefix("1/")
-                line = curves.lines[plain]
-                share = 100 * (line.estimate.stderr or np.nan) / line.estimate.value
-                draw_profile(
-                    axes[pair + 1, k], line, level=curves.level, title=f"{kind}, {plain}: ± {share:.2g} %"
-                )
-                axes[pair + 1, k].set_ylabel("rise of the cost [1]" if k == 0 else "")
-        handles, labels = axes[0, 0].get_legend_handles_labels()
-        more = axes[1, 0].get_legend_handles_labels()
-        figure.legend(
-            [*handles, *more[0]], [*labels, *more[1]], loc="outside lower center", ncols=5, frameon=False
-        )
-        figure.suptitle(
-            "Figure 4.6 again: one parameter at a time over [0, 2.5 p], and profile likelihoods", fontsize=11
-        )
-        save(figure, "loss_sweeps.png")
+    sketch = Sketch(13, 9.6, (4, 5), key=True)
+    for pair, (kind, (right, thesis, curves)) in zip((0, 2), found.items(), strict=True):
+        for k, name in enumerate(SWEPT):
+            above, below = sketch.panel(pair, k), sketch.panel(pair + 1, k)
+            words = "start known: speeds measured, twist 0"
+            draw_sweep(above, thesis, name, label=words, colour=panels.PREDICTED)
+            draw_sweep(above, right, name, label=RIGHT)
+            words = "U-shape" if thesis.has_minimum(name) else "lost, known start"
+            above.title = f"{kind}, {name}: {words}"
+            plain = name.removeprefix("1/")
+            line = curves.lines[plain]
+            share = 100 * (line.estimate.stderr or np.nan) / line.estimate.value
+            draw_profile(below, line, level=curves.level, title=f"{kind}, {plain}: ± {share:.2g} %")
+            above.y, below.y = ("loss V [(rad/s)²]", "rise of the cost [1]") if k == 0 else ("", "")
+    words = "Figure 4.6 again: one parameter at a time over [0, 2.5 p], and profile likelihoods"
+    save(sketch, words, "loss_sweeps.png")
 
 
 def figure_46(record: dict[str, np.ndarray]) -> tuple[LossSweep, LossSweep, Profile]:

@@ -5,8 +5,6 @@ import sys
 
 import pytest
 
-pytestmark = pytest.mark.xdist_group("processes")
-
 EFFECT = """
 from casadi_engine.effects import Amplitude, Effect
 

@@ -11,6 +11,7 @@ import sys
 import pytest
 
 from casadi_engine import __version__, cli
+from casadi_engine.cli.job import guarded
 
 
 def run(*arguments, cwd, code=None, **options):
@@ -129,9 +130,10 @@ def test_ctrl_c_in_a_fit(here):
 INTERRUPTED_IMPORT = """
 import importlib.abc, os, signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background would ignore it
+module = sys.argv.pop(1)
 class Interrupt(importlib.abc.MetaPathFinder):
     def find_spec(self, name, path, target=None):
-        if name == sys.argv[1]:
+        if name == module:
             os.kill(os.getpid(), signal.SIGINT)
 sys.meta_path.insert(0, Interrupt())
 from casadi_engine_start import main
@@ -140,11 +142,20 @@ sys.exit(main())
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-@pytest.mark.parametrize("module", ["casadi_engine", "scipy.stats", "typer"])
-def test_ctrl_c_while_the_program_is_loaded(module, here):
-    done = run(module, cwd=here, code=INTERRUPTED_IMPORT)
+@pytest.mark.parametrize(
+    ("module", "command"),
+    [
+        ("casadi_engine", ""),
+        ("typer", ""),
+        ("casadi", " fit"),
+        ("casadi_engine.estimation.answer", " fit"),
+    ],
+)
+def test_ctrl_c_while_the_program_is_loaded(module, command, here):
+    done = run(module, "fit", "problem.py", cwd=here, code=INTERRUPTED_IMPORT)
     assert (done.returncode, done.stdout) == (130, "")
-    assert done.stderr == "casadi-engine: interrupted before there was anything to write\n"
+    assert done.stderr == f"casadi-engine{command}: interrupted before there was anything to write\n"
+    assert not (here / "results").exists()
 
 
 def test_the_command_starts_beside_the_package(here):
@@ -159,9 +170,12 @@ def test_ctrl_c_that_is_ignored_stays_ignored(monkeypatch):
     import casadi_engine_start
 
     found = []
-    monkeypatch.setattr(
-        cli, "main", lambda begin: begin() or found.append(signal.getsignal(signal.SIGINT)) or 0
-    )
+
+    def command():
+        found.append(signal.getsignal(signal.SIGINT))
+        return 0
+
+    monkeypatch.setattr(cli, "main", lambda: guarded("fit", command, debug=False))
     for before in (signal.SIG_IGN, signal.default_int_handler):
         old = signal.signal(signal.SIGINT, before)
         try:
@@ -198,6 +212,6 @@ def test_the_command_takes_one_blas_thread_unless_told_otherwise(set_by_user, mo
         monkeypatch.setenv(names[0], set_by_user)
     import casadi_engine_start
 
-    monkeypatch.setattr("casadi_engine.cli.main", lambda begin: 0)
+    monkeypatch.setattr("casadi_engine.cli.main", lambda: 0)
     assert casadi_engine_start.main() == 0
     assert [os.environ[name] for name in names] == [set_by_user or "1", "1", "1"]

@@ -140,7 +140,7 @@ def measured(kind):
 
 
 @pytest.mark.parametrize(
-    "kind", ["jittered", "offset", "missing", pytest.param("time", marks=pytest.mark.slow)]
+    "kind", ["offset", "missing", *(pytest.param(k, marks=pytest.mark.slow) for k in ("jittered", "time"))]
 )
 def test_the_friction_of_a_swing_is_found_whatever_the_samples(kind):
     model, data = measured(kind)

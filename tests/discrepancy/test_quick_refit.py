@@ -27,31 +27,37 @@ def case(shaft):
     return fit, refitter, screened
 
 
+@pytest.fixture(scope="module")
+def whole(case):
+    """The refit to the end with friction in the coupling."""
+    fit, refitter, screened = case
+    return refitter(fit, [added(screened, "coulomb_friction", "coupling")])
+
+
 def added(screened, effect, port, size=None):
     k = next(k for k, c in enumerate(screened.candidates) if c.key == (effect, port))
     amplitude = float(screened.scores.amplitude[k]) if size is None else size
     return addition(screened.candidates[k], amplitude, float(screened.scores.drop[k]))
 
 
-def test_a_short_refit_ends_where_a_whole_one_does(case):
+def test_a_short_refit_ends_where_a_whole_one_does(case, whole):
     fit, refitter, screened = case
     one = added(screened, "coulomb_friction", "coupling")
     short = ShortRefits(refitter, LEVELS)([one], fit, 30)
-    whole = refitter(fit, [one])
     assert short.settled
     assert short.cost == pytest.approx(whole.cost, abs=0.5)
     assert short.values[one.amplitude] == pytest.approx(whole.values[one.amplitude], rel=0.02)
 
 
-def test_it_starts_from_the_parameters_own_values_too(case):
-    fit, refitter, screened = case
+def test_it_starts_from_the_parameters_own_values_too(case, whole):
+    _, refitter, screened = case
     one = added(screened, "coulomb_friction", "coupling", size=0.1)
     shorts = ShortRefits(refitter, LEVELS)
     first = shorts([one], None, 6)
     on = shorts([one], first, 30)
     assert on.settled
     assert on.cost <= first.cost + 0.5
-    assert on.cost == pytest.approx(refitter(fit, [one]).cost, abs=0.5)
+    assert on.cost == pytest.approx(whole.cost, abs=0.5)
 
 
 def test_its_cost_is_that_of_the_simulation_from_its_first_states(case):
@@ -85,9 +91,9 @@ def test_a_hopeless_one_gives_up(case):
     assert shorts([one], fit, 20, worst=fit.cost).settled
 
 
-def test_a_long_record_is_not_integrated_in_any_number_of_steps(case, monkeypatch):
+def test_a_long_record_is_not_integrated_in_any_number_of_steps(case, whole, monkeypatch):
     """A friction so large at the start that it asks for many steps is started from less, and found all the same."""
-    fit, refitter, screened = case
+    _, refitter, screened = case
     refitter = Refitter(
         refitter.model, refitter.parameters, refitter.data, refitter.noise
     )  # no corner narrowed yet
@@ -103,7 +109,7 @@ def test_a_long_record_is_not_integrated_in_any_number_of_steps(case, monkeypatc
     short = shorts([one], None, 30)
     assert search.records[0].propagator.substeps <= 4
     assert search.records[0].single().propagator.most == 4
-    assert short.cost == pytest.approx(refitter(fit, [one]).cost, abs=0.5)
+    assert short.cost == pytest.approx(whole.cost, abs=0.5)
     plain = ShortRefits(refitter, LEVELS)
     monkeypatch.setattr("casadi_engine.discrepancy.quick_refit._LONG", 4000)
     assert not plain.long

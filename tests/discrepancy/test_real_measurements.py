@@ -33,20 +33,30 @@ def best_of_each(screened):
     return found
 
 
-@pytest.fixture(scope="module")
-def drive():
+NOISE = ce.Noise(v="estimate")
+
+
+def driven():
+    """The record of the servo drive that is searched, and the one held out."""
     if not EMPS.exists():
         pytest.skip("the EMPS records are not in ../shared/data/emps")
-    emps = page("emps")
-    records = [emps.read(EMPS / name) for name in ("DATA_EMPS.mat", "DATA_EMPS_PULSES.mat")]
-    model = emps.model()
-    noise = ce.Noise(v="estimate")
-    null = ce.estimate(model, records[0], parameters=emps.parameters(model), noise=noise, progress=False)
-    return model, records, noise, null
+    return [page("emps").read(EMPS / name) for name in ("DATA_EMPS.mat", "DATA_EMPS_PULSES.mat")]
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """Model, records in blocks of 10 ms, twice as long as those of the page, and the fit without friction."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(page("emps"), "EVERY", 10)
+        records = driven()
+    model = page("emps").model()
+    pars = page("emps").parameters(model)
+    null = ce.estimate(model, records[0], parameters=pars, noise=NOISE, progress=False)
+    return model, records, null
 
 
 def test_dry_friction_is_what_the_servo_drive_lacks(drive):
-    _, _, _, null = drive
+    _, _, null = drive
     assert null.converged
     screened = screen(null, colour=False)
     best = best_of_each(screened)
@@ -61,9 +71,9 @@ def test_dry_friction_is_what_the_servo_drive_lacks(drive):
 
 
 def test_with_dry_friction_the_servo_drive_has_its_published_values(drive):
-    model, (_, fresh), noise, null = drive
+    model, (data, fresh), null = drive
     repaired = model.with_effect(ce.effects.CoulombFriction(), at="carriage", values={"torque": 10.0})
-    fit = ce.estimate(repaired, drive[1][0], noise=noise, progress=False)
+    fit = ce.estimate(repaired, data, noise=NOISE, progress=False)
     assert fit.converged
     for name, value in PUBLISHED.items():
         assert fit.values[name] == pytest.approx(value, rel=0.13 if name == "offset" else 0.06), name
@@ -71,11 +81,13 @@ def test_with_dry_friction_the_servo_drive_has_its_published_values(drive):
     assert held_out(fit, fresh) < 0.45 * held_out(null, fresh)
 
 
-def test_repair_names_the_dry_friction_of_the_servo_drive_in_its_default_settings(drive):
+@pytest.mark.slow
+def test_repair_names_the_dry_friction_of_the_servo_drive_in_its_default_settings():
     """The residual of the viscous model is coloured by the very friction that it lacks."""
-    model, (data, fresh), noise, _ = drive
+    data, fresh = driven()
+    model = page("emps").model()
     found = ce.repair(
-        model, data, parameters=page("emps").parameters(model), noise=noise, fresh=fresh, progress=False
+        model, data, parameters=page("emps").parameters(model), noise=NOISE, fresh=fresh, progress=False
     )
     (one,) = found.effects
     assert one.at == "carriage"
@@ -97,7 +109,7 @@ def held_out(fit, record):
     for name in pars.names:
         pars[name].set(fit.values[name])
         pars.fix(name)
-    again = ce.estimate(fit.model, record, parameters=pars, noise=ce.Noise(v="estimate"), progress=False)
+    again = ce.estimate(fit.model, record, parameters=pars, noise=NOISE, progress=False)
     return again.noise["v"][0]
 
 
@@ -136,6 +148,7 @@ def test_lost_combustion_is_found_and_dated_from_crank_speed_alone(engine, colou
     assert screened.scores.z[screened.order[0]] > (3 if screened.noise.colour else 5) * screened.threshold
 
 
+@pytest.mark.slow
 def test_a_loss_that_lasts_to_the_end_of_the_data_searched_goes_on_in_the_cycles_held_out(engine):
     lost, assumed, _ = engine
     model = lost.model()

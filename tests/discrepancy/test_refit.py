@@ -86,7 +86,8 @@ def coverage(fits, name, truth):
     return np.array([(fit.estimates[name].value - truth) / fit.estimates[name].stderr for fit in fits])
 
 
-def test_dry_friction_of_a_slow_drive_is_found_within_its_error():
+@pytest.mark.parametrize("draws", [1, pytest.param(3, marks=pytest.mark.slow)])
+def test_dry_friction_of_a_slow_drive_is_found_within_its_error(draws):
     """A width by the typical speed of an engine made 0.47 N m of 0.3, and a false companion."""
     model, fits = ce.one_inertia(), []
     pars = model.parameters()
@@ -95,7 +96,7 @@ def test_dry_friction_of_a_slow_drive_is_found_within_its_error():
     time, torque, clean = slow_drive(0.3)
     assert 1 < np.abs(clean).max() < 4
     assert (clean == 0).mean() > 0.01  # it sticks
-    for seed in range(3):
+    for seed in range(draws):
         speed = clean + SLOW_NOISE * np.random.default_rng(seed).standard_normal(len(clean))
         units = {"T": "N m", "omega": "rad/s"}
         data = ce.Experiment.from_arrays("slow", time=time, units=units, T=torque, omega=speed)
@@ -112,11 +113,12 @@ def test_dry_friction_of_a_slow_drive_is_found_within_its_error():
         assert np.abs(off).max() < 1.96, name
 
 
-def test_dry_friction_in_the_coupling_of_a_fast_engine_is_found_within_its_error():
+@pytest.mark.parametrize("draws", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_dry_friction_in_the_coupling_of_a_fast_engine_is_found_within_its_error(draws):
     model, fits = ce.two_mass(reciprocating_speed="model"), []
     case = hidden("coulomb_friction", "coupling", 10.0)
     records = simulate_hidden(
-        "two_mass", [Case((case,), 40 + s, 50 + s) for s in range(2)], duration=1.0, rate=1440.2
+        "two_mass", [Case((case,), 40 + s, 50 + s) for s in range(draws)], duration=1.0, rate=1440.2
     )
     for record in records:
         columns = {key: record[key] for key in UNITS}

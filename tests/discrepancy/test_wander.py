@@ -172,7 +172,8 @@ def test_a_gain_of_likelihood_is_students_t():
     assert _by_likelihood(-1.0, 5.0) == pytest.approx(0.5)
 
 
-def test_white_noise_with_a_slow_wander_is_no_effect():
+@pytest.mark.parametrize("draws", [4, pytest.param(10, marks=pytest.mark.slow)])
+def test_white_noise_with_a_slow_wander_is_no_effect(draws):
     """A tenth of the variance, 0.5 s: four screens of ten were alarms at 1 % when colours were autoregressions."""
     t = np.arange(1000) * 0.01
     torque = 10 * np.sin(1.5 * t) + 6 * np.sin(4.1 * t)
@@ -180,9 +181,9 @@ def test_white_noise_with_a_slow_wander_is_no_effect():
     exp = ce.Experiment.from_arrays("run", time=t, units={"T": "N m"}, T=torque)
     clean = ce.simulate(model, exp, initial={"omega_eng": 0.0})["omega"].values
     alarms = 0
-    for seed in range(10):
+    for seed in range(draws):
         data = ce.Experiment.from_arrays(
             "run", time=t, units=units, T=torque, omega=clean + 0.05 * draw(seed, 1000, 0.1)
         )
         alarms += screen(ce.estimate(model, data, noise=ce.Noise(omega="estimate"), progress=False)).alarm
-    assert alarms <= 1
+    assert alarms <= draws // 10

@@ -10,9 +10,6 @@ from casadi_engine.errors import EstimationError, ParameterError
 from casadi_engine.estimation.batch import Task, fits
 from casadi_engine.estimation.study import study
 
-# One group: the processes of joblib and of the cluster are started once.
-pytestmark = pytest.mark.xdist_group("processes")
-
 
 def tasks_of(run_up, count=4):
     model = ce.one_inertia()

@@ -60,7 +60,7 @@ def test_the_number_of_intervals(misfire):
     assert nodes == {20: 144, 144: 20, 1440: 2, "single": 1, "20 samples": 144}
 
 
-@pytest.mark.parametrize("interval", ["auto", 20, 480, "single"])
+@pytest.mark.parametrize("interval", ["auto", 20, 480, pytest.param("single", marks=pytest.mark.slow)])
 def test_the_nonlinear_form_gives_nearly_the_same(misfire, reference, interval):
     # Its torque (3.5) takes the model's own speed where the linear form takes the noisy measured one.
     fit = fitted(misfire(1, 2), interval, speed="model")

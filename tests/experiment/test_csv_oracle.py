@@ -17,6 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from casadi_engine.errors import DataFileError, UnitError
+from casadi_engine.experiment import csv_reader
 from casadi_engine.experiment.csv_reader import read_csv
 from casadi_engine.experiment.header import make_request
 from casadi_engine.experiment.source import Source
@@ -378,7 +379,9 @@ def check_message(message, name, faults, data):
 
 @pytest.mark.parametrize("part", range(2))
 @pytest.mark.parametrize("kind", KINDS)
-def test_1250_generated_files_give_the_right_answer_or_a_named_error(kind, part):
+def test_1250_generated_files_give_the_right_answer_or_a_named_error(kind, part, monkeypatch):
+    if part:  # pandas, which reads long files, has one half of them
+        monkeypatch.setattr(csv_reader, "_SHORT", 0)
     counts = {True: 0, False: 0}
     for seed in range(1250 * part, 1250 * (part + 1)):
         rng = random.Random(f"{kind} {seed}")

@@ -189,7 +189,7 @@ def test_the_overview_shows_the_gap_its_orders_and_the_law(repaired):
     assert "amplitude of the gap [rad/s]" in words
     assert "torque at coupling over twist rate" in words
     assert "coulomb_friction" in words
-    tops = figure.subfigs[0].axes
+    tops = figure.axes[:2]
     assert len({axes.get_ylim() for axes in tops}) == 1  # one scale, so that the eye may compare
 
 

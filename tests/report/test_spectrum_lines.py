@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from casadi_engine.estimation.fit import Trace
 from casadi_engine.report.panels import Subject, draw_spectrum
+from casadi_engine.report.sketch import Panel
 
 RATE, SIGMA = 2000.0, 0.1
 
@@ -16,9 +16,9 @@ def named(tones, *, seed=0):
     noise = np.random.default_rng(seed).normal(0, SIGMA, time.size)
     residual = noise + sum(amplitude * np.sin(2 * np.pi * hz * time) for hz, amplitude in tones)
     trace = Trace(time, residual, np.ones(time.size, bool), np.zeros(time.size))
-    ax = Figure().subplots()
-    draw_spectrum(ax, trace, Subject("run", "omega", "rad/s", SIGMA))
-    return [float(text.get_text().removesuffix(" Hz")) for text in ax.texts]
+    panel = Panel(slice(1), slice(1))
+    draw_spectrum(panel, trace, Subject("run", "omega", "rad/s", SIGMA))
+    return [float(mark.values[2].removesuffix(" Hz")) for mark in panel.marks if mark.kind == "write"]
 
 
 def test_lines_above_the_noise_are_named_the_strongest_first():

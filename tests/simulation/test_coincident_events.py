@@ -87,8 +87,16 @@ def test_a_tank_runs_empty_and_stays_so():
     assert abs(found[0]) < 1e-6
 
 
-@pytest.mark.parametrize("scale", [1.0, 3.6, 1000.0])
-def test_friction_does_not_depend_on_how_its_switch_is_scaled(scale):
+# End of the block [mm] by its start [mm/s]: parabolas damped by air, held in between, by SciPy from event to event.
+BLOCK = {0.0: 46.1465995, 20.0: 46.2290948}
+
+
+@pytest.mark.parametrize(
+    ("scale", "start"),
+    # held from the start by a switch that cannot be 0 to the last digit: a million steps, a minute
+    [(1.0, 0.0), (1000.0, 0.0), pytest.param(3.6, 0.0, marks=pytest.mark.slow), (1.0, 20.0), (3.6, 20.0)],
+)
+def test_friction_does_not_depend_on_how_its_switch_is_scaled(scale, start):
     """A block on dry friction pulled by a spring, in mm: it sticks and slips."""
     time = np.arange(0, 2, 0.02)
 
@@ -96,7 +104,7 @@ def test_friction_does_not_depend_on_how_its_switch_is_scaled(scale):
         force = 300 * (0.03 * t - x[0] / 1e3) - 4 * ca.sign(x[1] / scale) - 0.5 * x[1] / 1e3
         return [x[1], force / 2 * 1e3]
 
-    np.testing.assert_allclose(last(block, time, [0.0, 0.0])[0], 46.14659955, rtol=1e-7)
+    np.testing.assert_allclose(last(block, time, [0.0, start])[0], BLOCK[start], rtol=2e-9)
 
 
 def test_two_bodies_that_are_held_from_the_start():
