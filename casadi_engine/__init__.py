@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from casadi_engine.effects import Effect
     from casadi_engine.errors import CasadiEngineError
     from casadi_engine.estimation import estimate, simulate
-    from casadi_engine.experiment import Experiment, read_experiment
+    from casadi_engine.experiment import Experiment, orders, read_experiment
     from casadi_engine.identifiability import choose_experiments, identifiability, profile
     from casadi_engine.model import Blueprint, Model, crankshaft, one_inertia, two_mass
     from casadi_engine.parameters import Parameters
@@ -37,6 +37,7 @@ __all__ = [
     "load_problem",
     "load_result",
     "one_inertia",
+    "orders",
     "plot",
     "profile",
     "read_experiment",
@@ -54,7 +55,7 @@ import_at_first_use(
         "casadi_engine.effects": ("Effect",),
         "casadi_engine.errors": ("CasadiEngineError",),
         "casadi_engine.estimation": ("estimate", "simulate"),
-        "casadi_engine.experiment": ("Experiment", "read_experiment"),
+        "casadi_engine.experiment": ("Experiment", "orders", "read_experiment"),
         "casadi_engine.identifiability": ("choose_experiments", "identifiability", "profile"),
         "casadi_engine.model": ("Blueprint", "Model", "crankshaft", "one_inertia", "two_mass"),
         "casadi_engine.parameters": ("Parameters",),

@@ -225,15 +225,15 @@ def _at_port(
             allowed="fitted, narrowed, choices and sizes as ce.Effect describes them",
             cure="correct that method of the effect, or leave it out",
         ) from fault
-    points = tuple(_without_amplitude(sharper, values) for values in points)
-    law = (port, sharper, tuple(tuple(one.items()) for one in points), sharp)
+    places = tuple(_without_amplitude(sharper, values) for values in points)
+    law = (port, sharper, tuple(tuple(one.items()) for one in places), sharp)
     key = (model, *law, sizes)
     # an effect that is no value may have changed since
     if known is None or not _is_value(sharper):
         known = {}
     if key not in known:
-        if law not in known and points:
-            known[law] = read_terms(model, sharper, port, points, sharp=sharp)
+        if law not in known and places:
+            known[law] = read_terms(model, sharper, port, places, sharp=sharp)
         known[key] = [_made(model, term, size) for term in known.get(law, ()) for size in sizes]
     return [one if one.effect is own else replace(one, effect=own) for one in known[key]]
 

@@ -23,7 +23,7 @@ from casadi_engine.estimation.multistart import attempts_from, best_of, distinct
 from casadi_engine.estimation.options import begun_at, chosen, small, whole
 from casadi_engine.estimation.parallel import checked_jobs
 from casadi_engine.estimation.search import Search
-from casadi_engine.estimation.two_stages import lower_search, on_whole_data
+from casadi_engine.estimation.two_stages import lower_search, on_whole_data, searched_on
 from casadi_engine.estimation.workers import Workers
 from casadi_engine.experiment import Experiment
 from casadi_engine.experiment.experiment import with_unique_names
@@ -181,8 +181,8 @@ def _searched(
         options = {
             **{name: arguments[name] for name in ("ties", "method", "max_iterations", "tolerance")},
             "seed": seed,
-            "searched on": lower.words if first is not search else f"the whole data: {lower}",
             **shown,
+            "searched on": searched_on(search, best, lower),
         }
         stopped = interrupted(attempts) or interrupts.stopped
         fit = make_fit(search, best, optima, options, timing, begun, stopped=stopped)

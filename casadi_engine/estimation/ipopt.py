@@ -80,6 +80,8 @@ _WORDS = {
     "NonIpopt_Exception_Thrown": "the model could not be evaluated",
 }
 
+OUT_OF_ITERATIONS = f"not converged: {_WORDS['Maximum_Iterations_Exceeded']}"
+
 
 @dataclass
 class Solution:
@@ -220,7 +222,7 @@ class Solver:
         self._tried = _Tried()
         self._kept = [*_functions(problem, self._tried), self._watcher()]
         self._ipopt = {**_OPTIONS, "max_iter": max_iterations, "tol": tolerance}
-        self._most = max_iterations
+        self.most = max_iterations
         self._made: dict[str, Any] = {}
 
     def _solver(self, where: Where) -> Any:
@@ -290,7 +292,7 @@ class Solver:
         if not problem.user.count:
             first = self._descend(start, lower, upper, exact)
             done = first.steps
-            if first.stopped or (done >= self._most and not (first.settled or first.flat)):
+            if first.stopped or (done >= self.most and not (first.settled or first.flat)):
                 words = "interrupted" if first.stopped else "Maximum_Iterations_Exceeded"
                 status = words if first.stopped else f"not converged: {_WORDS[words]}"
                 x = self._best[1] if first.stopped and self._best is not None else first.x
@@ -311,7 +313,7 @@ class Solver:
         def watch(point: Point) -> bool:
             return self._seen(point.x, point.objective, gap_of(point, problem.user.count))
 
-        return Descender(problem, lower, upper).run(start, watch, min(_FIRST, self._most), exact=exact)
+        return Descender(problem, lower, upper).run(start, watch, min(_FIRST, self.most), exact=exact)
 
     def _ipopt_from(self, start: Array, lower: Array, upper: Array, where: Where = "anywhere") -> Solution:
         """IPOPT from ``start``, which may be an optimum already, or lie in a flat valley."""

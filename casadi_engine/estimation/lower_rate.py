@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.estimation.chained import chained_slopes
 from casadi_engine.estimation.record import RecordPoint, RecordTerm
 from casadi_engine.estimation.search import Search
 from casadi_engine.experiment import Experiment
@@ -146,18 +147,9 @@ def whole_slopes(record: RecordTerm, point: RecordPoint, count: int) -> Mapping[
 
     The intervals' starts are taken to follow one another; of a long record the first part alone is looked at.
     """
-    path, n, nz = point.path, record.n, len(point.jz)
     use = min(count, max(1, _LOOKED_AT // max(record.plan.length, 1)))
-    turn = np.zeros((use, n, nz + n))
-    turn[0, :, nz:] = np.eye(n)
-    ends, pushes = path.end_s, path.end_z
-    for k in range(use - 1):
-        turn[k + 1] = (ends[0] if len(ends) == 1 else ends[k]) @ turn[k]
-        turn[k + 1, :, :nz] += pushes[:, :, k].T
-    js = point.js if point.js.ndim == 3 else np.broadcast_to(point.js[:, None], (*point.r.shape, n))
-    whole = np.zeros((nz + n, *point.r.shape))
-    whole[:, :, :use] = np.einsum("kmn,mnw->wkm", js[:, :use], turn) * record.weight[:, :use]
-    whole[:nz, :, :use] += point.jz[:, :, :use]
+    whole = np.zeros((len(point.jz) + record.n, *point.r.shape))
+    whole[:, :, :use] = chained_slopes(record, point, use)
     samples = min(record.grid.samples, use * record.plan.length)
     return {
         name: np.array([record.observation.series(row, name)[:samples] for row in whole])

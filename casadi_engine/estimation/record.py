@@ -94,6 +94,7 @@ class RecordTerm:
         self.weight = self.observation.valid.astype(float)
         self._most: int | None = None
         self.last_error: Any = None  # the integration error that was estimated last, and where
+        self._single: tuple[Any, RecordTerm] | None = None
         self._common: float | None = None  # the weight, where all samples count and count alike
 
     @property
@@ -108,8 +109,11 @@ class RecordTerm:
         )
 
     def single(self) -> RecordTerm:
-        """The same record as one interval, for simulation."""
-        return self.again(gain=self.gain)
+        """The same record as one interval, for simulation; made once for one fineness of the integration."""
+        steps = fineness_of(self.propagator)
+        if self._single is None or self._single[0] != steps or self._single[1].limited != self.limited:
+            self._single = (steps, self.again(gain=self.gain))
+        return self._single[1]
 
     def again(self, *, gain: Array | GainPlan | None, length: int | None = None) -> RecordTerm:
         """The same record in intervals of another length (None: one), predicted with another gain or simulated."""

@@ -16,7 +16,7 @@ from casadi_engine.estimation.growth import check_growth
 from casadi_engine.estimation.innovations import SizedPriors, StableLoop
 from casadi_engine.estimation.integration import shorten_steps
 from casadi_engine.estimation.interrupts import Interrupts
-from casadi_engine.estimation.ipopt import Solution, Solver
+from casadi_engine.estimation.ipopt import OUT_OF_ITERATIONS, Solution, Solver
 from casadi_engine.estimation.levels import NoiseLevels, check_noise, check_samples
 from casadi_engine.estimation.loss import Loss
 from casadi_engine.estimation.options import initial_bounds, interval_length
@@ -26,6 +26,7 @@ from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.scales import felt_scale, state_factors
 from casadi_engine.estimation.shooting import ShootingProblem
 from casadi_engine.estimation.slopes import check_slopes
+from casadi_engine.estimation.spectral_start import SpectralStarts, in_full
 from casadi_engine.estimation.starts import chained_nodes, drawn_starts, fitted_nodes, nodes_from_measurement
 from casadi_engine.estimation.unreachable import unreachable
 from casadi_engine.experiment import Experiment
@@ -53,6 +54,7 @@ class Attempt:
 
     v : (nv,) coordinates of the parameters; sigma : (ny,) noise levels found; cost : chi-squared + priors at these;
     merit : what starts are compared by, -2 log likelihood but for a constant; start : (nz,) parameters at the start
+    searched : what was searched on, in words
     """
 
     solution: Solution
@@ -62,10 +64,13 @@ class Attempt:
     merit: float
     iterations: int
     start: Array
+    searched: str = "all samples"
 
 
 class Search:
     """A fit's problem and solver."""
+
+    solver: Solver
 
     def __init__(
         self,
@@ -99,6 +104,8 @@ class Search:
         self.parameters = parameters
         self._initial = [initial_bounds(initial, model, name, names) for name in names]
         self.cut, self._method = interval, method
+        self._spectral: SpectralStarts | None = None  # set up once it is wanted
+        self._before = 0  # iterations in the frequency domain, before those on all samples
         self._first: tuple[Array, Array] | None = None  # the set's own start and its variables, once laid out
         self._lay(noise, Coordinates(self.pmap))
         if self.problem.nv:
@@ -296,7 +303,22 @@ class Search:
         z = self._warm_values(z) if first and self.warm is not None else z
         given, z = z, self._approached(z) if first else z
         self._weigh(self.levels.first(self.warm if first else None))
-        x = self._start(z, first=first)
+        known = {record.experiment.name for record in self.records} <= set(getattr(self.warm, "initial", ()))
+        near = first and known and bool(getattr(self.warm, "converged", False))
+        why = "it starts at an optimum" if near else in_full(self)
+        solution = None
+        if why is None:
+            solution, searched = self._from_band(z)
+            why = "those of the frequency domain led nowhere"
+        if solution is None:
+            self._before = 0
+            solution = self._solved(self._checked(self._start(z, first=first), z), exact=near)
+            searched = f"all samples: {why}"
+        solution, iterations = self._levelled(solution)
+        return replace(self._outcome(self._blamed(solution), iterations, given), searched=searched)
+
+    def _checked(self, x: Array, z: Array) -> Array:
+        """The point itself, if the model can be evaluated there."""
         if not np.isfinite(self._objective(x)):
             raise EstimationError(
                 "the model cannot be evaluated at the start values",
@@ -306,11 +328,30 @@ class Search:
             )
         check_growth(self.records, self.problem.at(x).records)
         check_slopes(self.records, self.problem.at(x))
-        known = {record.experiment.name for record in self.records} <= set(getattr(self.warm, "initial", ()))
-        near = first and known and bool(getattr(self.warm, "converged", False))
-        solution = self._solved(x, exact=near)
-        solution, iterations = self._levelled(solution)
-        return self._outcome(self._blamed(solution), iterations, given)
+        return x
+
+    def _from_band(self, z: Array) -> tuple[Solution | None, str]:
+        """The solution by way of the frequency domain, None where that leads nowhere; and what was searched on."""
+        if self._spectral is None:
+            self._spectral = SpectralStarts(self)
+        self._before, most = 0, self.solver.most
+        begun = self._spectral.of(z, steps=most)
+        if begun is None:
+            return None, ""
+        x, words = begun.x, str(begun.found)
+        none = Solution(x, np.zeros(self.problem.rows), np.zeros(self.problem.size), "", begun.steps, "")
+        if begun.stopped:
+            return replace(none, status="interrupted", words="interrupted"), words
+        if begun.steps >= most:
+            return replace(none, status=OUT_OF_ITERATIONS), words
+        self._before = begun.steps
+        solution = self._solved(x, exact=True)
+        if solution.status not in ("converged", "interrupted"):
+            return None, ""
+        moved = solution.x[: self.problem.nv] - x[: self.problem.nv]
+        far = float(np.sqrt(np.maximum(moved @ begun.found.information @ moved, 0.0)))
+        words += f"; all samples moved the estimates by {far:.2g} standard errors"
+        return replace(solution, iterations=begun.steps + solution.iterations), words
 
     def _solved(self, x: Array, *, exact: bool) -> Solution:
         """The solution from ``x``; from the simulation at the start instead where that explains the data better."""
@@ -354,7 +395,8 @@ class Search:
             self.problem.forget()
             solution = self.solver.solve(x, self.lower, self.upper, exact=True)
             solution, more = self._levelled(solution)
-            attempt = self._outcome(self._blamed(solution), attempt.iterations + more, attempt.start)
+            found = self._outcome(self._blamed(solution), attempt.iterations + more, attempt.start)
+            attempt = replace(found, searched=attempt.searched)
         return attempt
 
     def _blamed(self, solution: Solution) -> Solution:
@@ -423,11 +465,19 @@ class Search:
             return float("nan")
 
     def _report(self, iteration: int, objective: float) -> bool:
-        if self._progress is None:
+        if self._progress is None or (
+            self._before and not iteration
+        ):  # the point that it begins at was shown
             return False
+        iteration += self._before
         chi2 = 2 * objective
         fit_percent = 100 * (1 - np.sqrt(max(chi2, 0.0) / self._fraction))
         return bool(self._progress(iteration, chi2 * self.problem.samples, float(fit_percent)))
+
+    def watch(self, iteration: int, objective: float) -> bool:
+        """Show a point of a search that is not the solver's; True if the user ends it."""
+        self._before = 0
+        return self._report(iteration, objective) or self._interrupts.stopped
 
     def tell(self, attempt: Attempt) -> None:
         """Report a search that another process has finished; what the progress asks for comes too late."""

@@ -7,8 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.estimation.chained import chained_slopes
 from casadi_engine.estimation.loss import read_loss
 from casadi_engine.estimation.search import Search
+from casadi_engine.estimation.starts import chained_nodes
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
@@ -36,11 +38,17 @@ class SingleShots:
         method: str = "exact",
     ) -> None:
         self._search = Search(
-            model, tuple(data), parameters, noise, interval="single", initial=None, loss=read_loss("square"),
+            model, tuple(data), parameters, noise, interval="auto", initial=None, loss=read_loss("square"),
             ties="substitute", method=method, max_iterations=1, tolerance=1e-9, warm=None, progress=None,
         )  # fmt: skip
         self.free = self._search.pmap.free
-        self.lower, self.upper = self._search.lower, self._search.upper
+        own = np.concatenate(
+            [
+                np.arange(self._search.problem.nv),
+                *(np.arange(lay.at, lay.at + lay.n) for lay in self._search.problem.layouts),
+            ]
+        )
+        self.lower, self.upper = self._search.lower[own], self._search.upper[own]
         self.states = tuple(state.name for state in model.states)
         self._sigma = dict.fromkeys(self._search.records[0].outputs, 1.0)
         self.places: dict[Place, slice] = {}
@@ -108,20 +116,22 @@ class SingleShots:
         """
         v = x[: len(self.free)]
         residual, slopes = np.zeros(self.count), np.zeros((self.count, len(x)))
-        for record, lay in zip(self._search.records, self._search.problem.layouts, strict=True):
-            found = record.evaluate(v, lay.take(x))
+        at = len(self.free)
+        for record in self._search.records:
+            found = record.evaluate(v, chained_nodes(record, v, x[at : at + record.n]))
             valid = record.observation.valid.ravel()
-            js = found.js.reshape(-1, record.n)
+            whole = chained_slopes(record, found).reshape(-1, len(valid))
+            nz = len(record.active)
             weight = record.weight.ravel()
             for output, where in record.observation.where.items():
                 here = where[valid[where]]
                 rows = self.places[(record.experiment.name, output)]
                 level = weight[here] * self._sigma[output]  # the terms come weighted by levels of their own
                 residual[rows] = found.r.ravel()[here] / level
-                slopes[rows.start : rows.stop, record.active] = (
-                    found.jz.reshape(len(found.jz), -1)[:, here] / level
-                ).T
-                slopes[rows.start : rows.stop, lay.at : lay.at + record.n] = js[here] / self._sigma[output]
+                own = (whole[:, here] / level).T
+                slopes[rows.start : rows.stop, record.active] = own[:, :nz]
+                slopes[rows.start : rows.stop, at : at + record.n] = own[:, nz:]
+            at += record.n
         if not (np.isfinite(residual).all() and np.isfinite(slopes).all()):
             raise FloatingPointError("the sensitivities are not finite here")
         return residual, slopes

@@ -35,6 +35,14 @@ def lower_search(search: Search, arguments: Mapping[str, Any], lower: LowerRate,
     return Search(**{**arguments, **changed}, progress=progress, interrupts=search._interrupts)
 
 
+def searched_on(search: Search, best: Attempt, lower: LowerRate | str) -> str:
+    """What a fit was searched on, in words."""
+    if isinstance(lower, LowerRate):
+        return lower.words
+    linear = all(record.linear for record in search.records)
+    return best.searched if linear else f"the whole data: {lower}"
+
+
 def on_whole_data(search: Search, first: Search, attempts: list[Attempt]) -> list[Attempt]:
     """What the attempts of the first stage become on the whole data.
 

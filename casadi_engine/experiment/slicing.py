@@ -101,7 +101,7 @@ def crank_angle(experiment: Experiment, theta: str) -> tuple[FloatArray, FloatAr
             f"the crank angle {theta!r} does not increase at {time[index]:.9g} s",
             seen=f"{angle[index]:.9g} rad after {angle[index - 1]:.9g} rad",
             allowed="an unwrapped, increasing angle",
-            cure="unwrap it, for example by numpy.unwrap",
+            cure="unwrap it, for example by numpy.unwrap; where the crank really turns back, cut the record by between",
         )
     return time, angle
 
@@ -142,8 +142,8 @@ def cycles(
             allowed=f"first <= last, whole cycles of the record: {held}",
             cure="ask for cycles that the record holds",
         )
-    start = _crossing(tdc + (first - 1) * cycle_length, time, angle)
-    stop = _crossing(tdc + last * cycle_length, time, angle)
+    start = crossing(tdc + (first - 1) * cycle_length, time, angle)
+    stop = crossing(tdc + last * cycle_length, time, angle)
     names = _inputs(experiment, inputs)
     channels = _cut(experiment, start, stop, names, closed=False)
     arguments = {
@@ -157,7 +157,7 @@ def cycles(
     return changed(experiment, "cycles", arguments, channels)
 
 
-def _crossing(target: float, time: FloatArray, angle: FloatArray) -> float:
+def crossing(target: float, time: FloatArray, angle: FloatArray) -> float:
     """Time at which the crank passes an angle; just outside the record when it never does."""
     if target < angle[0]:
         return float(time[0])

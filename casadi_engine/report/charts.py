@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from casadi_engine.report.colours import DASHES, paint
 from casadi_engine.report.envelope import ascending, envelope
 from casadi_engine.report.sketch import Array, Mark, Panel
-from casadi_engine.report.svg import DASHES, paint
 
 # A line of a page has at most so many points, the smallest and the largest of each bin of a longer one.
 MOST_POINTS = 20_000

@@ -75,7 +75,7 @@ def _one_key(figure: Figure) -> None:
     known: dict[str, Any] = {}
     for ax in figure.axes:
         handles, labels = ax.get_legend_handles_labels()
-        known = dict(zip(labels, handles, strict=True)) | known
+        known |= {label: handle for handle, label in zip(handles, labels, strict=True) if label not in known}
     if known:
         figure.legend(list(known.values()), list(known), loc="outside upper right", ncols=4, frameon=False)
 

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from casadi_engine.report.charts import Numbers, as_json, chart
+from casadi_engine.report.colours import css
 from casadi_engine.report.sketch import Mark, Panel, Sketch
-from casadi_engine.report.svg import css, svg
+from casadi_engine.report.svg import svg
 
 # Pixels across a page, and between two panels; narrower sketches are as wide as so many pixels an inch.
 PAGE, GAP, INCH = 960, 14, 106
@@ -22,10 +23,11 @@ class PageFigures:
         self.left = left
         self.numbers = Numbers()
         self.charts: list[dict[str, Any]] = []
-        self._counted = 0
 
     def html(self, sketch: Sketch, caption: str) -> str | None:
         """The HTML of a figure; None if the page has no more room for it."""
+        if not self.left:
+            return None
         width = PAGE if sketch.width >= FULL else round(INCH * sketch.width)
         before = len(self.charts), len(self.numbers.entries)
         columns = _shares(sketch.across, sketch.grid[1])

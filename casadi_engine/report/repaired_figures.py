@@ -87,7 +87,7 @@ def _overview(repair: Repair, gaps: tuple[Pair, ...]) -> Sketch:
     same_height(tops)
     left, middle, right = (sketch.panel(1, column, columns=2) for column in (0, 2, 4))
     draw_orders(left, _widest(chosen))
-    left.key = "upper right"
+    left.key, left.room = "upper right", 0.35
     draw_density(middle, tuple(gaps))
     middle.key, middle.room = "upper center", 0.3
     _last(right, repair)

@@ -170,19 +170,18 @@ class Panel:
     def limits(self, axis: Axis) -> Limits:
         """Ends of an axis: the given ones, else those of the data with a margin."""
         given = (self.xlim if axis == "x" else self.ylim) or (None, None)
-        return _ends(
-            self._reach(axis),
-            given,
-            self._scale(axis),
-            self.threshold,
-            self.margin if axis == "x" else MARGIN,
-        )
+        margin = self.margin if axis == "x" else MARGIN
+        reach, scale = self._reach(axis), self._scale(axis)
+        standing = any(mark.kind == ("barh" if axis == "x" else "bar") for mark in self.marks)
+        if standing and given[0] is None and scale == "linear" and reach is not None and reach[0] == 0:
+            given = (0.0, given[1])  # bars stand on their axis
+        return _ends(reach, given, scale, self.threshold, margin)
 
     def _scale(self, axis: Axis) -> str:
         return self.xscale if axis == "x" else self.yscale
 
     def _reach(self, axis: Axis) -> Limits | None:
-        """Smallest and largest number; None without any. A bar stands on its axis, with no margin below."""
+        """Smallest and largest number; None without any."""
         low, high = math.inf, -math.inf
         for mark in self.marks:
             for part in mark.reach(axis):

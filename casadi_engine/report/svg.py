@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import re
 import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.report.colours import DASHES, css, shade
 from casadi_engine.report.envelope import ascending, envelope
 from casadi_engine.report.matplotlib_figure import NUMBERED
 from casadi_engine.report.sketch import Array, Axis, Limits, Mark, Panel, forward
@@ -25,14 +25,6 @@ LETTER, LINE = 6.3, 14
 UPRIGHT = 240
 # Free pixels at the right, for half of the last number.
 RIGHT = 20.0
-# Colours of sketches that a page sets itself, so that they fit light and dark.
-NAMED = {
-    "#0072B2": "simulated", "#D55E00": "predicted", "0.45": "measured", "0.88": "band", "black": "ink", "0.3": "ink",
-}  # fmt: skip
-CYCLE = (
-    "#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f", "#bcbd22", "#17becf",
-)  # fmt: skip
-DASHES = {"--": (6, 4), ":": (1.5, 3)}
 # Corners of markers in units of their size; one that is not closed is drawn by its lines.
 _CORNERS: dict[str, list[tuple[float, float]]] = {
     "D": [(0, -0.7), (0.7, 0), (0, 0.7), (-0.7, 0)],
@@ -41,26 +33,6 @@ _CORNERS: dict[str, list[tuple[float, float]]] = {
     "<": [(-0.55, 0), (0.5, -0.55), (0.5, 0.55)],
     ">": [(0.55, 0), (-0.5, -0.55), (-0.5, 0.55)],
 }
-_COLD, _MIDDLE, _WARM = np.array([33, 102, 172]), np.array([247, 247, 247]), np.array([178, 24, 43])
-
-
-def paint(colour: str) -> str:
-    """The name of a colour of the page, or the colour itself.
-
-    >>> paint("0.45"), paint("0.7"), paint("#56B4E9"), paint("C1")
-    ('measured', 'pale', '#56B4E9', '#ff7f0e')
-    """
-    if colour in NAMED:
-        return NAMED[colour]
-    if re.fullmatch(r"C\d", colour):
-        return CYCLE[int(colour[1])]
-    return colour if colour.startswith("#") else "pale"
-
-
-def css(colour: str) -> str:
-    """A colour as a value of CSS."""
-    name = paint(colour)
-    return name if name.startswith("#") else f"var(--{name})"
 
 
 @dataclass(frozen=True)
@@ -142,7 +114,7 @@ def _labels(panel: Panel, axis: Axis, limits: Limits, length: float) -> list[tup
         return [(float(place), name) for place, name in zip(*names, strict=True)]
     places = [float(one) for one in panel.xticks or ()] if axis == "x" and panel.xticks is not None else None
     if places is None:
-        most = max(3, int(length / (70 if axis == "x" else 38)))
+        most = max(4, int(length / 70)) if axis == "x" else max(5, int(length / 32))
         places = ticks(limits, scale, most=most, threshold=panel.threshold)
     return list(zip(places, tick_words(places), strict=True))
 
@@ -378,20 +350,11 @@ def _words(frame: _Frame, mark: Mark) -> list[str]:
 # ---- maps ---------------------------------------------------------------------------------------------
 
 
-def _shade(value: float) -> str:
-    """Blue for -1, nearly white for 0, red for 1, grey for no number."""
-    if not np.isfinite(value):
-        return "var(--band)"
-    end = _WARM if value > 0 else _COLD
-    mixed = np.rint(_MIDDLE + min(abs(value), 1.0) ** 0.8 * (end - _MIDDLE)).astype(int)
-    return "rgb({} {} {})".format(*mixed.tolist())
-
-
 def _cells(frame: _Frame, values: Array) -> list[str]:
     side = FINE * frame.width / len(values)
     made = []
     for (i, j), value in np.ndenumerate(values):
-        made.append(_box((j * side, i * side, side + 1, side + 1), _shade(float(value))))
+        made.append(_box((j * side, i * side, side + 1, side + 1), shade(float(value))))
         if np.isfinite(value) and len(values) <= NUMBERED:
             colour = "#fff" if abs(value) > 0.6 else "#111"
             size = min(FINE * 12, 0.36 * side)
@@ -405,7 +368,7 @@ def _scale_of_map(x: float, top: float, height: float, label: str) -> str:
     steps = np.linspace(1, -1, 41)
     piece = height / len(steps)
     made = [
-        f'<rect x="{x:g}" y="{top + k * piece:g}" width="12" height="{piece + 0.5:g}" style="fill:{_shade(step)}"/>'
+        f'<rect x="{x:g}" y="{top + k * piece:g}" width="12" height="{piece + 0.5:g}" style="fill:{shade(step)}"/>'
         for k, step in enumerate(steps.tolist())
     ]
     made += [

@@ -103,7 +103,7 @@ def _responses(model: Model) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         every = every + part
     moved = (model.laws, model.ode, model.output_expressions)
     by_drive = (ca.jacobian(one, model.d) for one in moved)
-    return (ca.mtimes(ca.jacobian(model.ode, model.w), every), *by_drive)  # type: ignore[return-value]
+    return (ca.mtimes(ca.jacobian(model.ode, model.w), every), *by_drive)
 
 
 def parameter_direction(model: Model, slope: Array, *, name: str) -> Direction:

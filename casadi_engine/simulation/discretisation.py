@@ -9,6 +9,7 @@ States are scaled inside: x stands for state / scale.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -36,6 +37,28 @@ class Discretisation:
     parameters: int
     order: int
     generator: Array  # A h of the scaled states, for transitions over many steps; (n, n)
+
+
+class _Arrays:
+    """A function of one vector whose dense outputs come as arrays, column-major, without CasADi's matrices between."""
+
+    def __init__(self, name: str, z: ca.SX, outputs: list[ca.SX]) -> None:
+        self._function = ca.Function(name, [z], [ca.densify(out) for out in outputs])
+        self._sizes = [int(out.numel()) for out in outputs]
+        self._buffer: tuple[Any, Any] | None = None
+
+    def __call__(self, z: NDArray[np.float64]) -> list[Array]:
+        if self._buffer is None:
+            self._buffer = self._function.buffer()
+        buffer, run = self._buffer
+        at, found = np.array(z, dtype=float), [np.empty(size) for size in self._sizes]
+        if at.size:
+            buffer.set_arg(0, memoryview(at))  # type: ignore[call-arg, arg-type]
+        for k, out in enumerate(found):
+            if out.size:
+                buffer.set_res(k, memoryview(out))  # type: ignore[call-arg, arg-type]
+        run()
+        return found
 
 
 class DiscreteCore:
@@ -81,28 +104,28 @@ class DiscreteCore:
         flat = ca.vertcat(*[ca.vec(ca.densify(part)) for part in scaled])
         flat = ca.substitute(flat, model.p, physical) if model.p.numel() else flat
         first = ca.jacobian(flat, z)
-        self._value = ca.Function("core", [z], [ca.densify(flat)])
-        self._first = ca.Function("core_first", [z], [ca.densify(flat), ca.densify(first)])
+        self._value = _Arrays("core", z, [flat])
+        self._first = _Arrays("core_first", z, [flat, first])
         self._pairs = jets.pairs(self.parameters)
         self._z, self._first_expression = z, first
-        self._second: ca.Function | None = None
+        self._second: _Arrays | None = None
 
-    def _second_function(self) -> ca.Function:
+    def _second_function(self) -> _Arrays:
         if self._second is None:
             rows = ca.vec(self._first_expression)
-            self._second = ca.Function("core_second", [self._z], [ca.densify(ca.jacobian(rows, self._z))])
+            self._second = _Arrays("core_second", self._z, [ca.jacobian(rows, self._z)])
         return self._second
 
     def _flat(self, z: NDArray[np.float64], order: int) -> Array:
         d = self.parameters
         if order == 0 or d == 0:
-            return np.asarray(self._value(z)).reshape(1, -1)
+            return self._value(z)[0].reshape(1, -1)
         value, first = self._first(z)
-        rows = [np.asarray(value).reshape(1, -1), np.asarray(first).T]
+        rows = [value.reshape(1, -1), first.reshape(d, -1)]
         if order == 2:
-            second = np.asarray(self._second_function()(z)).reshape(d, -1, d)
+            second = self._second_function()(z)[0].reshape(d, d, -1)
             i, j = self._pairs
-            rows.append(second[i, :, j])
+            rows.append(second[i, j])
         return np.concatenate(rows)
 
     def matrices(self, z: NDArray[np.float64], order: int) -> tuple[Array, Array, Array, Array]:

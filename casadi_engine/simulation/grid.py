@@ -120,11 +120,10 @@ def lay_grid(model: Model, experiment: Experiment, *, outputs: tuple[str, ...] |
 def _thinned(model: Model, grid: Grid, made: Decimation) -> Grid:
     """The grid of a record of a lower rate, with that of its whole record; outputs count where the filter fits."""
     there = made.whole_filter(grid.samples)
-    measured = {
-        name: Measured(*(part[keep] for part in (own.time, own.values, own.position, own.index)))
-        for name, own in grid.measured.items()
-        for keep in [there[own.position]]
-    }
+    measured = {}
+    for name, own in grid.measured.items():
+        keep = there[own.position]
+        measured[name] = Measured(own.time[keep], own.values[keep], own.position[keep], own.index[keep])
     whole = (lay_grid(model, made.whole, outputs=()), made) if model.inputs else None
     return replace(grid, measured=measured, whole=whole)
 
@@ -329,7 +328,8 @@ class Drives:
         self.names = tuple(v.name for v in model.drives)
         count = len(self.names)
         expression = model.drive_expressions
-        whole, self._decimation = grid.whole or (grid, None)
+        self._decimation = None if grid.whole is None else grid.whole[1]
+        whole = grid if grid.whole is None else grid.whole[0]
         late = np.array(
             [
                 any(

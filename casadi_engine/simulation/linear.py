@@ -14,7 +14,7 @@ import numpy as np
 from casadi_engine.model import Model
 from casadi_engine.simulation import jets
 from casadi_engine.simulation.blocks import Blocks, block_matrices
-from casadi_engine.simulation.discretisation import Method
+from casadi_engine.simulation.discretisation import Discretisation, Method
 from casadi_engine.simulation.gain import Gain, corrected
 from casadi_engine.simulation.grid import Drives, DriveSamples, Grid
 from casadi_engine.simulation.intervals import Intervals
@@ -87,6 +87,7 @@ class LinearPropagator:
         self._feedback = feedback
         self._width = self.core.drives + (0 if feedback is None else len(feedback))
         self._block_drives: tuple[DriveSamples, Array, Array, Array] | None = None
+        self._merged_drives: tuple[DriveSamples, DriveSamples] | None = None
 
     # ---- drives
 
@@ -130,6 +131,20 @@ class LinearPropagator:
     def drives_at(self, z: Array) -> Array:
         """(m, N) drives of the model on the grid."""
         return self._drives.at(z).value
+
+    def merged_drives(self, z: Array) -> DriveSamples:
+        """The core's drives on the grid, constants among them, with their first derivatives; the second are none."""
+        samples = self._drives.at(z)
+        if self._merged_drives is None or self._merged_drives[0] is not samples:
+            value = self._merged(samples.value)
+            value[len(self.core.groups) : self.core.drives] = 1.0
+            first = self._merged(samples.first)
+            self._merged_drives = (samples, DriveSamples(value, samples.active, first, first[:0]))
+        return self._merged_drives[1]
+
+    def discretisation(self, z: Array, order: int) -> Discretisation:
+        """The core's discrete matrices at z, without the correction of a predictor."""
+        return self._shared.at(z, order)
 
     # ---- forward
 

@@ -3,6 +3,7 @@
 import builtins
 import os
 import re
+import sys
 from html.parser import HTMLParser
 
 import pytest
@@ -141,6 +142,15 @@ def test_errors_of_report(tmp_path, fit):
     with pytest.raises(OutputError, match="seen: a folder of that name"):
         report(fit, tmp_path)
     assert os.listdir(tmp_path) == []
+
+
+def test_a_page_needs_neither_matplotlib_nor_scipys_signals(tmp_path, factory, validation, monkeypatch):
+    for name in list(sys.modules):
+        if name.partition(".")[0] == "matplotlib" or name.startswith("scipy.signal"):
+            monkeypatch.setitem(sys.modules, name, None)  # importing it is an error now
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    _, reader = check_alone(report(factory.fit(), tmp_path / "r.html", validation=validation))
+    assert reader.figures == 5
 
 
 def test_without_jinja2(tmp_path, fit, monkeypatch):

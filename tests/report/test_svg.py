@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import signal
 
+from casadi_engine.report.colours import css, shade
 from casadi_engine.report.figures import figures
 from casadi_engine.report.sketch import Panel, Sketch, forward
 from casadi_engine.report.spectrum import welch
-from casadi_engine.report.svg import FINE, css, svg
+from casadi_engine.report.svg import FINE, svg
 from casadi_engine.report.ticks import ticks
 
 
@@ -124,6 +125,8 @@ def test_words_are_escaped():
 def test_colours_of_the_page_fit_light_and_dark():
     assert css("#0072B2") == "var(--simulated)"
     assert css("#009E73") == "#009E73"
+    assert (shade(-1.0), shade(0.0), shade(1.0)) == ("rgb(33 102 172)", "rgb(247 247 247)", "rgb(178 24 43)")
+    assert shade(np.nan) == "var(--band)"
 
 
 @given(st.floats(-1e6, 1e6), st.floats(1e-6, 1e6), st.integers(2, 12))

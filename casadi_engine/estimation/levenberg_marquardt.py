@@ -1,0 +1,150 @@
+"""Least squares in few unknowns within bounds, from Gram matrices alone: Levenberg-Marquardt steps.
+
+The problem is given as half its summed squares, their gradient and the Gauss-Newton matrix: products of the residual
+and its Jacobian, so that records of any length look alike, and unknowns that were projected out have left no trace
+(Golub & Pereyra 1973). What Gauss-Newton leaves out of the Hessian is learnt from the gradients on the way by
+symmetric rank-one updates, and used where it foretells the objective better (Dennis, Gay & Welsch 1981): where the
+residual is large against weak directions, Gauss-Newton alone takes many times the steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Damping at first as a share of the diagonal, its least, and where the search gives up; its change after a step that
+# falls as foretold, and after one that does not fall.
+_DAMPING, _LEAST, _STUCK, _EASE, _HINDER = 1e-2, 1e-9, 1e9, 0.2, 6.0
+# Share of the foretold fall that makes a step, and the shares between which the damping stays.
+_SHARE, _POOR, _GOOD = 1e-3, 0.25, 0.75
+# A symmetric rank-one update is passed over where its denominator is so small a share of the sizes in it.
+_SAFE = 1e-8
+# Longest step after one that does not fall, as a share of that.
+_SHORTER, _LONG = 0.5, 0.1
+
+
+@dataclass(frozen=True)
+class Squares:
+    """Half the summed squares at a point, their gradient (n,) and Gauss-Newton matrix (n, n)."""
+
+    cost: float
+    gradient: Array
+    matrix: Array
+
+
+Evaluate = Callable[[Array], Squares | None]
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """Where a search ended: the point (n,), what it is worth, steps tried, and whether it is an optimum."""
+
+    x: Array
+    squares: Squares
+    steps: int
+    converged: bool
+
+
+def minimise(
+    evaluate: Evaluate,
+    start: Array,
+    low: Array,
+    high: Array,
+    *,
+    fall: float,
+    steps: int = 100,
+    damping: float = _DAMPING,
+    longest: Callable[[Array], Array] = np.ones_like,
+    stop: Callable[[float], bool] = lambda _: False,
+) -> Minimum | None:
+    """A minimum within bounds from ``start`` (n,), or None where nothing can be evaluated there.
+
+    evaluate : the problem at a point, None where it has no value
+    fall : of the cost; a next step that promises less ends the search
+    damping : of the first step, as a share of the diagonal
+    longest : the longest change (n,) of each unknown in one step from a point
+    stop : sees the cost before every step; True ends the search
+    """
+    x = np.clip(start, low, high)
+    here = evaluate(x)
+    if here is None:
+        return None
+    learnt, trusted, reach = np.zeros_like(here.matrix), False, 1.0
+    for count in range(steps):
+        if stop(here.cost):
+            return Minimum(x, here, count, converged=False)
+        room = (low - x, high - x, reach * longest(x))
+        found = _step(here, here.matrix + learnt, room, damping) if trusted else None
+        if found is None or found[1] <= 0:
+            found = _step(here, here.matrix, room, damping)
+        moved, foretold, short = found or (np.zeros(len(x)), 0.0, False)
+        if abs(foretold) < fall and not short and damping <= 1.0:
+            return Minimum(x, here, count, converged=True)
+        there = evaluate(x + moved) if foretold > 0 else None
+        gained = -np.inf if there is None else here.cost - there.cost
+        if there is not None:
+            learnt, trusted = _learn(learnt, here, there, moved)
+        if there is None or gained < _SHARE * foretold:
+            damping = max(_HINDER * damping, 1e-3)
+            length = float(np.abs(moved / longest(x)).max(initial=0.0))
+            reach = _SHORTER * min(length, 1.0) if length > _LONG else reach
+            if damping > _STUCK:
+                return Minimum(x, here, count, converged=foretold < fall)
+            continue
+        if gained > _GOOD * foretold:
+            damping, reach = max(_EASE * damping, _LEAST), min(4 * reach, 1.0)
+        elif gained < _POOR * foretold:
+            damping = 2.0 * damping
+        x, here = x + moved, there
+    return Minimum(x, here, steps, converged=False)
+
+
+def _step(
+    here: Squares, model: Array, room: tuple[Array, Array, Array], damping: float
+) -> tuple[Array, float, bool] | None:
+    """A damped step (n,), the fall that it foretells, and whether it was shortened; None where the model gives none.
+
+    room : (n,) how far down and up the bounds are, and the longest change
+    """
+    low, high, longest = room
+    moved, size, short = np.zeros(len(low)), np.diag(here.matrix), False
+    free = (size > 0) & ~(((low >= 0) & (here.gradient > 0)) | ((high <= 0) & (here.gradient < 0)))
+    while free.any():
+        own = model[np.ix_(free, free)] + damping * np.diag(size[free])
+        try:
+            factor = np.linalg.cholesky(own)
+        except np.linalg.LinAlgError:
+            return None
+        pull = here.gradient[free] + model[np.ix_(free, ~free)] @ moved[~free]
+        moved[free] = -np.linalg.solve(factor.T, np.linalg.solve(factor, pull))
+        share = float(np.abs(moved / longest).max())
+        if share > 1.0:
+            moved, short = moved / share, True
+        over = free & ((moved < low) | (moved > high))
+        if not over.any():
+            break
+        # what a bound cuts short stays there, the others make the best of it
+        moved[over] = np.clip(moved[over], low[over], high[over])
+        free &= ~over
+    return moved, -float(here.gradient @ moved + 0.5 * moved @ model @ moved), short
+
+
+def _learn(learnt: Array, here: Squares, there: Squares, moved: Array) -> tuple[Array, bool]:
+    """What Gauss-Newton lacks, updated by a step, and whether the objective fell more as foretold with it."""
+    gained = here.cost - there.cost
+    plain = -float(here.gradient @ moved + 0.5 * moved @ here.matrix @ moved)
+    better = abs(gained - plain + 0.5 * float(moved @ learnt @ moved)) < abs(gained - plain)
+    wanted = there.gradient - here.gradient - there.matrix @ moved
+    bent = float(moved @ learnt @ moved)
+    if bent != 0:  # what was learnt far off may be far too large here
+        learnt = learnt * min(1.0, abs(float(moved @ wanted) / bent))
+    rest = wanted - learnt @ moved
+    scale = float(rest @ moved)
+    if abs(scale) > _SAFE * float(np.linalg.norm(rest) * np.linalg.norm(moved)):
+        learnt = learnt + np.outer(rest, rest) / scale
+    return learnt, better

@@ -1,0 +1,185 @@
+"""Where the search of a linear model starts on all samples: the optimum in the frequency domain, and its nodes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.estimation.growth import LARGEST, log_growth
+from casadi_engine.estimation.record import RecordTerm
+from casadi_engine.estimation.spectral_search import Found, SpectralSearch
+from casadi_engine.simulation.linear import LinearPropagator
+
+if TYPE_CHECKING:
+    from casadi_engine.estimation.search import Search
+
+Array = NDArray[np.float64]
+
+# Rounds of estimated noise levels that are settled in the frequency domain, and the change that ends them.
+_ROUNDS, _LEVEL = 4, 1e-3
+# Longest step of a scaled parameter, in multiples of itself or of its scale; of a logarithm it is 1.
+_LONGEST = 10.0
+# A cost per sample on all samples that is larger by this is another one.
+_UNLIKE = 1e-2
+
+
+@dataclass(frozen=True)
+class SpectralStart:
+    """x : (size,) variables of the search on all samples; steps : done; found : the last optimum; stopped : early"""
+
+    x: Array
+    steps: int
+    stopped: bool
+    found: Found
+
+
+def in_full(search: Search) -> str | None:
+    """Why a search has to be on all samples from its start; None if it can begin in the frequency domain."""
+    if search.loss.robust:
+        return "the loss is robust"
+    if not search.problem.nv:
+        return "no parameter is free"
+    if search.problem.user.count:
+        return "constraints hold the parameters"
+    if search.predictor.kind != "none":
+        return "a predictor corrects the states"
+    if any(np.isfinite(low).any() or np.isfinite(high).any() for low, high, _ in search._initial):
+        return "initial states have bounds"
+    return next((why for why in map(_record_in_full, search.records) if why), None)
+
+
+def _record_in_full(record: RecordTerm) -> str | None:
+    """Why one record has to be searched on all its samples."""
+    if not isinstance(record.propagator, LinearPropagator):
+        return f"{record.experiment.name} is not linear, or not sampled at equal steps"
+    measured = record.grid.measured
+    if any(
+        name not in measured or len(measured[name].position) < record.grid.samples for name in record.outputs
+    ):
+        return f"{record.experiment.name} lacks samples of an output"
+    return None
+
+
+class SpectralStarts:
+    """The starts of one search, set up once for all of them."""
+
+    def __init__(self, search: Search) -> None:
+        """Transforms the records."""
+        nv = search.problem.nv
+        self._search, self._seen, self._stopped = search, 0, False
+        self._spectral = SpectralSearch(
+            search.records,
+            search.problem.priors.evaluate,
+            search.lower[:nv],
+            search.upper[:nv],
+            lambda v: np.where(search.coordinates.log, 1.0, _LONGEST * np.maximum(np.abs(v), 1.0)),
+        )
+
+    def of(self, z: Array, *, steps: int) -> SpectralStart | None:
+        """The start that a search from z (nz,) leads to; None where the model has no value or no response there.
+
+        Noise levels that have to be settled are on the way: the search is left with the last for weights.
+        """
+        search = self._search
+        v, done = search.coordinates.of(z), 0
+        if not all(self._bounded(record, v) for record in search.records):
+            return None
+        self._seen, self._stopped = 0, False
+        start = None
+        for _ in range(_ROUNDS):
+            self._spectral.weigh(search.sigma)
+            found = self._spectral.run(v, steps=max(steps - done, 1), stop=self._stop)
+            x = None if found is None else self._variables(found.minimum.x)
+            if found is None or x is None or not self._alike(x, found):
+                return None
+            v, done = found.minimum.x, done + found.minimum.steps
+            start = SpectralStart(x, done, self._stopped, found)
+            if self._stopped or done >= steps or not search.settles or self._settled(x):
+                break
+            self._seen -= 1  # the next begins where this one ended
+        return start
+
+    def _bounded(self, record: RecordTerm, v: Array) -> bool:
+        """True if the effect of a record's start is a number throughout."""
+        try:
+            f = cast(LinearPropagator, record.propagator).discretisation(v[record.active], 1).f[:1]
+        except (FloatingPointError, np.linalg.LinAlgError):
+            return False
+        return not f.size or log_growth(f, record.grid.samples - 1) < LARGEST
+
+    def _settled(self, x: Array) -> bool:
+        """Weigh by the noise levels at a point; True if they are what they were."""
+        search = self._search
+        weights = search.levels.weights(search.levels_at(x))
+        change = float(np.abs(weights / search.sigma - 1).max())
+        search._weigh(weights)
+        return change < _LEVEL
+
+    def _alike(self, x: Array, found: Found) -> bool:
+        """True if the samples say of a point what the bins do; not where states grow beyond all bounds."""
+        if not found.minimum.converged:  # then it is no start either
+            return True
+        try:
+            cost = self._search.problem.at(x).objective * self._search.problem.samples
+        except (FloatingPointError, np.linalg.LinAlgError):
+            return False
+        return bool(cost <= found.minimum.squares.cost + _UNLIKE * self._search.problem.samples)
+
+    def _stop(self, cost: float) -> bool:
+        """Show a point of the search; True if the user ends it."""
+        self._stopped = self._search.watch(self._seen, cost / self._search.problem.samples) or self._stopped
+        self._seen += 1
+        return self._stopped
+
+    def _variables(self, v: Array) -> Array | None:
+        """The variables (size,) with every record's nodes on the trajectory that explains it best; None without."""
+        search = self._search
+        x = np.zeros(search.problem.size)
+        x[: search.problem.nv] = v
+        for record, lay in zip(search.records, search.problem.layouts, strict=True):
+            nodes = best_nodes(record, v)
+            if nodes is None:
+                return None
+            x[lay.at : lay.at + nodes.size] = nodes.ravel()
+        return x
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def best_nodes(record: RecordTerm, v: Array) -> Array | None:
+    """Starts (M, n) of the intervals along the trajectory of a linear model that explains a record best, scaled.
+
+    None where that is no number.
+    """
+    m, n = record.plan.m, record.n
+    try:
+        point = record.evaluate(v, np.zeros((m, n)), order=0)
+        free = np.empty(
+            (m, n, n + 1)
+        )  # nodes as functions of the first: powers of the transition, then the forced part
+        free[0] = np.eye(n, n + 1)
+        for i in range(m - 1):
+            np.matmul(point.path.end_s[0], free[i], out=free[i + 1])
+            free[i + 1, :, n] += point.path.end[:, i]
+        rows = [_compressed(record, point, slice(0, m - 1)), _compressed(record, point, slice(m - 1, m))]
+        seen = np.concatenate([(slope @ free[at]).reshape(-1, n + 1) for slope, _, at in rows])
+        left = np.concatenate([rest.ravel() for _, rest, _ in rows])
+        scale = np.linalg.norm(seen[:, :n], axis=0)
+        scale[scale == 0] = 1.0
+        first = -np.linalg.lstsq(seen[:, :n] / scale, left + seen[:, n], rcond=None)[0] / scale
+        nodes = free @ np.append(first, 1.0)
+    except (FloatingPointError, np.linalg.LinAlgError):
+        return None
+    return nodes if np.isfinite(nodes).all() else None
+
+
+def _compressed(record: RecordTerm, point: object, part: slice) -> tuple[Array, Array, slice]:
+    """Triangular factor (1, r, n) of the slopes in the starts of intervals whose samples are weighted alike, and the
+    residual's share (m, r) in it."""
+    r, js = point.r[:, part], point.js  # type: ignore[attr-defined]
+    if not r.shape[1]:
+        return np.zeros((1, 0, js.shape[1])), np.zeros((0, 0)), part
+    q, slope = np.linalg.qr(js * record.weight[:, part][:, :1])
+    return slope[None], np.ascontiguousarray((q.T @ r).T), part
