@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "problems" / "thesis"
 RESULTS = ROOT / "results" / "thesis"
 # In the order of the thesis.
-ORDER = ("two_mass_tables", "residual_tests", "crankshaft_tables", "reduction", "engine_orders")
+ORDER = ("two_mass_tables", "residual_tests", "crankshaft_tables", "reduction", "engine_orders", "dampers")
 
 
 def spent() -> float:

@@ -88,3 +88,9 @@ def test_tables_4_6_to_4_10(quick):
     assert lines["(4.11)", "natural frequencies 0.04 and 20.34 Hz"].ours == "0.04 and 20.34 Hz"
     assert lines["Table 4.10", "first order: largest/smallest 4.777"].ours.endswith("by receptance 4.776")
     assert lines["Table 4.10", "main frequency: largest/smallest 1.064"].ours == "1.053, by receptance 1.054"
+
+
+def test_dampers(quick):
+    lines = quick("dampers")
+    chosen = lines["chapter 6 (b)", "a technique is wanted: C21, C76"].ours
+    assert chosen.startswith("a run-up 1000-2600 RPM in 2 s, off by C21")
