@@ -16,6 +16,7 @@ A transformed record holds as many numbers as before, but the parameters act in 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import cast
 
 import numpy as np
@@ -112,8 +113,8 @@ class SpectralRecord:
         return slice(0, min(max(int(np.searchsorted(self.hertz, hertz)), fewest), self.size))
 
     def bins(self, z: Array, part: slice, last: int | None = None) -> Bins:
-        """The bins in ``part`` at the record's own parameters z (na,); last : the parts up to it follow one another, and
-        none is kept."""
+        """The bins in ``part`` at the record's own parameters z (na,); last : of parts that follow one another, of
+        which none is kept."""
         samples = self._propagator.merged_drives(z)
         if self._drives is None or self._drives[0] is not samples.value:
             drives = half_bins(samples.value) * self._share
@@ -137,7 +138,7 @@ class SpectralRecord:
         discrete, active = self._propagator.discretisation(z, 1), self._propagator.merged_drives(z).active
         last = stops[-1]
         cuts = sorted({*range(0, last, _PART), *stops})
-        parts = [slice(begin, end) for begin, end in zip(cuts, cuts[1:], strict=False)]
+        parts = [slice(begin, end) for begin, end in pairwise(cuts)]
         n = discrete.f.shape[1]
         span, seen = np.zeros((n, n)), np.zeros(n)
         for part in parts:

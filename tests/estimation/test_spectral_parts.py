@@ -1,5 +1,7 @@
 """A record worked on part by part of its bins is the record."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -8,10 +10,12 @@ from casadi_engine.estimation import spectral
 from casadi_engine.estimation.loss import read_loss
 from casadi_engine.estimation.search import Search
 
+DATA = Path(__file__).resolve().parents[2] / "data"
+
 
 def _search():
     model = ce.two_mass(reciprocating_speed="measured")
-    data = ce.read_experiment("data/misfire_1200rpm.csv.gz", optional=("omega_load",)).cycles(1, 2)
+    data = ce.read_experiment(DATA / "misfire_1200rpm.csv.gz", optional=("omega_load",)).cycles(1, 2)
     return Search(
         model, (data,), model.parameters(), ce.Noise(omega=0.1), interval="auto", initial=None,
         loss=read_loss("square"), ties="substitute", method="exact", max_iterations=10, tolerance=1e-9, warm=None,
