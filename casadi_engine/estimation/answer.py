@@ -158,7 +158,7 @@ def _traces(search: Search, record: RecordTerm, v: Array, start: Array) -> tuple
             for part in (simulated, predicted)
             if part
         ]
-        measured = np.where(counts, channel.values, np.nan)
+        measured = channel.values if counts.all() else np.where(counts, channel.values, np.nan)
         found[name] = Trace(channel.time, measured, counts, rows[0], rows[1] if len(rows) > 1 else None)
     return found, left
 
@@ -183,17 +183,18 @@ def _coarse(integration: dict[str, ErrorEstimate]) -> tuple[str, ...]:
 
 
 def _filled(size: int, index: NDArray[np.intp], values: Array) -> Array:
+    if len(index) == size:
+        return values
     row = np.full(size, np.nan)
     row[index] = values
     return row
 
 
 def _drives(record: RecordTerm, v: Array) -> dict[str, Array]:
-    samples = record.propagator.drives_at(v[record.active])
-    return {
-        variable.name: np.array([record.grid.time, values])
-        for variable, values in zip(record.model.drives, samples, strict=True)
-    }
+    """Drive -> (2, N) its times and values: views of one array, which hold the times once."""
+    table = record.drives_at(v)
+    table.setflags(write=False)
+    return {variable.name: table[:: k + 1][:2] for k, variable in enumerate(record.model.drives)}
 
 
 def _percent(trace: Trace) -> dict[str, float | None]:
