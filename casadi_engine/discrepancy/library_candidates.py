@@ -12,6 +12,7 @@ import casadi as ca
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.effects import Effect, candidates
+from casadi_engine.effects.candidate import Known
 from casadi_engine.estimation.corner_widths import courses
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
@@ -24,37 +25,41 @@ def library_candidates(
     data: Sequence[Experiment],
     effects: Sequence[Effect],
     skipped: list[NotApplicable] | None = None,
+    known: Known | None = None,
 ) -> list[Candidate]:
     """Every effect at every port that it can attach to, over its grids, linearised at the null parameters.
 
     An effect that sits at a time or in cycles is a candidate of one record each; any other acts in all records alike,
     with the constants that each record gives. Effects at several cylinders form a group.
-    skipped : as in ``candidates``
+    skipped, known : as in ``candidates``
     Raises EffectError for an effect that does not follow the protocol.
     """
     found: dict[tuple[Any, ...], Candidate] = {}
+    known = {} if known is None else known
     # of all records together: a grid that followed each one's motion would make one effect several
     motion = partial(courses, [record.path for record in null.records])
     for record, experiment in zip(null.records, data, strict=True):
         numbers = dict(zip(null.model.parameter_names, record.path.p.tolist(), strict=True))
         every = candidates(
-            null.model, effects, experiment, parameters=numbers, courses=motion, skipped=skipped
+            null.model, effects, experiment, parameters=numbers, courses=motion, skipped=skipped, known=known
         )
         for number, made in enumerate(every):
             placed = any(grid.over in ("time", "cycle") for grid in made.effect.nuisance.values())
             several = len(null.records) > 1
             key = (record.name if placed and several else "", number if placed else made.label)
-            own = direction_of(made)
             if key in found:
                 one = found[key]
                 assert isinstance(one.direction, dict)
-                one.direction[record.name] = own
+                alike = made is one.source
+                one.direction[record.name] = (
+                    next(iter(one.direction.values())) if alike else direction_of(made)
+                )
                 continue
             port = null.model.ports[made.at]
             found[key] = Candidate(
                 effect=made.effect.name,
                 port=made.at,
-                direction={record.name: own},
+                direction={record.name: direction_of(made)},
                 nuisance=dict(made.values),
                 side=made.amplitude.one_sided,  # type: ignore[arg-type]
                 unit=_unit(null.model, made),

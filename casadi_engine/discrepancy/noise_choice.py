@@ -49,8 +49,9 @@ class NoiseChoice:
     """The noise model, its random amplitudes by record, the cylinders that were asked for ("assumed", or names), and
     what the user should know.
 
-    compressed : the records with this noise, where they are at hand; larger : (record, output) of a coloured residual
-    that is larger than the noise that was stated; stated : that noise, if there is such a residual
+    compressed, white : the records with this noise, and with white noise, where they are at hand
+    larger : (record, output) of a coloured residual that is larger than the noise that was stated; stated : that noise,
+    if there is such a residual
     waits : the residual is coloured and white noise counts for now, until a refit has shown what colours it
     """
 
@@ -62,6 +63,7 @@ class NoiseChoice:
     larger: tuple[tuple[str, str], ...] = ()
     stated: NoiseModel | None = None
     waits: bool = False
+    white: Compressed | None = None
 
 
 def scatter_of(
@@ -91,35 +93,40 @@ def choose_noise(
     data: Sequence[Experiment],
     colour: ColourChoice = "auto",
     wait: bool = False,
+    white: Compressed | None = None,
 ) -> NoiseChoice:
     """The noise of a null model's residuals.
 
     levels : output -> (sigma, estimated); a known one is held unless the residual that all candidates together leave is
     larger than chance allows. colour : True, False, or "auto" for where the residual is not white
     wait : with "auto", leave the colour of long records open (``NoiseChoice.waits``)
+    white : the records compressed with white noise, of whatever levels, if they are at hand
     Raises EstimationError for another colour, or cylinders that are none.
     """
     check_choice(null.model, cylinders, colour)
     scatter = scatter_of(null, data, cylinders)
     random = {r.name: scatter_columns(r, scatter) for r in null.records} if scatter else None
     rough = NoiseModel({name: sigma for name, (sigma, _) in levels.items()})
-    white = compress(null, candidates, rough, scatter=scatter, columns=columns)
+    if white is None:
+        white = compress(null, candidates, rough, scatter=scatter, columns=columns)
+    else:
+        white = white.relevelled(rough, scatter)
     noise, messages = _white_noise(null, columns, white, levels, random)
     noise = replace(noise, sigma=_above_rounding(null, noise.sigma))
     _check_levels(noise.sigma)
     white = white.relevelled(noise, scatter)
     if colour is False or (colour == "auto" and _is_white(null, noise, beside(null, columns, ()), random)):
-        return NoiseChoice(noise, scatter, cylinders, messages, white)
+        return NoiseChoice(noise, scatter, cylinders, messages, white, white=white)
     if wait and colour == "auto" and not scatter and _is_long(null, data):
-        return NoiseChoice(noise, scatter, cylinders, messages, white, waits=True)
+        return NoiseChoice(noise, scatter, cylinders, messages, white, waits=True, white=white)
     found, held = coloured_noise(null, candidates, columns, white, scatter=scatter, random=random)
     left = beside(null, columns, held)
     if colour == "auto" and (not found.colour or _is_white(null, noise, left, random)):
-        return NoiseChoice(noise, scatter, cylinders, messages, white)
+        return NoiseChoice(noise, scatter, cylinders, messages, white, white=white)
     known = {name: sigma for name, (sigma, estimated) in levels.items() if not estimated}
     larger = _too_large(null, found, known)
     stated = NoiseModel({**found.sigma, **known}) if larger else None
-    return NoiseChoice(found, scatter, cylinders, (_COLOURED,), None, larger, stated)
+    return NoiseChoice(found, scatter, cylinders, (_COLOURED,), None, larger, stated, white=white)
 
 
 def noise_left(

@@ -19,6 +19,7 @@ from casadi_engine.discrepancy.repaired import Repair
 from casadi_engine.discrepancy.requests import check_alpha, read_request
 from casadi_engine.discrepancy.screening import Screened, screen_in_turn
 from casadi_engine.discrepancy.search import Search
+from casadi_engine.effects.candidate import Known
 from casadi_engine.errors import EstimationError, ExperimentError
 from casadi_engine.estimation import Fit, estimate
 from casadi_engine.estimation.estimate import _own, _records
@@ -125,8 +126,12 @@ def repair(
     if not null_fit.converged:
         return _no_answer(null_fit, portion, alpha, asked, timing, begun)
 
+    laws: Known = {}
+
     def scores(fit: Fit) -> Screened:
-        return screen_in_turn(fit, effects, at=at, alpha=alpha, colour=colour, scatter=scatter, seed=seed)
+        return screen_in_turn(
+            fit, effects, at=at, alpha=alpha, colour=colour, scatter=scatter, seed=seed, known=laws
+        )
 
     lower = at_lower_rate(null_fit, pars, portion, noise, options)
     searched, own_noise = (portion, noise) if lower is None else (lower.portion, lower.noise)

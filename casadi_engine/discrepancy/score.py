@@ -57,22 +57,26 @@ class Scores:
         """R (k, k); zero rows and columns where not testable."""
         return np.asarray(self.directions.T @ self.directions)
 
-    @property
+    @cached_property
+    def _side(self) -> NDArray[np.intp]:
+        return np.array([c.side for c in self.candidates], dtype=np.intp)
+
+    @cached_property
     def statistic(self) -> Array:
         """(k,) |z|, or for one-sided candidates z in the allowed direction, not below 0."""
-        side = np.array([c.side for c in self.candidates])
+        side = self._side
         return np.where(side == 0, np.abs(self.z), np.maximum(side * self.z, 0.0))
 
-    @property
+    @cached_property
     def drop(self) -> Array:
         """(k,) predicted drop of chi-squared; zero for an amplitude of the forbidden sign."""
         return np.asarray(self.statistic**2)
 
-    @property
+    @cached_property
     def p_value(self) -> Array:
         """(k,) p-value of each candidate on its own; 1 where not testable. Normal where the noise is known, else by
         Student's t of its degrees of freedom."""
-        side = np.array([c.side for c in self.candidates])
+        side = self._side
         beyond = np.where(side == 0, np.abs(self.z), side * self.z)
         p = np.where(side == 0, 2.0, 1.0) * upper_tail(beyond, self.freedom)
         return np.where(self.testable, p, 1.0)

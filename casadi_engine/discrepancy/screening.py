@@ -42,6 +42,7 @@ from casadi_engine.discrepancy.random_families import (
 from casadi_engine.discrepancy.requests import Request, check_alpha, read_request
 from casadi_engine.discrepancy.score import Scores, score
 from casadi_engine.distributions import normal_isf
+from casadi_engine.effects.candidate import Known
 from casadi_engine.errors import EffectError, EstimationError
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.options import whole
@@ -211,12 +212,13 @@ def screen_in_turn(
     scatter: Any = "assumed",
     seed: int = 0,
     wait: bool = True,
+    known: Known | None = None,
 ) -> Screened:
     """As ``screen``, but the colour of a long record's residual may wait (``choice.waits``): a large effect colours the
     residual of a model that lacks it, and a refit with the effect tells that sooner than a search for the colour.
-    ``coloured`` goes on where it does not."""
+    ``coloured`` goes on where it does not. known : as in ``candidates``"""
     seed = whole("seed", seed, 0)
-    null, candidates, columns, request = _linearised(fit, effects, at)
+    null, candidates, columns, request = _linearised(fit, effects, at, known)
     choice = choose_noise(
         null, candidates, columns, fit.noise, data=fit.data, cylinders=scatter, colour=colour, wait=wait
     )
@@ -224,13 +226,13 @@ def screen_in_turn(
 
 
 def _linearised(
-    fit: Fit, effects: Any, at: Any
+    fit: Fit, effects: Any, at: Any, known: Known | None = None
 ) -> tuple[NullModel, tuple[Candidate, ...], dict[str, dict[str, Array]], Request]:
     """The null model, the candidates that are wanted, their columns, and what was asked for."""
     request = read_request(fit.model, effects, at)
     null = null_model(fit)
     skipped: list[NotApplicable] = []
-    every = library_candidates(null, fit.data, request.effects, skipped)
+    every = library_candidates(null, fit.data, request.effects, skipped, known)
     request = replace(request, skipped=(*request.skipped, *dict.fromkeys(skipped)))
     candidates = [one for one in every if request.wants(one)]
     columns = {record.name: candidate_columns(record, candidates) for record in null.records}
@@ -274,7 +276,9 @@ def _check_columns(candidates: Sequence[Candidate], columns: Mapping[str, Mappin
 def rescored(screened: Screened, choice: NoiseChoice) -> Screened:
     """The same scores with another noise."""
     one = screened
-    choice = replace(choice, compressed=None)
+    white = None if choice.noise.colour else one.choice.white
+    compressed = None if white is None else white.relevelled(choice.noise, choice.scatter)
+    choice = replace(choice, compressed=compressed)
     return _scored(one.null, one.candidates, one.columns, choice, one.alpha, one.seed, one.request)
 
 
@@ -291,7 +295,8 @@ def coloured(screened: Screened, fit: Fit) -> Screened:
 def _chosen_again(screened: Screened, fit: Fit, colour: ColourChoice) -> Screened:
     one = screened
     choice = choose_noise(
-        one.null, one.candidates, one.columns, fit.noise, data=fit.data, cylinders=one.choice.cylinders, colour=colour
+        one.null, one.candidates, one.columns, fit.noise, data=fit.data, cylinders=one.choice.cylinders, colour=colour,
+        white=one.choice.white,
     )  # fmt: skip
     return _scored(one.null, one.candidates, one.columns, choice, one.alpha, one.seed, one.request)
 

@@ -28,6 +28,9 @@ from casadi_engine.model.port_view import Courses, MissingSignalError, PortView
 from casadi_engine.model.term import NotApplicable, Term, ports_for, read_term, read_terms, takes_torque
 from casadi_engine.parameters import Parameters
 
+# What was read of laws: by port, effect and values the terms, and with the model and the sizes the candidates.
+Known = dict[tuple[Any, ...], list[Any]]
+
 # A combustion counts as a cycle of the record if at least this much of it is inside [rad].
 _INSIDE = 0.5
 
@@ -163,6 +166,7 @@ def candidates(
     sharp: bool = False,
     courses: Courses | None = None,
     skipped: list[NotApplicable] | None = None,
+    known: Known | None = None,
 ) -> tuple[Candidate, ...]:
     """Return all candidates of effects at all ports of a model, over the grids of their nuisance parameters.
 
@@ -171,6 +175,7 @@ def candidates(
     courses : an SX scalar of the model -> its values (N,) along each record, for effects that look at the motion
     skipped : a list to which effects are added whose other methods read signals that a port lacks; None raises
     MissingSignalError for them
+    known : what earlier calls have read, to be used again; this call adds to it
     Effects that the model has already at a port are left out there, and ports that lack a signal which the law reads.
     """
     record = arriving(model, record)
@@ -184,7 +189,7 @@ def candidates(
             if (port.name, effect.name) in there:
                 continue
             try:
-                found += _at_port(model, effect, port, record, numbers, courses, sharp)
+                found += _at_port(model, effect, port, record, numbers, courses, sharp, known)
             except MissingSignalError as fault:
                 if skipped is None:
                     raise
@@ -201,6 +206,7 @@ def _at_port(
     numbers: Mapping[str, float],
     courses: Courses | None,
     sharp: bool,
+    known: Known | None,
 ) -> list[Candidate]:
     """The candidates of one effect at one port; EffectError where a method of the effect fails."""
     view = PortView(model, port, courses, effect=effect.name)
@@ -219,9 +225,23 @@ def _at_port(
             allowed="fitted, narrowed, choices and sizes as ce.Effect describes them",
             cure="correct that method of the effect, or leave it out",
         ) from fault
-    known = [_without_amplitude(sharper, values) for values in points]
-    terms = read_terms(model, sharper, port, known, sharp=sharp) if known else []
-    return [replace(_made(model, term, size), effect=own) for term in terms for size in sizes]
+    places = tuple(_without_amplitude(sharper, values) for values in points)
+    law = (port, sharper, tuple(tuple(one.items()) for one in places), sharp)
+    key = (model, *law, sizes)
+    # an effect that is no value may have changed since
+    if known is None or not _is_value(sharper):
+        known = {}
+    if key not in known:
+        if law not in known and places:
+            known[law] = read_terms(model, sharper, port, places, sharp=sharp)
+        known[key] = [_made(model, term, size) for term in known.get(law, ()) for size in sizes]
+    return [one if one.effect is own else replace(one, effect=own) for one in known[key]]
+
+
+def _is_value(effect: Effect) -> bool:
+    """True for a frozen dataclass, which is what its fields say."""
+    made = getattr(effect, "__dataclass_params__", None)
+    return made is not None and made.frozen and "__hash__" in vars(type(effect))
 
 
 def grid_values(

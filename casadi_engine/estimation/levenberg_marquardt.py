@@ -24,8 +24,8 @@ _DAMPING, _LEAST, _STUCK, _EASE, _HINDER = 1e-2, 1e-9, 1e9, 0.2, 6.0
 _SHARE, _POOR, _GOOD = 1e-3, 0.25, 0.75
 # A symmetric rank-one update is passed over where its denominator is so small a share of the sizes in it.
 _SAFE = 1e-8
-# Change of the longest step after one of that length that does not fall.
-_SHORTER = 0.3
+# Longest step after one that does not fall, as a share of that.
+_SHORTER, _LONG = 0.5, 0.1
 
 
 @dataclass(frozen=True)
@@ -91,12 +91,13 @@ def minimise(
             learnt, trusted = _learn(learnt, here, there, moved)
         if there is None or gained < _SHARE * foretold:
             damping = max(_HINDER * damping, 1e-3)
-            reach *= _SHORTER if short else 1.0
+            length = float(np.abs(moved / longest(x)).max(initial=0.0))
+            reach = _SHORTER * min(length, 1.0) if length > _LONG else reach
             if damping > _STUCK:
                 return Minimum(x, here, count, converged=foretold < fall)
             continue
         if gained > _GOOD * foretold:
-            damping, reach = max(_EASE * damping, _LEAST), min(2 * reach, 1.0)
+            damping, reach = max(_EASE * damping, _LEAST), min(4 * reach, 1.0)
         elif gained < _POOR * foretold:
             damping = 2.0 * damping
         x, here = x + moved, there

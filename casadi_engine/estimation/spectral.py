@@ -34,6 +34,9 @@ Spectrum = NDArray[np.complex128]
 _SPRING = 1e-9
 # A Cholesky factor with a smaller entry on its diagonal has lost half the digits.
 _DIGITS = 1e-6
+# In the frequency domain a state that grows is one that decays backwards: points at which one grows more over the
+# record than a simulation from its start can follow are refused.
+_GROWTH = 1e8
 # Bins of a band for each parameter and state, at least.
 _FEWEST = 4
 
@@ -42,9 +45,11 @@ _FEWEST = 4
 class Bins:
     """A record at K half bins, each times the root of its share in the sum of squares.
 
-    z : (K,); share : (K,); drives : (m, K), then first derivatives (a, m, K) in the active entries; measured : (ny, K)
+    samples : N of the record; z, share : (K,); measured : (ny, K)
+    drives : (m, K); slopes : (a, m, K) their first derivatives in the entries of the parameters that they depend on
     """
 
+    samples: int
     z: Spectrum
     share: Array
     drives: Spectrum
@@ -54,6 +59,7 @@ class Bins:
     def part(self, bins: slice) -> Bins:
         """Some of the bins, contiguous in memory."""
         return Bins(
+            self.samples,
             self.z[bins].copy(),
             self.share[bins].copy(),
             np.ascontiguousarray(self.drives[:, bins]),
@@ -108,7 +114,7 @@ class SpectralRecord:
         if key not in self._kept:
             self._kept = {}  # one part at a time: a record's bins are as large as its samples
             _, drives, slopes = self._drives
-            whole = Bins(self._z, self._share, drives, slopes, self._measured)
+            whole = Bins(self.record.grid.samples, self._z, self._share, drives, slopes, self._measured)
             self._kept[key] = whole.part(part)
         return self._kept[key]
 
@@ -129,6 +135,8 @@ def _projected(
     c, d = discrete.c / sigma[:, None], discrete.d / sigma[:, None]
     hold = np.concatenate([discrete.f, discrete.g0, discrete.g1], axis=2)
     resolvent = Resolvent(discrete.f[0], bins.z)
+    if bins.samples * np.log(max(resolvent.radius, 1e-300)) > np.log(_GROWTH):
+        raise FloatingPointError("the states grow beyond what their start decides")
     rows = resolvent.rows(c[0])
     source = np.empty((n + 2 * len(bins.drives), count), complex)
     source[n : n + len(bins.drives)] = bins.drives
@@ -180,6 +188,7 @@ class Resolvent:
         if info:
             raise np.linalg.LinAlgError("the Schur form does not converge")
         self._near = 1.0 / (z - poles[:, None])
+        self.radius = float(np.abs(poles).max(initial=0.0))
 
     def rows(self, c: Array) -> Spectrum:
         """C (z - F)^-1, (ny, n, K), for C (ny, n)."""

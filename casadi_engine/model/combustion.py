@@ -98,20 +98,23 @@ def fit_motored(angle: Array, pressure: Array, *, ratio: float) -> Motored:
             cure="give a record that holds a compression stroke, with absolute pressure",
         )
     log_p = np.log(values[used])
-    best, found = math.inf, Motored()
-    for compression in _RATIOS:
-        volume = Motored(compression_ratio=float(compression)).volume(wrapped[used], ratio) / compression
-        rows = np.column_stack([np.ones(len(log_p)), -np.log(volume)])
-        solution, *_ = np.linalg.lstsq(rows, log_p, rcond=None)
-        cost = float(np.sum((log_p - rows @ solution) ** 2))
-        if cost < best and 1.0 < solution[1] < 1.7:
-            best = cost
-            found = Motored(float(np.exp(solution[0])), float(solution[1]), float(compression))
-    if not math.isfinite(best):
+    # a straight line of log p over -log(V/V_bdc) for every compression ratio
+    travel, middle = piston_travel(wrapped[used], ratio), log_p.mean()
+    cost, level, exponent = (np.empty(len(_RATIOS)) for _ in range(3))
+    for k, compression in enumerate(_RATIOS):
+        x = -np.log((1 + 0.5 * (compression - 1) * travel) / compression)
+        apart = x - x.mean()
+        exponent[k] = float(apart @ log_p) / float(apart @ apart)
+        level[k] = middle - exponent[k] * x.mean()
+        rest = log_p - middle - exponent[k] * apart
+        cost[k] = float(rest @ rest)
+    cost[(exponent <= 1.0) | (exponent >= 1.7)] = math.inf
+    best = int(np.argmin(cost))
+    if not math.isfinite(cost[best]):
         raise EffectError(
             "the motored pressure cannot be pegged",
             seen="a trace that does not rise like a compression",
             allowed="a polytropic exponent between 1 and 1.7",
             cure="check the pressure's offset and the crank angle's zero (combustion TDC of cylinder 1)",
         )
-    return found
+    return Motored(float(np.exp(level[best])), float(exponent[best]), float(_RATIOS[best]))

@@ -106,25 +106,30 @@
     group(u).forEach(said);
   }
 
-  function move(u, way) {
-    const { min, max } = u.scales.x, width = max - min, [left, right] = u.whole;
-    const start = Math.min(Math.max(min + way * width, left), right - width);
+  // A window of `share` of the width of this one, moved by `way` of its own width.
+  function move(u, share, way) {
+    const { min, max } = u.scales.x, width = share * (max - min), [left, right] = u.whole;
+    const start = Math.min(Math.max((min + max - width) / 2 + way * width, left), right - width);
     u.setScale("x", { min: start, max: start + width });
   }
 
   function said(u) {
-    const { min, max } = u.scales.x, [left, right, low, high] = u.whole;
-    const same = min === left && max === right && u.scales.y.min === low && u.scales.y.max === high;
-    u.tools.hidden = same;
+    const now = [u.scales.x.min, u.scales.x.max, u.scales.y.min, u.scales.y.max];
+    const zoomed = now.some((end, k) => end !== u.whole[k]);
+    u.tools.querySelectorAll(".zoomed").forEach(button => { button.hidden = !zoomed; });
   }
 
+  // For those without a mouse, and to walk from cycle to cycle.
   function tools(u) {
-    const bar = document.createElement("span");
+    const bar = document.createElement("span"), buttons = [["whole", "show all of it", () => whole(u), "zoomed"]];
     bar.className = "tools";
-    const buttons = [["◀", "earlier", () => move(u, -1)], ["▶", "later", () => move(u, 1)], ["whole", "show all of it", () => whole(u)]];
-    for (const [words, title, act] of u.log ? buttons.slice(2) : buttons) {
+    if (!u.log) buttons.unshift(
+      ["+", "closer", () => move(u, 0.5, 0), ""], ["◀", "earlier", () => move(u, 1, -1), "zoomed"], ["▶", "later", () => move(u, 1, 1), "zoomed"],
+    );
+    for (const [words, title, act, className] of buttons) {
       const button = document.createElement("button");
-      Object.assign(button, { type: "button", textContent: words, title, onclick: act });
+      Object.assign(button, { type: "button", textContent: words, title, onclick: act, className });
+      button.setAttribute("aria-label", title);
       bar.append(button);
     }
     return bar;

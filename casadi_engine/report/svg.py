@@ -114,7 +114,7 @@ def _labels(panel: Panel, axis: Axis, limits: Limits, length: float) -> list[tup
         return [(float(place), name) for place, name in zip(*names, strict=True)]
     places = [float(one) for one in panel.xticks or ()] if axis == "x" and panel.xticks is not None else None
     if places is None:
-        most = max(4, int(length / (70 if axis == "x" else 38)))
+        most = max(4, int(length / 70)) if axis == "x" else max(5, int(length / 32))
         places = ticks(limits, scale, most=most, threshold=panel.threshold)
     return list(zip(places, tick_words(places), strict=True))
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -77,25 +78,32 @@ def slot_direction(
 
     All in (x, u, d, t, p); laws that depend on drives or other slots respond.
     """
-    if drives is None:
-        drives = ca.SX.zeros(model.d.numel(), 1)
-    total = slots + (ca.jtimes(model.laws, model.d, drives) if model.d.numel() and model.w.numel() else 0)
-    if model.w.numel() and ca.depends_on(model.laws, model.w):
-        inside = ca.jacobian(model.laws, model.w)
-        part = total
-        for _ in range(model.w.numel()):
-            part = ca.mtimes(inside, part)
-            total = total + part
-            if part.is_zero():
-                break
+    by_slot, law_by_drive, ode_by_drive, output_by_drive = _responses(model)
     ode = ca.SX.zeros(model.x.numel(), 1)
-    if model.w.numel():
-        ode = ode + ca.jtimes(model.ode, model.w, total)
     out = ca.SX.zeros(len(model.outputs), 1) if outputs is None else outputs
-    if model.d.numel():
-        ode = ode + ca.jtimes(model.ode, model.d, drives)
-        out = out + ca.jtimes(model.output_expressions, model.d, drives)
-    return Direction(name, ode, out)
+    total = ca.sparsify(slots)
+    drives = ca.SX(model.d.numel(), 1) if drives is None else ca.sparsify(drives)
+    if drives.nnz():
+        total = total + ca.mtimes(law_by_drive, drives)
+        ode = ode + ca.mtimes(ode_by_drive, drives)
+        out = out + ca.mtimes(output_by_drive, drives)
+    return Direction(name, ca.densify(ode + ca.mtimes(by_slot, total)), ca.densify(out))
+
+
+@lru_cache(maxsize=16)
+def _responses(model: Model) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+    """What the ode makes of the slots (n, nw), other laws' answers included, and of the drives: laws (nw, m), ode
+    (n, m) and outputs (ny, m)."""
+    inside, every = ca.jacobian(model.laws, model.w), ca.SX.eye(model.w.numel())
+    part = every
+    for _ in range(model.w.numel()):
+        part = ca.sparsify(ca.mtimes(inside, part))
+        if not part.nnz():
+            break
+        every = every + part
+    moved = (model.laws, model.ode, model.output_expressions)
+    by_drive = (ca.jacobian(one, model.d) for one in moved)
+    return (ca.mtimes(ca.jacobian(model.ode, model.w), every), *by_drive)
 
 
 def parameter_direction(model: Model, slope: Array, *, name: str) -> Direction:

@@ -61,8 +61,8 @@ def drive():
 
 # Effects among which these are looked for; the others, and these in the slow run, among the whole library.
 FEW = {
-    "constant": ["coulomb_friction", "constant_torque", "viscous_friction", "cubic_stiffness", "load_step"],
-    "misfire": ["misfire", "cylinder_imbalance", "load_step", "coulomb_friction"],
+    "constant": ["coulomb_friction", "constant_torque", "viscous_friction", "cubic_stiffness"],
+    "misfire": ["misfire", "cylinder_imbalance", "coulomb_friction"],
 }
 AMONG = [{}, pytest.param({"effects": None}, marks=pytest.mark.slow, id="the whole library")]
 
@@ -164,7 +164,7 @@ def test_nothing_is_missing_where_nothing_is(repaired):
 
 
 def test_cycles_are_held_out_where_no_fresh_record_is_given(repaired):
-    found = repaired("coulomb", confirm=False, effects=["coulomb_friction", "cubic_stiffness"])
+    found = repaired("coulomb", confirm=False, effects=["coulomb_friction"])
     assert found.gaps.source == "cycles"
     assert found.data[0].span[1] < found.fresh[0].span[0]
     assert found.effects[0].key == "coupling.coulomb_friction"

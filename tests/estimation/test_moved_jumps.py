@@ -81,7 +81,7 @@ def test_the_place_of_a_jump_of_the_equations_is_estimated():
     time = np.arange(201) * 0.02
     y = crossing(time, 0.2, 0.5) + 1e-3 * np.random.default_rng(0).standard_normal(201)
     # the input as recorded is a broken line: a finer record of it is what the truth has
-    fine = np.arange(4001) * 1e-3
+    fine = np.arange(1001) * 4e-3
     data = ce.Experiment.from_arrays(
         "run", units={"u": "1", "y": "1"}, u=(fine, 2 * np.sin(2 * fine)), y=(time, y)
     )

@@ -8,6 +8,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -99,21 +100,26 @@ class Case:
             for name, f in self.outputs.items()
         }
 
+    @cached_property
+    def clean(self) -> dict[str, Array]:
+        """The truth at the times of the record."""
+        return self.truth(self.time)
+
     def sigma(self) -> dict[str, float]:
         """Standard deviation of the noise of each output, in the record's unit."""
-        made = self.truth(self.time)
-        return {name: self.level * float(np.ptp(from_si(y, self.units[name]))) for name, y in made.items()}
+        return {
+            name: self.level * float(np.ptp(from_si(y, self.units[name]))) for name, y in self.clean.items()
+        }
 
     def record(self, *, noisy: bool) -> ce.Experiment:
         """The experiment that the user has."""
         rng = np.random.default_rng(zlib.crc32(self.name.encode()))
         unit = self.units.get("time", "s")
-        made = self.truth(self.time)
         channels: dict[str, Any] = {
             name: (from_si(t, unit), np.asarray(v, dtype=float)) for name, (t, v) in self.inputs.items()
         }
         sigma = self.sigma()
-        for name, y in made.items():
+        for name, y in self.clean.items():
             noise = rng.normal(0, sigma[name], len(y)) if noisy else 0.0
             channels[name] = (from_si(self.time, unit), from_si(y, self.units[name]) + noise)
         return ce.Experiment.from_arrays(self.name, units=dict(self.units), hold=self.hold, **channels)

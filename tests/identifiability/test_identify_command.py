@@ -48,7 +48,7 @@ def test_a_yes_is_written_and_ends_with_0(call):
     assert stored["remedies"] == ()
     page = (done.folder / "report.html").read_text()
     assert "can be told" in page
-    assert "http" not in page.replace("http://www.w3.org", "")
+    assert "://" not in page
 
 
 def test_a_lost_parameter_ends_with_1_only_when_it_is_checked(call):

@@ -244,12 +244,15 @@ def test_a_drag_zooms_into_trace_and_residual_alike(opened, factory):
     ends = trace.measured[inside].min(), trace.measured[inside].max()
     assert low < ends[0] < ends[1] < high < low + 1.2 * (ends[1] - ends[0])
     # a step to the right by the width of the window, and back to the whole
-    opened.run("document.querySelector('.tools:not([hidden]) [title=later]').click()")
+    opened.run("document.querySelector('[title=later]').click()")
     moved = opened.run(WHOLE)[0]
     assert moved == pytest.approx([after[0][1], 2 * after[0][1] - after[0][0]])
     opened.double_click((left + width / 2, middle))
     assert opened.run(WHOLE) == before
-    assert opened.run("document.querySelectorAll('.tools:not([hidden])').length") == 0
+    assert opened.run("document.querySelectorAll('.zoomed:not([hidden])').length") == 0
+    # without a mouse: half of the width around its middle
+    opened.run("document.querySelector('[title=closer]').click()")
+    assert opened.run(WHOLE)[0] == pytest.approx([before[0][0] + share * span for share in (0.25, 0.75)])
     assert opened.errors == []
 
 
