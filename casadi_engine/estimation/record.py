@@ -286,6 +286,7 @@ class RecordTerm:
         found = np.empty((1 + len(self.model.drives), grid.samples))
         found[0] = grid.time
         if isinstance(self.propagator, LinearPropagator):
+            self.propagator.forget()  # the search is over, and these take as much memory as its own layout of them
             for begin in range(0, grid.samples, _PART):
                 points = np.arange(begin, min(begin + _PART, grid.samples))
                 found[1:, points] = self.propagator.drives_at(z, points)
