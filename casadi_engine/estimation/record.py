@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -27,9 +27,9 @@ from casadi_engine.simulation.shared_core import Cores
 Array = NDArray[np.float64]
 
 
-# Samples of a long record that are evaluated at a time: the arrays of a part stay in the cache, and a record's
-# sensitivities take no memory. A record of less than twice as many is evaluated in one part, which is kept.
-_PART = 65536
+# A record with more outputs and slopes than this is long: it is evaluated in parts of about so many, which stay in the
+# processor's cache and are not kept, so that its slopes take no memory.
+_LONG, _PART = 2_000_000, 200_000
 
 
 @dataclass(frozen=True)
@@ -192,7 +192,7 @@ class RecordTerm:
         self.last_error: Any = None  # the integration error that was estimated last, and where
         self._single: tuple[Any, RecordTerm] | None = None
         self._common: float | None = None  # the weight, where all samples count and count alike
-        self.part = _PART  # samples that are evaluated at a time
+        self.long, self.part = _LONG, _PART
 
     @property
     def linear(self) -> bool:
@@ -280,10 +280,25 @@ class RecordTerm:
             self._rows(y, at)[:] = path.y[0]
         return y, path
 
+    def drives_at(self, v: Array) -> Array:
+        """(1 + m, N) times of the grid and the drives of the model there."""
+        z, grid = v[self.active], self.grid
+        found = np.empty((1 + len(self.model.drives), grid.samples))
+        found[0] = grid.time
+        if isinstance(self.propagator, LinearPropagator):
+            self.propagator.forget()  # the search is over, and these take as much memory as its own layout of them
+            for begin in range(0, grid.samples, _PART):
+                points = np.arange(begin, min(begin + _PART, grid.samples))
+                found[1:, points] = self.propagator.drives_at(z, points)
+        else:
+            found[1:] = self.propagator.drives_at(z)
+        return found
+
     def _cuts(self) -> list[slice]:
         """The blocks of every interval in the parts that are evaluated one after the other."""
-        if isinstance(self.propagator, LinearPropagator):
-            return self.propagator.parts(self.part)
+        each = len(self.outputs) * (1 + len(self.active))
+        if isinstance(self.propagator, LinearPropagator) and self.plan.padded * each > self.long:
+            return self.propagator.parts(self.part // each)
         return [slice(0, self.plan.b)]
 
     def _paths(self, v: Array, nodes: Array, order: int) -> Iterator[tuple[slice, Any]]:
@@ -325,9 +340,12 @@ class RecordTerm:
 
         for at in cuts[:0:-1]:  # a part's end is the start of the next
             ends.append(self.propagator.pulled_back(z, rho(at), ends[-1]))
-        parts = point.parts if isinstance(point.parts, list) else replace(point.parts, order=2)
+        if isinstance(point.parts, list):
+            paths = iter([point.path])
+        else:
+            paths = self.propagator.run(z, point.parts.nodes, 2, cuts, outputs=False)
         found = [
-            Blocks(*self.propagator.contraction(z, part.path, rho(part.at), end))
-            for part, end in zip(parts, reversed(ends), strict=True)
+            Blocks(*self.propagator.contraction(z, path, rho(at), end))
+            for at, path, end in zip(cuts, paths, reversed(ends), strict=True)
         ]
         return sum(found[1:], found[0])

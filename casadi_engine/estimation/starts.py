@@ -39,7 +39,7 @@ def nodes_from_measurement(record: RecordTerm, physical: Array) -> Array:
     out = ca.jacobian(model.closed_outputs, model.x)
     arguments = [model.x, model.u, model.t, model.p]
     function = ca.Function("quasi", arguments, [slope, out, model.closed_ode, model.closed_outputs])
-    mean = record.grid.channels.mean(axis=1)
+    mean = np.array([row.mean() for row in record.grid.rows])
     observed = _measured_at_nodes(record)
     weights = np.array([variable.scale for variable in model.outputs])
     middle = np.nanmean(observed, axis=1)

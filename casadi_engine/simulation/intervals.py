@@ -99,7 +99,7 @@ class Observation:
         self.shape = (rows * ny * b, m)
         numbers = {name: column for column, name in enumerate(outputs) if name in grid.measured}
         self.where = {name: self._flat(grid.measured[name].position, k) for name, k in numbers.items()}
-        kinds = np.zeros(self.shape, np.intp)
+        kinds = np.zeros(self.shape, np.int16)
         self.measured, self.valid = np.zeros(self.shape), np.zeros(self.shape, dtype=bool)
         for column, name in enumerate(outputs):
             if name in self.where:

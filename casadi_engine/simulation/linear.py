@@ -7,7 +7,7 @@ matrix product for all M intervals and all parameter sensitivities (see ``blocks
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import casadi as ca
@@ -111,14 +111,17 @@ class LinearPropagator:
         self._corrected: tuple[Array, int, Blocks] | None = None
 
     def parts(self, samples: int) -> list[slice]:
-        """The blocks of every interval in runs that hold about so many samples of all intervals; one below twice as
-        many."""
+        """The blocks of every interval in runs that hold about so many samples of all intervals."""
         plan = self.intervals
-        count = max(1, min(plan.b, plan.padded // samples))
+        count = max(1, min(plan.b, round(plan.padded / samples)))
         edges = [plan.b * k // count for k in range(count + 1)]
         return [slice(begin, end) for begin, end in pairwise(edges)]
 
     # ---- drives
+
+    def forget(self) -> None:
+        """Give the memory back that the drives of the whole record take; they are made anew when they are needed."""
+        self._constant = self._merged_drives = None
 
     def _merged(self, drives: Array) -> Array:
         """(..., m, N) drives of the model as (..., m', N) columns of the core; constants and feedback are zero."""
@@ -169,9 +172,9 @@ class LinearPropagator:
         none = np.zeros((0, *value.shape))
         return Columns(self._drives.active, value, none, none)
 
-    def drives_at(self, z: Array) -> Array:
-        """(m, N) drives of the model on the grid."""
-        return self._drives.part(z).value
+    def drives_at(self, z: Array, points: NDArray[np.intp] | None = None) -> Array:
+        """(m, k) drives of the model at the grid points with these numbers (k,), all by default."""
+        return self._drives.part(z, points).value
 
     def merged_drives(self, z: Array) -> DriveSamples:
         """The core's drives on the grid, constants among them, with their first derivatives; the second are none."""
@@ -207,15 +210,22 @@ class LinearPropagator:
         """Advance all intervals from ``nodes`` (M, n), scaled states, at z : (nz,)."""
         return next(self.run(z, nodes, order, [slice(0, self.intervals.b)]))
 
-    def run(self, z: Array, nodes: Array, order: int, parts: list[slice]) -> Iterator[LinearTrajectory]:
-        """The same, the blocks in one part after the other, so that a long record takes little memory."""
+    def run(
+        self, z: Array, nodes: Array, order: int, parts: list[slice], *, outputs: bool = True
+    ) -> Iterator[LinearTrajectory]:
+        """The same, the blocks in one part after the other, so that a long record takes little memory.
+
+        outputs : False for the states alone, which is all that `contraction` needs
+        """
         nz = self.nz if order else 0
-        blocks = self._blocks(z, order)
+        blocks = made = self._blocks(z, order)
+        if not outputs:
+            blocks = replace(made, p=made.p[: 1 + nz, : self.n])
         x, phi = np.zeros((1 + nz, self.n, self.intervals.m)), np.eye(self.n)
         x[0] = nodes.T
         for at in parts:
             path = self._advance(blocks, self._drive_columns(z, at), at, x, phi)
-            x, phi = path.x[-1], path.phi[-1]
+            x, phi, path.blocks = path.x[-1], path.phi[-1], made
             yield path
 
     # A trial point of the search may be far off: what overflows is found by its result.
