@@ -115,11 +115,16 @@ class SpectralRecord:
     def bins(self, z: Array, part: slice, last: int | None = None) -> Bins:
         """The bins in ``part`` at the record's own parameters z (na,); last : of parts that follow one another, of
         which none is kept."""
-        samples = self._propagator.merged_drives(z)
-        if self._drives is None or self._drives[0] is not samples.value:
-            drives = half_bins(samples.value) * self._share
-            slopes = half_bins(samples.first) * self._share
-            self._drives, self._kept = (samples.value, drives, slopes), {}
+        if self._drives is None or len(self._propagator.drives_active):
+            samples = self._propagator.merged_drives(z)
+            if self._drives is None or self._drives[0] is not samples.value:
+                drives, slopes = half_bins(samples.value), half_bins(samples.first)
+                drives *= self._share
+                slopes *= self._share
+                self._drives, self._kept = (samples.value, drives, slopes), {}
+            if not len(samples.active):  # made once: the samples themselves are not needed any more
+                self._drives = (samples.value[:0], *self._drives[1:])
+                self._propagator.forget_merged()
         _, drives, slopes = self._drives
         whole = Bins(self.record.grid.samples, self._z, self._share, drives, slopes, self._measured)
         if last is not None:
@@ -135,7 +140,7 @@ class SpectralRecord:
         """Products (e, 1 + na, 1 + na) of residual and Jacobian in the bins before each of the rising ``stops``, the
         transients projected out; part by part of the bins, as those of a long record take much memory."""
         z = v[self.record.active]
-        discrete, active = self._propagator.discretisation(z, 1), self._propagator.merged_drives(z).active
+        discrete, active = self._propagator.discretisation(z, 1), self._propagator.drives_active
         last = stops[-1]
         cuts = sorted({*range(0, last, _PART), *stops})
         parts = [slice(begin, end) for begin, end in pairwise(cuts)]
@@ -147,11 +152,11 @@ class SpectralRecord:
             span += piece.free @ piece.free.T
             seen += piece.free @ left
         jump = -np.linalg.lstsq(span, seen, rcond=_SPRING)[0]
-        total, found = 0.0, []
+        total, found = np.zeros((n + 1 + len(z),) * 2), []
         for part in parts:
             piece = _Piece(discrete, self.bins(z, part, last), self.sigma)
-            rows = np.concatenate([piece.free, piece.columns(jump, active)])
-            total = total + rows @ rows.T
+            rows = np.concatenate([piece.free, piece.columns(np.asarray(jump, dtype=np.float64), active)])
+            total += rows @ rows.T
             if part.stop in stops:
                 found.append(_without(total, n))
         return np.array(found)
@@ -161,7 +166,7 @@ class SpectralRecord:
         orthonormal rows (r, 2 ny K) that span these."""
         z = v[self.record.active]
         discrete = self._propagator.discretisation(z, order)
-        active = self._propagator.merged_drives(z).active
+        active = self._propagator.drives_active
         piece = _Piece(discrete, self.bins(z, part), self.sigma)
         free = Orthonormal.of(piece.free)
         flat = piece.columns(free.best(_real(piece.residual().reshape(-1))), active)

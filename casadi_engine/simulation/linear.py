@@ -176,6 +176,15 @@ class LinearPropagator:
         """(m, k) drives of the model at the grid points with these numbers (k,), all by default."""
         return self._drives.part(z, points).value
 
+    @property
+    def drives_active(self) -> NDArray[np.intp]:
+        """Entries of z that the drives depend on."""
+        return self._drives.active
+
+    def forget_merged(self) -> None:
+        """Give back the memory of what ``merged_drives`` keeps."""
+        self._merged_drives = None
+
     def merged_drives(self, z: Array) -> DriveSamples:
         """The core's drives on the grid, constants among them, with their first derivatives; the second are none."""
         if self._merged_drives is None or not (
