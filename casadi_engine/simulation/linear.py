@@ -95,7 +95,8 @@ class LinearPropagator:
         """(..., m, N) drives of the model as (..., m', N) columns of the core; constants and feedback are zero."""
         merged = np.zeros((*drives.shape[:-2], self._width, self._samples))
         for column, group in enumerate(self.core.groups):
-            merged[..., column, :] = drives[..., list(group), :].sum(axis=-2)
+            one = drives[..., group[0], :] if len(group) == 1 else drives[..., list(group), :].sum(axis=-2)
+            merged[..., column, :] = one
         return merged
 
     def _value_columns(self, drives: Array) -> Array:
