@@ -95,7 +95,7 @@ class SpectralRecord:
         self._measured = half_bins(measured) * share
         self._z = np.exp(1j * turn)
         self._drives: tuple[Array, Spectrum, Spectrum] | None = None
-        self._kept: dict[tuple[int, int], Bins] = {}
+        self._kept: dict[int, Bins] = {}
         self.sigma = np.ones(len(measured))
 
     def below(self, hertz: float) -> slice:
@@ -110,45 +110,74 @@ class SpectralRecord:
             drives = half_bins(samples.value) * self._share
             slopes = half_bins(samples.first) * self._share
             self._drives, self._kept = (samples.value, drives, slopes), {}
-        key = (part.start, part.stop)
-        if key not in self._kept:
-            self._kept = {}  # one part at a time: a record's bins are as large as its samples
+        if part.stop not in self._kept:
             _, drives, slopes = self._drives
             whole = Bins(self.record.grid.samples, self._z, self._share, drives, slopes, self._measured)
-            self._kept[key] = whole.part(part)
-        return self._kept[key]
+            # one part at a time beside the whole, which is as large as the samples
+            self._kept = {part.stop: whole if part.stop == self.size else whole.part(part)}
+        return self._kept[part.stop]
 
-    def columns(self, v: Array, part: slice, order: int = 1) -> tuple[Array, Array]:
+    def columns(
+        self, v: Array, part: slice, common: dict[tuple[int, int, int], Response] | None = None
+    ) -> tuple[Array, Array]:
         """Residual and Jacobian (1 + na, 2 ny K) in the active entries of v, the transients projected out; and
-        orthonormal rows (r, 2 ny K) that span these."""
+        orthonormal rows (r, 2 ny K) that span these.
+
+        common : kept for further records at the same v, those of the same length and bins have much in common
+        """
         z = v[self.record.active]
-        discrete = self._propagator.discretisation(z, order)
+        discrete = self._propagator.discretisation(z, 1)
         active = self._propagator.merged_drives(z).active
-        return _projected(discrete, self.bins(z, part), active, self.sigma)
+        bins, common = self.bins(z, part), {} if common is None else common
+        key = (id(discrete), bins.samples, len(bins.z))
+        if key not in common:
+            common[key] = Response.of(discrete, bins, self.sigma)
+        return _projected(common[key], bins, active)
 
 
-def _projected(
-    discrete: Discretisation, bins: Bins, active: NDArray[np.intp], sigma: Array
-) -> tuple[Array, Array]:
+@dataclass(frozen=True)
+class Response:
+    """A model at K bins, its outputs in units of their standard deviations.
+
+    c, d : jets of the output matrices; rows : (ny, n, K) C (z - F)^-1; shifted : (K,) z t for t = 1
+    free : what the transients span
+    """
+
+    discrete: Discretisation
+    sigma: Array
+    c: Array
+    d: Array
+    resolvent: Resolvent
+    rows: Spectrum
+    shifted: Spectrum
+    free: Orthonormal
+
+    @classmethod
+    def of(cls, discrete: Discretisation, bins: Bins, sigma: Array) -> Response:
+        """Raises FloatingPointError where the states grow too far."""
+        resolvent = Resolvent(discrete.f[0], bins.z)
+        if bins.samples * np.log(max(resolvent.radius, 1e-300)) > np.log(_GROWTH):
+            raise FloatingPointError("the states grow beyond what their start decides")
+        c, d = discrete.c / sigma[:, None], discrete.d / sigma[:, None]
+        rows, shifted = resolvent.rows(c[0]), bins.z * bins.share
+        seen = (rows * shifted).swapaxes(0, 1).reshape(len(discrete.f[0]), -1)
+        return cls(discrete, sigma, c, d, resolvent, rows, shifted, Orthonormal.of(_real(seen)))
+
+
+def _projected(response: Response, bins: Bins, active: NDArray[np.intp]) -> tuple[Array, Array]:
     """Residual and Jacobian (1 + na, 2 ny K), real and imaginary parts side by side, and the rows of the transients."""
+    discrete, c, d, rows, free = response.discrete, response.c, response.d, response.rows, response.free
     n, count = discrete.f.shape[1], len(bins.z)
-    c, d = discrete.c / sigma[:, None], discrete.d / sigma[:, None]
     hold = np.concatenate([discrete.f, discrete.g0, discrete.g1], axis=2)
-    resolvent = Resolvent(discrete.f[0], bins.z)
-    if bins.samples * np.log(max(resolvent.radius, 1e-300)) > np.log(_GROWTH):
-        raise FloatingPointError("the states grow beyond what their start decides")
-    rows = resolvent.rows(c[0])
     source = np.empty((n + 2 * len(bins.drives), count), complex)
     source[n : n + len(bins.drives)] = bins.drives
     np.multiply(bins.drives, bins.z, out=source[n + len(bins.drives) :])
     drive = _times(hold[0, :, n:], source[n:])
-    shifted = bins.z * bins.share
-    free = Orthonormal.of(_real((rows * shifted).swapaxes(0, 1).reshape(n, -1)))
     found = np.empty((len(discrete.f), *bins.measured.shape), complex)
     found[0] = np.einsum("ynk,nk->yk", rows, drive) + _times(d[0], bins.drives)
-    found[0] -= bins.measured / sigma[:, None]
-    drive += free.best(_real(found[0].reshape(-1)))[:, None] * shifted
-    source[:n] = resolvent.states(drive)
+    found[0] -= bins.measured / response.sigma[:, None]
+    drive += free.best(_real(found[0].reshape(-1)))[:, None] * response.shifted
+    source[:n] = response.resolvent.states(drive)
     if len(found) > 1:
         pushed = _times(hold[1:].reshape(-1, hold.shape[2]), source).reshape(-1, n, count)
         np.einsum("ynk,pnk->pyk", rows, pushed, out=found[1:])

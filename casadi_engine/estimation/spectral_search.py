@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.estimation.levenberg_marquardt import Evaluate, Minimum, Squares, minimise
 from casadi_engine.estimation.record import RecordTerm
-from casadi_engine.estimation.spectral import SpectralRecord
+from casadi_engine.estimation.spectral import Response, SpectralRecord
 
 Array = NDArray[np.float64]
 Priors = Callable[[Array], tuple[float, Array, Array, Array]]
@@ -88,10 +88,11 @@ class SpectralSearch:
         """The problem at v on the bins below a frequency; None where the model cannot be evaluated."""
         cost, gradient, _, matrix = self._priors(v)
         gradient, matrix = gradient.copy(), matrix.copy()
+        common: dict[tuple[int, int, int], Response] = {}
         with np.errstate(all="ignore"):
             for record in self._records:
                 try:
-                    columns, _ = record.columns(v, record.below(hertz))
+                    columns, _ = record.columns(v, record.below(hertz), common)
                 except (FloatingPointError, np.linalg.LinAlgError):
                     return None
                 gram = columns @ columns.T
@@ -124,8 +125,9 @@ class SpectralSearch:
         cost, gradient, _, matrix = self._priors(v)
         priors = np.block([[2 * cost, gradient], [gradient[:, None], matrix]])
         found = np.repeat(priors[None], len(edges), axis=0)
+        common: dict[tuple[int, int, int], Response] = {}
         for record in self._records:
-            columns, free = record.columns(v, record.below(np.inf))
+            columns, free = record.columns(v, record.below(np.inf), common)
             rows = np.concatenate([free, columns])
             rows = rows.reshape(len(rows), len(record.sigma), -1)
             entries = np.append(0, 1 + record.record.active)
