@@ -127,7 +127,8 @@ class LinearPropagator:
         """(..., m, N) drives of the model as (..., m', N) columns of the core; constants and feedback are zero."""
         merged = np.zeros((*drives.shape[:-2], self._width, drives.shape[-1]))
         for column, group in enumerate(self.core.groups):
-            merged[..., column, :] = drives[..., list(group), :].sum(axis=-2)
+            one = drives[..., group[0], :] if len(group) == 1 else drives[..., list(group), :].sum(axis=-2)
+            merged[..., column, :] = one
         return merged
 
     def _columns(self, v: Array, length: int) -> Array:
