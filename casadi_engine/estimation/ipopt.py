@@ -27,8 +27,8 @@ Progress = Callable[[int, float], bool]
 # step that was halved more than once. Below _LEAST it is nothing to the exact Hessian, whose steps then converge
 # quadratically.
 _DAMPING, _EASE, _HINDER, _LEAST = 0.05, 0.3, 10.0, 1e-4
-# Longest step of a scaled parameter, in units of its size if that is larger, or of a logarithm: beyond it the linearised
-# problem says nothing.
+# Longest step of a logarithm, or of a scaled parameter in units of its size where that is larger: beyond it the
+# linearised problem says nothing.
 _LONGEST = 2.0
 # Relative change of the objective that counts as settled, largest gap with it, and the iterations that suffice.
 _SETTLED, _GAP, _LONG = 1e-4, 1e-2, 25

@@ -116,30 +116,14 @@ class ShootingProblem:
 
     def hessian(self, x: Array, factor: float, lam: Array) -> Array:
         """Raw values of the Hessian of factor * objective + lam * constraints, or of what stands in for it."""
-        ends = [
-            lam[lay.row : lay.row + (lay.m - 1) * lay.n].reshape(-1, lay.n).T if lay.m > 1 else None
-            for lay in self.layouts
-        ]
-        zz, blocks = self.curvature(x, factor, lam[: self.user.count], ends)
-        return assembly.hessian_values(zz, [(zs, ss) for zs, ss in blocks])
-
-    def curvature(
-        self, x: Array, factor: float, lam: Array, joints: list[Array | None]
-    ) -> tuple[Array, list[tuple[Array, Array]]]:
-        """Hessian blocks: zz (nv, nv), then zs (na, n, M) and ss (M, n, n) of every record.
-
-        lam : (nc,) multipliers of the parameters' constraints; joints : (n, M-1) those of a record's continuity
-        """
         point = self.at(x)
         v, scale = x[: self.nv], factor / self.samples
         _, _, prior_hessian, prior_gn = self.priors.evaluate(v)
         zz = scale * (prior_hessian if self.exact else prior_gn)
         if self.exact and self.user.count:
-            zz = zz + self.user.hessian(v, lam)
+            zz = zz + self.user.hessian(v, lam[: self.user.count])
         blocks = []
-        for record, lay, found, own_lam in zip(
-            self.records, self.layouts, point.records, joints, strict=True
-        ):
+        for record, lay, found in zip(self.records, self.layouts, point.records, strict=True):
             bend = self.loss.curvature(found.r) if self.exact else self.loss.secant(found.r)
             gn = record.gauss_newton(found, bend)
             own, zs, ss = scale * gn.zz, scale * gn.zs, scale * gn.ss
@@ -150,10 +134,9 @@ class ShootingProblem:
                 ss[:, index, index] += self.damping * np.abs(ss[:, index, index])
             if self.exact:
                 ends = np.zeros((lay.n, lay.m))
-                if own_lam is not None:
-                    ends[:, :-1] = own_lam
+                ends[:, :-1] = lam[lay.row : lay.row + (lay.m - 1) * lay.n].reshape(-1, lay.n).T
                 bent = record.curvature(v, found, self.loss, scale, ends)
                 own, zs, ss = own + bent.zz, zs + bent.zs, ss + bent.ss
             zz[np.ix_(lay.active, lay.active)] += own
             blocks.append((zs, ss))
-        return zz, blocks
+        return assembly.hessian_values(zz, blocks)
