@@ -94,3 +94,14 @@ def test_dampers(quick):
     lines = quick("dampers")
     chosen = lines["chapter 6 (b)", "a technique is wanted: C21, C76"].ours
     assert chosen.startswith("a run-up 1000-2600 RPM in 2 s, off by C21")
+
+
+def test_the_pressure_model(quick):
+    lines = quick("pressure_model")
+    assert lines["chapter 6 (a)", "an analytic pressure model"].ours == "simulated trace: peak -0.2 %, +0 deg"
+
+
+def test_crank_speed_alone(quick):
+    lines = quick("speed_alone")
+    assert lines["chapter 6 (a)", "misfire detection without pressure"].ours == "x_2 at its bound 0"
+    assert lines["chapter 6 (a)", "no pressure in a car"].ours == "engine known: peaks within 1.3 %, 0.3 deg"
