@@ -29,6 +29,7 @@ ORDER = (
     "pressure_model",
     "speed_alone",
     "dampers",
+    "driveline",
 )
 
 

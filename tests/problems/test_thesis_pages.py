@@ -110,6 +110,16 @@ def test_crank_speed_alone(quick):
     assert lines["chapter 6 (a)", "no pressure in a car"].ours == "engine known: peaks within 1.3 %, 0.3 deg"
 
 
+def test_the_driveline(quick):
+    lines = quick("driveline")
+    found = lines["chapter 6 (c)", "the rest of the powertrain"].ours
+    assert found == "10 inertias; modes 6.4, 29.7, 77.6 Hz below the crankshaft's"
+    assert (
+        lines["chapter 6 (c)", "order map of a run-up"].ours
+        == "order 6.5 peaks at 338 Hz, the mode is at 335 Hz"
+    )
+
+
 def test_the_gallery_lists_every_page_with_a_picture_that_is_there():
     folder = FOLDER.parent
     text = (folder / "README.md").read_text(encoding="utf-8")
