@@ -44,6 +44,9 @@ _PART = 0.25
 _FEW = 8
 # Least share of what the best explains that its slope must take away, for what others promise in its place to count.
 _BENT = 0.8
+# With long records so many rivals in a row that gain no more than was promised, but for this share of what they are
+# behind, show that promises are kept: those that promise less are not tried.
+_BEYOND = 0.1
 # Times that the best trial may change while its rivals are tried in its place.
 _AGAIN = 3
 # A trial that ended so far above what was promised beside the best one may have ended elsewhere.
@@ -118,11 +121,13 @@ def make_trials(screened: Screened, fit: Fit, effects: Sequence[Addition], short
     made = _Maker(screened, fit, tuple(effects), shorts, base)
     scores = screened.scores
     here = Foreseen(base - scores.drop, scores.amplitude, base)
-    # with long records what explains everything is soon found from where parameters are not at bounds
+    # with long records what explains everything is soon found from where parameters are not at bounds, and its rivals
+    # from there: an optimum at bounds is then no place to start from
     ahead = shorts.long and driven(fit)
     if ahead:
         made.from_own_values()
-    made.try_all(here, fit, most=base - _PART * float(scores.drop.max(initial=0.0)))
+    if not (ahead and made.explained):
+        made.try_all(here, fit, most=base - _PART * float(scores.drop.max(initial=0.0)))
     if not ahead and (driven(fit) or not made.explained):
         made.from_own_values()
     made.go_on()
@@ -262,17 +267,23 @@ class _Maker:
         if seen.none < least:
             self._unsettled_from(seen, warm, done)
             return
-        share = _SURER if self.shorts.long and self.explained else _SHARE
-        close = cost + max(_NEAR, share * (self.base - cost))
-        for key, members in self.families.items():
-            k = min(members, key=lambda k: seen.cost[k])
-            self.promised[key] = float(seen.cost[k])
-            known = self.best.get(key)
-            if key == done or seen.cost[k] > close:
+        quick = self.shorts.long and self.explained
+        close = cost + max(_NEAR, (_SURER if quick else _SHARE) * (self.base - cost))
+        best = {key: min(members, key=lambda k: seen.cost[k]) for key, members in self.families.items()}
+        self.promised |= {key: float(seen.cost[k]) for key, k in best.items()}
+        kept = 0
+        for key, k in sorted(best.items(), key=lambda pair: seen.cost[pair[1]]):
+            promised, known = float(seen.cost[k]), self.best.get(key)
+            if promised > close or (quick and kept >= _FEW and promised > cost + _NEAR):
+                return
+            if key == done:
                 continue
-            if known is not None and known.cost < seen.cost[k] + _SURE and known.short.settled:
-                continue
-            self._try(key, self._added(k, seen), warm, _STEPS + _MORE)
+            if known is None or known.cost >= promised + _SURE or not known.short.settled:
+                self._try(key, self._added(k, seen), warm, _STEPS + _MORE)
+                known = self.best.get(key)
+            # a promise that was kept: no more was gained than a small part of the way to the best
+            exact = known is not None and known.cost >= promised - max(_SURE, _BEYOND * (promised - cost))
+            kept = kept + 1 if exact else 0
 
     def _unsettled_from(self, seen: Foreseen, warm: Start, done: tuple[str, str] | None) -> None:
         """Where a linearisation promises all too much, no promise counts: those are tried from there whose trials have

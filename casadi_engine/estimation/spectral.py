@@ -16,6 +16,8 @@ A transformed record holds as many numbers as before, but the parameters act in 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 from typing import cast
 
 import numpy as np
@@ -34,17 +36,24 @@ Spectrum = NDArray[np.complex128]
 _SPRING = 1e-9
 # A Cholesky factor with a smaller entry on its diagonal has lost half the digits.
 _DIGITS = 1e-6
+# In the frequency domain a state that grows is one that decays backwards: points at which one grows more over the
+# record than a simulation from its start can follow are refused.
+_GROWTH = 1e8
 # Bins of a band for each parameter and state, at least.
 _FEWEST = 4
+# Bins that are worked on at a time in a record of more than LONG of them.
+LONG, _PART = 50_000, 8192
 
 
 @dataclass(frozen=True)
 class Bins:
     """A record at K half bins, each times the root of its share in the sum of squares.
 
-    z : (K,); share : (K,); drives : (m, K), then first derivatives (a, m, K) in the active entries; measured : (ny, K)
+    samples : N of the record; z, share : (K,); measured : (ny, K)
+    drives : (m, K); slopes : (a, m, K) their first derivatives in the entries of the parameters that they depend on
     """
 
+    samples: int
     z: Spectrum
     share: Array
     drives: Spectrum
@@ -54,6 +63,7 @@ class Bins:
     def part(self, bins: slice) -> Bins:
         """Some of the bins, contiguous in memory."""
         return Bins(
+            self.samples,
             self.z[bins].copy(),
             self.share[bins].copy(),
             np.ascontiguousarray(self.drives[:, bins]),
@@ -63,10 +73,26 @@ class Bins:
 
 
 def half_bins(series: Array) -> Spectrum:
-    """The transform (..., K) of (..., N) samples at the odd half bins up to half the sampling rate, K = ceil(N/2)."""
+    """The transform (..., K) of (..., N) samples at the odd half bins up to half the sampling rate, K = ceil(N/2).
+
+    One series after the other, as a transform takes several times the memory of its series. Of an even number of
+    samples both halves go together as real and imaginary part into a transform of half the length: its first bins are
+    every second one, and its last ones, from behind, the conjugates of the others.
+    """
     count = series.shape[-1]
-    turned = series * np.exp(-1j * np.pi / count * np.arange(count))
-    return np.asarray(np.fft.fft(turned)[..., : (count + 1) // 2])
+    half = (count + 1) // 2
+    even = count % 2 == 0
+    turn = np.exp(-1j * np.pi / count * np.arange(half if even else count))
+    found = np.empty((*series.shape[:-1], half), complex)
+    for index in np.ndindex(series.shape[:-1]):
+        own = series[index]
+        if even:
+            both = np.fft.fft((own[:half] - 1j * own[half:]) * turn)
+            found[index][0::2] = both[: (half + 1) // 2]
+            found[index][1::2] = both[::-1][: half // 2].conj()
+        else:
+            found[index] = np.fft.fft(own * turn)[:half]
+    return found
 
 
 class SpectralRecord:
@@ -89,7 +115,7 @@ class SpectralRecord:
         self._measured = half_bins(measured) * share
         self._z = np.exp(1j * turn)
         self._drives: tuple[Array, Spectrum, Spectrum] | None = None
-        self._kept: dict[tuple[int, int], Bins] = {}
+        self._kept: dict[int, Bins] = {}
         self.sigma = np.ones(len(measured))
 
     def below(self, hertz: float) -> slice:
@@ -97,63 +123,148 @@ class SpectralRecord:
         fewest = _FEWEST * (self.record.n + len(self.record.active))
         return slice(0, min(max(int(np.searchsorted(self.hertz, hertz)), fewest), self.size))
 
-    def bins(self, z: Array, part: slice) -> Bins:
-        """The bins in ``part`` at the record's own parameters z (na,)."""
-        samples = self._propagator.merged_drives(z)
-        if self._drives is None or self._drives[0] is not samples.value:
-            drives = half_bins(samples.value) * self._share
-            slopes = half_bins(samples.first) * self._share
-            self._drives, self._kept = (samples.value, drives, slopes), {}
-        key = (part.start, part.stop)
-        if key not in self._kept:
-            self._kept = {}  # one part at a time: a record's bins are as large as its samples
-            _, drives, slopes = self._drives
-            whole = Bins(self._z, self._share, drives, slopes, self._measured)
-            self._kept[key] = whole.part(part)
-        return self._kept[key]
+    def release(self) -> None:
+        """Give back the memory of a long record's spectra; they are made again when they are asked for."""
+        if self.size > LONG:
+            self._drives, self._kept = None, {}
 
-    def columns(self, v: Array, part: slice, order: int = 1) -> tuple[Array, Array]:
+    def bins(self, z: Array, part: slice, *, keep: bool = True) -> Bins:
+        """The bins in ``part`` at the record's own parameters z (na,); kept for the next time unless told not to."""
+        if self._drives is None or len(self._propagator.drives_active):
+            samples = self._propagator.merged_drives(z)
+            if self._drives is None or self._drives[0] is not samples.value:
+                drives, slopes = half_bins(samples.value), half_bins(samples.first)
+                drives *= self._share
+                slopes *= self._share
+                self._drives, self._kept = (samples.value, drives, slopes), {}
+            if not len(samples.active):  # made once: the samples themselves are not needed any more
+                self._drives = (samples.value[:0], *self._drives[1:])
+                self._propagator.forget_merged()
+        _, drives, slopes = self._drives
+        whole = Bins(self.record.grid.samples, self._z, self._share, drives, slopes, self._measured)
+        if not keep:
+            return whole.part(part)
+        if part.stop not in self._kept:
+            # one part at a time beside the whole, which is as large as the samples
+            self._kept = {part.stop: whole if part.stop == self.size else whole.part(part)}
+        return self._kept[part.stop]
+
+    def columns(
+        self, v: Array, part: slice, common: dict[tuple[int, int, int], Response] | None = None
+    ) -> tuple[Array, Array]:
         """Residual and Jacobian (1 + na, 2 ny K) in the active entries of v, the transients projected out; and
-        orthonormal rows (r, 2 ny K) that span these."""
+        orthonormal rows (r, 2 ny K) that span these.
+
+        common : kept for further records at the same v, those of the same length and bins have much in common
+        """
         z = v[self.record.active]
-        discrete = self._propagator.discretisation(z, order)
-        active = self._propagator.merged_drives(z).active
-        return _projected(discrete, self.bins(z, part), active, self.sigma)
+        discrete = self._propagator.discretisation(z, 1)
+        bins, common = self.bins(z, part), {} if common is None else common
+        key = (id(discrete), bins.samples, len(bins.z))
+        if key not in common:
+            common[key] = Response(discrete, bins, self.sigma)
+        response = common[key]
+        free = response.free
+        left, drive, source = response.forced(bins)
+        jump = free.best(_real(left.reshape(-1)))
+        flat = response.columns(bins, (left, drive, source), jump, self._propagator.drives_active)
+        flat -= (flat @ free.rows.T) @ free.rows
+        return flat, free.rows
+
+    def gram(self, v: Array, stops: list[int]) -> Array:
+        """Products (e, 1 + na, 1 + na) of residual and Jacobian in the bins before each of the rising ``stops``, the
+        transients projected out; part by part of the bins, as those of a long record take much memory."""
+        z = v[self.record.active]
+        discrete = self._propagator.discretisation(z, 1)
+        parts = [slice(*ends) for ends in pairwise(sorted({*range(0, stops[-1], _PART), *stops}))]
+        n = discrete.f.shape[1]
+        span, seen = np.zeros((n, n)), np.zeros(n)
+        for part in parts:
+            bins = self.bins(z, part, keep=False)
+            response = Response(discrete, bins, self.sigma)
+            span += response.seen @ response.seen.T
+            seen += response.seen @ _real(response.forced(bins)[0].reshape(-1))
+        jump = np.asarray(-np.linalg.lstsq(span, seen, rcond=_SPRING)[0], dtype=np.float64)
+        total, found = np.zeros((n + 1 + len(z),) * 2), []
+        for part in parts:
+            bins = self.bins(z, part, keep=False)
+            response = Response(discrete, bins, self.sigma)
+            own = response.columns(bins, response.forced(bins), jump, self._propagator.drives_active)
+            rows = np.concatenate([response.seen, own])
+            total += rows @ rows.T
+            if part.stop in stops:
+                found.append(_without(total, n))
+        return np.array(found)
 
 
-def _projected(
-    discrete: Discretisation, bins: Bins, active: NDArray[np.intp], sigma: Array
-) -> tuple[Array, Array]:
-    """Residual and Jacobian (1 + na, 2 ny K), real and imaginary parts side by side, and the rows of the transients."""
-    n, count = discrete.f.shape[1], len(bins.z)
-    c, d = discrete.c / sigma[:, None], discrete.d / sigma[:, None]
-    hold = np.concatenate([discrete.f, discrete.g0, discrete.g1], axis=2)
-    resolvent = Resolvent(discrete.f[0], bins.z)
-    rows = resolvent.rows(c[0])
-    source = np.empty((n + 2 * len(bins.drives), count), complex)
-    source[n : n + len(bins.drives)] = bins.drives
-    np.multiply(bins.drives, bins.z, out=source[n + len(bins.drives) :])
-    drive = _times(hold[0, :, n:], source[n:])
-    shifted = bins.z * bins.share
-    free = Orthonormal.of(_real((rows * shifted).swapaxes(0, 1).reshape(n, -1)))
-    found = np.empty((len(discrete.f), *bins.measured.shape), complex)
-    found[0] = np.einsum("ynk,nk->yk", rows, drive) + _times(d[0], bins.drives)
-    found[0] -= bins.measured / sigma[:, None]
-    drive += free.best(_real(found[0].reshape(-1)))[:, None] * shifted
-    source[:n] = resolvent.states(drive)
-    if len(found) > 1:
-        pushed = _times(hold[1:].reshape(-1, hold.shape[2]), source).reshape(-1, n, count)
-        np.einsum("ynk,pnk->pyk", rows, pushed, out=found[1:])
-    if c[1:].any():
-        found[1:] += _times(c[1:].reshape(-1, n), source[:n]).reshape(found[1:].shape)
-    if d[1:].any():
-        found[1:] += _times(d[1:].reshape(-1, d.shape[2]), bins.drives).reshape(found[1:].shape)
-    for entry, slope in zip(active if len(found) > 1 else (), bins.slopes, strict=False):
-        forced = _times(discrete.g0[0], slope) + _times(discrete.g1[0], slope * bins.z)
-        found[1 + entry] += np.einsum("ynk,nk->yk", rows, forced) + _times(d[0], slope)
-    flat = _real(found.reshape(len(found), -1))
-    flat -= (flat @ free.rows.T) @ free.rows
-    return flat, free.rows
+def _without(gram: Array, n: int) -> Array:
+    """Products of the rows behind the first n, these projected out."""
+    size = np.sqrt(np.maximum(np.diag(gram)[:n], 1e-300))
+    values, vectors = np.linalg.eigh(gram[:n, :n] / np.outer(size, size))
+    told = values > _SPRING
+    cross = (vectors[:, told] / np.sqrt(values[told])).T @ (gram[:n, n:] / size[:, None])
+    return np.asarray(gram[n:, n:] - cross.T @ cross)
+
+
+class Response:
+    """A model at K bins, its outputs in units of their standard deviations.
+
+    seen : (n, 2 ny K) what the transients do, real and imaginary parts side by side; free : what they span
+    Raises FloatingPointError where the states grow too far.
+    """
+
+    def __init__(self, discrete: Discretisation, bins: Bins, sigma: Array) -> None:
+        self._resolvent = Resolvent(discrete.f[0], bins.z)
+        if bins.samples * np.log(max(self._resolvent.radius, 1e-300)) > np.log(_GROWTH):
+            raise FloatingPointError("the states grow beyond what their start decides")
+        self._discrete, self._sigma = discrete, sigma
+        self._c, self._d = discrete.c / sigma[:, None], discrete.d / sigma[:, None]
+        self._rows, self._shifted = self._resolvent.rows(self._c[0]), bins.z * bins.share
+        self.seen = _real((self._rows * self._shifted).swapaxes(0, 1).reshape(len(discrete.f[0]), -1))
+
+    @cached_property
+    def free(self) -> Orthonormal:
+        """Orthonormal rows that span the transients."""
+        return Orthonormal.of(self.seen)
+
+    def forced(self, bins: Bins) -> tuple[Spectrum, Spectrum, Spectrum]:
+        """Residual (ny, K) without transients, what drives the states (n, K), and what the Jacobian is made of."""
+        n, m = self._discrete.f.shape[1], len(bins.drives)
+        source = np.empty((n + 2 * m, len(bins.z)), complex)
+        source[n : n + m] = bins.drives
+        np.multiply(bins.drives, bins.z, out=source[n + m :])
+        hold = np.concatenate([self._discrete.g0[0], self._discrete.g1[0]], axis=1)
+        drive = _times(hold, source[n:])
+        left = np.einsum("ynk,nk->yk", self._rows, drive) + _times(self._d[0], bins.drives)
+        return left - bins.measured / self._sigma[:, None], drive, source
+
+    def columns(
+        self,
+        bins: Bins,
+        forced: tuple[Spectrum, Spectrum, Spectrum],
+        jump: Array,
+        active: NDArray[np.intp],
+    ) -> Array:
+        """Residual without transients and Jacobian at the transient ``jump`` (n,): (1 + na, 2 ny K), real and imaginary
+        parts side by side; active : entries that the drives depend on."""
+        discrete, c, d, rows = self._discrete, self._c, self._d, self._rows
+        left, drive, source = forced
+        n, count = discrete.f.shape[1], len(bins.z)
+        found = np.empty((len(discrete.f), *bins.measured.shape), complex)
+        found[0] = left
+        source[:n] = self._resolvent.states(drive + jump[:, None] * self._shifted)
+        if len(found) > 1:
+            hold = np.concatenate([discrete.f[1:], discrete.g0[1:], discrete.g1[1:]], axis=2)
+            pushed = _times(hold.reshape(-1, hold.shape[2]), source).reshape(-1, n, count)
+            np.einsum("ynk,pnk->pyk", rows, pushed, out=found[1:])
+        if c[1:].any():
+            found[1:] += _times(c[1:].reshape(-1, n), source[:n]).reshape(found[1:].shape)
+        if d[1:].any():
+            found[1:] += _times(d[1:].reshape(-1, d.shape[2]), bins.drives).reshape(found[1:].shape)
+        for entry, slope in zip(active if len(found) > 1 else (), bins.slopes, strict=False):
+            push = _times(discrete.g0[0], slope) + _times(discrete.g1[0], slope * bins.z)
+            found[1 + entry] += np.einsum("ynk,nk->yk", rows, push) + _times(d[0], slope)
+        return _real(found.reshape(len(found), -1))
 
 
 def _real(values: Spectrum) -> Array:
@@ -180,6 +291,7 @@ class Resolvent:
         if info:
             raise np.linalg.LinAlgError("the Schur form does not converge")
         self._near = 1.0 / (z - poles[:, None])
+        self.radius = float(np.abs(poles).max(initial=0.0))
 
     def rows(self, c: Array) -> Spectrum:
         """C (z - F)^-1, (ny, n, K), for C (ny, n)."""

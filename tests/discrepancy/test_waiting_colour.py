@@ -6,11 +6,12 @@ import pytest
 from scipy.signal import lfilter
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.noise_choice import noise_left
+from casadi_engine.discrepancy.noise_choice import _LONG, noise_left
 from casadi_engine.discrepancy.null_model import null_model
 from casadi_engine.discrepancy.refit import Refitter
 from casadi_engine.discrepancy.screening import coloured, screen, screen_in_turn
 from casadi_engine.discrepancy.search import Search
+from casadi_engine.experiment.decimation import decimated
 
 EFFECTS = ["coulomb_friction", "quadratic_drag", "constant_torque"]
 SAMPLES = 2400
@@ -84,6 +85,12 @@ def test_the_colour_that_waited_is_the_one_that_screening_finds():
 def test_short_records_do_not_wait():
     fit = fitted(record(3.0, white(1000)), omega=0.1)
     assert not screen_in_turn(fit, EFFECTS).choice.waits
+
+
+def test_a_record_of_a_lower_rate_waits_as_the_one_it_was_made_of():
+    data = decimated(record(3.0, white(6000)), ("T",), ("omega",), 4)
+    assert len(data["omega"].time) < _LONG
+    assert screen_in_turn(fitted(data, omega="estimate"), EFFECTS).choice.waits
 
 
 def test_white_residuals_do_not_wait():

@@ -1,5 +1,7 @@
 """Candidates: their parts against differences of the extended models, grids over records, and wrong requests."""
 
+import sys
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from casadi_engine import Experiment, effects
 from casadi_engine.errors import EffectError
 from casadi_engine.model import crankshaft, one_inertia, two_mass
 from casadi_engine.model.effect import Amplitude, Effect
+from casadi_engine.model.term import read_terms
 
 MODELS = {
     "two": two_mass(outputs=("omega", "omega_load")),
@@ -153,6 +156,55 @@ def test_all_candidates_of_a_record():
     assert np.array(secants) * 1992 == pytest.approx([4, 8, 16, 32, 64])
     fading = [one.values["fading"] for one in made if one.key == "load.stribeck_friction"]
     assert (fading[0], fading[-1]) == (pytest.approx(25.0), pytest.approx(250.0))
+
+
+def test_laws_that_were_read_are_used_again_also_for_a_model_with_an_effect_more(monkeypatch):
+    read = []
+
+    def counted(model, effect, port, *rest, **options):
+        read.append((effect.name, port.name))
+        return read_terms(model, effect, port, *rest, **options)
+
+    monkeypatch.setattr(sys.modules["casadi_engine.effects.candidate"], "read_terms", counted)
+    known, names = {}, ("coulomb_friction", "stribeck_friction", "misfire", "backlash")
+    chosen = [one for name in names for one in effects.library(name)]
+    first = effects.candidates(MODELS["two"], chosen, record(), known=known)
+    places = {("coulomb_friction", "coupling"), ("misfire", "cylinder_1"), ("backlash", "coupling")}
+    assert len(read) == len(set(read))
+    assert places < set(read)
+    read.clear()
+    again = effects.candidates(MODELS["two"], chosen, record(), known=known)
+    assert all(one.slots is other.slots for one, other in zip(again, first, strict=True))
+    larger = MODELS["two"].with_effect(effects.CoulombFriction(), at="coupling")
+    made = effects.candidates(larger, chosen, record(), known=known)
+    assert read == []
+    plain = effects.candidates(larger, chosen, record())
+    assert [one.label for one in made] == [one.label for one in plain]
+    x, u, t = point(larger)
+    p = larger.parameter_vector()
+    for own, fresh in zip(made, plain, strict=True):
+        assert own.model is larger
+        for one, other in zip(own.function(x, u, 0, t, p), fresh.function(x, u, 0, t, p), strict=True):
+            assert np.array(one) == pytest.approx(np.array(other), rel=1e-12, abs=1e-12)
+
+
+def test_an_effect_that_may_have_changed_is_read_anew():
+    class Fan(Effect):
+        name, attaches = "fan", ("inertia",)
+        amplitude = Amplitude("coefficient")
+        power = 2
+
+        def law(self, port, p, math):
+            return -p.coefficient * port.speed**self.power
+
+    fan, known = Fan(), {}
+    square = effects.candidates(MODELS["two"], [fan], record(), known=known)
+    fan.power = 3
+    cube = effects.candidates(MODELS["two"], [fan], record(), known=known)
+    x, u, t = point(MODELS["two"])
+    p = MODELS["two"].parameter_vector()
+    sizes = [np.array(one[0].function(x, u, 0, t, p)[0]).min() for one in (square, cube)]
+    assert sizes == pytest.approx([-(x[0] ** 2), -(x[0] ** 3)])
 
 
 def test_motored_traces_are_pegged_on_the_record():
