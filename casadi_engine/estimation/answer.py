@@ -158,7 +158,7 @@ def _traces(search: Search, record: RecordTerm, v: Array, start: Array) -> tuple
             for part in (simulated, predicted)
             if part
         ]
-        measured = np.where(counts, channel.values, np.nan)
+        measured = channel.values if counts.all() else np.where(counts, channel.values, np.nan)
         found[name] = Trace(channel.time, measured, counts, rows[0], rows[1] if len(rows) > 1 else None)
     return found, left
 
@@ -183,17 +183,18 @@ def _coarse(integration: dict[str, ErrorEstimate]) -> tuple[str, ...]:
 
 
 def _filled(size: int, index: NDArray[np.intp], values: Array) -> Array:
+    if len(index) == size:
+        return values
     row = np.full(size, np.nan)
     row[index] = values
     return row
 
 
 def _drives(record: RecordTerm, v: Array) -> dict[str, Array]:
-    samples = record.propagator.drives_at(v[record.active])
-    return {
-        variable.name: np.array([record.grid.time, values])
-        for variable, values in zip(record.model.drives, samples, strict=True)
-    }
+    """Drive -> (2, N) its times and values: views of one array, which hold the times once."""
+    table = record.drives_at(v)
+    table.setflags(write=False)
+    return {variable.name: table[:: k + 1][:2] for k, variable in enumerate(record.model.drives)}
 
 
 def _percent(trace: Trace) -> dict[str, float | None]:
@@ -290,17 +291,16 @@ def _beyond_noise(search: Search, best: Attempt) -> list[str]:
     names = search.records[0].outputs
     for name, estimated, sigma in zip(names, search.levels.estimated, search.sigma, strict=True):
         rows = [
-            record.observation.series(part.r, name)[record.observation.series(record.weight, name) > 0]
+            _counted(record, part.r, name)
             for record, part in zip(search.records, point.records, strict=True)
             if name in record.observation.where
         ]
-        r = np.concatenate([np.zeros(0), *rows])
-        left = len(r) - search.free_count
+        left = sum(map(len, rows)) - search.free_count
         if estimated or search.loss.robust or left < 1:
             continue
         from scipy.special import chdtrc
 
-        square = float(r @ r)
+        square = float(sum(r @ r for r in rows))
         if chdtrc(left, square) < _IMPOSSIBLE:
             found.append(
                 f"the residual of {name} is {math.sqrt(square / left):.3g} times the stated noise level of "
@@ -310,14 +310,19 @@ def _beyond_noise(search: Search, best: Attempt) -> list[str]:
     return found
 
 
+def _counted(record: RecordTerm, r: Array, name: str) -> Array:
+    """The residuals (K, M) of the samples of one output that count, in time order."""
+    counts, rows = (record.observation.series(values, name) for values in (record.observation.valid, r))
+    return rows if counts.all() else rows[counts]
+
+
 def _coloured(search: Search, best: Attempt) -> list[str]:
     """Outputs whose neighbouring residuals go together: their standard errors, made for white noise, are too small."""
     found = []
     point = search.problem.at(best.solution.x)
     for record, part in zip(search.records, point.records, strict=True):
         for name in record.observation.where:
-            r = record.observation.series(part.r, name)
-            r = r[record.observation.series(record.weight, name) > 0]
+            r = _counted(record, part.r, name)
             if len(r) < _FEW or search.levels.rounding(name, r, search.sigma):
                 continue
             share = float(r[1:] @ r[:-1] / (r @ r))

@@ -17,21 +17,22 @@ def chained_slopes(record: RecordTerm, point: RecordPoint, intervals: int | None
     intervals are taken side by side, and the chain rule joins them.
     """
     count = record.plan.m if intervals is None else intervals
-    n, nz = record.n, len(point.jz)
+    jz, js = point.jz, point.js
+    n, nz = record.n, len(jz)
     found = np.zeros((nz + n, len(point.r), count))
-    found[:nz] = point.jz[:, :, :count]
+    found[:nz] = jz[:, :, :count]
     turn = _starts(record, point, count)
     weight = record.weight[:, :count]
-    if point.js.ndim == 3:
-        found += np.matmul(point.js[:, :count].transpose(1, 0, 2), turn).transpose(2, 1, 0) * weight
+    if js.ndim == 3:
+        found += np.matmul(js[:, :count].transpose(1, 0, 2), turn).transpose(2, 1, 0) * weight
     else:
-        found += np.matmul(point.js, turn).transpose(2, 1, 0) * weight
+        found += np.matmul(js, turn).transpose(2, 1, 0) * weight
     return found
 
 
 def _starts(record: RecordTerm, point: RecordPoint, count: int) -> Array:
     """(count, n, nz + n) slopes of the intervals' starts."""
-    path, n, nz = point.path, record.n, len(point.jz)
+    path, n, nz = point.path, record.n, len(record.active)
     turn = np.zeros((count, n, nz + n))
     turn[0, :, nz:] = np.eye(n)
     if count == 1:

@@ -35,8 +35,7 @@ _MOST = 4
 
 def response(record: RecordTerm, v: Array, start: Array) -> tuple[Array, Any]:
     """Outputs (K, M) of the trajectory from ``start``, and the observation that lays them out."""
-    path = record.propagator.propagate(v[record.active], chained_nodes(record, v, start), 0)
-    return record.observation.observe(path.y)[0], record.observation
+    return record.outputs_at(v, chained_nodes(record, v, start))[0], record.observation
 
 
 def residual(record: RecordTerm, y: Array) -> Array:

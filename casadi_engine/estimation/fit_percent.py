@@ -112,7 +112,9 @@ def fit_measures(measured: ArrayLike, predicted: ArrayLike, *, mask: ArrayLike |
     """
     y, prediction = as_samples(measured, "the measured output"), as_samples(predicted, "the predicted output")
     valid = _common_valid(y, prediction, mask)
-    percent, rms, largest = _measures(y[valid], prediction[valid])
+    if not valid.all():
+        y, prediction = y[valid], prediction[valid]
+    percent, rms, largest = _measures(y, prediction)
     why = None if percent is not None else "the measured output is constant: (2.32) divides by its variation"
     return FitMeasures(percent, rms, largest, rms, int(valid.sum()), why)
 

@@ -13,7 +13,7 @@ from casadi_engine.estimation.record import RecordPoint, RecordTerm
 Array = NDArray[np.float64]
 
 # Information is made of squares of what grows, and these must stay within the range of floating point.
-LARGEST = 100 * np.log(10.0)
+_LARGEST = 100 * np.log(10.0)
 
 
 def log_growth(end_s: Array, intervals: int) -> float:
@@ -41,7 +41,7 @@ def check_growth(records: Iterable[RecordTerm], points: Iterable[RecordPoint]) -
         if not record.n or record.plan.m < 2 or not np.isfinite(point.path.end_s).all():
             continue
         log = log_growth(point.path.end_s, record.plan.m - 1)
-        if log > LARGEST:
+        if log > _LARGEST:
             stated = record.gain is not None
             raise EstimationError(
                 ("the predictor" if stated else "the model") + " is unstable over the length of the record",

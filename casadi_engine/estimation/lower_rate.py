@@ -148,7 +148,7 @@ def whole_slopes(record: RecordTerm, point: RecordPoint, count: int) -> Mapping[
     The intervals' starts are taken to follow one another; of a long record the first part alone is looked at.
     """
     use = min(count, max(1, _LOOKED_AT // max(record.plan.length, 1)))
-    whole = np.zeros((len(point.jz) + record.n, *point.r.shape))
+    whole = np.zeros((len(record.active) + record.n, *point.r.shape))
     whole[:, :, :use] = chained_slopes(record, point, use)
     samples = min(record.grid.samples, use * record.plan.length)
     return {

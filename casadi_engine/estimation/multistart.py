@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 
 # Two optima are one when their costs and their scaled parameters agree to these shares.
 _SAME_COST, _SAME_PLACE = 1e-6, 1e-3
+# So they are when a move from one to the other changes chi-squared by less than this, and their costs by no more.
+_SAME_NOISE = 1e-2
 # Distance of a neighbouring start from the optimum, in standard errors; the optima along a valley of the crankshaft's
 # likelihood were found 5 to 15 of them apart.
 _APART = 5.0
@@ -36,13 +38,36 @@ def attempts_from(
     outcomes : runs several starts at a time, in their order (see ``workers``); None runs one after the other
     """
     attempts: list[Attempt] = []
-    run = outcomes or _one_by_one(search)
+    run = outcomes or _one_by_one(search, finish=len(starts) == 1 and not neighbours)
     try:
         if _tried(run, attempts, starts) and neighbours:
             _follow(search, run, attempts, neighbours)
+        return _finished(search, attempts)
     finally:
         search.close()
+
+
+def _finished(search: Search, attempts: list[Attempt]) -> list[Attempt]:
+    """The attempts, those at the best optimum with their last steps on all samples."""
+    while (best := best_of(attempts)).pending:
+        last = search.finished(best)
+        attempts = [
+            replace(last, start=attempt.start, iterations=attempt.iterations)
+            if _alike(best, attempt)
+            else attempt
+            for attempt in attempts
+            if attempt is not best
+        ] + [last]
     return attempts
+
+
+def _alike(one: Attempt, other: Attempt) -> bool:
+    """True if two searches ended at one optimum, within a tenth of a standard error, as far as that is known."""
+    begun = one.begun or other.begun
+    if begun is None or abs(one.cost - other.cost) > _SAME_NOISE:
+        return False
+    apart = other.v - one.v
+    return bool(apart @ begun.found.information @ apart < _SAME_NOISE)
 
 
 def interrupted(attempts: list[Attempt]) -> bool:
@@ -50,11 +75,11 @@ def interrupted(attempts: list[Attempt]) -> bool:
     return any(attempt.solution.status == "interrupted" for attempt in attempts)
 
 
-def _one_by_one(search: Search) -> Outcomes:
+def _one_by_one(search: Search, *, finish: bool) -> Outcomes:
     def run(starts: list[Array], first: bool) -> Iterator[Attempt | EstimationError]:
         for k, start in enumerate(starts):
             try:
-                attempt = search.run(start, first=first and k == 0)
+                attempt = search.run(start, first=first and k == 0, finish=finish)
             except EstimationError as error:
                 yield error
                 continue
@@ -91,9 +116,12 @@ def _follow(search: Search, run: Outcomes, attempts: list[Attempt], neighbours: 
 
 def _neighbours(search: Search, best: Attempt, count: int) -> list[Array]:
     """Points (nz,) on either side of an optimum along the ``count`` directions of the largest errors."""
-    search._weigh(best.sigma)
     nv = len(best.v)
-    covariance = uncertainty(search, best).covariance.matrix[:nv, :nv]
+    if best.begun is None or not best.pending:
+        search._weigh(best.sigma)
+        covariance = uncertainty(search, best).covariance.matrix[:nv, :nv]
+    else:
+        covariance = _inverse(best.begun.found.information)
     if not np.isfinite(covariance).all():  # no slopes at this optimum: there is no direction to go
         return []
     values, vectors = np.linalg.eigh(covariance)
@@ -104,6 +132,16 @@ def _neighbours(search: Search, best: Attempt, count: int) -> list[Array]:
             at = best.v + side * float(np.sqrt(max(values[k], 0.0))) * vectors[:, k]
             found.append(search.coordinates.values(np.clip(at, low, high)))
     return found
+
+
+def _inverse(information: Array) -> Array:
+    """The covariance (n, n) of an information matrix; NaN where a direction has none."""
+    size = np.sqrt(np.diag(information))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scaled = information / np.outer(size, size)
+        if not np.isfinite(scaled).all() or np.linalg.eigvalsh(scaled)[0] <= 0:
+            return np.full_like(information, np.nan)
+        return np.asarray(np.linalg.inv(scaled) / np.outer(size, size))
 
 
 def best_of(attempts: list[Attempt]) -> Attempt:
@@ -121,7 +159,8 @@ def distinct_optima(search: Search, attempts: list[Attempt], best: Attempt) -> t
         for group in groups:
             gap = abs(attempt.cost - group[0].cost)
             apart = np.abs(attempt.v - group[0].v).max(initial=0.0)
-            if gap <= _SAME_COST * abs(group[0].cost) and apart <= _SAME_PLACE:
+            near = gap <= _SAME_COST * abs(group[0].cost) and apart <= _SAME_PLACE
+            if near or _alike(group[0], attempt):
                 group.append(attempt)
                 break
         else:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -25,18 +27,9 @@ from casadi_engine.simulation.shared_core import Cores
 Array = NDArray[np.float64]
 
 
-@dataclass
-class RecordPoint:
-    """A record evaluated at one point: residuals (K, M), Jacobians, and the states at the intervals' ends.
-
-    r : weighted residual (y_hat - y)/sigma, 0 where nothing was measured; jz : (nz, K, M) weighted;
-    js : (K, n) unweighted if all intervals share it, else (K, M, n)
-    """
-
-    path: Any
-    r: Array
-    jz: Array
-    js: Array
+# A record with more outputs and slopes than this is long: it is evaluated in parts of about so many, which stay in the
+# processor's cache and are not kept, so that its slopes take no memory.
+_LONG, _PART = 2_000_000, 200_000
 
 
 @dataclass(frozen=True)
@@ -46,6 +39,109 @@ class Blocks:
     zz: Array
     zs: Array
     ss: Array
+
+    def __add__(self, other: Blocks) -> Blocks:
+        return Blocks(self.zz + other.zz, self.zs + other.zs, self.ss + other.ss)
+
+
+@dataclass(frozen=True)
+class Part:
+    """The blocks ``at`` of all intervals of a record, evaluated at one point, in K' of its rows.
+
+    r : (K', M) weighted residual (y_hat - y)/sigma, 0 where nothing was measured; jz : (nz, K', M) weighted;
+    js : (K', n) unweighted if all intervals share it, else (K', M, n); weight : (K', M), ``common`` if it is one number
+    """
+
+    at: slice
+    path: Any
+    r: Array
+    jz: Array
+    js: Array
+    weight: Array
+    common: float | None
+
+    def gradient(self, slope: Array) -> tuple[Array, Array]:
+        """Gradient in the parameters (nz,) and the starts (M, n) of a loss with this slope (K', M)."""
+        in_z = self.jz.reshape(len(self.jz), slope.size) @ slope.ravel()
+        weighted = slope * self.weight
+        if self.js.ndim == 2:
+            return in_z, weighted.T @ self.js
+        return in_z, np.einsum("km,kma->ma", weighted, self.js)
+
+    def gauss_newton(self, curvature: Array | None) -> Blocks:
+        """Gauss-Newton blocks of a loss with this curvature (K', M) (None: 1 throughout)."""
+        jz = self.jz if curvature is None else self.jz * curvature
+        nz, k, m = jz.shape
+        zz = jz.reshape(nz, k * m) @ self.jz.reshape(nz, k * m).T
+        weight = self.weight if curvature is None else self.weight * curvature
+        js, n = self.js, self.js.shape[-1]
+        if js.ndim == 2 and self.common is not None and curvature is None:
+            zs = np.matmul(jz.transpose(0, 2, 1), js * self.common).transpose(0, 2, 1)
+            ss = np.broadcast_to(js.T @ js * self.common**2, (m, n, n))
+        elif js.ndim == 2:
+            zs = np.matmul((jz * self.weight).transpose(0, 2, 1), js).transpose(0, 2, 1)
+            outer = (js[:, :, None] * js[:, None, :]).reshape(k, -1)
+            ss = ((weight * self.weight).T @ outer).reshape(m, n, n)
+        else:
+            zs = np.einsum("zkm,kma->zam", jz * self.weight, js, optimize=True)
+            ss = np.einsum("km,kma,kmb->mab", weight * self.weight, js, js, optimize=True)
+        return Blocks(zz, zs, ss)
+
+
+@dataclass(frozen=True)
+class Ends:
+    """What a long record's path leaves: states at the intervals' ends (n, M) and their slopes."""
+
+    end: Array
+    end_z: Array
+    end_s: Array
+
+
+@dataclass(frozen=True)
+class _Again:
+    """The parts of a long record, evaluated anew each time that they are gone through."""
+
+    record: RecordTerm
+    v: Array
+    nodes: Array
+    order: int
+
+    def __iter__(self) -> Iterator[Part]:
+        return self.record.parts_at(self.v, self.nodes, self.order)
+
+
+@dataclass
+class RecordPoint:
+    """A record evaluated at one point: residuals, and the states at the intervals' ends (in ``path``).
+
+    r : (K, M) weighted residual; parts : the residuals' slopes, part by part; sums : of a long record, gradients of
+    half the summed squares in the parameters and starts, and the Gauss-Newton blocks
+    """
+
+    path: Any
+    r: Array
+    parts: list[Part] | _Again
+    sums: tuple[Array, Array, Blocks] | None = None
+
+    @property
+    def jz(self) -> Array:
+        """(nz, K, M) weighted slopes of the whole record."""
+        return _joined([(part.jz, part.at) for part in self.parts], 1)
+
+    @property
+    def js(self) -> Array:
+        """Slopes in the starts of the whole record, (K, n) or (K, M, n), as those of a part."""
+        return _joined([(part.js, part.at) for part in self.parts], 0)
+
+
+def _joined(found: list[tuple[Array, slice]], axis: int) -> Array:
+    """The rows (along ``axis``) of all parts as those of the whole record: row of a block, then block."""
+    if len(found) == 1:
+        return found[0][0]
+    own = [a.reshape(*a.shape[:axis], -1, at.stop - at.start, *a.shape[axis + 1 :]) for a, at in found]
+    whole = np.concatenate(own, axis=axis + 1)
+    shape = whole.shape
+    return whole.reshape(*shape[:axis], shape[axis] * shape[axis + 1], *shape[axis + 2 :])
 
 
 class RecordTerm:
@@ -96,6 +192,7 @@ class RecordTerm:
         self.last_error: Any = None  # the integration error that was estimated last, and where
         self._single: tuple[Any, RecordTerm] | None = None
         self._common: float | None = None  # the weight, where all samples count and count alike
+        self.long, self.part = _LONG, _PART
 
     @property
     def linear(self) -> bool:
@@ -148,46 +245,107 @@ class RecordTerm:
         self.weight = self.observation.valid / sigma[self.observation.column]
         first = float(self.weight.flat[0])
         self._common = first if (self.weight == first).all() else None
+        if self._common is not None:
+            self.weight = np.broadcast_to(first, self.weight.shape)  # one number in memory
 
     def evaluate(self, v: Array, nodes: Array, *, order: int = 1) -> RecordPoint:
         """Residuals at the global vector and the interval starts (M, n), scaled states."""
-        path = self.propagator.propagate(v[self.active], nodes, order)
-        y = self.observation.observe(path.y)
-        weight = self.weight if self._common is None else self._common
-        r = (y[0] - self.observation.measured) * weight
-        jz = y[1:] * weight
-        return RecordPoint(path, r, jz, self.observation.observe_starts(path.ys))
+        parts = _Again(self, v, nodes, order)
+        if len(self._cuts()) == 1:
+            (part,) = parts
+            return RecordPoint(part.path, part.r, [part])
+        r, sums = np.empty(self.observation.shape), None
+        for part in parts:
+            self._rows(r, part.at)[:] = self.observation.adjoint(part.r)
+            if order:
+                own = (*part.gradient(part.r), part.gauss_newton(None))
+                sums = own if sums is None else (sums[0] + own[0], sums[1] + own[1], sums[2] + own[2])
+        path = part.path  # the last one's ends are those of the intervals
+        return RecordPoint(Ends(path.end.copy(), path.end_z.copy(), path.end_s.copy()), r, parts, sums)
+
+    def parts_at(self, v: Array, nodes: Array, order: int) -> Iterator[Part]:
+        """The record's parts one after the other; see `evaluate`."""
+        for at, path in self._paths(v, nodes, order):
+            weight = self.observation.part(self.weight, at)
+            factor = weight if self._common is None else self._common
+            y = self.observation.observe(path.y)
+            r = (y[0] - self.observation.part(self.observation.measured, at)) * factor
+            js = self.observation.observe_starts(path.ys)
+            yield Part(at, path, r, y[1:] * factor, js, weight, self._common)
+
+    def outputs_at(self, v: Array, nodes: Array) -> tuple[Array, Any]:
+        """Outputs (K, M) and the path with the states at the intervals' ends, without slopes in the parameters."""
+        y = np.empty(self.observation.shape)
+        for at, path in self._paths(v, nodes, 0):
+            self._rows(y, at)[:] = path.y[0]
+        return y, path
+
+    def drives_at(self, v: Array) -> Array:
+        """(1 + m, N) times of the grid and the drives of the model there."""
+        z, grid = v[self.active], self.grid
+        found = np.empty((1 + len(self.model.drives), grid.samples))
+        found[0] = grid.time
+        if isinstance(self.propagator, LinearPropagator):
+            self.propagator.forget()  # the search is over, and these take as much memory as its own layout of them
+            for begin in range(0, grid.samples, _PART):
+                points = np.arange(begin, min(begin + _PART, grid.samples))
+                found[1:, points] = self.propagator.drives_at(z, points)
+        else:
+            found[1:] = self.propagator.drives_at(z)
+        return found
+
+    def _cuts(self) -> list[slice]:
+        """The blocks of every interval in the parts that are evaluated one after the other."""
+        each = len(self.outputs) * (1 + len(self.active))
+        if isinstance(self.propagator, LinearPropagator) and self.plan.padded * each > self.long:
+            return self.propagator.parts(self.part // each)
+        return [slice(0, self.plan.b)]
+
+    def _paths(self, v: Array, nodes: Array, order: int) -> Iterator[tuple[slice, Any]]:
+        z, cuts = v[self.active], self._cuts()
+        if isinstance(self.propagator, LinearPropagator):
+            yield from zip(cuts, self.propagator.run(z, nodes, order, cuts), strict=True)
+        else:
+            yield cuts[0], self.propagator.propagate(z, nodes, order)
+
+    def _rows(self, values: Array, at: slice) -> Array:
+        """The rows of (K, M) values that belong to some blocks, as a view (R*ny, L, M)."""
+        return self.observation.adjoint(values)[:, at]
 
     def gradient(self, point: RecordPoint, loss: Loss) -> tuple[Array, Array]:
         """Gradient of the summed loss in the active parameters (nz,) and the starts (M, n)."""
-        slope = loss.slope(point.r)
-        in_z = point.jz.reshape(len(point.jz), slope.size) @ slope.ravel()
-        weighted = slope * self.weight
-        if point.js.ndim == 2:
-            return in_z, weighted.T @ point.js
-        return in_z, np.einsum("km,kma->ma", weighted, point.js)
+        if point.sums is not None and not loss.robust:
+            return point.sums[:2]
+        found = [part.gradient(loss.slope(part.r)) for part in point.parts]
+        return sum((own[0] for own in found[1:]), found[0][0]), sum(
+            (own[1] for own in found[1:]), found[0][1]
+        )
 
     def gauss_newton(self, point: RecordPoint, curvature: Array | None = None) -> Blocks:
         """Gauss-Newton Hessian blocks of the summed loss with this curvature (K, M) (None: 1 throughout)."""
-        jz = point.jz if curvature is None else point.jz * curvature
-        nz, k, m = jz.shape
-        zz = jz.reshape(nz, k * m) @ point.jz.reshape(nz, k * m).T
-        weight = self.weight if curvature is None else self.weight * curvature
-        js, n = point.js, self.n
-        if js.ndim == 2 and self._common is not None and curvature is None:
-            zs = np.matmul(jz.transpose(0, 2, 1), js * self._common).transpose(0, 2, 1)
-            ss = np.broadcast_to(js.T @ js * self._common**2, (m, n, n))
-        elif js.ndim == 2:
-            zs = np.matmul((jz * self.weight).transpose(0, 2, 1), js).transpose(0, 2, 1)
-            outer = (js[:, :, None] * js[:, None, :]).reshape(k, -1)
-            ss = ((weight * self.weight).T @ outer).reshape(m, n, n)
-        else:
-            zs = np.einsum("zkm,kma->zam", jz * self.weight, js, optimize=True)
-            ss = np.einsum("km,kma,kmb->mab", weight * self.weight, js, js, optimize=True)
-        return Blocks(zz, zs, ss)
+        if point.sums is not None and curvature is None:
+            return point.sums[2]
+        bend = None if curvature is None else partial(self.observation.part, curvature)
+        found = [part.gauss_newton(None if bend is None else bend(part.at)) for part in point.parts]
+        return sum(found[1:], found[0])
 
     def curvature(self, v: Array, point: RecordPoint, loss: Loss, factor: float, lam: Array) -> Blocks:
         """Second-order part of the Lagrangian's Hessian: factor * loss + lam * ends; lam : (n, M)."""
-        rho = self.observation.adjoint(factor * loss.slope(point.r) * self.weight)
-        zz, zs, ss = self.propagator.contraction(v[self.active], point.path, rho, lam)
-        return Blocks(zz, zs, ss)
+        z, cuts, ends = v[self.active], self._cuts(), [lam]
+
+        def rho(at: slice) -> Array:
+            slope = loss.slope(self.observation.part(point.r, at))
+            weighted = factor * slope * self.observation.part(self.weight, at)
+            return self.observation.adjoint(weighted)
+
+        for at in cuts[:0:-1]:  # a part's end is the start of the next
+            ends.append(self.propagator.pulled_back(z, rho(at), ends[-1]))
+        if isinstance(point.parts, list):
+            paths = iter([point.path])
+        else:
+            paths = self.propagator.run(z, point.parts.nodes, 2, cuts, outputs=False)
+        found = [
+            Blocks(*self.propagator.contraction(z, path, rho(at), end))
+            for at, path, end in zip(cuts, paths, reversed(ends), strict=True)
+        ]
+        return sum(found[1:], found[0])

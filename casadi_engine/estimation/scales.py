@@ -52,9 +52,8 @@ def felt_scale(problem: ShootingProblem, coordinates: Coordinates, z: Array, x: 
         slope = np.diag(problem.priors.evaluate(x[: problem.nv])[3]).copy()
     except (FloatingPointError, np.linalg.LinAlgError, ModelError):
         return None
-    for lay, found in zip(problem.layouts, point.records, strict=True):
-        rows = found.jz.reshape(len(lay.active), -1)
-        slope[lay.active] += np.einsum("ij,ij->i", rows, rows)
+    for record, lay, found in zip(problem.records, problem.layouts, point.records, strict=True):
+        slope[lay.active] += np.diag(record.gauss_newton(found).zz)
     slope /= coordinates.slope(x[: problem.nv]) ** 2
     if not (np.isfinite(square) and np.isfinite(slope).all()):
         return None

@@ -26,7 +26,7 @@ from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.scales import felt_scale, state_factors
 from casadi_engine.estimation.shooting import ShootingProblem
 from casadi_engine.estimation.slopes import check_slopes
-from casadi_engine.estimation.spectral_start import SpectralStarts, in_full
+from casadi_engine.estimation.spectral_start import Begun, SpectralStarts, in_full
 from casadi_engine.estimation.starts import chained_nodes, drawn_starts, fitted_nodes, nodes_from_measurement
 from casadi_engine.estimation.unreachable import unreachable
 from casadi_engine.experiment import Experiment
@@ -54,7 +54,8 @@ class Attempt:
 
     v : (nv,) coordinates of the parameters; sigma : (ny,) noise levels found; cost : chi-squared + priors at these;
     merit : what starts are compared by, -2 log likelihood but for a constant; start : (nz,) parameters at the start
-    searched : what was searched on, in words
+    searched : what was searched on, in words; begun : where the search in the frequency domain ended, if there was one;
+    pending : it has yet to look at all samples
     """
 
     solution: Solution
@@ -65,6 +66,8 @@ class Attempt:
     iterations: int
     start: Array
     searched: str = "all samples"
+    begun: Begun | None = None
+    pending: bool = False
 
 
 class Search:
@@ -298,24 +301,52 @@ class Search:
         except FloatingPointError:
             return None
 
-    def run(self, z: Array, *, first: bool = True) -> Attempt:
-        """Search from z : (nz,), in the parameters' units."""
+    def run(self, z: Array, *, first: bool = True, finish: bool = True) -> Attempt:
+        """Search from z : (nz,), in the parameters' units.
+
+        finish : take the last steps on all samples, whatever the search began on; else see ``finished``
+        """
         z = self._warm_values(z) if first and self.warm is not None else z
         given, z = z, self._approached(z) if first else z
         self._weigh(self.levels.first(self.warm if first else None))
         known = {record.experiment.name for record in self.records} <= set(getattr(self.warm, "initial", ()))
         near = first and known and bool(getattr(self.warm, "converged", False))
         why = "it starts at an optimum" if near else in_full(self)
-        solution = None
+        self._before, solution, begun = 0, None, None
         if why is None:
-            solution, searched = self._from_band(z)
-            why = "those of the frequency domain led nowhere"
+            begun = self.spectral.search(z, steps=self.solver.most)
+            if begun is not None and begun.converged and not finish and not any(self.levels.estimated):
+                return self._unfinished(begun, given)
+            solution, searched = self._on_all_samples(begun)
+            why = "the frequency domain led nowhere"
         if solution is None:
             self._before = 0
             solution = self._solved(self._checked(self._start(z, first=first), z), exact=near)
             searched = f"all samples: {why}"
         solution, iterations = self._levelled(solution)
-        return replace(self._outcome(self._blamed(solution), iterations, given), searched=searched)
+        last = self._outcome(self._blamed(solution), iterations, given)
+        return replace(last, searched=searched, begun=begun)
+
+    def _unfinished(self, begun: Begun, z: Array) -> Attempt:
+        """The attempt at an optimum in the frequency domain, at known noise levels."""
+        nothing = np.zeros(0)
+        solution = Solution(begun.v, nothing, nothing, "converged", begun.steps, "")
+        cost = 2 * begun.found.minimum.squares.cost
+        merit = cost + 2 * float(np.log(self.sigma) @ self.levels.counts)
+        return Attempt(
+            solution, begun.v, self.sigma.copy(), cost, merit, begun.steps, z, "", begun, pending=True
+        )
+
+    def finished(self, attempt: Attempt) -> Attempt:
+        """An attempt with its last steps on all samples; itself if it has them."""
+        if not attempt.pending:
+            return attempt
+        self._weigh(attempt.sigma)
+        solution, searched = self._on_all_samples(attempt.begun)
+        if solution is None:
+            return self.run(attempt.start, first=False)
+        last = self._outcome(solution, solution.iterations, attempt.start)
+        return replace(last, searched=searched, begun=attempt.begun)
 
     def _checked(self, x: Array, z: Array) -> Array:
         """The point itself, if the model can be evaluated there."""
@@ -330,25 +361,29 @@ class Search:
         check_slopes(self.records, self.problem.at(x))
         return x
 
-    def _from_band(self, z: Array) -> tuple[Solution | None, str]:
-        """The solution by way of the frequency domain, None where that leads nowhere; and what was searched on."""
+    @property
+    def spectral(self) -> SpectralStarts:
+        """The search in the frequency domain; set up once it is wanted."""
         if self._spectral is None:
             self._spectral = SpectralStarts(self)
-        self._before, most = 0, self.solver.most
-        begun = self._spectral.of(z, steps=most)
-        if begun is None:
+        return self._spectral
+
+    def _on_all_samples(self, begun: Begun | None) -> tuple[Solution | None, str]:
+        """The solution from an optimum in the frequency domain, and what was searched on; None where it led nowhere."""
+        x = None if begun is None else self.spectral.variables(begun)
+        if begun is None or x is None:
             return None, ""
-        x, words = begun.x, str(begun.found)
-        none = Solution(x, np.zeros(self.problem.rows), np.zeros(self.problem.size), "", begun.steps, "")
+        words, nv = str(begun.found), self.problem.nv
+        ended = Solution(x, np.zeros(self.problem.rows), np.zeros(self.problem.size), "", begun.steps, "")
         if begun.stopped:
-            return replace(none, status="interrupted", words="interrupted"), words
-        if begun.steps >= most:
-            return replace(none, status=OUT_OF_ITERATIONS), words
+            return replace(ended, status="interrupted"), words
+        if not begun.converged:
+            return replace(ended, status=OUT_OF_ITERATIONS), words
         self._before = begun.steps
         solution = self._solved(x, exact=True)
         if solution.status not in ("converged", "interrupted"):
             return None, ""
-        moved = solution.x[: self.problem.nv] - x[: self.problem.nv]
+        moved = solution.x[:nv] - begun.v
         far = float(np.sqrt(np.maximum(moved @ begun.found.information @ moved, 0.0)))
         words += f"; all samples moved the estimates by {far:.2g} standard errors"
         return replace(solution, iterations=begun.steps + solution.iterations), words
@@ -396,7 +431,7 @@ class Search:
             solution = self.solver.solve(x, self.lower, self.upper, exact=True)
             solution, more = self._levelled(solution)
             found = self._outcome(self._blamed(solution), attempt.iterations + more, attempt.start)
-            attempt = replace(found, searched=attempt.searched)
+            attempt = replace(found, searched=attempt.searched, begun=attempt.begun)
         return attempt
 
     def _blamed(self, solution: Solution) -> Solution:
@@ -455,6 +490,8 @@ class Search:
 
     def cost_of(self, attempt: Attempt, sigma: Array) -> float:
         """The cost of an attempt at other noise levels (ny,)."""
+        if np.array_equal(attempt.sigma, sigma):
+            return attempt.cost
         self._weigh(sigma)
         return 2 * self.problem.samples * self._objective(attempt.solution.x)
 

@@ -29,8 +29,9 @@ def check_slopes(records: Sequence[RecordTerm], point: Point) -> None:
     )
 
 
-def _sloped(part: RecordPoint) -> bool:
-    return all(np.isfinite(a).all() for a in (part.jz, part.js, part.path.end_s, part.path.end_z))
+def _sloped(found: RecordPoint) -> bool:
+    rows = (a for part in found.parts for a in (part.jz, part.js))
+    return all(np.isfinite(a).all() for a in (found.path.end_s, found.path.end_z, *rows))
 
 
 def _kinks(model: Model) -> list[str]:

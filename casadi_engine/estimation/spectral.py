@@ -16,6 +16,7 @@ A transformed record holds as many numbers as before, but the parameters act in 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import cast
 
 import numpy as np
@@ -34,17 +35,24 @@ Spectrum = NDArray[np.complex128]
 _SPRING = 1e-9
 # A Cholesky factor with a smaller entry on its diagonal has lost half the digits.
 _DIGITS = 1e-6
+# In the frequency domain a state that grows is one that decays backwards: points at which one grows more over the
+# record than a simulation from its start can follow are refused.
+_GROWTH = 1e8
 # Bins of a band for each parameter and state, at least.
 _FEWEST = 4
+# Bins that are worked on at a time in a record of more than LONG of them.
+LONG, _PART = 50_000, 8192
 
 
 @dataclass(frozen=True)
 class Bins:
     """A record at K half bins, each times the root of its share in the sum of squares.
 
-    z : (K,); share : (K,); drives : (m, K), then first derivatives (a, m, K) in the active entries; measured : (ny, K)
+    samples : N of the record; z, share : (K,); measured : (ny, K)
+    drives : (m, K); slopes : (a, m, K) their first derivatives in the entries of the parameters that they depend on
     """
 
+    samples: int
     z: Spectrum
     share: Array
     drives: Spectrum
@@ -54,6 +62,7 @@ class Bins:
     def part(self, bins: slice) -> Bins:
         """Some of the bins, contiguous in memory."""
         return Bins(
+            self.samples,
             self.z[bins].copy(),
             self.share[bins].copy(),
             np.ascontiguousarray(self.drives[:, bins]),
@@ -63,10 +72,16 @@ class Bins:
 
 
 def half_bins(series: Array) -> Spectrum:
-    """The transform (..., K) of (..., N) samples at the odd half bins up to half the sampling rate, K = ceil(N/2)."""
+    """The transform (..., K) of (..., N) samples at the odd half bins up to half the sampling rate, K = ceil(N/2).
+
+    One series after the other: a transform takes several times the memory of its series.
+    """
     count = series.shape[-1]
-    turned = series * np.exp(-1j * np.pi / count * np.arange(count))
-    return np.asarray(np.fft.fft(turned)[..., : (count + 1) // 2])
+    turn = np.exp(-1j * np.pi / count * np.arange(count))
+    found = np.empty((*series.shape[:-1], (count + 1) // 2), complex)
+    for index in np.ndindex(series.shape[:-1]):
+        found[index] = np.fft.fft(series[index] * turn)[: found.shape[-1]]
+    return found
 
 
 class SpectralRecord:
@@ -97,20 +112,49 @@ class SpectralRecord:
         fewest = _FEWEST * (self.record.n + len(self.record.active))
         return slice(0, min(max(int(np.searchsorted(self.hertz, hertz)), fewest), self.size))
 
-    def bins(self, z: Array, part: slice) -> Bins:
-        """The bins in ``part`` at the record's own parameters z (na,)."""
+    def bins(self, z: Array, part: slice, last: int | None = None) -> Bins:
+        """The bins in ``part`` at the record's own parameters z (na,); last : of parts that follow one another, of
+        which none is kept."""
         samples = self._propagator.merged_drives(z)
         if self._drives is None or self._drives[0] is not samples.value:
             drives = half_bins(samples.value) * self._share
             slopes = half_bins(samples.first) * self._share
             self._drives, self._kept = (samples.value, drives, slopes), {}
+        _, drives, slopes = self._drives
+        whole = Bins(self.record.grid.samples, self._z, self._share, drives, slopes, self._measured)
+        if last is not None:
+            return whole.part(part)
         key = (part.start, part.stop)
         if key not in self._kept:
-            self._kept = {}  # one part at a time: a record's bins are as large as its samples
-            _, drives, slopes = self._drives
-            whole = Bins(self._z, self._share, drives, slopes, self._measured)
-            self._kept[key] = whole.part(part)
+            self._kept = {
+                key: whole.part(part)
+            }  # one part at a time: a record's bins are as large as its samples
         return self._kept[key]
+
+    def gram(self, v: Array, stops: list[int]) -> Array:
+        """Products (e, 1 + na, 1 + na) of residual and Jacobian in the bins before each of the rising ``stops``, the
+        transients projected out; part by part of the bins, as those of a long record take much memory."""
+        z = v[self.record.active]
+        discrete, active = self._propagator.discretisation(z, 1), self._propagator.merged_drives(z).active
+        last = stops[-1]
+        cuts = sorted({*range(0, last, _PART), *stops})
+        parts = [slice(begin, end) for begin, end in pairwise(cuts)]
+        n = discrete.f.shape[1]
+        span, seen = np.zeros((n, n)), np.zeros(n)
+        for part in parts:
+            piece = _Piece(discrete, self.bins(z, part, last), self.sigma)
+            left = _real(piece.residual().reshape(-1))
+            span += piece.free @ piece.free.T
+            seen += piece.free @ left
+        jump = -np.linalg.lstsq(span, seen, rcond=_SPRING)[0]
+        total, found = 0.0, []
+        for part in parts:
+            piece = _Piece(discrete, self.bins(z, part, last), self.sigma)
+            rows = np.concatenate([piece.free, piece.columns(jump, active)])
+            total = total + rows @ rows.T
+            if part.stop in stops:
+                found.append(_without(total, n))
+        return np.array(found)
 
     def columns(self, v: Array, part: slice, order: int = 1) -> tuple[Array, Array]:
         """Residual and Jacobian (1 + na, 2 ny K) in the active entries of v, the transients projected out; and
@@ -118,42 +162,67 @@ class SpectralRecord:
         z = v[self.record.active]
         discrete = self._propagator.discretisation(z, order)
         active = self._propagator.merged_drives(z).active
-        return _projected(discrete, self.bins(z, part), active, self.sigma)
+        piece = _Piece(discrete, self.bins(z, part), self.sigma)
+        free = Orthonormal.of(piece.free)
+        flat = piece.columns(free.best(_real(piece.residual().reshape(-1))), active)
+        flat -= (flat @ free.rows.T) @ free.rows
+        return flat, free.rows
 
 
-def _projected(
-    discrete: Discretisation, bins: Bins, active: NDArray[np.intp], sigma: Array
-) -> tuple[Array, Array]:
-    """Residual and Jacobian (1 + na, 2 ny K), real and imaginary parts side by side, and the rows of the transients."""
-    n, count = discrete.f.shape[1], len(bins.z)
-    c, d = discrete.c / sigma[:, None], discrete.d / sigma[:, None]
-    hold = np.concatenate([discrete.f, discrete.g0, discrete.g1], axis=2)
-    resolvent = Resolvent(discrete.f[0], bins.z)
-    rows = resolvent.rows(c[0])
-    source = np.empty((n + 2 * len(bins.drives), count), complex)
-    source[n : n + len(bins.drives)] = bins.drives
-    np.multiply(bins.drives, bins.z, out=source[n + len(bins.drives) :])
-    drive = _times(hold[0, :, n:], source[n:])
-    shifted = bins.z * bins.share
-    free = Orthonormal.of(_real((rows * shifted).swapaxes(0, 1).reshape(n, -1)))
-    found = np.empty((len(discrete.f), *bins.measured.shape), complex)
-    found[0] = np.einsum("ynk,nk->yk", rows, drive) + _times(d[0], bins.drives)
-    found[0] -= bins.measured / sigma[:, None]
-    drive += free.best(_real(found[0].reshape(-1)))[:, None] * shifted
-    source[:n] = resolvent.states(drive)
-    if len(found) > 1:
-        pushed = _times(hold[1:].reshape(-1, hold.shape[2]), source).reshape(-1, n, count)
-        np.einsum("ynk,pnk->pyk", rows, pushed, out=found[1:])
-    if c[1:].any():
-        found[1:] += _times(c[1:].reshape(-1, n), source[:n]).reshape(found[1:].shape)
-    if d[1:].any():
-        found[1:] += _times(d[1:].reshape(-1, d.shape[2]), bins.drives).reshape(found[1:].shape)
-    for entry, slope in zip(active if len(found) > 1 else (), bins.slopes, strict=False):
-        forced = _times(discrete.g0[0], slope) + _times(discrete.g1[0], slope * bins.z)
-        found[1 + entry] += np.einsum("ynk,nk->yk", rows, forced) + _times(d[0], slope)
-    flat = _real(found.reshape(len(found), -1))
-    flat -= (flat @ free.rows.T) @ free.rows
-    return flat, free.rows
+def _without(gram: Array, n: int) -> Array:
+    """Products of the rows behind the first n, these projected out."""
+    size = np.sqrt(np.maximum(np.diag(gram)[:n], 1e-300))
+    values, vectors = np.linalg.eigh(gram[:n, :n] / np.outer(size, size))
+    told = values > _SPRING
+    cross = (vectors[:, told] / np.sqrt(values[told])).T @ (gram[:n, n:] / size[:, None])
+    return np.asarray(gram[n:, n:] - cross.T @ cross)
+
+
+class _Piece:
+    """The equations of some bins at one point; free : (n, 2 ny K) what the transients do."""
+
+    def __init__(self, discrete: Discretisation, bins: Bins, sigma: Array) -> None:
+        n, m, count = discrete.f.shape[1], len(bins.drives), len(bins.z)
+        self._discrete, self._bins, self._sigma = discrete, bins, sigma
+        self._c, self._d = discrete.c / sigma[:, None], discrete.d / sigma[:, None]
+        self._hold = np.concatenate([discrete.f, discrete.g0, discrete.g1], axis=2)
+        self._resolvent = Resolvent(discrete.f[0], bins.z)
+        if bins.samples * np.log(max(self._resolvent.radius, 1e-300)) > np.log(_GROWTH):
+            raise FloatingPointError("the states grow beyond what their start decides")
+        self._rows = self._resolvent.rows(self._c[0])
+        self._source = np.empty((n + 2 * m, count), complex)
+        self._source[n : n + m] = bins.drives
+        np.multiply(bins.drives, bins.z, out=self._source[n + m :])
+        self._drive = _times(self._hold[0, :, n:], self._source[n:])
+        self._shifted = bins.z * bins.share
+        self.free = _real((self._rows * self._shifted).swapaxes(0, 1).reshape(n, -1))
+
+    def residual(self) -> Spectrum:
+        """(ny, K) without transients."""
+        bins = self._bins
+        found = np.einsum("ynk,nk->yk", self._rows, self._drive) + _times(self._d[0], bins.drives)
+        return np.asarray(found - bins.measured / self._sigma[:, None])
+
+    def columns(self, jump: Array, active: NDArray[np.intp]) -> Array:
+        """Residual and Jacobian (1 + na, 2 ny K), real and imaginary parts side by side; the Jacobian at the transient
+        ``jump`` (n,), the residual without it."""
+        bins, discrete, c, d = self._bins, self._discrete, self._c, self._d
+        n, count = discrete.f.shape[1], len(bins.z)
+        found = np.empty((len(discrete.f), *bins.measured.shape), complex)
+        found[0] = self.residual()
+        source, rows = self._source, self._rows
+        source[:n] = self._resolvent.states(self._drive + jump[:, None] * self._shifted)
+        if len(found) > 1:
+            pushed = _times(self._hold[1:].reshape(-1, self._hold.shape[2]), source).reshape(-1, n, count)
+            np.einsum("ynk,pnk->pyk", rows, pushed, out=found[1:])
+        if c[1:].any():
+            found[1:] += _times(c[1:].reshape(-1, n), source[:n]).reshape(found[1:].shape)
+        if d[1:].any():
+            found[1:] += _times(d[1:].reshape(-1, d.shape[2]), bins.drives).reshape(found[1:].shape)
+        for entry, slope in zip(active if len(found) > 1 else (), bins.slopes, strict=False):
+            forced = _times(discrete.g0[0], slope) + _times(discrete.g1[0], slope * bins.z)
+            found[1 + entry] += np.einsum("ynk,nk->yk", rows, forced) + _times(d[0], slope)
+        return _real(found.reshape(len(found), -1))
 
 
 def _real(values: Spectrum) -> Array:
@@ -180,6 +249,7 @@ class Resolvent:
         if info:
             raise np.linalg.LinAlgError("the Schur form does not converge")
         self._near = 1.0 / (z - poles[:, None])
+        self.radius = float(np.abs(poles).max(initial=0.0))
 
     def rows(self, c: Array) -> Spectrum:
         """C (z - F)^-1, (ny, n, K), for C (ny, n)."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.estimation.levenberg_marquardt import Minimum, Squares, minimise
 from casadi_engine.estimation.record import RecordTerm
-from casadi_engine.estimation.spectral import SpectralRecord
+from casadi_engine.estimation.spectral import LONG, SpectralRecord
 
 Array = NDArray[np.float64]
 Priors = Callable[[Array], tuple[float, Array, Array, Array]]
@@ -87,10 +87,9 @@ class SpectralSearch:
         with np.errstate(all="ignore"):
             for record in self._records:
                 try:
-                    columns, _ = record.columns(v, record.below(hertz))
+                    gram = _gram(record, v, record.below(hertz))
                 except (FloatingPointError, np.linalg.LinAlgError):
                     return None
-                gram = columns @ columns.T
                 own = record.record.active
                 cost += 0.5 * float(gram[0, 0])
                 gradient[own] += gram[1:, 0]
@@ -103,6 +102,13 @@ class SpectralSearch:
         priors = np.block([[2 * cost, gradient], [gradient[:, None], matrix]])
         found = np.repeat(priors[None], len(edges), axis=0)
         for record in self._records:
+            if record.size > LONG:
+                entries = np.append(0, 1 + record.record.active)
+                stops = [record.below(edge).stop for edge in edges]
+                parts = dict(zip(sorted(set(stops)), record.gram(v, sorted(set(stops))), strict=True))
+                for e, stop in enumerate(stops):
+                    found[e][np.ix_(entries, entries)] += parts[stop]
+                continue
             columns, free = record.columns(v, record.below(np.inf))
             rows = np.concatenate([free, columns])
             rows = rows.reshape(len(rows), len(record.sigma), -1)
@@ -186,6 +192,14 @@ class SpectralSearch:
             return None
         last = Minimum(last.x, last.squares, first.steps + last.steps, first.converged and last.converged)
         return Found(last, whole.matrix, hertz, kept, bins, share)
+
+
+def _gram(record: SpectralRecord, v: Array, part: slice) -> Array:
+    """Products (1 + na, 1 + na) of residual and Jacobian in some bins."""
+    if part.stop > LONG:
+        return np.asarray(record.gram(v, [part.stop])[0])
+    columns, _ = record.columns(v, part)
+    return np.asarray(columns @ columns.T)
 
 
 def _from_the_second(stop: Callable[[float], bool]) -> Callable[[float], bool]:

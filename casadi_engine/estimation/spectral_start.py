@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_engine.estimation.growth import LARGEST, log_growth
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.spectral_search import Found, SpectralSearch
 from casadi_engine.simulation.linear import LinearPropagator
@@ -27,13 +26,21 @@ _UNLIKE = 1e-2
 
 
 @dataclass(frozen=True)
-class SpectralStart:
-    """x : (size,) variables of the search on all samples; steps : done; found : the last optimum; stopped : early"""
+class Begun:
+    """Where a search in the frequency domain ended.
 
-    x: Array
+    found : its last optimum; steps : of all rounds; stopped : by the user; converged : at an optimum
+    """
+
+    found: Found
     steps: int
     stopped: bool
-    found: Found
+    converged: bool
+
+    @property
+    def v(self) -> Array:
+        """(nv,) coordinates of the parameters."""
+        return self.found.minimum.x
 
 
 def in_full(search: Search) -> str | None:
@@ -78,37 +85,26 @@ class SpectralStarts:
             lambda v: np.where(search.coordinates.log, 1.0, _LONGEST * np.maximum(np.abs(v), 1.0)),
         )
 
-    def of(self, z: Array, *, steps: int) -> SpectralStart | None:
-        """The start that a search from z (nz,) leads to; None where the model has no value or no response there.
+    def search(self, z: Array, *, steps: int) -> Begun | None:
+        """Search from z : (nz,), in at most so many steps; None where the model has no value or no slope.
 
-        Noise levels that have to be settled are on the way: the search is left with the last for weights.
+        Noise levels that have to be settled are on the way: the problem is left with the last for weights.
         """
         search = self._search
         v, done = search.coordinates.of(z), 0
-        if not all(self._bounded(record, v) for record in search.records):
-            return None
-        self._seen, self._stopped = 0, False
-        start = None
+        self._seen, self._stopped, begun = 0, False, None
         for _ in range(_ROUNDS):
             self._spectral.weigh(search.sigma)
             found = self._spectral.run(v, steps=max(steps - done, 1), stop=self._stop)
-            x = None if found is None else self._variables(found.minimum.x)
-            if found is None or x is None or not self._alike(x, found):
+            if found is None:
                 return None
             v, done = found.minimum.x, done + found.minimum.steps
-            start = SpectralStart(x, done, self._stopped, found)
-            if self._stopped or done >= steps or not search.settles or self._settled(x):
+            begun = Begun(found, done, self._stopped, found.minimum.converged)
+            x = self.variables(begun) if begun.converged and search.settles else None
+            if x is None or self._settled(x):
                 break
             self._seen -= 1  # the next begins where this one ended
-        return start
-
-    def _bounded(self, record: RecordTerm, v: Array) -> bool:
-        """True if the effect of a record's start is a number throughout."""
-        try:
-            f = cast(LinearPropagator, record.propagator).discretisation(v[record.active], 1).f[:1]
-        except (FloatingPointError, np.linalg.LinAlgError):
-            return False
-        return not f.size or log_growth(f, record.grid.samples - 1) < LARGEST
+        return begun
 
     def _settled(self, x: Array) -> bool:
         """Weigh by the noise levels at a point; True if they are what they were."""
@@ -118,33 +114,30 @@ class SpectralStarts:
         search._weigh(weights)
         return change < _LEVEL
 
-    def _alike(self, x: Array, found: Found) -> bool:
-        """True if the samples say of a point what the bins do; not where states grow beyond all bounds."""
-        if not found.minimum.converged:  # then it is no start either
-            return True
-        try:
-            cost = self._search.problem.at(x).objective * self._search.problem.samples
-        except (FloatingPointError, np.linalg.LinAlgError):
-            return False
-        return bool(cost <= found.minimum.squares.cost + _UNLIKE * self._search.problem.samples)
-
     def _stop(self, cost: float) -> bool:
         """Show a point of the search; True if the user ends it."""
         self._stopped = self._search.watch(self._seen, cost / self._search.problem.samples) or self._stopped
         self._seen += 1
         return self._stopped
 
-    def _variables(self, v: Array) -> Array | None:
-        """The variables (size,) with every record's nodes on the trajectory that explains it best; None without."""
+    def variables(self, begun: Begun) -> Array | None:
+        """The variables (size,) of the search on all samples, every record's nodes on the trajectory that explains it
+        best; None where that is no number, or the samples say another thing than the bins (states without bounds)."""
         search = self._search
         x = np.zeros(search.problem.size)
-        x[: search.problem.nv] = v
+        x[: search.problem.nv] = begun.v
         for record, lay in zip(search.records, search.problem.layouts, strict=True):
-            nodes = best_nodes(record, v)
+            nodes = best_nodes(record, begun.v)
             if nodes is None:
                 return None
             x[lay.at : lay.at + nodes.size] = nodes.ravel()
-        return x
+        if not begun.converged:  # then its cost is that of the band alone
+            return x
+        try:
+            cost = search.problem.at(x).objective * search.problem.samples
+        except (FloatingPointError, np.linalg.LinAlgError):
+            return None
+        return x if cost <= begun.found.minimum.squares.cost + _UNLIKE * search.problem.samples else None
 
 
 @np.errstate(over="ignore", invalid="ignore")

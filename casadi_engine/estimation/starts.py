@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.estimation.loss import Loss
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.parameters.compiled import ParameterMap
 
@@ -38,7 +39,7 @@ def nodes_from_measurement(record: RecordTerm, physical: Array) -> Array:
     out = ca.jacobian(model.closed_outputs, model.x)
     arguments = [model.x, model.u, model.t, model.p]
     function = ca.Function("quasi", arguments, [slope, out, model.closed_ode, model.closed_outputs])
-    mean = record.grid.channels.mean(axis=1)
+    mean = np.array([row.mean() for row in record.grid.rows])
     observed = _measured_at_nodes(record)
     weights = np.array([variable.scale for variable in model.outputs])
     middle = np.nanmean(observed, axis=1)
@@ -161,9 +162,8 @@ def _of_intervals(record: RecordTerm, v: Array, nodes: Array) -> tuple[Array, Ar
         point = record.evaluate(v, nodes)
     except (FloatingPointError, np.linalg.LinAlgError):
         return None
-    js = (point.js if point.js.ndim == 3 else point.js[:, None, :]) * record.weight[..., None]
-    cost = np.square(point.r).sum(axis=0)
-    slope, matrix = np.einsum("kma,km->ma", js, point.r), np.einsum("kma,kmb->mab", js, js)
+    cost, slope = np.square(point.r).sum(axis=0), record.gradient(point, Loss())[1]
+    matrix = record.gauss_newton(point).ss
     return (cost, slope, matrix) if np.isfinite(cost).all() and np.isfinite(matrix).all() else None
 
 
@@ -174,7 +174,7 @@ def chained_nodes(record: RecordTerm, v: Array, first: Array) -> Array:
     if plan.m == 1:
         return nodes
     if record.linear:
-        path = record.propagator.propagate(v[record.active], nodes * 0.0, 0)
+        _, path = record.outputs_at(v, nodes * 0.0)
         free, forced = path.end_s[0], path.end
         for i in range(plan.m - 1):
             nodes[i + 1] = free @ nodes[i] + forced[:, i]

@@ -76,6 +76,6 @@ def _outcome(piece: _Piece) -> Attempt | EstimationError:
         _own.fit = piece.fit
     try:
         with _own.interrupts:
-            return _own.search.run(piece.start, first=piece.first)
+            return _own.search.run(piece.start, first=piece.first, finish=False)
     except EstimationError as error:
         return error

@@ -138,7 +138,10 @@ def _channel(
             allowed="an array on the common time, or a pair (time, values)",
             cure="give time= or a pair",
         )
-    values, unit = to_si(numbers(data, what=f"channel {name!r}"), units[name], where=f"channel {name!r}")
+    values, unit = numbers(data, what=f"channel {name!r}"), units[name]
+    _, in_si = to_si(np.zeros(0), unit, where=f"channel {name!r}")
+    if in_si != unit:  # else the array that was given may be shared
+        values, unit = to_si(values, unit)
     return Channel(
         name=name,
         unit=unit,

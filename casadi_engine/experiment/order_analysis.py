@@ -20,6 +20,8 @@ from .units import FloatArray
 
 HIGHEST = 10.0  # order, where nothing else is asked for
 SHOWN_ORDERS, SHOWN_ROWS = 6, 12  # of a printed table
+# Least strength of a combination of orders, of the strongest one's, that samples still tell.
+WEAKEST = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,24 +261,33 @@ class _Piece:
     def fitted(self, asked: FloatArray, length: float) -> tuple[NDArray[np.complex128], FloatArray]:
         """Complex amplitudes (K,) of the orders asked for, and their standard errors (K,)."""
         base = 2 * math.pi / length
-        count = round(float(asked[-1]) / base)
-        if self.angle.size < 2 * (2 * count + 2) or self.angle.size / self.revolutions <= 2 * asked[-1]:
+        if not self.tells(float(asked[-1]), base):
             raise _coarse(self, f"order {asked[-1]:g}", base)
-        turns = base * np.outer(self.angle, np.arange(1, count + 1))
+        # Orders that nobody asked for are fitted as well: over cycles that the samples do not quite fill they would
+        # leak into those that were.
+        top = max(float(asked[-1]), HIGHEST if self.tells(HIGHEST, base) else 0.0)
+        count = math.floor(top / base + 1e-6)
+        turn = np.exp(1j * base * self.angle)[:, None]
+        turns = np.cumprod(np.broadcast_to(turn, (turn.size, count)), axis=1)
         trend = (self.angle - self.angle.mean()) / np.ptp(self.angle)
-        basis = np.column_stack([np.ones_like(trend), trend, np.cos(turns), np.sin(turns)])
+        basis = np.column_stack([np.ones_like(trend), trend, turns.real, turns.imag])
         # Samples count by the angle that they stand for: sums are then integrals over the crank angle.
-        weight = np.sqrt(np.gradient(self.angle) / np.ptp(self.angle) * self.angle.size)
-        left, strength, right = np.linalg.svd(basis * weight[:, None], full_matrices=False)
-        if strength[-1] < 1e-6 * strength[0]:
+        weight = np.gradient(self.angle)[:, None] / np.ptp(self.angle)
+        strength, directions = np.linalg.eigh(basis.T @ (weight * basis))
+        if strength[0] < WEAKEST * strength[-1]:
             raise _coarse(self, f"{count} orders where samples are missing", base)
-        found = right.T @ ((left.T @ (weight * self.values)) / strength)
+        solve = directions / strength @ directions.T @ (weight * basis).T
+        found = solve @ self.values
         noise = float(np.sum((self.values - basis @ found) ** 2)) / (self.values.size - basis.shape[1])
-        spread = right.T / strength @ (left.T * weight)  # d found/d values
-        variance = noise * np.sum(spread**2, axis=1)
+        variance = noise * np.sum(solve**2, axis=1)
         at = np.rint(asked / base).astype(int) + 1
         error = np.sqrt((variance[at] + variance[at + count]) / 2)
         return found[at] - 1j * found[at + count], error
+
+    def tells(self, order: float, base: float) -> bool:
+        """True if there are samples enough for all multiples of ``base`` up to an order."""
+        fine = self.angle.size > 2 * order * self.revolutions
+        return fine and self.angle.size >= 4 * (round(order / base) + 1)
 
 
 def _pieces(record: Experiment, channel: str, theta: str, length: float, cycles: int | None) -> list[_Piece]:
@@ -341,7 +352,7 @@ def _asked(orders: Iterable[float] | None, pieces: Sequence[_Piece], length: flo
             raise _coarse(min(pieces, key=lambda piece: piece.angle.size), "any order", base)
         return np.asarray(base * np.arange(1, math.floor(most / base + 1e-9) + 1), dtype=np.float64)
     try:
-        asked = np.unique([finite(one, "an order") for one in orders])
+        asked = np.unique(np.array([finite(one, "an order") for one in orders], dtype=float))
     except TypeError:
         asked = np.zeros(0)
     share = asked / base

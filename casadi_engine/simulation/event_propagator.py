@@ -14,7 +14,8 @@ import numpy as np
 
 from casadi_engine.model import Model
 from casadi_engine.simulation.adaptive import TOO_MANY, Adaptive
-from casadi_engine.simulation.grid import Drives, Grid
+from casadi_engine.simulation.drives import Drives
+from casadi_engine.simulation.grid import Grid
 from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.sample_rows import to_rows

@@ -15,11 +15,12 @@ import numpy as np
 from casadi_engine.errors import SimulationError
 from casadi_engine.model import Model
 from casadi_engine.simulation import jets
+from casadi_engine.simulation.drives import Drives, DriveSamples
 from casadi_engine.simulation.exponential_curvature import contracted
 from casadi_engine.simulation.exponential_pushes import Pushes
 from casadi_engine.simulation.exponential_step import STAGE_NODES, STAGES, StepCore, StepMatrices
 from casadi_engine.simulation.exponential_values import WIDE, Steps, by_arrays, by_machine
-from casadi_engine.simulation.grid import Drives, DriveSamples, Grid
+from casadi_engine.simulation.grid import Grid
 from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.laws import Laws

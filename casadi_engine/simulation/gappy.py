@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from casadi_engine.model import Model
 from casadi_engine.simulation import jets
 from casadi_engine.simulation.discretisation import DiscreteCore, Discretisation, Method
+from casadi_engine.simulation.drives import Drives
 from casadi_engine.simulation.gain import Gain, Seen, corrected
-from casadi_engine.simulation.grid import Drives, Grid
+from casadi_engine.simulation.grid import Grid
 from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.jets import Array
 

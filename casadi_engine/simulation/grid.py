@@ -1,4 +1,4 @@
-"""The time grid of one record: channels and drives on it, and where the outputs were measured.
+"""The time grid of one record: channels on it, and where the outputs were measured.
 
 Where inputs and outputs were sampled together, or at rates that divide each other, the grid is that of the fastest
 input, cut finer by a whole number where an output is faster than the inputs. Any other record has a grid of the times
@@ -9,10 +9,11 @@ was sampled, and the grid grows with the samples and not with the time between t
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,7 +24,6 @@ from casadi_engine.experiment.decimation import Decimation
 from casadi_engine.model import Model
 from casadi_engine.model.arrival import arriving
 from casadi_engine.simulation.jets import Array
-from casadi_engine.simulation.tape import ArrayFunction
 
 # Samples that lie closer to a grid point than this share of a step count as on it: files round their times, to
 # microseconds for instance.
@@ -50,7 +50,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class Grid:
-    """start [s], step [s], samples N; channels (nu, N) on the grid; holds of the channels; outputs by name.
+    """start [s], step [s], samples N; channels on the grid, (N,) each; their holds; outputs by name.
 
     times : (N,) of a grid that is not equally spaced, whose ``step`` is the typical one; else None
     whole : of a record of a lower rate that of the record which it was made of, and how; else None
@@ -59,7 +59,7 @@ class Grid:
     start: float
     step: float
     samples: int
-    channels: Array
+    rows: Sequence[Array]
     holds: tuple[str, ...]
     measured: dict[str, Measured]
     times: Array | None = None
@@ -70,12 +70,21 @@ class Grid:
         """True if the points are equally spaced."""
         return self.times is None
 
+    @cached_property
+    def channels(self) -> Array:
+        """(nu, N) side by side: a copy, unlike ``rows``, which a long record may share with its experiment."""
+        return np.asarray(self.rows, dtype=np.float64).reshape(len(self.rows), self.samples)
+
     @property
     def time(self) -> Array:
         """(N,) s."""
+        return self.time_at(np.arange(self.samples)) if self.times is None else self.times
+
+    def time_at(self, points: NDArray[np.intp]) -> Array:
+        """(k,) s of the points with these numbers."""
         if self.times is not None:
-            return self.times
-        return np.asarray(self.start + self.step * np.arange(self.samples), dtype=np.float64)
+            return self.times[points]
+        return np.asarray(self.start + self.step * points, dtype=np.float64)
 
     @property
     def span(self) -> float:
@@ -112,8 +121,8 @@ def lay_grid(model: Model, experiment: Experiment, *, outputs: tuple[str, ...] |
     found = _equally_spaced(inputs, observed, first, last, experiment.place)
     if found is None:
         found = _of_all_times(inputs, observed, first, last)
-    channels, holds = with_rates(model, found.time, found.channels, found.holds)
-    found = replace(found, channels=channels, holds=holds)
+    rows, holds = _with_rates(model, found)
+    found = replace(found, rows=rows, holds=holds)
     return found if experiment.decimation is None else _thinned(model, found, experiment.decimation)
 
 
@@ -147,11 +156,12 @@ def _equally_spaced(
     time = np.asarray(start + step * np.arange(samples), dtype=np.float64)
     measured = {}
     for channel in observed:
-        index = np.flatnonzero(channel.mask)
-        at = _on_own_points(channel.time[index], start, step)
+        index, own, values = _valid(channel)
+        at = _on_own_points(own, start, step)
         if at is None:
             return None
-        measured[channel.name] = Measured(channel.time[index], channel.values[index], at, index)
+        at = index if np.array_equal(at, index) else at
+        measured[channel.name] = Measured(own, values, at, index)
     if not all(_on_points(own, start, step, samples) for own in _distinct(inputs)):
         return None
     found = {id(own): _own_part(own, time, step) for own in _distinct(inputs)}
@@ -159,23 +169,28 @@ def _equally_spaced(
         channel.values[part] if (part := found[id(channel.time)]) else _sampled(channel, time, step)
         for channel in inputs
     ]
-    channels = np.array(rows).reshape(len(inputs), samples)
-    return Grid(start, step, samples, channels, tuple(c.hold for c in inputs), measured)
+    return Grid(start, step, samples, rows, tuple(c.hold for c in inputs), measured)
 
 
-def with_rates(
-    model: Model, time: Array, channels: Array, holds: tuple[str, ...]
-) -> tuple[Array, tuple[str, ...]]:
-    """Channels (nu, N) at the times (N,) with the rates that a model needs of them behind, and the holds of all.
+def _valid(channel: Channel) -> tuple[NDArray[np.intp], Array, Array]:
+    """Numbers of a channel's valid samples, their times and values; its own arrays where none is missing."""
+    index = np.flatnonzero(channel.mask)
+    if len(index) == len(channel.mask):
+        return index, channel.time, channel.values
+    return index, channel.time[index], channel.values[index]
+
+
+def _with_rates(model: Model, grid: Grid) -> tuple[Sequence[Array], tuple[str, ...]]:
+    """Channels of a grid with the rates that a model needs of them behind, and the holds of all.
 
     The rate of a channel is its central difference, whatever its hold: that of a stair is its slope over two steps.
     """
     if not model.rates:
-        return channels, holds
-    names = [variable.name for variable in model.inputs]
+        return grid.rows, grid.holds
+    names, time = [variable.name for variable in model.inputs], grid.time
     order: Literal[1, 2] = 2 if len(time) > 2 else 1
-    rates = [np.gradient(channels[names.index(name)], time, edge_order=order) for name in model.rates]
-    return np.concatenate([channels, *[row[None] for row in rates]]), (*holds, *["first"] * len(rates))
+    rates = [np.gradient(grid.rows[names.index(name)], time, edge_order=order) for name in model.rates]
+    return [*grid.rows, *rates], (*grid.holds, *["first"] * len(rates))
 
 
 def _of_all_times(inputs: list[Channel], observed: list[Channel], first: float, last: float) -> Grid:
@@ -183,18 +198,15 @@ def _of_all_times(inputs: list[Channel], observed: list[Channel], first: float, 
     own = [c.time[c.mask] for c in observed] + [c.time[(c.time > first) & (c.time < last)] for c in inputs]
     times = _joined([np.array([first, last]), *own])
     step = float(np.median(np.diff(times)))
-    channels = np.array([_held(channel, times) for channel in inputs])
+    rows = [_held(channel, times) for channel in inputs]
     measured = {}
     for channel in observed:
-        index = np.flatnonzero(channel.mask)
-        at = channel.time[index]
+        index, at, values = _valid(channel)
         near = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
         near -= at - times[near - 1] < times[near] - at
-        measured[channel.name] = Measured(at, channel.values[index], near, index)
+        measured[channel.name] = Measured(at, values, near, index)
     holds = tuple(c.hold for c in inputs)
-    return Grid(
-        float(times[0]), step, len(times), channels.reshape(len(inputs), len(times)), holds, measured, times
-    )
+    return Grid(float(times[0]), step, len(times), rows, holds, measured, times)
 
 
 def _joined(groups: list[Array]) -> Array:
@@ -308,91 +320,3 @@ def _on_own_points(time: Array, start: float, step: float) -> NDArray[np.intp] |
     nearest = np.rint(position)
     there = np.abs(position - nearest).max() < _ON_GRID and (np.diff(nearest) > 0).all()
     return nearest.astype(np.intp) if there else None
-
-
-@dataclass(frozen=True)
-class DriveSamples:
-    """Drives on the grid at one z: value (m, N), first (a, m, N) and second (pairs of a, m, N) derivatives in the
-    ``active`` entries of z (none for drives made of channels and known geometry alone)."""
-
-    value: Array
-    active: NDArray[np.intp]
-    first: Array
-    second: Array
-
-
-class Drives:
-    """The drives of a model over a grid, as functions of the estimated vector."""
-
-    def __init__(self, model: Model, grid: Grid, z: ca.SX, physical: ca.SX) -> None:
-        self.names = tuple(v.name for v in model.drives)
-        count = len(self.names)
-        expression = model.drive_expressions
-        self._decimation = None if grid.whole is None else grid.whole[1]
-        whole = grid if grid.whole is None else grid.whole[0]
-        late = np.array(
-            [
-                any(
-                    h == "zero" and ca.depends_on(expression[j], model.u[i])
-                    for i, h in enumerate(whole.holds)
-                )
-                for j in range(count)
-            ],
-            dtype=bool,
-        )
-        # drives of a lower rate are straight lines, whatever they were made of
-        self._late = late
-        self.holds = tuple("zero" if own and self._decimation is None else "first" for own in late)
-        if model.p.numel() and ca.depends_on(expression, model.p):
-            expression = ca.substitute(expression, model.p, physical)
-        parts = [ca.densify(expression)]
-        self.active = np.zeros(0, np.intp)
-        if z.numel() and ca.depends_on(expression, z):
-            mask = ca.which_depends(expression, z, 1, False)
-            self.active = np.flatnonzero(mask)
-            chosen = ca.vertcat(*[z[int(i)] for i in self.active])
-            first = ca.jacobian(expression, chosen)
-            second = ca.jacobian(ca.vec(first), chosen)
-            parts += [ca.vec(ca.densify(first)), ca.vec(ca.densify(second))]
-        self._function = ArrayFunction([model.u, model.t, z], parts)
-        self._count, self._samples = count, grid.samples
-        self._inputs = (whole.channels, whole.time.reshape(1, -1))
-        self._constant: DriveSamples | None = None
-
-    def at(self, z: Array) -> DriveSamples:
-        """Samples at z : (nz,)."""
-        if self._constant is not None:
-            return self._constant
-        m, a, n = self._count, len(self.active), self._samples
-        if m == 0:
-            self._constant = DriveSamples(
-                np.zeros((0, n)), self.active, np.zeros((0, 0, n)), np.zeros((0, 0, n))
-            )
-            return self._constant
-        found = self._function(*self._inputs, np.asarray(z, dtype=float))
-        if a == 0:
-            none = np.zeros((0, m, n))
-            self._constant = DriveSamples(self._thinned(found[0]), self.active, none, none)
-            return self._constant
-        i, j = np.triu_indices(a)
-        own = found[0].shape[1]
-        second = found[2].reshape(a, a, m, own)[j, i]
-        return DriveSamples(
-            self._thinned(found[0]),
-            self.active,
-            self._thinned(found[1].reshape(a, m, own)),
-            self._thinned(second),
-        )
-
-    def _thinned(self, values: Array) -> Array:
-        """(..., m, N) drives of the whole record at the grid's own samples."""
-        if self._decimation is None:
-            return values
-        found = np.empty((*values.shape[:-1], self._samples))
-        for late in (False, True):
-            rows = self._late == late
-            if rows.any():
-                found[..., rows, :] = self._decimation.sampled(
-                    values[..., rows, :], self._samples, late=late, sharp=True
-                )
-        return found

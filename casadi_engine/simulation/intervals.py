@@ -99,7 +99,7 @@ class Observation:
         self.shape = (rows * ny * b, m)
         numbers = {name: column for column, name in enumerate(outputs) if name in grid.measured}
         self.where = {name: self._flat(grid.measured[name].position, k) for name, k in numbers.items()}
-        kinds = np.zeros(self.shape, np.intp)
+        kinds = np.zeros(self.shape, np.int16)
         self.measured, self.valid = np.zeros(self.shape), np.zeros(self.shape, dtype=bool)
         for column, name in enumerate(outputs):
             if name in self.where:
@@ -125,18 +125,21 @@ class Observation:
         return np.ravel_multi_index((row, np.broadcast_to(column, row.shape), block, interval), self._rows)
 
     def observe(self, y: Array) -> Array:
-        """(..., R*ny, b, M) grid outputs in this layout, (..., K, M)."""
-        return y.reshape(*y.shape[:-3], *self.shape)
+        """(..., R*ny, L, M) grid outputs of some blocks in this layout, (..., R*ny*L, M)."""
+        return y.reshape(*y.shape[:-3], y.shape[-3] * y.shape[-2], y.shape[-1])
 
     def observe_starts(self, ys: Array) -> Array:
-        """Sensitivities to the intervals' starts: (R*ny, b, [M,] n) to (K, n), or (K, M, n) where they differ."""
-        n = ys.shape[-1]
-        return ys.reshape(-1, n) if ys.ndim == 3 else ys.reshape(*self.shape, n)
+        """Sensitivities to the intervals' starts: (R*ny, L, [M,] n) to (K, n), or (K, M, n) where they differ."""
+        return ys.reshape(-1, *ys.shape[2:])
 
     def adjoint(self, rho: Array) -> Array:
-        """The transpose of ``observe``: (K, M) to (R*ny, b, M)."""
-        rows, ny, b, m = self._rows
-        return rho.reshape(rows * ny, b, m)
+        """The transpose of ``observe``: (R*ny*L, M) of L blocks to (R*ny, L, M)."""
+        rows = self._rows[0] * self._rows[1]
+        return rho.reshape(rows, len(rho) // max(rows, 1), rho.shape[1])
+
+    def part(self, values: Array, at: slice) -> Array:
+        """The rows of (K, M) values that belong to some blocks, as ``observe`` lays them out."""
+        return self.observe(self.adjoint(values)[:, at])
 
     def series(self, values: Array, name: str) -> Array:
         """(K, M) values at the valid samples of one output, in time order."""

@@ -9,8 +9,9 @@ import numpy as np
 
 from casadi_engine.model import Model
 from casadi_engine.simulation.adaptive import Adaptive
+from casadi_engine.simulation.drives import Drives
 from casadi_engine.simulation.finer_grid import around_instants, with_parts
-from casadi_engine.simulation.grid import Drives, Grid
+from casadi_engine.simulation.grid import Grid
 from casadi_engine.simulation.intervals import cut
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.propagator import make_propagator, switches_in_time

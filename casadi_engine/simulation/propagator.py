@@ -33,9 +33,9 @@ class _CorePropagator(LinearPropagator):
 
     shown: int | None = None
 
-    def drives_at(self, z: Array) -> Array:
-        """(m, N) drives of the model on the grid."""
-        return super().drives_at(z)[: self.shown]
+    def drives_at(self, z: Array, points: NDArray[np.intp] | None = None) -> Array:
+        """(m, k) drives of the model at the grid points with these numbers (k,), all by default."""
+        return super().drives_at(z, points)[: self.shown]
 
 
 class _GappyCore(GappyPredictor):

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.model import Model
-from casadi_engine.simulation.grid import Drives, Grid
+from casadi_engine.simulation.drives import Drives
+from casadi_engine.simulation.grid import Grid
 from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.sample_rows import from_rows, to_rows

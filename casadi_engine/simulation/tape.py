@@ -77,8 +77,9 @@ _BINARY: dict[int, Callable[[Any, Any], Any]] = {
 class ArrayFunction:
     """An SX function of column vectors, evaluated for N columns at once.
 
-    inputs : SX column vectors; outputs : SX matrices. Calling it with one array (rows, N) for each input, or (rows,)
-    for one that is the same in all columns, gives one array (numel, N) for each output, column-major.
+    inputs : SX column vectors; outputs : SX matrices. Calling it with one array (rows, N) for each input (or its rows
+    in a list), or (rows,) for one that is the same in all columns, gives one array (numel, N) for each output,
+    column-major.
     """
 
     def __init__(self, inputs: Sequence[ca.SX], outputs: Sequence[ca.SX]) -> None:
@@ -103,24 +104,25 @@ class ArrayFunction:
             for k, (op, source, target) in enumerate(code)
         ]
 
-    def __call__(self, *arguments: Array) -> list[Array]:
+    def __call__(self, *arguments: Array | Sequence[Array]) -> list[Array]:
         """Outputs (numel, N) at the arguments (rows, N) or (rows,)."""
-        count = max((a.shape[1] for a in arguments if a.ndim == 2), default=1)
-        if count > _CHUNK and self._replay:
-            pieces = [
-                self(*[a[:, k : k + _CHUNK] if a.ndim == 2 else a for a in arguments])
-                for k in range(0, count, _CHUNK)
-            ]
-            return [np.concatenate(parts, axis=1) for parts in zip(*pieces, strict=True)]
+        count = max((k for k in map(_columns, arguments) if k is not None), default=1)
         if not self._replay:
-            wide = [a if a.ndim == 2 else np.repeat(a[:, None], count, axis=1) for a in arguments]
+            arrays = [a if isinstance(a, np.ndarray) else np.array(a) for a in arguments]
+            wide = [a if a.ndim == 2 else np.repeat(a[:, None], count, axis=1) for a in arrays]
             found = self._function.map(count)(*wide)
             parts = found if isinstance(found, (tuple, list)) else (found,)
             return [
                 np.asarray(p, dtype=float).reshape(r, count) for p, r in zip(parts, self._rows, strict=True)
             ]
+        outputs = [np.zeros((rows, count)) for rows in self._rows]
         with np.errstate(all="ignore"):  # the caller looks for what is not finite
-            return self._run(arguments, count)
+            if count <= _CHUNK:
+                self._run(arguments, outputs)
+            for k in range(0, count if count > _CHUNK else 0, _CHUNK):
+                part = slice(k, k + _CHUNK)
+                self._run([_part(a, part) for a in arguments], [out[:, part] for out in outputs])
+        return outputs
 
     def bound(self, *last: Array) -> Callable[..., list[Array]]:
         """The function of its first inputs, for few columns in an inner loop, with its last inputs (rows,) put in.
@@ -132,9 +134,8 @@ class ArrayFunction:
             return lambda *first: self(*first, *last)
         return _Bound(self._steps, self._rows, self._function.n_in() - len(last), last).call
 
-    def _run(self, arguments: Sequence[Array], count: int) -> list[Array]:
+    def _run(self, arguments: Sequence[Array | Sequence[Array]], outputs: list[Array]) -> None:
         work: list[Any] = [0.0] * self._room
-        outputs = [np.zeros((rows, count)) for rows in self._rows]
         for function, constant, op, source, target in self._steps:
             if function is not None:
                 work[target[0]] = function(*[work[i] for i in source])
@@ -144,7 +145,20 @@ class ArrayFunction:
                 outputs[target[0]][target[1]] = work[source[0]]
             else:
                 work[target[0]] = constant
-        return outputs
+
+
+def _columns(argument: Array | Sequence[Array]) -> int | None:
+    """Number of columns of an argument; None of one that is the same in all."""
+    if isinstance(argument, np.ndarray):
+        return argument.shape[1] if argument.ndim == 2 else None
+    return len(argument[0]) if argument else None
+
+
+def _part(argument: Array | Sequence[Array], columns: slice) -> Array | Sequence[Array]:
+    """Some columns of an argument."""
+    if isinstance(argument, np.ndarray):
+        return argument[:, columns] if argument.ndim == 2 else argument
+    return [row[columns] for row in argument]
 
 
 class _Bound:

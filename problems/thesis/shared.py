@@ -156,5 +156,6 @@ def run(page: Callable[[bool, Path], list[Line]], name: str, about: str) -> int:
         for line in lines
     ]
     print_table("Published and ours", ("where", "thesis", "ours", "conclusion"), rows)
-    (out / f"{name}.json").write_text(json.dumps([asdict(line) for line in lines], indent=1), "utf-8")
+    plain = [{**asdict(line), "holds": bool(line.holds)} for line in lines]
+    (out / f"{name}.json").write_text(json.dumps(plain, indent=1), "utf-8")
     return 0 if all(line.holds for line in lines) else 1

@@ -23,10 +23,14 @@ TWO_MASS_NAMES = {"J1": "J_eng", "J2": "J_load", "K21": "K_el", "C21": "C_el", "
 @cache
 def _experiment(name: str, number: int, step: float) -> ce.Experiment:
     record = _RECORDS[number]
-    channels = dict(record.channels)
+    channels, time = dict(record.channels), np.arange(record.samples) * step
+    for array in (time, *channels.values()):  # the package shares what nobody can write into
+        while array is not None:
+            array.setflags(write=False)
+            array = array.base
     return ce.Experiment.from_arrays(
         name,
-        time=np.arange(record.samples) * step,
+        time=time,
         units={key: UNITS[key] for key in channels},
         **channels,
     )

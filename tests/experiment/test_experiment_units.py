@@ -191,10 +191,10 @@ def test_any_text_is_a_unit_or_a_named_error(text):
 
 def test_reading_a_unit_again_takes_microseconds():
     si_unit("N m s/rad")
-    begun = time.perf_counter()
+    begun = time.process_time()
     for _ in range(1000):
         si_unit("N m s/rad")
-    assert time.perf_counter() - begun < 0.05
+    assert time.process_time() - begun < 0.05
 
 
 def test_headers():

@@ -427,9 +427,9 @@ def test_compile_is_quick():
     for _ in range(20):
         fresh = pars.copy()
         fresh["p0"].set(2.0)
-        begin = time.perf_counter()
+        begin = time.process_time()
         compile(fresh, fresh.names)
-        best = min(best, time.perf_counter() - begin)
+        best = min(best, time.process_time() - begin)
     assert best < 6e-3
 
 

@@ -70,3 +70,27 @@ def test_tables_4_7_to_4_13(quick):
     assert len(lines) == 7
     assert lines["Table 4.13", "six natural frequencies"].ours == "within 0.9 Hz"
     assert lines["Table 4.13", "deformations to four digits"].ours == "within 0.0003"
+
+
+def test_the_reduction(quick):
+    lines = quick("reduction")
+    assert (
+        lines["section 4.3.3", "two degrees of freedom below 300 Hz"].ours
+        == "2 by the modes, of 20.5 and 335 Hz"
+    )
+    assert lines["section 4.3.3", "sufficient"].ours.startswith(
+        "speed off by 2.9 % at 1200 RPM (one inertia: 39 %"
+    )
+
+
+def test_tables_4_6_to_4_10(quick):
+    lines = quick("engine_orders")
+    assert lines["(4.11)", "natural frequencies 0.04 and 20.34 Hz"].ours == "0.04 and 20.34 Hz"
+    assert lines["Table 4.10", "first order: largest/smallest 4.777"].ours.endswith("by receptance 4.776")
+    assert lines["Table 4.10", "main frequency: largest/smallest 1.064"].ours == "1.053, by receptance 1.054"
+
+
+def test_dampers(quick):
+    lines = quick("dampers")
+    chosen = lines["chapter 6 (b)", "a technique is wanted: C21, C76"].ours
+    assert chosen.startswith("a run-up 1000-2600 RPM in 2 s, off by C21")

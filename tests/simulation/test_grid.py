@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from casadi_engine.errors import DataFileError, ExperimentError, SimulationError, UnitError
 from casadi_engine.experiment import Channel, Experiment
 from casadi_engine.model import Blueprint
-from casadi_engine.simulation.grid import Drives, lay_grid
+from casadi_engine.simulation.drives import Drives
+from casadi_engine.simulation.grid import lay_grid
 
 
 @pytest.fixture(scope="module")
