@@ -199,12 +199,13 @@ class SpectralSearch:
             return None
         if not first.converged or kept == bins:
             return Found(first, first.squares.matrix, hertz, kept, bins, 0.0)
-        last, left = first, steps - first.steps
+        last, left, share, information = first, steps - first.steps, 0.0, first.squares.matrix
         for _ in range(_ROUNDS):
             whole, at = self.squares(last.x), last.x
             part = below(at)
             if whole is None or part is None:
                 return None
+            share, information = largest_share(whole.matrix, part.matrix), whole.matrix
             goal = _with_rest(below, _difference(whole, part), at)
             near = minimise(
                 goal, at, fall=_FALL, steps=max(left, 1), damping=_NEAR,
@@ -217,7 +218,7 @@ class SpectralSearch:
             moved = near.x - at
             if not near.converged or moved @ whole.matrix @ moved < _MOVED:
                 break
-        return Found(last, whole.matrix, hertz, kept, bins, largest_share(whole.matrix, part.matrix))
+        return Found(last, information, hertz, kept, bins, share)
 
 
 def _gram(
