@@ -127,7 +127,8 @@ class LinearPropagator:
         """(..., m, N) drives of the model as (..., m', N) columns of the core; constants and feedback are zero."""
         merged = np.zeros((*drives.shape[:-2], self._width, drives.shape[-1]))
         for column, group in enumerate(self.core.groups):
-            merged[..., column, :] = drives[..., list(group), :].sum(axis=-2)
+            one = drives[..., group[0], :] if len(group) == 1 else drives[..., list(group), :].sum(axis=-2)
+            merged[..., column, :] = one
         return merged
 
     def _columns(self, v: Array, length: int) -> Array:
@@ -164,6 +165,7 @@ class LinearPropagator:
             return self._laid(z, at)
         plan = self.intervals
         if self._constant is None:
+            self.forget()  # who works on the columns has no use for the drives side by side
             self._constant = np.empty(((plan.q + 1) * self._width, plan.b, plan.m))
             for part in self.parts(_LAID):
                 found = self._laid(z, part).value
@@ -176,17 +178,30 @@ class LinearPropagator:
         """(m, k) drives of the model at the grid points with these numbers (k,), all by default."""
         return self._drives.part(z, points).value
 
+    @property
+    def drives_active(self) -> NDArray[np.intp]:
+        """Entries of z that the drives depend on."""
+        return self._drives.active
+
+    def forget_merged(self) -> None:
+        """Give back the memory of what ``merged_drives`` keeps."""
+        self._merged_drives = None
+
     def merged_drives(self, z: Array) -> DriveSamples:
         """The core's drives on the grid, constants among them, with their first derivatives; the second are none."""
-        if self._merged_drives is None or not (
-            len(self._drives.active) == 0 or np.array_equal(self._merged_drives[0], z)
-        ):
-            samples = self._drives.part(z)
-            value = self._merged(samples.value)
+        known, active = self._merged_drives, self._drives.active
+        if known is None or (len(active) and not np.array_equal(known[0], z)):
+            self.forget()  # who works on these has no use for the columns
+            value = np.empty((self._width, self._samples))
+            first = np.empty((len(active), *value.shape))
+            for begin in range(0, self._samples, _LAID):
+                points = np.arange(begin, min(begin + _LAID, self._samples))
+                samples, at = self._drives.part(z, points), slice(begin, begin + _LAID)
+                value[:, at] = self._merged(samples.value)
+                first[..., at] = self._merged(samples.first)
             value[len(self.core.groups) : self.core.drives] = 1.0
-            first = self._merged(samples.first)
-            self._merged_drives = (z.copy(), DriveSamples(value, samples.active, first, first[:0]))
-        return self._merged_drives[1]
+            known = self._merged_drives = (z.copy(), DriveSamples(value, active, first, first[:0]))
+        return known[1]
 
     def discretisation(self, z: Array, order: int) -> Discretisation:
         """The core's discrete matrices at z, without the correction of a predictor."""
