@@ -159,7 +159,7 @@ class _Tried:
         return self.refused > _REFUSED and self.refused > _MOSTLY * self.points
 
 
-def _functions(problem: ShootingProblem, tried: _Tried) -> list[_Supplied]:
+def _functions(problem: ShootingProblem, tried: _Tried, log: NDArray[np.bool_]) -> list[_Supplied]:
     """The problem, its gradient, constraint Jacobian and Hessian, as nlpsol asks for them."""
     x, g, none, one = _shapes(problem)
     jac, hess = problem.jacobian_pattern, problem.hessian_pattern
@@ -199,7 +199,8 @@ def _functions(problem: ShootingProblem, tried: _Tried) -> list[_Supplied]:
     def both(value: Any, _: Any) -> Any:
         last = tried.last[: problem.nv]
         away = np.abs(np.asarray(value, dtype=float).ravel()[: problem.nv] - last)
-        found = point(value) if (away <= _LONGEST * np.maximum(1.0, np.abs(last))).all() else None
+        reach = _LONGEST * np.where(log, 1.0, np.maximum(1.0, np.abs(last)))
+        found = point(value) if (away <= reach).all() else None
         return [np.nan, nothing] if found is None else [found.objective, found.constraints]
 
     multipliers = {"lam_f": one, "lam_g": g}
@@ -212,11 +213,12 @@ def _functions(problem: ShootingProblem, tried: _Tried) -> list[_Supplied]:
 
 
 class Solver:
-    """nlpsol set up once for a problem, to be run from several starts."""
+    """nlpsol set up once for a problem, to be run from several starts; log : (nv,) parameters that are logarithms."""
 
     def __init__(
         self,
         problem: ShootingProblem,
+        log: NDArray[np.bool_],
         *,
         max_iterations: int = 200,
         tolerance: float = 1e-9,
@@ -233,7 +235,7 @@ class Solver:
         self._stop: Callable[[float, float], bool] | None = None
         # The solver holds no reference of its own to Python callbacks.
         self._tried = _Tried(np.zeros(problem.size))
-        self._kept = [*_functions(problem, self._tried), self._watcher()]
+        self._kept = [*_functions(problem, self._tried, log), self._watcher()]
         self._ipopt = {**_OPTIONS, "max_iter": max_iterations, "tol": tolerance}
         self._made: dict[bool, Any] = {}
 

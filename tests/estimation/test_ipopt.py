@@ -140,7 +140,8 @@ def test_no_step_is_longer_than_the_linearised_problem_reaches(shaft, shaft_mode
 
     search.solver._seen = noted
     solved(search)
-    steps = np.abs(np.diff(seen, axis=0)) / np.maximum(1.0, np.abs(seen[:-1]))
+    size = np.where(search.coordinates.log, 1.0, np.maximum(1.0, np.abs(seen[:-1])))
+    steps = np.abs(np.diff(seen, axis=0)) / size
     assert 0.5 < steps.max() <= ipopt._LONGEST
 
 
