@@ -26,7 +26,7 @@ Progress = Callable[[int, float], bool]
 # Share of the Gauss-Newton diagonal that is added at first. It changes by _EASE after a full step, by _HINDER after a
 # step that was halved more than once. Below _LEAST it is nothing to the exact Hessian, whose steps then converge
 # quadratically.
-_DAMPING, _EASE, _HINDER, _LEAST = 0.05, 0.3, 10.0, 1e-4
+_DAMPING, _EASE, _HINDER, _LEAST = 0.03, 0.3, 10.0, 1e-4
 # Longest step of a logarithm, or of a scaled parameter in units of its size where that is larger: beyond it the
 # linearised problem says nothing.
 _LONGEST = 2.0

@@ -91,8 +91,8 @@ def test_the_damping_falls_and_the_exact_hessian_ends_the_search(shaft, shaft_mo
     search = search_of(model, made.data, set_off(model, made.truth, SIGNS[13]))
     _, chosen = solved(search)
     damping, exact = zip(*chosen, strict=True)
-    assert (damping[0], exact[0]) == (0.05, False)
-    assert damping[1] == pytest.approx(0.015)
+    assert (damping[0], exact[0]) == (0.03, False)
+    assert damping[1] == pytest.approx(0.009)
     assert (damping[-1], exact[-1]) == (0.0, True)
     assert list(exact) == sorted(exact)
 
