@@ -188,7 +188,10 @@ def _functions(problem: ShootingProblem, tried: _Tried, log: NDArray[np.bool_]) 
 
     def gradient(value: Any, _: Any) -> Any:
         found = point(value)
-        return [np.nan, np.full(problem.size, np.nan)] if found is None else [found.objective, found.gradient]
+        if found is None:
+            return [np.nan, np.full(problem.size, np.nan)]
+        tried.last = found.x  # asked for alone where there are no constraints
+        return [found.objective, found.gradient]
 
     def hessian(value: Any, _: Any, factor: Any, lam: Any) -> Any:
         found = point(value)
