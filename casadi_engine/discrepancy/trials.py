@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from casadi_engine.discrepancy.chi_squared import chi_squared
 from casadi_engine.discrepancy.compression import candidate_columns, compress
-from casadi_engine.discrepancy.gauss_newton import chi_squared
 from casadi_engine.discrepancy.linear_algebra import Array, basis, without
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel, null_at

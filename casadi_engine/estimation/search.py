@@ -127,6 +127,7 @@ class Search:
             self._weigh(self.levels.first(self.warm))
         self.solver = Solver(
             self.problem,
+            self.coordinates.log,
             max_iterations=max_iterations,
             tolerance=tolerance,
             progress=self._report,
