@@ -379,7 +379,7 @@ class Search:
             return None, ""
         moved = solution.x[:nv] - begun.v
         far = float(np.sqrt(np.maximum(moved @ begun.found.information @ moved, 0.0)))
-        words += f"; all samples moved the estimates by {far:.2g} standard errors"
+        words += f"; all samples moved the estimates by {far:.1g} standard errors"
         return replace(solution, iterations=begun.steps + solution.iterations), words
 
     def _solved(self, x: Array, *, exact: bool) -> Solution:
