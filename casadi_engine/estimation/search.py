@@ -484,7 +484,7 @@ class Search:
 
     def cost_of(self, attempt: Attempt, sigma: Array) -> float:
         """The cost of an attempt at other noise levels (ny,)."""
-        if np.array_equal(attempt.sigma, sigma):
+        if attempt.pending:  # at known levels, and without the nodes that all samples ask for
             return attempt.cost
         self._weigh(sigma)
         return 2 * self.problem.samples * self._objective(attempt.solution.x)
