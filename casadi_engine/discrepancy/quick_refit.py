@@ -6,7 +6,7 @@ bounds perhaps, and its slope there says little: then only a refit tells, from t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,19 +16,15 @@ from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.null_model import NullModel, null_at
 from casadi_engine.discrepancy.refit import Addition, Refitter
 from casadi_engine.errors import CasadiEngineError
-from casadi_engine.estimation.descent import Descender, gap_of
 from casadi_engine.estimation.loss import read_loss
 from casadi_engine.estimation.search import Search
-from casadi_engine.estimation.shooting import Point
 from casadi_engine.estimation.starts import chained_nodes
 from casadi_engine.problem.noise import Noise
 
 # A fall of chi-squared in one step below which a short refit has settled.
 _SETTLED = 0.3
-# Share of the diagonal added to the Gauss-Newton matrix in the first step, and by what it falls from step to step.
-_DAMPING, _FALLS = 0.1, 0.6
-# The share with which a short refit goes on.
-_LATER = 1e-3
+# Share of the diagonal added to the Gauss-Newton matrix in the first step, and where a short refit goes on.
+_DAMPING, _LATER = 0.1, 1e-3
 # After so many steps one that is so many times above the best gives up.
 _GIVEN, _HOPELESS = 4, 30.0
 # A gap of the continuity (of scaled states) that counts as closed.
@@ -36,6 +32,8 @@ _CLOSED = 1e-2
 _TIGHT = 1e-6
 # Times that a settled point's gaps are closed by simulation, and steps after each.
 _CLOSINGS, _FEWER = 4, 3
+# Iterations of a short refit at most, whatever is asked for.
+_MOST = 200
 # Samples of all records above which integration is limited to so many steps of them in all, and the share of an
 # amplitude from which a search starts, again and again, where its own asks for more. (Shorter records take as many
 # steps as any law asks for.)
@@ -48,25 +46,16 @@ class Short:
     """Where a short refit ended: values and first states, as ``estimate(warm=...)`` reads them.
 
     cost : chi-squared with priors, simulated from the first states; settled : one more step would change it little
-    bounds : the parameters at a bound; x : the point of the shooting problem, to go on from
+    x : the point of the shooting problem, to go on from
     """
 
     values: Mapping[str, float]
     initial: Mapping[str, Mapping[str, float]]
     cost: float
     settled: bool
-    bounds: tuple[str, ...]
     x: Array = field(repr=False)
     noise: Mapping[str, tuple[float, bool]] = field(default_factory=dict)
     converged: bool = True
-
-
-class _GaussNewton(Descender):
-    """The first phase of a search without its exact steps."""
-
-    def _settled(self, history: list[float], point: Point) -> bool:
-        del history, point
-        return False
 
 
 class ShortRefits:
@@ -141,7 +130,7 @@ class ShortRefits:
             loss=read_loss("square"),
             ties="substitute",
             method=options.get("method", "exact"),
-            max_iterations=1,
+            max_iterations=_MOST,
             tolerance=1e-6,
             warm=None,
             progress=None,
@@ -173,7 +162,6 @@ def _first(search: Search, warm: Any, amplitude: str | None) -> Array:
     at = search.pmap.free.index(amplitude)
     for _ in range(_TIMES):
         try:
-            search.problem.exact = False
             search.problem.at(x)
         except FloatingPointError:
             z = z.copy()
@@ -190,24 +178,24 @@ def _descended(search: Search, warm: Any, steps: int, worst: float, amplitude: s
     x = warm.x if isinstance(warm, Short) else None
     if x is None:
         x = _first(search, warm, amplitude)
-    problem.damping = _LATER if isinstance(warm, Short) else _DAMPING / _FALLS
     unit, last = 2 * problem.samples, np.inf
     settled, done = False, 0
 
-    def watch(point: Point) -> bool:
+    def stop(objective: float, gap: float) -> bool:
         nonlocal last, settled, done
-        cost = unit * point.objective
-        closed = gap_of(point, problem.user.count) < _CLOSED
-        settled = closed and abs(last - cost) < _SETTLED
-        last = cost if closed else np.inf
-        problem.damping *= _FALLS
+        cost = unit * objective
+        settled = gap < _CLOSED and abs(last - cost) < _SETTLED
+        last = cost if gap < _CLOSED else np.inf
         done += 1
-        return settled or (done > _GIVEN and cost > _HOPELESS * worst)
+        return settled or done > steps or (done > _GIVEN and cost > _HOPELESS * worst)
 
-    if problem.user.count:  # constraints beside bounds are the solver's
+    if (
+        problem.user.count
+    ):  # constraints beside bounds have multipliers, which Gauss-Newton steps alone do not settle
         x = search.solver.solve(x, search.lower, search.upper).x
     else:
-        x = _GaussNewton(problem, search.lower, search.upper).run(x, watch, steps).x
+        damping = _LATER if isinstance(warm, Short) else _DAMPING
+        x = search.solver.gauss_newton(x, search.lower, search.upper, damping=damping, stop=stop)
         if settled:
             x, settled = _closed(search, x)
     return _ended(search, x, settled)
@@ -220,19 +208,24 @@ def _closed(search: Search, x: Array) -> tuple[Array, bool]:
     of a simulation. From the simulated nodes a few steps more reach it.
     """
     problem = search.problem
-    problem.exact = False
     unit = 2 * problem.samples
     for _ in range(_CLOSINGS):
         point = problem.at(x)
-        if gap_of(point, problem.user.count) <= _TIGHT:
+        if point.gap <= _TIGHT:
             return x, True
         simulated = _simulated(search, x)
         if unit * (problem.at(simulated).objective - point.objective) < _SETTLED:
             return simulated, True
-        problem.damping = _LATER
-        x = _GaussNewton(problem, search.lower, search.upper).run(simulated, lambda _: False, _FEWER).x
-        problem.exact = False
+        x = search.solver.gauss_newton(
+            simulated, search.lower, search.upper, damping=_LATER, stop=_after(_FEWER)
+        )
     return x, False
+
+
+def _after(steps: int) -> Callable[[float, float], bool]:
+    """What stops a run after so many steps."""
+    left = iter(range(steps))
+    return lambda *_: next(left, None) is None
 
 
 def _simulated(search: Search, x: Array) -> Array:
@@ -248,9 +241,8 @@ def _simulated(search: Search, x: Array) -> Array:
 def _ended(search: Search, x: Array, settled: bool) -> Short:
     """The point with its gaps closed by simulation where they are not."""
     problem = search.problem
-    problem.exact = False
     v, closed = x[: problem.nv], x
-    if gap_of(problem.at(x), problem.user.count) > _TIGHT:
+    if problem.at(x).gap > _TIGHT:
         closed = _simulated(search, x)
     cost = float(2 * problem.samples * problem.at(closed).objective)
     states = [state.name for state in search.model.states]
@@ -261,13 +253,11 @@ def _ended(search: Search, x: Array, settled: bool) -> Short:
         for record, lay in zip(search.records, problem.layouts, strict=True)
     }
     problem.forget()  # a point of a long record is large, and there are many problems
-    names, edge = search.pmap.free, ((x <= search.lower) | (x >= search.upper))[: problem.nv]
     return Short(
-        dict(zip(names, search.coordinates.values(v).tolist(), strict=True)),
+        dict(zip(search.pmap.free, search.coordinates.values(v).tolist(), strict=True)),
         initial,
         cost if np.isfinite(cost) else np.inf,
         settled,
-        tuple(name for name, at in zip(names, edge, strict=True) if at),
         x,
         search.levels.by_name(search.sigma),
     )

@@ -1,43 +1,50 @@
 """IPOPT through ``nlpsol`` with supplied derivatives: damped Gauss-Newton first, then the exact Hessian.
 
 Gauss-Newton alone is not contractive where the residual is large against weak directions; the exact Hessian far from
-the solution leads to other optima. The switch is made in one run, when the objective has settled.
+the solution leads to other optima. The switch is made in one run, when the objective has settled. To both a share of
+the Gauss-Newton diagonal is added (Levenberg 1944), which falls with every full step and grows where the line search
+has to shorten steps.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.errors import ModelError
-from casadi_engine.estimation.descent import Descender, Descent, gap_of
 from casadi_engine.estimation.interrupts import Interrupts
-from casadi_engine.estimation.shooting import Point, ShootingProblem
+from casadi_engine.estimation.shooting import ShootingProblem
 
 Array = NDArray[np.float64]
-# What IPOPT starts from: any point, an optimum that was found before, or a point of a flat valley.
-Where = Literal["anywhere", "optimum", "valley"]
 Progress = Callable[[int, float], bool]
 
-# Share of the Gauss-Newton diagonal that is added to it. Of the 32 starts at +-40 % of the two-mass problem a tenth
-# of the diagonal loses none; less of it, or less as the search goes on, saves an iteration and loses starts.
-_DAMPING = 0.1
-# Relative change of the objective that counts as settled.
-_SETTLED = 3e-2
+# Share of the Gauss-Newton diagonal that is added at first. It changes by _EASE after a full step, by _HINDER after a
+# step that was halved more than once. Below _LEAST it is nothing to the exact Hessian, whose steps then converge
+# quadratically.
+_DAMPING, _EASE, _HINDER, _LEAST = 0.05, 0.3, 10.0, 1e-4
+# Longest step of a logarithm, or of a scaled parameter in units of its size where that is larger: beyond it the
+# linearised problem says nothing.
+_LONGEST = 2.0
+# Relative change of the objective that counts as settled, largest gap with it, and the iterations that suffice.
+_SETTLED, _GAP, _LONG = 1e-4, 1e-2, 25
 
-# Steps of the first phase before IPOPT starts from the beginning.
-_FIRST = 60
+# A valley is flat, and its points explain the data alike, if so many iterations with the exact Hessian lower
+# chi-squared by less than this, a tenth of what a standard error changes it by, with gaps no larger than that.
+_VALLEY, _FLAT, _CLOSED = 8, 0.1, 1e-6
 
 # Options of IPOPT that every fit has.
 _OPTIONS = {
     "print_level": 0,
     "sb": "yes",
-    "mu_init": 1e-4,
+    "mu_init": 1e-8,
+    # A second-order correction closes the gaps at the cost of the objective; where the parameters are still wrong, open
+    # gaps are what keeps the search out of the valleys of a simulation.
+    "max_soc": 0,
     "dual_inf_tol": 1.0,
     "constr_viol_tol": 1e-8,
     # Where the data say much, rounding keeps the gradient above the tolerance: then the objective stands
@@ -48,6 +55,7 @@ _OPTIONS = {
     "acceptable_constr_viol_tol": 1e-8,
     "acceptable_compl_inf_tol": 1e-8,
     "acceptable_dual_inf_tol": 1.0,
+    "tiny_step_tol": 0.0,  # such steps are judged by that, too
     "bound_relax_factor": 0.0,
     "nlp_scaling_method": "none",
 }
@@ -59,10 +67,6 @@ _NEAR = {
     "bound_frac": 1e-12,
     "bound_mult_init_method": "mu-based",
 }
-
-# And in a flat valley: it may stop after some iterations that change chi-squared by less than this, a tenth of what a
-# standard error changes it by.
-_FLAT_CHANGE, _FLAT_ITERATIONS = 0.1, 4
 
 # Points at which the model cannot be evaluated that are tried from one start by IPOPT, and their share of all: with
 # more of both the search stands before a wall, and every further halving of its steps meets it again.
@@ -142,8 +146,12 @@ def _shapes(problem: ShootingProblem) -> tuple[Any, ...]:
 
 @dataclass
 class _Tried:
-    """The points IPOPT tries from one start, and those of them at which the model could not be evaluated."""
+    """The points IPOPT tries from one start, and those of them at which the model could not be evaluated.
 
+    last : (size,) the last one it accepted
+    """
+
+    last: Array
     points: int = 0
     refused: int = 0
 
@@ -165,9 +173,10 @@ def _functions(problem: ShootingProblem, tried: _Tried) -> list[_Supplied]:
         """The point, or None where the model cannot be evaluated: IPOPT then shortens its step."""
         if tried.wall:
             return None
+        x = np.asarray(value, dtype=float).ravel()
         tried.points += 1
         try:
-            return problem.at(np.asarray(value, dtype=float).ravel())
+            return problem.at(x)
         except (FloatingPointError, np.linalg.LinAlgError, ModelError):
             tried.refused += 1
             return None
@@ -176,11 +185,15 @@ def _functions(problem: ShootingProblem, tried: _Tried) -> list[_Supplied]:
         found = point(value)
         if found is None:
             return [nothing, ca.DM(jac.sparsity, np.nan)]
+        tried.last = found.x  # slopes are asked for where a step has been accepted, of a restoration too
         return [found.constraints, jac.matrix(problem.jacobian(found.x))]
 
     def gradient(value: Any, _: Any) -> Any:
         found = point(value)
-        return [np.nan, np.full(problem.size, np.nan)] if found is None else [found.objective, found.gradient]
+        if found is None:
+            return [np.nan, np.full(problem.size, np.nan)]
+        tried.last = found.x  # a problem without constraints has no other slopes
+        return [found.objective, found.gradient]
 
     def hessian(value: Any, _: Any, factor: Any, lam: Any) -> Any:
         found = point(value)
@@ -189,7 +202,9 @@ def _functions(problem: ShootingProblem, tried: _Tried) -> list[_Supplied]:
         return [hess.matrix(problem.hessian(found.x, float(factor), np.asarray(lam, dtype=float).ravel()))]
 
     def both(value: Any, _: Any) -> Any:
-        found = point(value)
+        last = tried.last[: problem.nv]
+        away = np.abs(np.asarray(value, dtype=float).ravel()[: problem.nv] - last)
+        found = point(value) if (away <= _LONGEST * np.maximum(1.0, np.abs(last))).all() else None
         return [np.nan, nothing] if found is None else [found.objective, found.constraints]
 
     multipliers = {"lam_f": one, "lam_g": g}
@@ -218,16 +233,19 @@ class Solver:
         self._interrupted = False
         self._history: list[float] = []
         self._best: tuple[float, Array] | None = None
+        # evaluations up to the last iteration, iterations with the exact Hessian
+        self._before, self._bent, self._flat = 0, 0, False
+        self._stop: Callable[[float, float], bool] | None = None
         # The solver holds no reference of its own to Python callbacks.
-        self._tried = _Tried()
+        self._tried = _Tried(np.zeros(problem.size))
         self._kept = [*_functions(problem, self._tried), self._watcher()]
         self._ipopt = {**_OPTIONS, "max_iter": max_iterations, "tol": tolerance}
         self.most = max_iterations
-        self._made: dict[str, Any] = {}
+        self._made: dict[bool, Any] = {}
 
-    def _solver(self, where: Where) -> Any:
-        """nlpsol for a start of this kind; made when first wanted."""
-        if where not in self._made:
+    def _solver(self, near: bool) -> Any:
+        """nlpsol for any start, or for one near an optimum; made when first wanted."""
+        if near not in self._made:
             options: dict[str, Any] = {
                 "grad_f": self._kept[1],
                 "jac_g": self._kept[2],
@@ -238,28 +256,24 @@ class Solver:
                 "print_time": False,
                 "error_on_fail": False,
                 "show_eval_warnings": False,
-                "ipopt": {**self._ipopt, **({} if where == "anywhere" else _NEAR)},
+                "ipopt": {**self._ipopt, **(_NEAR if near else {})},
             }
-            if where == "valley":
-                change = _FLAT_CHANGE / (2 * self.problem.samples)
-                options["ipopt"] |= {
-                    "acceptable_tol": 1.0,
-                    "acceptable_obj_change_tol": change,
-                    "acceptable_iter": _FLAT_ITERATIONS,
-                }
-            self._made[where] = ca.nlpsol("fit", "ipopt", self._kept[0], options)
-        return self._made[where]
+            self._made[near] = ca.nlpsol("fit", "ipopt", self._kept[0], options)
+        return self._made[near]
 
     def _watcher(self) -> _Supplied:
-        """Called once an iteration: shows progress, keeps the best point, switches the Hessian, stops on Ctrl-C."""
+        """Called once an iteration: shows progress, keeps the best point, chooses the Hessian, stops on Ctrl-C."""
         x, g, none, one = _shapes(self.problem)
         inputs = {"x": x, "f": one, "g": g, "lam_x": x, "lam_g": g, "lam_p": none}
 
         def watch(value: Any, cost: Any, constraints: Any, *_: Any) -> Any:
             gap = float(np.abs(np.asarray(constraints)[self.problem.user.count :]).max(initial=0.0))
-            stop = self._seen(np.asarray(value, dtype=float).ravel(), float(cost), gap)
-            if not self.problem.exact and self._settled(gap):
-                self.problem.exact = True
+            self._last = np.array(value, dtype=float).ravel()
+            stop = self._seen(self._last, float(cost), gap) or self._in_valley(gap)
+            self._steer(gap)
+            if self._stop is not None:
+                self.problem.exact = False
+                stop = self._stop(float(cost), gap) or stop
             return [1.0 if stop else 0.0]
 
         return _Supplied("watch", inputs, {"ret": one}, watch)
@@ -268,76 +282,87 @@ class Solver:
         """Note a point of the search and show it; True to stop."""
         self._history.append(cost)
         if gap < 1e-3 and (self._best is None or cost < self._best[0]):
-            self._best = (cost, x.copy())
+            self._best = (cost, x)
         stop = self._interrupted = self._interrupted or self._interrupts.stopped
         if self._progress is not None and self._progress(len(self._history) - 1, cost):
             self._interrupted = stop = True
         return stop
 
+    def _in_valley(self, gap: float) -> bool:
+        """True if the search has come to a flat valley; constraints on parameters may still be open there."""
+        self._bent += self.problem.exact
+        if self._bent > _VALLEY and gap < _CLOSED and not self.problem.user.count:
+            fall = min(self._history[:-_VALLEY]) - min(self._history[-_VALLEY:])
+            self._flat = 2 * self.problem.samples * fall < _FLAT
+        return self._flat
+
+    def _steer(self, gap: float) -> None:
+        """Choose the next Hessian after an iteration."""
+        problem = self.problem
+        tried, self._before = problem.evaluations - self._before, problem.evaluations
+        if len(self._history) > 1:
+            if tried <= 1:
+                problem.damping *= _EASE
+            elif tried > 2:
+                problem.damping = max(_HINDER * problem.damping, _LEAST)
+        problem.exact = problem.exact or self._settled(gap)
+        if problem.exact and problem.damping < _LEAST:
+            problem.damping = 0.0
+
     def _settled(self, gap: float) -> bool:
-        if len(self._history) < 3:
-            return False
-        if len(self._history) > 25:
-            return True
+        if len(self._history) < 3 or len(self._history) > _LONG:
+            return len(self._history) > _LONG
         change = abs(self._history[-2] - self._history[-1])
-        return gap < 1e-2 and change < _SETTLED * abs(self._history[-1])
+        return gap < _GAP and change < _SETTLED * abs(self._history[-1])
 
     def solve(self, start: Array, lower: Array, upper: Array, *, exact: bool = False) -> Solution:
-        """Run from ``start`` (size,) within bounds (size,)."""
+        """Run from ``start`` (size,) within bounds (size,); ``exact`` where the start is near an optimum."""
+        return self._run(start, lower, upper, exact, 0.0 if exact else _DAMPING)
+
+    def gauss_newton(
+        self,
+        start: Array,
+        lower: Array,
+        upper: Array,
+        *,
+        damping: float,
+        stop: Callable[[float, float], bool],
+    ) -> Array:
+        """The point (size,) after Gauss-Newton steps; ``stop`` sees objective and gap of each, True ends the run."""
+        self._stop = stop
+        try:
+            self._run(start, lower, upper, True, damping)
+        finally:
+            self._stop = None
+        return self._last
+
+    def _run(self, start: Array, lower: Array, upper: Array, near: bool, damping: float) -> Solution:
         problem = self.problem
-        problem.damping = _DAMPING
+        problem.exact, problem.damping = near and self._stop is None, damping
         self._history, self._best, self._interrupted = [], None, False
+        self._last = self._tried.last = start
         self._tried.points = self._tried.refused = 0
-        done = 0
-        if not problem.user.count:
-            first = self._descend(start, lower, upper, exact)
-            done = first.steps
-            if first.stopped or (done >= self.most and not (first.settled or first.flat)):
-                words = "interrupted" if first.stopped else "Maximum_Iterations_Exceeded"
-                status = words if first.stopped else f"not converged: {_WORDS[words]}"
-                x = self._best[1] if first.stopped and self._best is not None else first.x
-                return Solution(x, np.zeros(problem.rows), np.zeros(problem.size), status, done, words)
-            if first.settled or first.flat:
-                last = self._ipopt_from(first.x, lower, upper, where="valley" if first.flat else "optimum")
-                if last.status in ("converged", "interrupted") or self._tried.wall:
-                    return replace(last, iterations=done + last.iterations)
-            self._history = []
-        problem.exact = exact
-        found = self._ipopt_from(start, lower, upper)
-        return replace(found, iterations=done + found.iterations)
-
-    def _descend(self, start: Array, lower: Array, upper: Array, exact: bool) -> Descent:
-        """The first phase: condensed Newton steps."""
-        problem = self.problem
-
-        def watch(point: Point) -> bool:
-            return self._seen(point.x, point.objective, gap_of(point, problem.user.count))
-
-        return Descender(problem, lower, upper).run(start, watch, min(_FIRST, self.most), exact=exact)
-
-    def _ipopt_from(self, start: Array, lower: Array, upper: Array, where: Where = "anywhere") -> Solution:
-        """IPOPT from ``start``, which may be an optimum already, or lie in a flat valley."""
-        problem = self.problem
+        self._before, self._bent, self._flat = problem.evaluations, 0, False
         joints = problem.rows - problem.user.count
         low = np.concatenate([problem.user.lower, np.zeros(joints)])
         high = np.concatenate([problem.user.upper, np.zeros(joints)])
-        problem.exact = problem.exact or where != "anywhere"
-        answer = self._solver(where)(x0=start, lbx=lower, ubx=upper, lbg=low, ubg=high)
+        solver = self._solver(near)
+        answer = solver(x0=start, lbx=lower, ubx=upper, lbg=low, ubg=high)
         for function in self._kept:
             if function.failure is not None:
                 failure, function.failure = function.failure, None
                 raise failure
-        stats = self._solver(where).stats()
+        stats = solver.stats()
         words = str(stats["return_status"])
         x = np.asarray(answer["x"], dtype=float).ravel()
         if self._interrupted:
             status = "interrupted"
             x = self._best[1] if self._best is not None else x
-        elif stats["success"]:
+        elif stats["success"] or self._flat:
             status = "converged"
         elif self._tried.wall:
             status = f"not converged: {_WALL}"
         else:
             status = f"not converged: {_WORDS.get(words, words.replace('_', ' ').lower())}"
         lam_g, lam_x = (np.asarray(answer[key], dtype=float).ravel() for key in ("lam_g", "lam_x"))
-        return Solution(x, lam_g, lam_x, status, int(stats["iter_count"]), words)
+        return Solution(x, lam_g, lam_x, status, max(len(self._history) - 1, 0), words)

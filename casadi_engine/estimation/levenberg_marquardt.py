@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 # Damping at first as a share of the diagonal, its least, and where the search gives up; its change after a step that
 # falls as foretold, and after one that does not fall.
 _DAMPING, _LEAST, _STUCK, _EASE, _HINDER = 1e-2, 1e-9, 1e9, 0.2, 6.0
+# Damping with which a step that promises nothing is looked at again, and how often at most.
+_SMALL, _LOOKS = 1e-6, 3
 # Share of the foretold fall that makes a step, and the shares between which the damping stays.
 _SHARE, _POOR, _GOOD = 1e-3, 0.25, 0.75
 # A symmetric rank-one update is passed over where its denominator is so small a share of the sizes in it.
@@ -74,7 +76,7 @@ def minimise(
     here = evaluate(x)
     if here is None:
         return None
-    learnt, trusted, reach = np.zeros_like(here.matrix), False, 1.0
+    learnt, trusted, reach, looked = np.zeros_like(here.matrix), False, 1.0, 0
     for count in range(steps):
         if stop(here.cost):
             return Minimum(x, here, count, converged=False)
@@ -83,8 +85,11 @@ def minimise(
         if found is None or found[1] <= 0:
             found = _step(here, here.matrix, room, damping)
         moved, foretold, short = found or (np.zeros(len(x)), 0.0, False)
-        if abs(foretold) < fall and not short and damping <= 1.0:
-            return Minimum(x, here, count, converged=True)
+        if abs(foretold) < fall and not short:
+            if damping <= _SMALL or looked >= _LOOKS:
+                return Minimum(x, here, count, converged=True)
+            damping, looked = _SMALL, looked + 1  # so much of it may hide what a weak direction promises
+            continue
         there = evaluate(x + moved) if foretold > 0 else None
         gained = -np.inf if there is None else here.cost - there.cost
         if there is not None:

@@ -28,7 +28,12 @@ def state_factors(problem: ShootingProblem, x: Array) -> Array | None:
 
     The solver joins its intervals to a share of the scale: rounding forbids it for a state of 1e8 with the scale 1.
     """
-    sizes = [np.abs(lay.take(x)).max(axis=0) for lay in problem.layouts if lay.n]
+    return size_factors([lay.take(x) for lay in problem.layouts])
+
+
+def size_factors(nodes: list[Array]) -> Array | None:
+    """The same from the records' nodes (M, n)."""
+    sizes = [np.abs(one).max(axis=0) for one in nodes if one.size]
     if not sizes or not np.isfinite(largest := np.max(sizes, axis=0)).all():
         return None
     return np.where(largest > _LARGE, largest, 1.0) if (largest > _LARGE).any() else None
@@ -54,7 +59,12 @@ def felt_scale(problem: ShootingProblem, coordinates: Coordinates, z: Array, x: 
         return None
     for record, lay, found in zip(problem.records, problem.layouts, point.records, strict=True):
         slope[lay.active] += np.diag(record.gauss_newton(found).zz)
-    slope /= coordinates.slope(x[: problem.nv]) ** 2
+    return felt_sizes(square, slope, coordinates, z)
+
+
+def felt_sizes(square: float, slope: Array, coordinates: Coordinates, z: Array) -> Array | None:
+    """The same from the summed squares at z and those of their slopes in v (nv,)."""
+    slope = slope / coordinates.slope(coordinates.of(z)) ** 2
     if not (np.isfinite(square) and np.isfinite(slope).all()):
         return None
     with np.errstate(divide="ignore"):

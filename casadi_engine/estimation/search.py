@@ -114,12 +114,15 @@ class Search:
         if self.problem.nv:
             check_samples(noise, self.records, self.free_count, len(self.pmap.priors))
         self._weigh(self.levels.first(self.warm))
-        x = self.first_point()
-        assert self._first is not None
-        felt = felt_scale(self.problem, self.coordinates, *self._first)
-        larger = state_factors(self.problem, x) if self.predictor.kind == "none" else None
+        z = self._warm_values(self.pmap.start) if self.warm is not None else self.pmap.start
+        if self.warm is None and in_full(self) is None:
+            felt, larger = self.spectral.sizes(z)
+        else:
+            x = self.first_point()
+            felt = felt_scale(self.problem, self.coordinates, z, x)
+            larger = state_factors(self.problem, x) if self.predictor.kind == "none" else None
         if felt is not None or larger is not None:
-            self._first = None
+            self._first = self._spectral = None
             self._lay(noise, Coordinates(self.pmap, felt), larger)
             self._weigh(self.levels.first(self.warm))
         self.solver = Solver(
@@ -218,7 +221,7 @@ class Search:
         for record in self.records:
             record.set_sigma(sigma)
         self.problem.forget()
-        self._fraction = self.levels.variation()
+        self._fraction: float | None = None
 
     def levels_at(self, x: Array) -> Array:
         """Noise levels (ny,) from the residuals at x; known ones as they are."""
@@ -511,6 +514,8 @@ class Search:
             return False
         iteration += self._before
         chi2 = 2 * objective
+        if self._fraction is None:
+            self._fraction = self.levels.variation()
         fit_percent = 100 * (1 - np.sqrt(max(chi2, 0.0) / self._fraction))
         return bool(self._progress(iteration, chi2 * self.problem.samples, float(fit_percent)))
 

@@ -31,12 +31,18 @@ class Point:
     constraints: Array
     user_jacobian: Array
 
+    @property
+    def gap(self) -> float:
+        """Largest violation of the continuity."""
+        return float(np.abs(self.constraints[len(self.user_jacobian) :]).max(initial=0.0))
+
 
 class ShootingProblem:
     """Objective, constraints and derivatives of several records that share parameters.
 
     nv : free parameters; size : variables; rows : constraints; ``exact`` chooses the Hessian of the Lagrangian in
-    place of the damped Gauss-Newton matrix.
+    place of the Gauss-Newton matrix, ``damping`` the share of the latter's diagonal that is added to either;
+    evaluations : points that were evaluated
     """
 
     def __init__(
@@ -60,6 +66,7 @@ class ShootingProblem:
         self.jacobian_pattern = assembly.jacobian_pattern(nv, constraints.count, self.layouts, (row, at))
         self.hessian_pattern = assembly.hessian_pattern(nv, self.layouts, at)
         self.exact, self.damping = False, 0.0
+        self.evaluations = 0
         self._point: Point | None = None
         self._jacobian: tuple[Point, Array] | None = None
 
@@ -71,6 +78,7 @@ class ShootingProblem:
         """Evaluate at x, once for all that is asked of the same x."""
         if self._point is not None and np.array_equal(self._point.x, x):
             return self._point
+        self.evaluations += 1
         self._point = None  # a point of a long record is large: the last one goes before the next is made
         v = x[: self.nv]
         gradient = np.zeros(self.size)
@@ -82,7 +90,7 @@ class ShootingProblem:
         rows, points = [values], []
         for record, lay in zip(self.records, self.layouts, strict=True):
             nodes = lay.take(x)
-            point = record.evaluate(v, nodes, order=2 if self.exact else 1)
+            point = record.evaluate(v, nodes)
             in_z, in_nodes = record.gradient(point, self.loss)
             gradient[lay.active] += in_z
             gradient[lay.at : lay.at + in_nodes.size] = in_nodes.ravel()
@@ -108,44 +116,27 @@ class ShootingProblem:
 
     def hessian(self, x: Array, factor: float, lam: Array) -> Array:
         """Raw values of the Hessian of factor * objective + lam * constraints, or of what stands in for it."""
-        ends = [
-            lam[lay.row : lay.row + (lay.m - 1) * lay.n].reshape(-1, lay.n).T if lay.m > 1 else None
-            for lay in self.layouts
-        ]
-        zz, blocks = self.curvature(x, factor, lam[: self.user.count], ends)
-        return assembly.hessian_values(zz, [(zs, ss) for zs, ss in blocks])
-
-    def curvature(
-        self, x: Array, factor: float, lam: Array, joints: list[Array | None]
-    ) -> tuple[Array, list[tuple[Array, Array]]]:
-        """Hessian blocks: zz (nv, nv), then zs (na, n, M) and ss (M, n, n) of every record.
-
-        lam : (nc,) multipliers of the parameters' constraints; joints : (n, M-1) those of a record's continuity
-        """
         point = self.at(x)
         v, scale = x[: self.nv], factor / self.samples
         _, _, prior_hessian, prior_gn = self.priors.evaluate(v)
         zz = scale * (prior_hessian if self.exact else prior_gn)
         if self.exact and self.user.count:
-            zz = zz + self.user.hessian(v, lam)
+            zz = zz + self.user.hessian(v, lam[: self.user.count])
         blocks = []
-        for record, lay, found, own_lam in zip(
-            self.records, self.layouts, point.records, joints, strict=True
-        ):
+        for record, lay, found in zip(self.records, self.layouts, point.records, strict=True):
             bend = self.loss.curvature(found.r) if self.exact else self.loss.secant(found.r)
             gn = record.gauss_newton(found, bend)
             own, zs, ss = scale * gn.zz, scale * gn.zs, scale * gn.ss
+            if self.damping:
+                index = np.arange(lay.n)
+                own = own + self.damping * np.diag(np.abs(np.diag(own)))
+                ss = ss.copy()
+                ss[:, index, index] += self.damping * np.abs(ss[:, index, index])
             if self.exact:
                 ends = np.zeros((lay.n, lay.m))
-                if own_lam is not None:
-                    ends[:, :-1] = own_lam
+                ends[:, :-1] = lam[lay.row : lay.row + (lay.m - 1) * lay.n].reshape(-1, lay.n).T
                 bent = record.curvature(v, found, self.loss, scale, ends)
                 own, zs, ss = own + bent.zz, zs + bent.zs, ss + bent.ss
-            elif self.damping:
-                index = np.arange(lay.n)
-                own = own + self.damping * np.diag(np.diag(own))
-                ss = ss.copy()
-                ss[:, index, index] *= 1 + self.damping
             zz[np.ix_(lay.active, lay.active)] += own
             blocks.append((zs, ss))
-        return zz, blocks
+        return assembly.hessian_values(zz, blocks)

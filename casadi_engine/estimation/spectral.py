@@ -16,6 +16,7 @@ A transformed record holds as many numbers as before, but the parameters act in 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import cast
 
@@ -74,13 +75,23 @@ class Bins:
 def half_bins(series: Array) -> Spectrum:
     """The transform (..., K) of (..., N) samples at the odd half bins up to half the sampling rate, K = ceil(N/2).
 
-    One series after the other: a transform takes several times the memory of its series.
+    One series after the other, as a transform takes several times the memory of its series. Of an even number of
+    samples both halves go together as real and imaginary part into a transform of half the length: its first bins are
+    every second one, and its last ones, from behind, the conjugates of the others.
     """
     count = series.shape[-1]
-    turn = np.exp(-1j * np.pi / count * np.arange(count))
-    found = np.empty((*series.shape[:-1], (count + 1) // 2), complex)
+    half = (count + 1) // 2
+    even = count % 2 == 0
+    turn = np.exp(-1j * np.pi / count * np.arange(half if even else count))
+    found = np.empty((*series.shape[:-1], half), complex)
     for index in np.ndindex(series.shape[:-1]):
-        found[index] = np.fft.fft(series[index] * turn)[: found.shape[-1]]
+        own = series[index]
+        if even:
+            both = np.fft.fft((own[:half] - 1j * own[half:]) * turn)
+            found[index][0::2] = both[: (half + 1) // 2]
+            found[index][1::2] = both[::-1][: half // 2].conj()
+        else:
+            found[index] = np.fft.fft(own * turn)[:half]
     return found
 
 
@@ -104,7 +115,7 @@ class SpectralRecord:
         self._measured = half_bins(measured) * share
         self._z = np.exp(1j * turn)
         self._drives: tuple[Array, Spectrum, Spectrum] | None = None
-        self._kept: dict[tuple[int, int], Bins] = {}
+        self._kept: dict[int, Bins] = {}
         self.sigma = np.ones(len(measured))
 
     def below(self, hertz: float) -> slice:
@@ -112,61 +123,78 @@ class SpectralRecord:
         fewest = _FEWEST * (self.record.n + len(self.record.active))
         return slice(0, min(max(int(np.searchsorted(self.hertz, hertz)), fewest), self.size))
 
-    def bins(self, z: Array, part: slice, last: int | None = None) -> Bins:
-        """The bins in ``part`` at the record's own parameters z (na,); last : of parts that follow one another, of
-        which none is kept."""
-        samples = self._propagator.merged_drives(z)
-        if self._drives is None or self._drives[0] is not samples.value:
-            drives = half_bins(samples.value) * self._share
-            slopes = half_bins(samples.first) * self._share
-            self._drives, self._kept = (samples.value, drives, slopes), {}
+    def release(self) -> None:
+        """Give back the memory of a long record's spectra; they are made again when they are asked for."""
+        if self.size > LONG:
+            self._drives, self._kept = None, {}
+
+    def bins(self, z: Array, part: slice, *, keep: bool = True) -> Bins:
+        """The bins in ``part`` at the record's own parameters z (na,); kept for the next time unless told not to."""
+        if self._drives is None or len(self._propagator.drives_active):
+            samples = self._propagator.merged_drives(z)
+            if self._drives is None or self._drives[0] is not samples.value:
+                drives, slopes = half_bins(samples.value), half_bins(samples.first)
+                drives *= self._share
+                slopes *= self._share
+                self._drives, self._kept = (samples.value, drives, slopes), {}
+            if not len(samples.active):  # made once: the samples themselves are not needed any more
+                self._drives = (samples.value[:0], *self._drives[1:])
+                self._propagator.forget_merged()
         _, drives, slopes = self._drives
         whole = Bins(self.record.grid.samples, self._z, self._share, drives, slopes, self._measured)
-        if last is not None:
+        if not keep:
             return whole.part(part)
-        key = (part.start, part.stop)
-        if key not in self._kept:
-            self._kept = {
-                key: whole.part(part)
-            }  # one part at a time: a record's bins are as large as its samples
-        return self._kept[key]
+        if part.stop not in self._kept:
+            # one part at a time beside the whole, which is as large as the samples
+            self._kept = {part.stop: whole if part.stop == self.size else whole.part(part)}
+        return self._kept[part.stop]
+
+    def columns(
+        self, v: Array, part: slice, common: dict[tuple[int, int, int], Response] | None = None
+    ) -> tuple[Array, Array]:
+        """Residual and Jacobian (1 + na, 2 ny K) in the active entries of v, the transients projected out; and
+        orthonormal rows (r, 2 ny K) that span these.
+
+        common : kept for further records at the same v, those of the same length and bins have much in common
+        """
+        z = v[self.record.active]
+        discrete = self._propagator.discretisation(z, 1)
+        bins, common = self.bins(z, part), {} if common is None else common
+        key = (id(discrete), bins.samples, len(bins.z))
+        if key not in common:
+            common[key] = Response(discrete, bins, self.sigma)
+        response = common[key]
+        free = response.free
+        left, drive, source = response.forced(bins)
+        jump = free.best(_real(left.reshape(-1)))
+        flat = response.columns(bins, (left, drive, source), jump, self._propagator.drives_active)
+        flat -= (flat @ free.rows.T) @ free.rows
+        return flat, free.rows
 
     def gram(self, v: Array, stops: list[int]) -> Array:
         """Products (e, 1 + na, 1 + na) of residual and Jacobian in the bins before each of the rising ``stops``, the
         transients projected out; part by part of the bins, as those of a long record take much memory."""
         z = v[self.record.active]
-        discrete, active = self._propagator.discretisation(z, 1), self._propagator.merged_drives(z).active
-        last = stops[-1]
-        cuts = sorted({*range(0, last, _PART), *stops})
-        parts = [slice(begin, end) for begin, end in pairwise(cuts)]
+        discrete = self._propagator.discretisation(z, 1)
+        parts = [slice(*ends) for ends in pairwise(sorted({*range(0, stops[-1], _PART), *stops}))]
         n = discrete.f.shape[1]
         span, seen = np.zeros((n, n)), np.zeros(n)
         for part in parts:
-            piece = _Piece(discrete, self.bins(z, part, last), self.sigma)
-            left = _real(piece.residual().reshape(-1))
-            span += piece.free @ piece.free.T
-            seen += piece.free @ left
-        jump = -np.linalg.lstsq(span, seen, rcond=_SPRING)[0]
-        total, found = 0.0, []
+            bins = self.bins(z, part, keep=False)
+            response = Response(discrete, bins, self.sigma)
+            span += response.seen @ response.seen.T
+            seen += response.seen @ _real(response.forced(bins)[0].reshape(-1))
+        jump = np.asarray(-np.linalg.lstsq(span, seen, rcond=_SPRING)[0], dtype=np.float64)
+        total, found = np.zeros((n + 1 + len(z),) * 2), []
         for part in parts:
-            piece = _Piece(discrete, self.bins(z, part, last), self.sigma)
-            rows = np.concatenate([piece.free, piece.columns(jump, active)])
-            total = total + rows @ rows.T
+            bins = self.bins(z, part, keep=False)
+            response = Response(discrete, bins, self.sigma)
+            own = response.columns(bins, response.forced(bins), jump, self._propagator.drives_active)
+            rows = np.concatenate([response.seen, own])
+            total += rows @ rows.T
             if part.stop in stops:
                 found.append(_without(total, n))
         return np.array(found)
-
-    def columns(self, v: Array, part: slice, order: int = 1) -> tuple[Array, Array]:
-        """Residual and Jacobian (1 + na, 2 ny K) in the active entries of v, the transients projected out; and
-        orthonormal rows (r, 2 ny K) that span these."""
-        z = v[self.record.active]
-        discrete = self._propagator.discretisation(z, order)
-        active = self._propagator.merged_drives(z).active
-        piece = _Piece(discrete, self.bins(z, part), self.sigma)
-        free = Orthonormal.of(piece.free)
-        flat = piece.columns(free.best(_real(piece.residual().reshape(-1))), active)
-        flat -= (flat @ free.rows.T) @ free.rows
-        return flat, free.rows
 
 
 def _without(gram: Array, n: int) -> Array:
@@ -178,50 +206,64 @@ def _without(gram: Array, n: int) -> Array:
     return np.asarray(gram[n:, n:] - cross.T @ cross)
 
 
-class _Piece:
-    """The equations of some bins at one point; free : (n, 2 ny K) what the transients do."""
+class Response:
+    """A model at K bins, its outputs in units of their standard deviations.
+
+    seen : (n, 2 ny K) what the transients do, real and imaginary parts side by side; free : what they span
+    Raises FloatingPointError where the states grow too far.
+    """
 
     def __init__(self, discrete: Discretisation, bins: Bins, sigma: Array) -> None:
-        n, m, count = discrete.f.shape[1], len(bins.drives), len(bins.z)
-        self._discrete, self._bins, self._sigma = discrete, bins, sigma
-        self._c, self._d = discrete.c / sigma[:, None], discrete.d / sigma[:, None]
-        self._hold = np.concatenate([discrete.f, discrete.g0, discrete.g1], axis=2)
         self._resolvent = Resolvent(discrete.f[0], bins.z)
         if bins.samples * np.log(max(self._resolvent.radius, 1e-300)) > np.log(_GROWTH):
             raise FloatingPointError("the states grow beyond what their start decides")
-        self._rows = self._resolvent.rows(self._c[0])
-        self._source = np.empty((n + 2 * m, count), complex)
-        self._source[n : n + m] = bins.drives
-        np.multiply(bins.drives, bins.z, out=self._source[n + m :])
-        self._drive = _times(self._hold[0, :, n:], self._source[n:])
-        self._shifted = bins.z * bins.share
-        self.free = _real((self._rows * self._shifted).swapaxes(0, 1).reshape(n, -1))
+        self._discrete, self._sigma = discrete, sigma
+        self._c, self._d = discrete.c / sigma[:, None], discrete.d / sigma[:, None]
+        self._rows, self._shifted = self._resolvent.rows(self._c[0]), bins.z * bins.share
+        self.seen = _real((self._rows * self._shifted).swapaxes(0, 1).reshape(len(discrete.f[0]), -1))
 
-    def residual(self) -> Spectrum:
-        """(ny, K) without transients."""
-        bins = self._bins
-        found = np.einsum("ynk,nk->yk", self._rows, self._drive) + _times(self._d[0], bins.drives)
-        return np.asarray(found - bins.measured / self._sigma[:, None])
+    @cached_property
+    def free(self) -> Orthonormal:
+        """Orthonormal rows that span the transients."""
+        return Orthonormal.of(self.seen)
 
-    def columns(self, jump: Array, active: NDArray[np.intp]) -> Array:
-        """Residual and Jacobian (1 + na, 2 ny K), real and imaginary parts side by side; the Jacobian at the transient
-        ``jump`` (n,), the residual without it."""
-        bins, discrete, c, d = self._bins, self._discrete, self._c, self._d
+    def forced(self, bins: Bins) -> tuple[Spectrum, Spectrum, Spectrum]:
+        """Residual (ny, K) without transients, what drives the states (n, K), and what the Jacobian is made of."""
+        n, m = self._discrete.f.shape[1], len(bins.drives)
+        source = np.empty((n + 2 * m, len(bins.z)), complex)
+        source[n : n + m] = bins.drives
+        np.multiply(bins.drives, bins.z, out=source[n + m :])
+        hold = np.concatenate([self._discrete.g0[0], self._discrete.g1[0]], axis=1)
+        drive = _times(hold, source[n:])
+        left = np.einsum("ynk,nk->yk", self._rows, drive) + _times(self._d[0], bins.drives)
+        return left - bins.measured / self._sigma[:, None], drive, source
+
+    def columns(
+        self,
+        bins: Bins,
+        forced: tuple[Spectrum, Spectrum, Spectrum],
+        jump: Array,
+        active: NDArray[np.intp],
+    ) -> Array:
+        """Residual without transients and Jacobian at the transient ``jump`` (n,): (1 + na, 2 ny K), real and imaginary
+        parts side by side; active : entries that the drives depend on."""
+        discrete, c, d, rows = self._discrete, self._c, self._d, self._rows
+        left, drive, source = forced
         n, count = discrete.f.shape[1], len(bins.z)
         found = np.empty((len(discrete.f), *bins.measured.shape), complex)
-        found[0] = self.residual()
-        source, rows = self._source, self._rows
-        source[:n] = self._resolvent.states(self._drive + jump[:, None] * self._shifted)
+        found[0] = left
+        source[:n] = self._resolvent.states(drive + jump[:, None] * self._shifted)
         if len(found) > 1:
-            pushed = _times(self._hold[1:].reshape(-1, self._hold.shape[2]), source).reshape(-1, n, count)
+            hold = np.concatenate([discrete.f[1:], discrete.g0[1:], discrete.g1[1:]], axis=2)
+            pushed = _times(hold.reshape(-1, hold.shape[2]), source).reshape(-1, n, count)
             np.einsum("ynk,pnk->pyk", rows, pushed, out=found[1:])
         if c[1:].any():
             found[1:] += _times(c[1:].reshape(-1, n), source[:n]).reshape(found[1:].shape)
         if d[1:].any():
             found[1:] += _times(d[1:].reshape(-1, d.shape[2]), bins.drives).reshape(found[1:].shape)
         for entry, slope in zip(active if len(found) > 1 else (), bins.slopes, strict=False):
-            forced = _times(discrete.g0[0], slope) + _times(discrete.g1[0], slope * bins.z)
-            found[1 + entry] += np.einsum("ynk,nk->yk", rows, forced) + _times(d[0], slope)
+            push = _times(discrete.g0[0], slope) + _times(discrete.g1[0], slope * bins.z)
+            found[1 + entry] += np.einsum("ynk,nk->yk", rows, push) + _times(d[0], slope)
         return _real(found.reshape(len(found), -1))
 
 

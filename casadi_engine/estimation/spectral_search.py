@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_engine.estimation.levenberg_marquardt import Minimum, Squares, minimise
+from casadi_engine.estimation.levenberg_marquardt import Evaluate, Minimum, Squares, minimise
 from casadi_engine.estimation.record import RecordTerm
-from casadi_engine.estimation.spectral import LONG, SpectralRecord
+from casadi_engine.estimation.spectral import LONG, Response, SpectralRecord
 
 Array = NDArray[np.float64]
 Priors = Callable[[Array], tuple[float, Array, Array, Array]]
@@ -29,6 +29,8 @@ _STEP, _LOWEST = 2**0.5, 1 / 128
 _BLIND = 1e-12
 # Fall of half chi-squared that ends the search, and that which ends it on the band alone; bands tried.
 _FALL, _COARSE, _BANDS = 1e-5, 1e-2, 4
+# Looks at all bins, and the move in squared standard errors after which another is taken.
+_ROUNDS, _MOVED = 3, 0.1
 # Damping where the search goes on with all bins: it is close to the optimum.
 _NEAR = 1e-5
 
@@ -74,20 +76,28 @@ class SpectralSearch:
         self._limits: dict[str, Any] = {"low": low, "high": high, "longest": longest}
         self._hertz: float | None = None  # of the band
         self._above = 0.0  # cost above it at the first start
+        self._first: tuple[Array, Array, Array] | None = None  # products at the point that was asked for last
 
     def weigh(self, sigma: Array) -> None:
         """Divide the outputs by these standard deviations (ny,)."""
         for record in self._records:
-            record.sigma = sigma
+            if not np.array_equal(record.sigma, sigma):
+                record.sigma, self._first = sigma, None
+
+    def release(self) -> None:
+        """Give back the memory of long records' spectra until they are asked for again."""
+        for record in self._records:
+            record.release()
 
     def squares(self, v: Array, hertz: float = np.inf) -> Squares | None:
         """The problem at v on the bins below a frequency; None where the model cannot be evaluated."""
         cost, gradient, _, matrix = self._priors(v)
         gradient, matrix = gradient.copy(), matrix.copy()
+        common: dict[tuple[int, int, int], Response] = {}
         with np.errstate(all="ignore"):
             for record in self._records:
                 try:
-                    gram = _gram(record, v, record.below(hertz))
+                    gram = _gram(record, v, record.below(hertz), common)
                 except (FloatingPointError, np.linalg.LinAlgError):
                     return None
                 own = record.record.active
@@ -96,11 +106,30 @@ class SpectralSearch:
                 matrix[np.ix_(own, own)] += gram[1:, 1:]
         return Squares(cost, gradient, matrix) if np.isfinite(cost) and np.isfinite(matrix).all() else None
 
+    def whole(self, v: Array) -> Array | None:
+        """Products (1 + nv, 1 + nv) of residual and Jacobian in all bins; None where the model cannot be evaluated."""
+        with np.errstate(all="ignore"):
+            try:
+                found = self._ladder(v)[1][-1]
+            except (FloatingPointError, np.linalg.LinAlgError):
+                return None
+        return found if np.isfinite(found).all() else None
+
+    def _ladder(self, v: Array) -> tuple[Array, Array]:
+        """Frequencies (e,), each a band's, and the products in the bins below them at v."""
+        if self._first is None or not np.array_equal(self._first[0], v):
+            top = max(record.hertz[-1] for record in self._records)
+            edges = top * _STEP ** np.arange(np.ceil(np.log(_LOWEST) / np.log(_STEP)), 1)
+            edges[-1] = np.inf
+            self._first = (v.copy(), edges, self.grams(v, edges))
+        return self._first[1:]
+
     def grams(self, v: Array, edges: Array) -> Array:
         """Products (e, 1 + nv, 1 + nv) of residual and Jacobian in the bins below each of the edges, and of priors."""
         cost, gradient, _, matrix = self._priors(v)
         priors = np.block([[2 * cost, gradient], [gradient[:, None], matrix]])
         found = np.repeat(priors[None], len(edges), axis=0)
+        common: dict[tuple[int, int, int], Response] = {}
         for record in self._records:
             if record.size > LONG:
                 entries = np.append(0, 1 + record.record.active)
@@ -109,7 +138,7 @@ class SpectralSearch:
                 for e, stop in enumerate(stops):
                     found[e][np.ix_(entries, entries)] += parts[stop]
                 continue
-            columns, free = record.columns(v, record.below(np.inf))
+            columns, free = record.columns(v, record.below(np.inf), common)
             rows = np.concatenate([free, columns])
             rows = rows.reshape(len(rows), len(record.sigma), -1)
             entries = np.append(0, 1 + record.record.active)
@@ -126,10 +155,7 @@ class SpectralSearch:
 
     def band(self, v: Array) -> float:
         """The lowest frequency above which bins hold little of the information at v."""
-        top = max(record.hertz[-1] for record in self._records)
-        edges = top * _STEP ** np.arange(np.ceil(np.log(_LOWEST) / np.log(_STEP)), 1)
-        edges[-1] = np.inf
-        grams = self.grams(v, edges)
+        edges, grams = self._ladder(v)
         if not np.diag(grams[-1])[1:].all():
             raise FloatingPointError("a parameter has no slope here")
         shares = [largest_share(grams[-1, 1:, 1:], part[1:, 1:]) for part in grams]
@@ -173,32 +199,35 @@ class SpectralSearch:
             return None
         if not first.converged or kept == bins:
             return Found(first, first.squares.matrix, hertz, kept, bins, 0.0)
-        whole = self.squares(first.x)
-        if whole is None:
-            return None
-        rest, at = _difference(whole, first.squares), first.x
-        share = largest_share(whole.matrix, first.squares.matrix)
+        last, left, share, information = first, steps - first.steps, 0.0, first.squares.matrix
+        for _ in range(_ROUNDS):
+            whole, at = self.squares(last.x), last.x
+            part = below(at)
+            if whole is None or part is None:
+                return None
+            share, information = largest_share(whole.matrix, part.matrix), whole.matrix
+            goal = _with_rest(below, _difference(whole, part), at)
+            near = minimise(
+                goal, at, fall=_FALL, steps=max(left, 1), damping=_NEAR,
+                stop=_from_the_second(stop), **self._limits,
+            )  # fmt: skip
+            if near is None:
+                return None
+            left -= near.steps
+            last = Minimum(near.x, near.squares, steps - left, near.converged)
+            moved = near.x - at
+            if not near.converged or moved @ whole.matrix @ moved < _MOVED:
+                break
+        return Found(last, information, hertz, kept, bins, share)
 
-        def all_bins(x: Array) -> Squares | None:
-            found = below(x)
-            return None if found is None else _sum(found, rest, x - at)
 
-        last = minimise(
-            all_bins, at, fall=_FALL, steps=max(steps - first.steps, 1), damping=_NEAR,
-            stop=_from_the_second(stop),
-            **self._limits,
-        )  # fmt: skip
-        if last is None:
-            return None
-        last = Minimum(last.x, last.squares, first.steps + last.steps, first.converged and last.converged)
-        return Found(last, whole.matrix, hertz, kept, bins, share)
-
-
-def _gram(record: SpectralRecord, v: Array, part: slice) -> Array:
+def _gram(
+    record: SpectralRecord, v: Array, part: slice, common: dict[tuple[int, int, int], Response]
+) -> Array:
     """Products (1 + na, 1 + na) of residual and Jacobian in some bins."""
     if part.stop > LONG:
         return np.asarray(record.gram(v, [part.stop])[0])
-    columns, _ = record.columns(v, part)
+    columns, _ = record.columns(v, part, common)
     return np.asarray(columns @ columns.T)
 
 
@@ -226,8 +255,15 @@ def _difference(one: Squares, other: Squares) -> Squares:
     return Squares(one.cost - other.cost, one.gradient - other.gradient, one.matrix - other.matrix)
 
 
-def _sum(one: Squares, other: Squares, moved: Array) -> Squares:
-    """One problem at a point, and the quadratic of another that was worked out ``moved`` before it."""
-    bent = other.matrix @ moved
-    cost = one.cost + other.cost + float(other.gradient @ moved + 0.5 * moved @ bent)
-    return Squares(cost, one.gradient + other.gradient + bent, one.matrix + other.matrix)
+def _with_rest(below: Evaluate, rest: Squares, at: Array) -> Evaluate:
+    """The problem on a band, and that above it by its quadratic about a point."""
+
+    def goal(x: Array) -> Squares | None:
+        found, moved = below(x), x - at
+        if found is None:
+            return None
+        bent = rest.matrix @ moved
+        cost = found.cost + rest.cost + float(rest.gradient @ moved + 0.5 * moved @ bent)
+        return Squares(cost, found.gradient + rest.gradient + bent, found.matrix + rest.matrix)
+
+    return goal

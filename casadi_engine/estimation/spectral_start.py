@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.estimation.record import RecordTerm
+from casadi_engine.estimation.scales import felt_sizes, size_factors
 from casadi_engine.estimation.spectral_search import Found, SpectralSearch
 from casadi_engine.simulation.linear import LinearPropagator
 
@@ -85,6 +86,20 @@ class SpectralStarts:
             lambda v: np.where(search.coordinates.log, 1.0, _LONGEST * np.maximum(np.abs(v), 1.0)),
         )
 
+    def sizes(self, z: Array) -> tuple[Array | None, Array | None]:
+        """The scales of parameters whose start at z (nz,) says nothing, and factors on those of the states.
+
+        See ``felt_scale`` and ``state_factors``.
+        """
+        search, v = self._search, self._search.coordinates.of(z)
+        self._spectral.weigh(search.sigma)
+        gram = self._spectral.whole(v)
+        if gram is None:
+            return None, None
+        felt = felt_sizes(float(gram[0, 0]), np.diag(gram)[1:].copy(), search.coordinates, z)
+        nodes = [best_nodes(record, v) for record in search.records]
+        return felt, size_factors([one for one in nodes if one is not None])
+
     def search(self, z: Array, *, steps: int) -> Begun | None:
         """Search from z : (nz,), in at most so many steps; None where the model has no value or no slope.
 
@@ -104,6 +119,7 @@ class SpectralStarts:
             if x is None or self._settled(x):
                 break
             self._seen -= 1  # the next begins where this one ended
+        self._spectral.release()
         return begun
 
     def _settled(self, x: Array) -> bool:

@@ -40,7 +40,7 @@ def searched_on(search: Search, best: Attempt, lower: LowerRate | str) -> str:
     if isinstance(lower, LowerRate):
         return lower.words
     linear = all(record.linear for record in search.records)
-    return best.searched if linear else f"the whole data: {lower}"
+    return best.searched if linear else f"all samples: {lower}"
 
 
 def on_whole_data(search: Search, first: Search, attempts: list[Attempt]) -> list[Attempt]:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_engine.estimation.condensing import joint_multipliers
 from casadi_engine.estimation.record import Blocks, RecordPoint, RecordTerm
 
 Array = NDArray[np.float64]
@@ -65,6 +64,17 @@ def chained_gradient(record: RecordTerm, point: RecordPoint, slope: Array) -> Ar
         found[:nz] = np.einsum("zam,am->z", point.path.end_z[:, :, :-1], lam)
         found[nz:] += point.path.end_s[0].T @ lam[:, 0]
     return found
+
+
+def joint_multipliers(end_s: Array, slope: Array) -> Array:
+    """Multipliers (n, M-1) of continuity from the gradient (M, n) in the nodes, by one backward sweep."""
+    m, n = slope.shape
+    lam = np.empty((max(m - 1, 0), n))
+    total = np.zeros(n)
+    for i in range(m - 1, 0, -1):
+        total = slope[i] + end_s[i if len(end_s) > 1 else 0].T @ total
+        lam[i - 1] = total
+    return lam.T
 
 
 def invert(

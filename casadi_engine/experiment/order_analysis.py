@@ -19,7 +19,7 @@ from .slicing import FOUR_STROKE, crank_angle, crossing, finite, whole_cycles
 from .units import FloatArray
 
 HIGHEST = 10.0  # order, where nothing else is asked for
-SHOWN_ORDERS, SHOWN_ROWS = 6, 12  # of a printed table
+SHOWN_ORDERS, SHOWN_ROWS, NAME = 6, 12, 24  # of a printed table; letters of a record's name
 # Least strength of a combination of orders, of the strongest one's, that samples still tell.
 WEAKEST = 1e-10
 
@@ -126,7 +126,7 @@ class Orders:
         head = ["record", "RPM", *(f"order {self.orders[k]:g}" for k in columns)]
         body = [
             [
-                self.records[i],
+                self.records[i] if len(self.records[i]) <= NAME else f"{self.records[i][: NAME - 1]}…",
                 f"{self.rpm[i]:.1f}",
                 *(f"{self.amplitude[i, k]:.4g} ± {self.stderr[i, k]:.1g}" for k in columns),
             ]

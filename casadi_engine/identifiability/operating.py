@@ -222,7 +222,7 @@ class OperatingRecord:
             residual[valid],
             y[1:, valid].T.copy(),
             in_start[valid],
-            column[valid],
+            column[valid].astype(np.intp),
             real[valid],
         )
 

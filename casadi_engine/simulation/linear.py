@@ -127,7 +127,8 @@ class LinearPropagator:
         """(..., m, N) drives of the model as (..., m', N) columns of the core; constants and feedback are zero."""
         merged = np.zeros((*drives.shape[:-2], self._width, drives.shape[-1]))
         for column, group in enumerate(self.core.groups):
-            merged[..., column, :] = drives[..., list(group), :].sum(axis=-2)
+            one = drives[..., group[0], :] if len(group) == 1 else drives[..., list(group), :].sum(axis=-2)
+            merged[..., column, :] = one
         return merged
 
     def _columns(self, v: Array, length: int) -> Array:
@@ -176,6 +177,15 @@ class LinearPropagator:
     def drives_at(self, z: Array, points: NDArray[np.intp] | None = None) -> Array:
         """(m, k) drives of the model at the grid points with these numbers (k,), all by default."""
         return self._drives.part(z, points).value
+
+    @property
+    def drives_active(self) -> NDArray[np.intp]:
+        """Entries of z that the drives depend on."""
+        return self._drives.active
+
+    def forget_merged(self) -> None:
+        """Give back the memory of what ``merged_drives`` keeps."""
+        self._merged_drives = None
 
     def merged_drives(self, z: Array) -> DriveSamples:
         """The core's drives on the grid, constants among them, with their first derivatives; the second are none."""

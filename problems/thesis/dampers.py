@@ -128,7 +128,8 @@ def compare(choice, planned, fit):
         Line("chapter 6", "normal records give no dampers", f"C21 ± {100 * normal['C21']:.0f} %, C76 ± "
              f"{100 * normal['C76']:.1f} %", "true of C21", normal["C21"] > 0.5 and normal["C76"] < 0.03),
         Line("chapter 6 (b)", "a technique is wanted: C21, C76",
-             f"a {choice.chosen[0]}, off by {', '.join(told.values())}", "chosen by its attainable error", all(off(n) < 3 * stderr(fit, n) for n in told) and planned["C21"] < 5),
+             f"a {choice.chosen[0]}, off by {', '.join(told.values())}", "chosen by its attainable error",
+             all(off(n) < 3 * stderr(fit, n) for n in told) and planned["C21"] < 5),
         Line("chapter 6 (b)", "the sum of the absolute dampers", f"C_eng off by {off('C_eng'):.2g} %",
              "told; the linear form is off by more than its error", off("C_eng") < 0.1),
         Line("chapter 6 (b)", "C32 and C65, between cylinders",

@@ -7,12 +7,15 @@ thesis's equations and shares no code with casadi_engine.
 import argparse
 import hashlib
 import json
+import math
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
+import casadi as ca
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -41,6 +44,20 @@ TABLE_4_13 = {  # natural frequency [Hz]: |deformation| of the couplings 21, 32,
     1340: (0.4898, 1, 0.4202, 0.7870, 0.7273, 0.0873),
     1604: (0.2091, 0.6531, 1, 0.9355, 0.4324, 0.0363),
 }
+
+
+DEG, CYCLE = math.pi / 180, 4 * math.pi
+TDC = {1: 0.0, 3: math.pi, 4: 2 * math.pi, 2: 3 * math.pi}  # crank angle of each cylinder's combustion
+GEOMETRY = {
+    "r": 0.043,
+    "L": 0.145,
+    "A_p": 0.0058,
+    "ratio": 10.0,
+}  # Table 4.2; the compression ratio is assumed
+# Burn law of Eriksson and Andersson: default, unit, bounds. k: polytropes; soc, dur, m: Wiebe function.
+BURN = {"p_im": (0.6e5, "Pa", 1e4, 2e5), "p_em": (1e5, "Pa", 5e4, 2e5), "k_c": (1.3, "1", 1.1, 1.5),
+        "k_e": (1.3, "1", 1.1, 1.5), "soc": (-10 * DEG, "rad", -1, 0.5), "dur": (60 * DEG, "rad", 0.2, 3),
+        "m": (1.5, "1", 0.2, 6)}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -93,6 +110,34 @@ def conditioned(
     if every > 1:
         data = data.low_pass(cutoff_hz=0.4 * RATE / every, channels=("omega", "p1", "p2", "p3", "p4"))
     return data.resample(**dict.fromkeys(UNITS, every))
+
+
+def pressure(u: Any, p: Mapping[str, Any], x: Any, g: Mapping[str, float]) -> Any:
+    """Absolute pressure [Pa] at a cylinder's own angle u in [-2 pi, 2 pi), after Eriksson and Andersson.
+
+    p : the numbers of BURN; x : rise of temperature by combustion, over that after compression; g : as GEOMETRY
+    """
+
+    def volume(at: Any) -> Any:
+        lift = g["r"] * (1 - ca.cos(at)) + g["L"] * (1 - ca.sqrt(1 - (g["r"] / g["L"] * ca.sin(at)) ** 2))
+        return g["A_p"] * (2 * g["r"] / (g["ratio"] - 1) + lift)
+
+    def rise(centre: float, width: float) -> Any:
+        return 0.5 * (1 + ca.tanh((u - centre * DEG) / (width * DEG)))
+
+    compressed = p["p_im"] * (volume(-140 * DEG) / volume(u)) ** p["k_c"]
+    top = p["p_im"] * (volume(-140 * DEG) / volume(0.0)) ** p["k_c"]
+    expanded = top * (1 + x) * (volume(0.0) / volume(u)) ** p["k_e"]
+    since = 0.5 * (u - p["soc"] + ca.sqrt((u - p["soc"]) ** 2 + DEG**2))  # smooth where combustion starts
+    burned = 1 - ca.exp(-6.9 * (since / p["dur"]) ** (p["m"] + 1))
+    ports = p["p_em"] + (1 - rise(0, 9)) * (p["p_im"] - p["p_em"])
+    shut = rise(-140, 8) - rise(160, 10)
+    return ports + shut * (compressed + burned * (expanded - compressed) - ports)
+
+
+def own_angle(theta: np.ndarray, cylinder: int = 1) -> np.ndarray:
+    """A cylinder's own angle in [-2 pi, 2 pi), 0 at its combustion TDC."""
+    return (theta - TDC[cylinder] + CYCLE / 2) % CYCLE - CYCLE / 2
 
 
 def error(fit: Fit, name: str, truth: Mapping[str, float]) -> float:

@@ -49,13 +49,17 @@ def experiments(case: Case) -> list[ce.Experiment]:
 def model_of(case: Case) -> tuple[ce.Model, dict[str, str]]:
     """The linear form of the case's chain, and its names of the case's parameters."""
     if case.shape.size == 2:
-        return ce.two_mass(reciprocating_speed="measured"), TWO_MASS_NAMES
-    cylinders = len(case.shape.throws)
-    options: dict[str, Any] = {}
-    if case.offsets is not None:
-        options = {"firing_offsets": case.offsets}
-    model = ce.crankshaft(cylinders=cylinders, reciprocating_speed="measured", **options)
-    return model, {name: name for name in case.shape.names}
+        return _model(0, None), TWO_MASS_NAMES
+    return _model(len(case.shape.throws), case.offsets), {name: name for name in case.shape.names}
+
+
+@cache
+def _model(cylinders: int, offsets: tuple[float, ...] | None) -> ce.Model:
+    """Of a crankshaft, or of two masses (0); built once: the opponents' equations are there before the clock starts."""
+    if not cylinders:
+        return ce.two_mass(reciprocating_speed="measured")
+    options: dict[str, Any] = {} if offsets is None else {"firing_offsets": offsets}
+    return ce.crankshaft(cylinders=cylinders, reciprocating_speed="measured", **options)
 
 
 def parameters_of(case: Case, model: ce.Model, names: dict[str, str], start: Array) -> ce.Parameters:

@@ -20,7 +20,17 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "problems" / "thesis"
 RESULTS = ROOT / "results" / "thesis"
 # In the order of the thesis.
-ORDER = ("two_mass_tables", "residual_tests", "crankshaft_tables", "reduction", "engine_orders", "dampers")
+ORDER = (
+    "two_mass_tables",
+    "residual_tests",
+    "crankshaft_tables",
+    "reduction",
+    "engine_orders",
+    "pressure_model",
+    "speed_alone",
+    "dampers",
+    "driveline",
+)
 
 
 def spent() -> float:

@@ -70,7 +70,7 @@ def test_the_answer_is_that_of_a_search_on_the_whole_data(record, monkeypatch):
     monkeypatch.setattr(sys.modules["casadi_engine.estimation.estimate"], "lower_rate", lambda _: "asked")
     whole = _fit(record)
     assert short.options["searched on"].startswith("records of a rate ")
-    assert whole.options["searched on"] == "the whole data: asked"
+    assert whole.options["searched on"] == "all samples: asked"
     assert short.converged
     assert short.n == whole.n == SAMPLES
     for name, value in TRUTH.items():

@@ -9,7 +9,7 @@ from casadi_engine.estimation.assembly import Pattern
 from casadi_engine.estimation.loss import read_loss
 from casadi_engine.estimation.search import Search
 from casadi_engine.estimation.starts import chained_nodes, nodes_from_measurement
-from casadi_engine.estimation.uncertainty import in_words, invert
+from casadi_engine.estimation.uncertainty import in_words, invert, joint_multipliers
 from casadi_engine.experiment import Channel
 
 
@@ -252,3 +252,19 @@ def test_directions_in_words(vector, text):
     found, weights = in_words(np.array(vector), list("abcde"))
     assert found == text
     assert max(weights.values()) == 1.0
+
+
+@pytest.mark.parametrize("common", [True, False])
+@pytest.mark.parametrize(("n", "m"), [(3, 5), (1, 7), (2, 1)])
+def test_multipliers_cancel_the_gradient_in_the_later_nodes(n, m, common):
+    """Against the dense continuity rows, end(i) - start(i+1)."""
+    rng = np.random.default_rng(5)
+    end_s, slope = 0.7 * rng.standard_normal((1 if common else m, n, n)), rng.standard_normal((m, n))
+    rows = np.zeros(((m - 1) * n, m * n))
+    for i in range(m - 1):
+        at = slice(i * n, (i + 1) * n)
+        rows[at, at] = end_s[0 if common else i]
+        rows[at, (i + 1) * n : (i + 2) * n] = -np.eye(n)
+    lam = joint_multipliers(end_s, slope)
+    assert lam.shape == (n, m - 1)
+    np.testing.assert_allclose((slope.ravel() + rows.T @ lam.T.ravel())[n:], 0, atol=1e-12)

@@ -144,6 +144,9 @@ def test_it_prints_one_screen_and_gives_plain_numbers():
     long = ce.orders(steady(cycles=40), cycles=1)
     assert len(str(long).splitlines()) == 15
     assert "28 rows" in str(long)
+    assert "a record with a name of…  1200.0" in str(
+        ce.orders(steady(name="a record with a name of many words"))
+    )
 
 
 def test_the_result_cannot_be_changed():

@@ -1,6 +1,7 @@
 """The pages of problems/thesis: each in its quick form, its conclusions and the numbers that the thesis gives."""
 
 import importlib
+import re
 import sys
 from pathlib import Path
 
@@ -94,3 +95,39 @@ def test_dampers(quick):
     lines = quick("dampers")
     chosen = lines["chapter 6 (b)", "a technique is wanted: C21, C76"].ours
     assert chosen.startswith("a run-up 1000-2600 RPM in 2 s, off by C21")
+
+
+def test_the_pressure_model(quick):
+    lines = quick("pressure_model")
+    assert lines["chapter 6 (a)", "an analytic pressure model"].ours == "simulated trace: peak -0.2 %, +0 deg"
+
+
+def test_crank_speed_alone(quick):
+    lines = quick("speed_alone")
+    assert lines["chapter 6 (a)", "misfire detection without pressure"].ours.startswith(
+        "x_2 at its bound 0; "
+    )
+    assert lines["chapter 6 (a)", "no pressure in a car"].ours == "engine known: peaks within 1.3 %, 0.3 deg"
+
+
+def test_the_driveline(quick):
+    lines = quick("driveline")
+    found = lines["chapter 6 (c)", "the rest of the powertrain"].ours
+    assert found == "10 inertias; modes 6.4, 29.7, 77.6 Hz below the crankshaft's"
+    assert (
+        lines["chapter 6 (c)", "order map of a run-up"].ours
+        == "order 6.5 peaks at 338 Hz, the mode is at 335 Hz"
+    )
+
+
+def test_the_gallery_lists_every_page_with_a_picture_that_is_there():
+    folder = FOLDER.parent
+    text = (folder / "README.md").read_text(encoding="utf-8")
+    shown = re.findall(r'\| <img src="(\S+)" .* \| \[(\S+)\]\((\S+)\): (.*\.) \|', text)
+    files = {path.relative_to(folder).as_posix() for path in folder.rglob("*.py") if path.stem != "shared"}
+    assert {link for _, _, link, _ in shown} == files
+    assert len(shown) == len(files)
+    for picture, name, link, _ in shown:
+        assert Path(link).name == name
+        assert (folder / picture).is_file()
+    assert len(list(folder.glob("*.*"))) <= 10
