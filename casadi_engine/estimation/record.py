@@ -282,16 +282,15 @@ class RecordTerm:
 
     def drives_at(self, v: Array) -> Array:
         """(1 + m, N) times of the grid and the drives of the model there."""
-        z, grid = v[self.active], self.grid
+        z, grid, propagator = v[self.active], self.grid, self.propagator
         found = np.empty((1 + len(self.model.drives), grid.samples))
-        found[0] = grid.time
-        if isinstance(self.propagator, LinearPropagator):
-            self.propagator.forget()  # the search is over, and these take as much memory as its own layout of them
-            for begin in range(0, grid.samples, _PART):
-                points = np.arange(begin, min(begin + _PART, grid.samples))
-                found[1:, points] = self.propagator.drives_at(z, points)
-        else:
-            found[1:] = self.propagator.drives_at(z)
+        if not isinstance(propagator, LinearPropagator):
+            found[0], found[1:] = grid.time, propagator.drives_at(z)
+            return found
+        propagator.forget()  # the search is over, and what it keeps of the drives takes as much memory
+        for begin in range(0, grid.samples, _PART):
+            points = np.arange(begin, min(begin + _PART, grid.samples))
+            found[0, points], found[1:, points] = grid.time_at(points), propagator.drives_at(z, points)
         return found
 
     def _cuts(self) -> list[slice]:

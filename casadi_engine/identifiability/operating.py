@@ -133,7 +133,7 @@ class Sensitivity:
     residual: Array
     in_v: Array
     in_start: Array
-    column: NDArray[np.intp]
+    column: NDArray[np.int16]
     was_measured: NDArray[np.bool_]
 
     def without_start(self, weight: Array, known: NDArray[np.bool_]) -> Array:
