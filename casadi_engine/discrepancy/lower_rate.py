@@ -10,7 +10,7 @@ import numpy as np
 
 from casadi_engine.discrepancy.confirmation import Residuals, gap
 from casadi_engine.discrepancy.fresh import Portions
-from casadi_engine.discrepancy.repaired import FoundEffect, Gaps, Repair, Side
+from casadi_engine.discrepancy.repaired import FoundEffect, Gaps, NoiseFound, Repair, Side
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation import Fit, estimate
@@ -24,7 +24,9 @@ from casadi_engine.estimation.lower_rate import (
     unsuitable_record,
 )
 from casadi_engine.estimation.search import Search
+from casadi_engine.estimation.two_stages import bent_by_thinning
 from casadi_engine.experiment import Experiment
+from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
 from casadi_engine.problem.noise import Noise
 from casadi_engine.simulation.candidate_sensitivities import at_measurements
@@ -67,13 +69,19 @@ class LowerRate:
             repair = replace(repair, messages=(*repair.messages, why))
         noise = repair.noise
         if noise is not None:
-            noise = replace(noise, sigma={k: (v / self.share, own) for k, (v, own) in noise.sigma.items()})
+            # what the fit leaves of the whole data, where nothing is left to be found
+            own = fit.noise if repair.verdict in ("named", "class") and not noise.colour else {}
+            sigma = {
+                name: own[name] if free and name in own else (level / self.share, free)
+                for name, (level, free) in noise.sigma.items()
+            }
+            noise = replace(noise, sigma=sigma)
         return replace(
             repair,
             null_fit=self.whole_fit,
             fit=fit,
             effects=tuple(_with_errors_of(one, fit) for one in repair.effects),
-            gaps=None if repair.gaps is None else self._gaps(repair.gaps, fit),
+            gaps=None if repair.gaps is None or noise is None else self._gaps(repair.gaps, fit, noise),
             data=self.whole.data,
             fresh=self.whole.fresh,
             noise=noise,
@@ -99,9 +107,9 @@ class LowerRate:
             raise KeyboardInterrupt
         return found if found.converged else None
 
-    def _gaps(self, gaps: Gaps, fit: Fit) -> Gaps:
+    def _gaps(self, gaps: Gaps, fit: Fit, noise: NoiseFound) -> Gaps:
         before, after = gaps.validation_before, gaps.validation_after
-        sigma = {name: level for name, (level, _) in fit.noise.items()}
+        sigma = {name: level for name, (level, _) in noise.sigma.items()}
         return replace(
             gaps,
             estimation_before=self._side(gaps.estimation_before, self.whole_fit.traces, sigma),
@@ -166,21 +174,7 @@ def at_lower_rate(
     for record in (*portion.data, *portion.fresh):
         if _unsuitable(null_fit, record):
             return None
-    search = Search(
-        model,
-        portion.data,
-        parameters,
-        noise,
-        interval=options.get("interval", "auto"),
-        initial=options.get("initial"),
-        loss=read_loss("square"),
-        ties="substitute",
-        method=options.get("method", "exact"),
-        max_iterations=1,
-        tolerance=1e-6,
-        warm=null_fit,
-        progress=None,
-    )
+    search = _search(model, portion.data, parameters, noise, options, null_fit)
     held = [name for name, one in null_fit.estimates.items() if one.at_bound is not False]
     factor, lost = lost_at_lower_rate(search, portion.fresh, held)
     if factor == 1:
@@ -196,6 +190,8 @@ def at_lower_rate(
     share = decimation.deviation
     levels = {name: (level * share, free) for name, (level, free) in null_fit.noise.items()}
     warm = Start(null_fit.values, null_fit.initial, levels, True)
+    if bent_by_thinning(search, _search(model, lower.data, parameters, own, options, warm)):
+        return None
     fit = estimate(
         model, lower.data, parameters=parameters, noise=own, warm=warm, progress=False, **dict(options)
     )
@@ -204,6 +200,22 @@ def at_lower_rate(
     if not fit.converged:
         return None
     return LowerRate(portion, lower, noise, own, null_fit, fit, dict(options), factor, share, lost)
+
+
+def _search(
+    model: Model,
+    data: tuple[Experiment, ...],
+    parameters: Parameters,
+    noise: Noise | None,
+    options: Mapping[str, Any],
+    warm: Any,
+) -> Search:
+    """A search that is set up at an optimum."""
+    return Search(
+        model, data, parameters, noise, interval=options.get("interval", "auto"), initial=options.get("initial"),
+        loss=read_loss("square"), ties="substitute", method=options.get("method", "exact"), max_iterations=1,
+        tolerance=1e-6, warm=warm, progress=None,
+    )  # fmt: skip
 
 
 def _unsuitable(fit: Fit, record: Experiment) -> bool:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.final_check import cure, printed_cost, relabelled, residual, response, verdict
 from casadi_engine.estimation.fit import Fit, Innovations, Optimum, Trace
 from casadi_engine.estimation.fit_percent import fit_measures
@@ -45,7 +46,15 @@ def make_fit(
     clock = time.perf_counter()
     search._weigh(best.sigma)
     problem, pmap = search.problem, search.pmap
-    errors = uncertainty(search, best)
+    try:
+        errors = uncertainty(search, best)
+    except FloatingPointError as fault:
+        raise EstimationError(
+            "the model cannot be evaluated where the search ended",
+            seen=f"{best.solution.status}; {fault}",
+            allowed="values at which the equations give finite numbers",
+            cure="give other start values, or bounds that keep the parameters and initial states away from there",
+        ) from fault
     v = errors.v
     z = search.coordinates.values(v)
     traces, drives, percents, first, residuals = {}, {}, {}, {}, []

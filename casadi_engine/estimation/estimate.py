@@ -23,7 +23,7 @@ from casadi_engine.estimation.multistart import attempts_from, best_of, distinct
 from casadi_engine.estimation.options import begun_at, chosen, small, whole
 from casadi_engine.estimation.parallel import checked_jobs
 from casadi_engine.estimation.search import Search
-from casadi_engine.estimation.two_stages import lower_search, on_whole_data, searched_on
+from casadi_engine.estimation.two_stages import bent_by_thinning, lower_search, on_whole_data, searched_on
 from casadi_engine.estimation.workers import Workers
 from casadi_engine.experiment import Experiment
 from casadi_engine.experiment.experiment import with_unique_names
@@ -169,7 +169,12 @@ def _searched(
         search = Search(**arguments, progress=report, interrupts=interrupts)
         setup = time.perf_counter() - entered
         lower = lower_rate(search)
-        first = search if isinstance(lower, str) else lower_search(search, arguments, lower, report)
+        first = search
+        if not isinstance(lower, str):
+            first = lower_search(search, arguments, lower, report)
+            why = bent_by_thinning(search, first)
+            if why:
+                lower, first = why, search
         own = arguments | {"data": first.data, "noise": first.noise}
         several = jobs != 1 and starts + neighbours > 1
         workers = Workers(own, jobs, interrupts, first.tell) if several else None

@@ -88,9 +88,9 @@ def thinned_noise(noise: Noise, model: Model, record: Experiment) -> Noise:
 def _unsuitable(search: Search) -> str:
     """Why a search does not run on thinned records; empty if it does."""
     if search.noise.predicts:
-        return "a predictor corrects its states sample by sample"
+        return "a predictor corrects the states"
     if search.loss.robust:
-        return "a filter would spread outliers"
+        return "the loss is robust"
     if search.cut not in ("auto", "single"):
         return "a shooting interval was given"
     if getattr(search.warm, "converged", False):

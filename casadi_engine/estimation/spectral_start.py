@@ -50,12 +50,12 @@ def in_full(search: Search) -> str | None:
         return "the loss is robust"
     if not search.problem.nv:
         return "no parameter is free"
-    if search.problem.user.count:
-        return "constraints hold the parameters"
     if search.predictor.kind != "none":
         return "a predictor corrects the states"
+    if search.problem.user.count:
+        return "constraints hold the parameters"
     if any(np.isfinite(low).any() or np.isfinite(high).any() for low, high, _ in search._initial):
-        return "initial states have bounds"
+        return "initial states are given, or have bounds"
     return next((why for why in map(_record_in_full, search.records) if why), None)
 
 

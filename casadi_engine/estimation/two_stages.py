@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from casadi_engine.errors import EstimationError
+from casadi_engine.estimation.final_check import response
 from casadi_engine.estimation.ipopt import Solution
 from casadi_engine.estimation.lower_rate import LowerRate
 from casadi_engine.estimation.search import Attempt, Search
@@ -15,6 +17,8 @@ from casadi_engine.estimation.search import Attempt, Search
 # Optima of the first stage whose chi-squared lies so far above the best are not followed: the whole data move their
 # difference by less.
 _FAR = 30.0
+# Share of an output's motion by which the simulation of the thinned record may differ from the thinned simulation.
+_BENT = 0.03
 # Optima of the first stage are one when their costs and their coordinates agree to these shares.
 _SAME_COST, _SAME_PLACE = 1e-4, 1e-3
 
@@ -33,6 +37,33 @@ def lower_search(search: Search, arguments: Mapping[str, Any], lower: LowerRate,
     """The search of the first stage; arguments : those of ``search``."""
     changed = {"data": lower.data, "noise": lower.noise}
     return Search(**{**arguments, **changed}, progress=progress, interrupts=search._interrupts)
+
+
+def bent_by_thinning(search: Search, first: Search) -> str:
+    """Why what was thinned is another system, at the start of the search; empty if it is the same.
+
+    A linear model passes a filter on from its inputs to its outputs, any other one as far as it is slow beside the
+    filter. A model that takes the square of a fast input is not.
+    """
+    v, x = search.first_point()[: search.problem.nv], search.first_point()
+    low = first.coordinates.of(search.coordinates.values(v))
+    for record, lay, other in zip(search.records, search.problem.layouts, first.records, strict=True):
+        start = lay.take(x)[0]
+        made = other.experiment.decimation
+        assert made is not None
+        try:
+            y, seen = response(record, v, start)
+            z, thin = response(other, low, start * record.scale / other.scale)
+        except (FloatingPointError, np.linalg.LinAlgError):
+            return "the start cannot be simulated"
+        for name, sample in other.grid.measured.items():
+            whole = made.sampled(seen.series(y, name), other.grid.samples, late=False, sharp=False)
+            expected = whole[sample.position]
+            error = thin.series(z, name) - expected
+            size = float(np.std(expected))
+            if not np.sqrt(np.mean(error**2)) <= _BENT * size:
+                return f"{name} depends on what a filter would take from the inputs"
+    return ""
 
 
 def searched_on(search: Search, best: Attempt, lower: LowerRate | str) -> str:
@@ -78,7 +109,11 @@ def _followed(whole: Search, first: Search, attempt: Attempt, *, search: bool) -
     whole.warm = _end_of(first, attempt)
     z = np.clip(z, whole.pmap.lower, whole.pmap.upper)
     if search:
-        return whole.run(z, first=True)
+        try:
+            return whole.run(z, first=True)
+        except EstimationError:  # where the first stage ended the whole data cannot be simulated
+            whole.warm = None
+            return whole.run(attempt.start, first=False)
     x = whole._start(z, first=True)
     x[: whole.problem.nv] = whole.coordinates.of(z)
     none = np.zeros(whole.problem.rows), np.zeros(whole.problem.size)

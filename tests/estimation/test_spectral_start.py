@@ -106,7 +106,7 @@ def test_reasons_for_all_samples(run_up):
         (data, {"parameters": fixed}, "no parameter is free"),
         (data, {"parameters": constrained}, "constraints hold the parameters"),
         (data, {"noise": ce.Noise(omega=0.05, gain=[[0.2]])}, "a predictor corrects the states"),
-        (data, {"initial": {"omega_eng": 20.0}}, "initial states have bounds"),
+        (data, {"initial": {"omega_eng": 20.0}}, "initial states are given, or have bounds"),
         (gappy, {}, "run_up lacks samples of an output"),
         (data, {"warm": fitted(data)}, "it starts at an optimum"),
         (data, {"model": nonlinear()}, "the records are short"),
