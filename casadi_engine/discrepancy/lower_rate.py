@@ -181,7 +181,8 @@ def at_lower_rate(
         warm=null_fit,
         progress=None,
     )
-    factor, lost = lost_at_lower_rate(search, portion.fresh)
+    held = [name for name, one in null_fit.estimates.items() if one.at_bound is not False]
+    factor, lost = lost_at_lower_rate(search, portion.fresh, held)
     if factor == 1:
         return None
     lower = replace(

@@ -118,10 +118,13 @@ def unsuitable_record(model: Model, grid: Grid, experiment: Experiment) -> str:
     return ""
 
 
-def lost_at_lower_rate(search: Search, others: Sequence[Experiment] = ()) -> tuple[int, float]:
+def lost_at_lower_rate(
+    search: Search, others: Sequence[Experiment] = (), held: Sequence[str] = ()
+) -> tuple[int, float]:
     """The largest factor that loses little, and the share of information that it loses; 1 where there is none.
 
-    The slopes are those at the search's start. others : records that are to be thinned alike
+    The slopes are those at the search's start. others : records that are to be thinned alike; held : parameters that
+    do not move, at a bound for instance
     """
     problem = search.problem
     try:
@@ -134,11 +137,12 @@ def lost_at_lower_rate(search: Search, others: Sequence[Experiment] = ()) -> tup
     ]
     lengths = [len(record[record.names[0]].time) for record in others]
     shortest = min([record.grid.samples for record in search.records] + lengths)
+    free = np.array([name not in held for name in search.pmap.free], dtype=bool)
     for factor in _FACTORS:
         if shortest < factor * _LEAST:
             continue
-        if lost_information(search, slopes, _MARGIN * factor) <= LOST:
-            return factor, lost_information(search, slopes, factor)
+        if lost_information(search, slopes, _MARGIN * factor, free) <= LOST:
+            return factor, lost_information(search, slopes, factor, free)
     return 1, 0.0
 
 
@@ -157,14 +161,17 @@ def whole_slopes(record: RecordTerm, point: RecordPoint, count: int) -> Mapping[
     }
 
 
-def lost_information(search: Search, slopes: list[Mapping[str, Array]], factor: int) -> float:
+def lost_information(
+    search: Search, slopes: list[Mapping[str, Array]], factor: int, free: NDArray[np.bool_] | None = None
+) -> float:
     """The largest share of the Fisher information of any combination of parameters that a lower rate loses.
 
     Initial states are projected out; the ends of the records, where the filter does not fit, are left to the last
-    iterations on the whole data.
+    iterations on the whole data. free : (nv,) False for parameters that do not move
     """
     nv = search.problem.nv
-    if nv == 0:
+    moving = np.ones(nv, dtype=bool) if free is None else free
+    if not moving.any():
         return 0.0
     before, after = np.zeros((nv, nv)), np.zeros((nv, nv))
     for record, own in zip(search.records, slopes, strict=True):
@@ -179,6 +186,7 @@ def lost_information(search: Search, slopes: list[Mapping[str, Array]], factor: 
         at = np.ix_(record.active, record.active)
         before[at] += _information(np.concatenate(full, axis=1), nz)
         after[at] += _information(np.concatenate(thin, axis=1), nz)
+    before, after = before[np.ix_(moving, moving)], after[np.ix_(moving, moving)]
     size = np.sqrt(np.diag(before))
     size[size == 0] = 1.0
     values, vectors = np.linalg.eigh(before / np.outer(size, size))

@@ -26,6 +26,7 @@ ORDER = (
     "crankshaft_tables",
     "reduction",
     "engine_orders",
+    "friction_map",
     "pressure_model",
     "speed_alone",
     "dampers",
