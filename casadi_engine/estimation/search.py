@@ -375,9 +375,7 @@ class Search:
     def _on_all_samples(self, begun: Begun | None) -> tuple[Solution | None, str]:
         """The solution from an optimum in the frequency domain, and what was searched on; None where it led nowhere."""
         x = None if begun is None else self.spectral.variables(begun)
-        self._spectral = (
-            None  # spectra are as large as the data, and the steps on all samples have no use for them
-        )
+        self._spectral = None  # its spectra are as large as the data, and of no use to what follows
         if begun is None or x is None:
             return None, ""
         words, nv = str(begun.found), self.problem.nv

@@ -92,12 +92,14 @@ class SpectralStarts:
         See ``felt_scale`` and ``state_factors``.
         """
         search, v = self._search, self._search.coordinates.of(z)
+        nodes = [
+            best_nodes(record, v) for record in search.records
+        ]  # before spectra take memory beside the drives
         self._spectral.weigh(search.sigma)
         gram = self._spectral.whole(v)
         if gram is None:
             return None, None
         felt = felt_sizes(float(gram[0, 0]), np.diag(gram)[1:].copy(), search.coordinates, z)
-        nodes = [best_nodes(record, v) for record in search.records]
         return felt, size_factors([one for one in nodes if one is not None])
 
     def search(self, z: Array, *, steps: int) -> Begun | None:

@@ -26,7 +26,7 @@ from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.shared_core import Cores
 
 # Samples whose drives are laid out at a time, so that no copy of a long record is made on the way.
-_LAID = 65536
+_LAID = 32768
 
 
 @dataclass(frozen=True)
@@ -120,8 +120,9 @@ class LinearPropagator:
     # ---- drives
 
     def forget(self) -> None:
-        """Give the memory back that the drives of the whole record take; they are made anew when they are needed."""
-        self._constant = self._merged_drives = None
+        """Give the memory back that the drives of a long record take; they are made anew when they are needed."""
+        if self._samples > _LAID:
+            self._constant = self._merged_drives = None
 
     def _merged(self, drives: Array) -> Array:
         """(..., m, N) drives of the model as (..., m', N) columns of the core; constants and feedback are zero."""
