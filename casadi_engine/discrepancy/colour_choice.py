@@ -15,6 +15,7 @@ import numpy as np
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.combustion_scatter import Scatter
 from casadi_engine.discrepancy.compression import Compressed, Reduced, compress
+from casadi_engine.discrepancy.freedom import freedom_of
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.noise_model import NoiseModel, deviance, estimated_noise
 from casadi_engine.discrepancy.null_distribution import NullDistribution, library_rows
@@ -45,23 +46,24 @@ def coloured_noise(
     held: list[int] = []
     noise = estimated_noise(null, explained=beside(null, columns, held), scatter=random, colour=True)
     while len(held) < _EFFECTS:
-        scores = _given(compress(null, candidates, noise, scatter=scatter, columns=columns), held)
+        every = compress(null, candidates, noise, scatter=scatter, columns=columns, freedom=False)
+        scores = _given(every, held)
         if not scores.testable.any():
             break
         law = NullDistribution(library_rows(scores))
-        tried = dict.fromkeys([*_best(scores), *_best(_given(white, held))])
+        tried = list(dict.fromkeys([*_best(scores), *_best(_given(white, held))]))
+        freedom = freedom_of(null, _only(columns, tried), noise, scatter=random, levels=every.scatter)
         found: list[tuple[float, int, NoiseModel]] = []
-        for k in tried:
+        for k, known in zip(tried, freedom, strict=True):
             left = beside(null, columns, [*held, k])
             own = estimated_noise(null, explained=left, scatter=random, colour=True, start=noise)
             if _allowed(null, candidates, columns, own, scatter, held, k):
-                freedom = np.inf if scores.freedom is None else float(scores.freedom[k])
                 sides = 2 if candidates[k].side == 0 else 1
                 width = next(iter(left[null.records[0].name].values())).shape[1]
                 gain = deviance(null, noise, left, width - 1, random) - deviance(
                     null, own, left, width, random
                 )
-                found.append((sides * _by_likelihood(gain, freedom), k, own))
+                found.append((sides * _by_likelihood(gain, float(known)), k, own))
         if not found:
             break
         p, k, own = min(found, key=lambda one: one[0])
@@ -83,6 +85,11 @@ def beside(null: NullModel, columns: Columns, held: Sequence[int]) -> dict[str, 
         }
         for record in null.records
     }
+
+
+def _only(columns: Columns, members: Sequence[int]) -> Columns:
+    """The columns of some candidates."""
+    return {record: {o: c[:, members] for o, c in outputs.items()} for record, outputs in columns.items()}
 
 
 def _given(compressed: Compressed, held: Sequence[int]) -> Scores:
@@ -131,7 +138,8 @@ def _allowed(
 ) -> bool:
     """True if one candidate beside the held ones can be tested and has an amplitude of the allowed sign."""
     members = [*held, k]
-    own = {record: {o: c[:, members] for o, c in outputs.items()} for record, outputs in columns.items()}
-    compressed = compress(null, [candidates[j] for j in members], noise, scatter=scatter, columns=own)
+    chosen = [candidates[j] for j in members]
+    own = _only(columns, members)
+    compressed = compress(null, chosen, noise, scatter=scatter, columns=own, freedom=False)
     scores = _given(compressed, range(len(held)))
     return bool(scores.testable[-1] and scores.statistic[-1] > 0)

@@ -148,10 +148,12 @@ def compress(
     *,
     scatter: Sequence[Scatter] = (),
     columns: Mapping[str, Mapping[str, Array]] | None = None,
+    freedom: bool = True,
 ) -> Compressed:
     """Whiten and compress all records.
 
     columns : record -> output -> (N, k) sensitivities of the candidates if they are known already
+    freedom : count the scores' degrees of freedom
     """
     parts: list[Part] = []
     if columns is None:
@@ -181,7 +183,7 @@ def compress(
         null.prior,
         null.turn,
         None if noise.colour else dict(noise.sigma),
-        freedom_of(null, columns, noise, scatter=drawn, levels=levels) if noise.freedom else None,
+        freedom_of(null, columns, noise, scatter=drawn, levels=levels) if freedom and noise.freedom else None,
     )
 
 

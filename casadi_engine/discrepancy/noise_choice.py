@@ -333,10 +333,8 @@ def innovation_p(
     colour = noise.colour.get((record.name, output))
     if colour is None or colour.order == 0:
         return white_p(record, output, residual, jacobian)
-    length = record.length[output]
     white = noise.whiten(record, output, np.column_stack([residual, jacobian]))
-    valid = np.zeros(length, dtype=bool)
-    valid[record.index[output]] = True
+    valid = record.valid(output)
     whole = valid.copy()  # samples whose past is there; before the first there is none to miss
     for lag in range(1, colour.reach + 1):
         whole[lag:] &= valid[:-lag]

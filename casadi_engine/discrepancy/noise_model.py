@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from casadi_engine.discrepancy.combustion_scatter import scatter_level
@@ -44,6 +45,7 @@ class Colour:
     variances: Array = field(default_factory=lambda: np.ones(1))
     covariance: Array | None = None
     wander: Wander | None = None
+    _last: list[Whitener] = field(default_factory=list, repr=False)
 
     @property
     def order(self) -> int:
@@ -62,6 +64,12 @@ class Colour:
         """From how far back a sample is predicted, but for a small share."""
         rest = np.cumsum(self.predictors[-1][::-1] ** 2)[::-1]
         return int(np.count_nonzero(rest[1:] > _LITTLE))
+
+    def whitener(self, valid: NDArray[np.bool_]) -> Whitener:
+        """What makes this noise white, of which the samples ``valid`` (n,) are there; the last one is kept."""
+        if not self._last or not np.array_equal(self._last[0].valid, valid):
+            self._last[:] = [Whitener(self.predictors, self.variances, valid)]
+        return self._last[0]
 
     def density(self, frequency: Array) -> Array:
         """Spectrum (F,) at frequencies in rad per sample, of innovations of unit variance."""
@@ -97,15 +105,12 @@ class NoiseModel:
         With a colour the rows are all samples of the channel, missing ones included: their squares sum to x'V^-1 x.
         """
         colour = self.colour.get((record.name, output))
-        sigma = self.sigma[output]
         if colour is None or colour.order == 0:
-            return np.asarray(columns / sigma)
-        size = record.length[output]
-        valid = np.zeros(size, dtype=bool)
-        valid[record.index[output]] = True
-        full = np.zeros((size, columns.shape[1]))
+            return np.asarray(columns / self.sigma[output])
+        valid = record.valid(output)
+        full = np.zeros((len(valid), columns.shape[1]))
         full[valid] = columns
-        return np.asarray(Whitener(colour.predictors, colour.variances, valid).apply(full) / sigma)
+        return np.asarray(colour.whitener(valid).apply(full) / self.sigma[output])
 
     def cycles(self, record: RecordNull, output: str) -> Index:
         """The cycle number of each row that ``whiten`` gives."""
@@ -282,9 +287,7 @@ def deviance(
             colour = noise.colour.get((record.name, output))
             found += 2 * len(record.residual[output]) * math.log(noise.sigma[output])
             if colour is not None:
-                valid = np.zeros(record.length[output], dtype=bool)
-                valid[record.index[output]] = True
-                found += Whitener(colour.predictors, colour.variances, valid).log_determinant
+                found += colour.whitener(record.valid(output)).log_determinant
     return found
 
 

@@ -67,6 +67,12 @@ class RecordNull:
         """Names of the measured outputs."""
         return tuple(self.residual)
 
+    def valid(self, output: str) -> NDArray[np.bool_]:
+        """(length,) True for the samples of an output's channel that count."""
+        found = np.zeros(self.length[output], dtype=bool)
+        found[self.index[output]] = True
+        return found
+
     def columns(self, directions: Sequence[Direction]) -> dict[str, Array]:
         """Sensitivities of directions: output -> (N, K)."""
         if not directions:

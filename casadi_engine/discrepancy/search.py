@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from casadi_engine.discrepancy.assumed_pressure import SCATTER, settle_scatter
-from casadi_engine.discrepancy.gauss_newton import chi_squared
+from casadi_engine.discrepancy.chi_squared import chi_squared
 from casadi_engine.discrepancy.long_run import long_run_noise
 from casadi_engine.discrepancy.members import KEEP, members_of
 from casadi_engine.discrepancy.noise_choice import NoiseChoice, noise_left

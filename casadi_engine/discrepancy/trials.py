@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from casadi_engine.discrepancy.chi_squared import chi_squared
 from casadi_engine.discrepancy.compression import candidate_columns, compress
-from casadi_engine.discrepancy.gauss_newton import chi_squared
 from casadi_engine.discrepancy.linear_algebra import Array, basis, without
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel, null_at
@@ -256,11 +256,15 @@ class _Maker:
         """
         done = added[0].candidate.key if len(added) == 1 else None
         self.promised.clear()
-        seen, least = self._in_place_of(null, added), cost + _BENT * (self.base - cost)
-        if seen is None or seen.none < least:
+        rest, least = self._in_place_of(null, added), cost + _BENT * (self.base - cost)
+        bends = rest is not None and self._none(rest) < least
+        seen = None if rest is None or bends else self._linearised(rest)
+        if seen is None:
             # a law that bends: its slope takes away less than it explains, and promises all others too much
             z = np.array([values.get(n, v) for n, v in zip(self.fit.free, self.fit.z, strict=True)])
-            seen = self.foreseen(z, {record.name: record.path.x[:, 0] for record in null.records}) or seen
+            seen = self.foreseen(z, {record.name: record.path.x[:, 0] for record in null.records})
+            if seen is None and rest is not None and bends:
+                seen = self._linearised(rest)
         if seen is None:
             return
         warm = Start({name: values[name] for name in self.fit.free if name in values})
@@ -329,24 +333,18 @@ class _Maker:
         try:
             with np.errstate(all="ignore"):
                 null = null_at(self.fit.model, self.fit.data, self.fit.parameters, z, first)
-                columns = {r.name: candidate_columns(r, self.screened.candidates) for r in null.records}
         except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
             return None
-        return self._linearised(null, columns)
+        return self._linearised(null)
 
-    def _in_place_of(self, null: NullModel, added: Sequence[Addition]) -> Foreseen | None:
-        """All candidates linearised where the added effects are, of which each is to take the place.
+    def _in_place_of(self, null: NullModel, added: Sequence[Addition]) -> NullModel | None:
+        """The model linearised where the added effects are, without them: each candidate is to take their place.
 
         What the added amplitudes do to the outputs is to be explained along with the residual, by the others' slopes.
         """
         size = np.diag(null.turn)
         plain = null.turn.shape == (len(null.values),) * 2 and np.array_equal(null.turn, np.diag(size))
         if not plain or len(null.model.states) != len(self.fit.model.states):
-            return None
-        try:
-            with np.errstate(all="ignore"):
-                columns = {r.name: candidate_columns(r, self.screened.candidates) for r in null.records}
-        except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
             return None
         stems, amplitudes = tuple(f"{one.key}." for one in added), {one.amplitude for one in added}
         names = [name.partition("@")[0] for name in null.parameters]
@@ -360,15 +358,26 @@ class _Maker:
                 residual[output] = record.residual[output] + own[:, zero] @ (null.values[zero] / size[zero])
                 slopes[output] = np.delete(own, gone, axis=1)
             records.append(replace(record, slopes=slopes, residual=residual))
-        rest = replace(
+        return replace(
             null,
             turn=np.delete(null.turn, gone, axis=1),
             prior=np.delete(null.prior, gone, axis=1),
             records=tuple(records),
         )
-        return self._linearised(rest, columns)
 
-    def _linearised(self, null: NullModel, columns: Mapping[str, Mapping[str, Array]]) -> Foreseen | None:
+    def _none(self, null: NullModel) -> float:
+        """Chi-squared that is left without any candidate."""
+        reduced = compress(null, (), NoiseModel(self.shorts.levels)).reduced()
+        n = reduced.parameters
+        return float((without(basis(reduced.rows[:, :n]), reduced.rows[:, n:]) ** 2).sum())
+
+    def _linearised(self, null: NullModel) -> Foreseen | None:
+        """All candidates linearised along a model; None where that fails."""
+        try:
+            with np.errstate(all="ignore"):
+                columns = {r.name: candidate_columns(r, self.screened.candidates) for r in null.records}
+        except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
+            return None
         if not all(np.isfinite(part).all() for own in columns.values() for part in own.values()):
             return None
         noise = NoiseModel(self.shorts.levels)

@@ -84,6 +84,10 @@ def estimate(
     progress : None for a bar on a terminal, False for none, or a function (iteration, cost, fit percent)
     max_iterations, tolerance : of IPOPT, for each start
 
+    A linear model on complete, equally spaced records is searched in the frequency domain first, in the band in which
+    its parameters act; the last steps, the errors and all that is reported are of all samples.
+    ``fit.options["searched on"]`` says which, or why all samples were searched from the start.
+
     A parameter that starts at 0 takes its scale from what the data feel of it, never from a bound; one counts as at its
     bound only within 0.03 standard errors of it, and if it would go beyond.
 

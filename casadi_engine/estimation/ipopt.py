@@ -26,7 +26,7 @@ Progress = Callable[[int, float], bool]
 # Share of the Gauss-Newton diagonal that is added at first. It changes by _EASE after a full step, by _HINDER after a
 # step that was halved more than once. Below _LEAST it is nothing to the exact Hessian, whose steps then converge
 # quadratically.
-_DAMPING, _EASE, _HINDER, _LEAST = 0.05, 0.3, 10.0, 1e-4
+_DAMPING, _EASE, _HINDER, _LEAST = 0.03, 0.3, 10.0, 1e-4
 # Longest step of a logarithm, or of a scaled parameter in units of its size where that is larger: beyond it the
 # linearised problem says nothing.
 _LONGEST = 2.0
@@ -161,7 +161,7 @@ class _Tried:
         return self.refused > _REFUSED and self.refused > _MOSTLY * self.points
 
 
-def _functions(problem: ShootingProblem, tried: _Tried) -> list[_Supplied]:
+def _functions(problem: ShootingProblem, tried: _Tried, log: NDArray[np.bool_]) -> list[_Supplied]:
     """The problem, its gradient, constraint Jacobian and Hessian, as nlpsol asks for them."""
     x, g, none, one = _shapes(problem)
     jac, hess = problem.jacobian_pattern, problem.hessian_pattern
@@ -190,7 +190,10 @@ def _functions(problem: ShootingProblem, tried: _Tried) -> list[_Supplied]:
 
     def gradient(value: Any, _: Any) -> Any:
         found = point(value)
-        return [np.nan, np.full(problem.size, np.nan)] if found is None else [found.objective, found.gradient]
+        if found is None:
+            return [np.nan, np.full(problem.size, np.nan)]
+        tried.last = found.x  # asked for alone where there are no constraints
+        return [found.objective, found.gradient]
 
     def hessian(value: Any, _: Any, factor: Any, lam: Any) -> Any:
         found = point(value)
@@ -201,7 +204,8 @@ def _functions(problem: ShootingProblem, tried: _Tried) -> list[_Supplied]:
     def both(value: Any, _: Any) -> Any:
         last = tried.last[: problem.nv]
         away = np.abs(np.asarray(value, dtype=float).ravel()[: problem.nv] - last)
-        found = point(value) if (away <= _LONGEST * np.maximum(1.0, np.abs(last))).all() else None
+        reach = _LONGEST * np.where(log, 1.0, np.maximum(1.0, np.abs(last)))
+        found = point(value) if (away <= reach).all() else None
         return [np.nan, nothing] if found is None else [found.objective, found.constraints]
 
     multipliers = {"lam_f": one, "lam_g": g}
@@ -214,11 +218,12 @@ def _functions(problem: ShootingProblem, tried: _Tried) -> list[_Supplied]:
 
 
 class Solver:
-    """nlpsol set up once for a problem, to be run from several starts."""
+    """nlpsol set up once for a problem, to be run from several starts; log : (nv,) parameters that are logarithms."""
 
     def __init__(
         self,
         problem: ShootingProblem,
+        log: NDArray[np.bool_],
         *,
         max_iterations: int = 200,
         tolerance: float = 1e-9,
@@ -235,7 +240,7 @@ class Solver:
         self._stop: Callable[[float, float], bool] | None = None
         # The solver holds no reference of its own to Python callbacks.
         self._tried = _Tried(np.zeros(problem.size))
-        self._kept = [*_functions(problem, self._tried), self._watcher()]
+        self._kept = [*_functions(problem, self._tried, log), self._watcher()]
         self._ipopt = {**_OPTIONS, "max_iter": max_iterations, "tol": tolerance}
         self.most = max_iterations
         self._made: dict[bool, Any] = {}

@@ -81,15 +81,12 @@ def minimise(
         if stop(here.cost):
             return Minimum(x, here, count, converged=False)
         room = (low - x, high - x, reach * longest(x))
-        found = _step(here, here.matrix + learnt, room, damping) if trusted else None
-        if found is None or found[1] <= 0:
-            found = _step(here, here.matrix, room, damping)
-        moved, foretold, short = found or (np.zeros(len(x)), 0.0, False)
-        if abs(foretold) < fall and not short:
-            if damping <= _SMALL or looked >= _LOOKS:
-                return Minimum(x, here, count, converged=True)
+        moved, foretold, short = _best_step(here, learnt if trusted else None, room, damping)
+        if abs(foretold) < fall and not short and damping > _SMALL and looked < _LOOKS:
             damping, looked = _SMALL, looked + 1  # so much of it may hide what a weak direction promises
-            continue
+            moved, foretold, short = _best_step(here, learnt if trusted else None, room, damping)
+        if abs(foretold) < fall and not short:
+            return Minimum(x, here, count, converged=True)
         there = evaluate(x + moved) if foretold > 0 else None
         gained = -np.inf if there is None else here.cost - there.cost
         if there is not None:
@@ -107,6 +104,16 @@ def minimise(
             damping = 2.0 * damping
         x, here = x + moved, there
     return Minimum(x, here, steps, converged=False)
+
+
+def _best_step(
+    here: Squares, learnt: Array | None, room: tuple[Array, Array, Array], damping: float
+) -> tuple[Array, float, bool]:
+    """The step with what was learnt, if that promises a fall, else Gauss-Newton's; see ``_step``."""
+    found = None if learnt is None else _step(here, here.matrix + learnt, room, damping)
+    if found is None or found[1] <= 0:
+        found = _step(here, here.matrix, room, damping)
+    return found or (np.zeros(len(here.gradient)), 0.0, False)
 
 
 def _step(

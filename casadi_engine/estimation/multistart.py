@@ -167,15 +167,17 @@ def distinct_optima(search: Search, attempts: list[Attempt], best: Attempt) -> t
             groups.append([attempt])
     names = search.pmap.free
     reference = search.coordinates.values(best.v)
+    # an optimum is shown as the fit has it, where that is one of those that ended there
+    shown = [next((a for a in group if np.array_equal(a.v, best.v)), group[0]) for group in groups]
     return tuple(
         Optimum(
-            group[0].cost,
-            dict(zip(names, (z := search.coordinates.values(group[0].v)).tolist(), strict=True)),
+            one.cost,
+            dict(zip(names, (z := search.coordinates.values(one.v)).tolist(), strict=True)),
             len(group),
-            group[0].solution.status,
+            one.solution.status,
             _apart(names, reference, z),
         )
-        for group in groups
+        for one, group in zip(shown, groups, strict=True)
     )
 
 

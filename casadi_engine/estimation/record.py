@@ -282,16 +282,15 @@ class RecordTerm:
 
     def drives_at(self, v: Array) -> Array:
         """(1 + m, N) times of the grid and the drives of the model there."""
-        z, grid = v[self.active], self.grid
+        z, grid, propagator = v[self.active], self.grid, self.propagator
         found = np.empty((1 + len(self.model.drives), grid.samples))
-        found[0] = grid.time
-        if isinstance(self.propagator, LinearPropagator):
-            self.propagator.forget()  # the search is over, and these take as much memory as its own layout of them
-            for begin in range(0, grid.samples, _PART):
-                points = np.arange(begin, min(begin + _PART, grid.samples))
-                found[1:, points] = self.propagator.drives_at(z, points)
-        else:
-            found[1:] = self.propagator.drives_at(z)
+        if not isinstance(propagator, LinearPropagator):
+            found[0], found[1:] = grid.time, propagator.drives_at(z)
+            return found
+        propagator.forget()  # the search is over, and what it keeps of the drives takes as much memory
+        for begin in range(0, grid.samples, _PART):
+            points = np.arange(begin, min(begin + _PART, grid.samples))
+            found[0, points], found[1:, points] = grid.time_at(points), propagator.drives_at(z, points)
         return found
 
     def _cuts(self) -> list[slice]:
@@ -331,21 +330,21 @@ class RecordTerm:
 
     def curvature(self, v: Array, point: RecordPoint, loss: Loss, factor: float, lam: Array) -> Blocks:
         """Second-order part of the Lagrangian's Hessian: factor * loss + lam * ends; lam : (n, M)."""
-        z, cuts, ends = v[self.active], self._cuts(), [lam]
+        z, cuts, ends, propagator = v[self.active], self._cuts(), [lam], self.propagator
 
         def rho(at: slice) -> Array:
             slope = loss.slope(self.observation.part(point.r, at))
             weighted = factor * slope * self.observation.part(self.weight, at)
             return self.observation.adjoint(weighted)
 
+        if isinstance(point.parts, list) or not isinstance(propagator, LinearPropagator):
+            return Blocks(*propagator.contraction(z, point.path, rho(cuts[0]), lam))
         for at in cuts[:0:-1]:  # a part's end is the start of the next
-            ends.append(self.propagator.pulled_back(z, rho(at), ends[-1]))
-        if isinstance(point.parts, list):
-            paths = iter([point.path])
-        else:
-            paths = self.propagator.run(z, point.parts.nodes, 2, cuts, outputs=False)
+            ends.append(propagator.pulled_back(z, rho(at), ends[-1]))
         found = [
-            Blocks(*self.propagator.contraction(z, path, rho(at), end))
-            for at, path, end in zip(cuts, paths, reversed(ends), strict=True)
+            Blocks(*propagator.contraction(z, path, rho(path.at), end))
+            for path, end in zip(
+                propagator.run(z, point.parts.nodes, 2, cuts, outputs=False), reversed(ends), strict=True
+            )
         ]
         return sum(found[1:], found[0])

@@ -127,6 +127,7 @@ class Search:
             self._weigh(self.levels.first(self.warm))
         self.solver = Solver(
             self.problem,
+            self.coordinates.log,
             max_iterations=max_iterations,
             tolerance=tolerance,
             progress=self._report,
@@ -374,6 +375,9 @@ class Search:
     def _on_all_samples(self, begun: Begun | None) -> tuple[Solution | None, str]:
         """The solution from an optimum in the frequency domain, and what was searched on; None where it led nowhere."""
         x = None if begun is None else self.spectral.variables(begun)
+        self._spectral = (
+            None  # spectra are as large as the data, and the steps on all samples have no use for them
+        )
         if begun is None or x is None:
             return None, ""
         words, nv = str(begun.found), self.problem.nv
@@ -388,7 +392,7 @@ class Search:
             return None, ""
         moved = solution.x[:nv] - begun.v
         far = float(np.sqrt(np.maximum(moved @ begun.found.information @ moved, 0.0)))
-        words += f"; all samples moved the estimates by {far:.2g} standard errors"
+        words += f"; all samples moved the estimates by {far:.1g} standard errors"
         return replace(solution, iterations=begun.steps + solution.iterations), words
 
     def _solved(self, x: Array, *, exact: bool) -> Solution:
@@ -493,7 +497,7 @@ class Search:
 
     def cost_of(self, attempt: Attempt, sigma: Array) -> float:
         """The cost of an attempt at other noise levels (ny,)."""
-        if np.array_equal(attempt.sigma, sigma):
+        if attempt.pending:  # at known levels, and without the nodes that all samples ask for
             return attempt.cost
         self._weigh(sigma)
         return 2 * self.problem.samples * self._objective(attempt.solution.x)

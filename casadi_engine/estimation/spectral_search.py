@@ -8,7 +8,7 @@ so is the start of the fit on all samples, whose own steps then have next to not
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -54,7 +54,7 @@ class Found:
         if self.kept == self.bins:
             return f"all {self.bins} frequency bins"
         return (
-            f"{self.kept} of {self.bins} frequency bins, up to {self.hertz:.4g} Hz, those above by their quadratic "
+            f"{self.kept} of {self.bins} frequency bins, up to {self.hertz:.4g} Hz; the others by their quadratic "
             f"({100 * self.share:.2g} % of the information)"
         )
 
@@ -173,12 +173,16 @@ class SpectralSearch:
                 hertz = self.band(v) if self._hertz is None else self._hertz
             except (FloatingPointError, np.linalg.LinAlgError):
                 return None
+        done = 0
         for tried in range(_BANDS):
-            found = self._in_band(v, hertz, steps, _from_the_second(stop) if tried else stop)
-            if found is None or not found.minimum.converged or found.share <= 2 * LEFT_OUT:
+            found = self._in_band(v, hertz, max(steps - done, 1), _from_the_second(stop) if tried else stop)
+            if found is None:
+                return None
+            done += found.minimum.steps
+            found = replace(found, minimum=replace(found.minimum, steps=done))
+            if not found.minimum.converged or found.share <= 2 * LEFT_OUT:
                 break
             v, hertz = found.minimum.x, 2 * hertz
-            steps -= found.minimum.steps
         self._hertz = hertz
         return found
 
@@ -199,10 +203,9 @@ class SpectralSearch:
             return None
         if not first.converged or kept == bins:
             return Found(first, first.squares.matrix, hertz, kept, bins, 0.0)
-        last, left = first, steps - first.steps
+        last, left, found = first, steps - first.steps, None
         for _ in range(_ROUNDS):
-            whole, at = self.squares(last.x), last.x
-            part = below(at)
+            whole, part, at = self.squares(last.x), below(last.x), last.x
             if whole is None or part is None:
                 return None
             goal = _with_rest(below, _difference(whole, part), at)
@@ -214,10 +217,12 @@ class SpectralSearch:
                 return None
             left -= near.steps
             last = Minimum(near.x, near.squares, steps - left, near.converged)
+            share = largest_share(whole.matrix, part.matrix)
+            found = Found(last, whole.matrix, hertz, kept, bins, share)
             moved = near.x - at
             if not near.converged or moved @ whole.matrix @ moved < _MOVED:
                 break
-        return Found(last, whole.matrix, hertz, kept, bins, largest_share(whole.matrix, part.matrix))
+        return found
 
 
 def _gram(

@@ -122,6 +122,8 @@ def _header(fit: Fit) -> list[str]:
     lines += _labelled("records", _some(names, 4) + assumed_words(fit))
     lines += _labelled("samples", f"{count(fit.n)} that count, in {count(fit.nodes)} shooting intervals")
     lines += _labelled("solved", how)
+    if "searched on" in fit.options:
+        lines += _labelled("searched", f"on {fit.options['searched on']}")[:3]
     worst = max(fit.integration.values(), key=lambda found: found.largest, default=None)
     how = (
         "exactly (a linear model on equal steps)"

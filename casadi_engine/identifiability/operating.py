@@ -133,7 +133,7 @@ class Sensitivity:
     residual: Array
     in_v: Array
     in_start: Array
-    column: NDArray[np.intp]
+    column: NDArray[np.int16]
     was_measured: NDArray[np.bool_]
 
     def without_start(self, weight: Array, known: NDArray[np.bool_]) -> Array:
@@ -222,7 +222,7 @@ class OperatingRecord:
             residual[valid],
             y[1:, valid].T.copy(),
             in_start[valid],
-            column[valid],
+            column[valid].astype(np.intp),
             real[valid],
         )
 
@@ -296,7 +296,7 @@ class OperatingRecord:
         if length is None:
             return self._equilibrium(v)
         intervals = Intervals(1, length, 1, np.zeros(1, np.intp))
-        grid = replace(self.grid, samples=length + 1, rows=self._closed_cycle(length), measured={})
+        grid = replace(self.grid, samples=length + 1, rows=tuple(self._closed_cycle(length)), measured={})
         constants = np.asarray(ca.Function("p", [self.v], [self.physical])(v)).reshape(-1)
         cycle = make_propagator(
             self.model, grid, intervals, ca.SX(0, 1), ca.SX(ca.DM(constants)), scale=self.scale

@@ -88,7 +88,7 @@ def _at(grid: Grid, places: Array, *, equal: bool) -> Grid:
         grid,
         step=step,
         samples=len(places),
-        rows=channels,
+        rows=tuple(channels),
         measured=measured,
         times=None if equal else times,
     )

@@ -165,6 +165,7 @@ class LinearPropagator:
             return self._laid(z, at)
         plan = self.intervals
         if self._constant is None:
+            self.forget()  # who works on the columns has no use for the drives side by side
             self._constant = np.empty(((plan.q + 1) * self._width, plan.b, plan.m))
             for part in self.parts(_LAID):
                 found = self._laid(z, part).value
@@ -188,15 +189,19 @@ class LinearPropagator:
 
     def merged_drives(self, z: Array) -> DriveSamples:
         """The core's drives on the grid, constants among them, with their first derivatives; the second are none."""
-        if self._merged_drives is None or not (
-            len(self._drives.active) == 0 or np.array_equal(self._merged_drives[0], z)
-        ):
-            samples = self._drives.part(z)
-            value = self._merged(samples.value)
+        known, active = self._merged_drives, self._drives.active
+        if known is None or (len(active) and not np.array_equal(known[0], z)):
+            self.forget()  # who works on these has no use for the columns
+            value = np.empty((self._width, self._samples))
+            first = np.empty((len(active), *value.shape))
+            for begin in range(0, self._samples, _LAID):
+                points = np.arange(begin, min(begin + _LAID, self._samples))
+                samples, at = self._drives.part(z, points), slice(begin, begin + _LAID)
+                value[:, at] = self._merged(samples.value)
+                first[..., at] = self._merged(samples.first)
             value[len(self.core.groups) : self.core.drives] = 1.0
-            first = self._merged(samples.first)
-            self._merged_drives = (z.copy(), DriveSamples(value, samples.active, first, first[:0]))
-        return self._merged_drives[1]
+            known = self._merged_drives = (z.copy(), DriveSamples(value, active, first, first[:0]))
+        return known[1]
 
     def discretisation(self, z: Array, order: int) -> Discretisation:
         """The core's discrete matrices at z, without the correction of a predictor."""

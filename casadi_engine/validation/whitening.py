@@ -76,7 +76,7 @@ class Whitener:
         start = np.log(self.variances[:-1] / self.variances[-1])[: self.valid.size]
         found = float(start.sum())
         if self.order and not self.valid.all():
-            _, bands = _gap_precision(self.valid, self.matrix, self.order)
+            _, bands = self._gaps
             from scipy import linalg
 
             found += 2 * float(np.log(linalg.cholesky_banded(bands, lower=True)[0]).sum())
@@ -86,7 +86,11 @@ class Whitener:
         """Return (n, k) columns with their missing samples as the others predict them."""
         if self.order == 0 or self.valid.all():
             return columns
-        return _filled(columns, self.valid, self.matrix, self.order)
+        return _filled(columns, self.valid, self.matrix, *self._gaps)
+
+    @cached_property
+    def _gaps(self) -> tuple[sparse.csc_array, FloatArray]:
+        return _gap_precision(self.valid, self.matrix, self.order)
 
 
 def _whitening_matrix(
@@ -113,7 +117,13 @@ def _whitening_matrix(
     return sparse.csr_array(placed, shape=(size, size))
 
 
-def _filled(columns: FloatArray, valid: BoolArray, matrix: sparse.csr_array, order: int) -> FloatArray:
+def _filled(
+    columns: FloatArray,
+    valid: BoolArray,
+    matrix: sparse.csr_array,
+    gaps: sparse.csc_array,
+    bands: FloatArray,
+) -> FloatArray:
     """Fill columns that hold zeros at missing samples so that they whiten as if only the present samples existed.
 
     With W the whitening matrix, filling the gaps so that ‖W x‖ is least gives xᵀ V⁻¹ x of the present
@@ -121,7 +131,6 @@ def _filled(columns: FloatArray, valid: BoolArray, matrix: sparse.csr_array, ord
     """
     from scipy import linalg
 
-    gaps, bands = _gap_precision(valid, matrix, order)
     filled = columns.copy()
     filled[~valid] = -linalg.solveh_banded(bands, gaps.T @ (matrix @ columns), lower=True)
     return filled

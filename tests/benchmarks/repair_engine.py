@@ -16,11 +16,11 @@ from scipy import stats
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "data"))
 
 from simulator.hidden_runs import simulate_hidden
+from single_shooting import settle
 
 import casadi_engine as ce
 from casadi_engine.discrepancy.assumed_pressure import SCATTER, carry, settle_scatter, with_priors
 from casadi_engine.discrepancy.compression import candidate_columns, compress
-from casadi_engine.discrepancy.gauss_newton import settle
 from casadi_engine.discrepancy.library_candidates import library_candidates
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_distribution import NullDistribution, library_rows

@@ -20,11 +20,11 @@ import repair_engine as engine
 import two_mass as page
 from repair_detectable import WANTED
 from simulator.hidden_runs import Case
+from single_shooting import settle
 
 import casadi_engine as ce
 from casadi_engine.discrepancy.classes import clusters, separation, theoretical_class
 from casadi_engine.discrepancy.compression import compress
-from casadi_engine.discrepancy.gauss_newton import settle
 from casadi_engine.discrepancy.library_candidates import library_candidates
 from casadi_engine.discrepancy.refit import Refitter, addition
 from casadi_engine.discrepancy.score import score

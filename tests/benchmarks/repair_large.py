@@ -26,10 +26,10 @@ import two_mass as page
 from repair_detectable import Place
 from repair_hidden_theory import truth_of
 from simulator.hidden_runs import Case
+from single_shooting import settle
 
 import casadi_engine as ce
 from casadi_engine.discrepancy.compression import compress
-from casadi_engine.discrepancy.gauss_newton import settle
 from casadi_engine.discrepancy.refit import Refitter, addition, merit
 from casadi_engine.discrepancy.score import score
 from casadi_engine.discrepancy.screening import screen

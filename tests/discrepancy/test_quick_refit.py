@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.gauss_newton import chi_squared
+from casadi_engine.discrepancy.chi_squared import chi_squared
 from casadi_engine.discrepancy.null_model import null_model
 from casadi_engine.discrepancy.quick_refit import ShortRefits, _closed, _ended
 from casadi_engine.discrepancy.refit import Refitter, addition

@@ -8,7 +8,6 @@ from scipy.linalg import toeplitz
 import casadi_engine as ce
 from casadi_engine.discrepancy.combustion_scatter import Scatter
 from casadi_engine.discrepancy.compression import candidate_columns, compress, scatter_columns
-from casadi_engine.discrepancy.gauss_newton import settle
 from casadi_engine.discrepancy.noise_model import Colour, NoiseModel
 from casadi_engine.discrepancy.null_model import null_model
 from casadi_engine.discrepancy.score import saturated_variance, score
@@ -185,19 +184,24 @@ def test_predictions_are_those_of_brute_force_refits(shaft, name):
         "constant_torque": lambda t, x: np.array([0, size]),
     }[name]
     data = shaft.data(hidden=pair, noise=False, n=500)
-    z, first = np.array(list(shaft.truth.values())), {"shaft": shaft.start}
-    null, _, cost = settle(shaft.model, [data], shaft.model.parameters(), z, first, sigma=shaft.sigma)
+    noise, pars = ce.Noise(**shaft.sigma), shaft.model.parameters()
+    for name, value in shaft.truth.items():
+        pars[name].set(value)
+    fit = ce.estimate(shaft.model, data, parameters=pars, noise=noise, progress=False)
+    null = null_model(fit)
     from casadi_engine.discrepancy.library_candidates import library_candidates
 
     candidates = [c for c in library_candidates(null, [data], [effect]) if c.port == at and c.size is None]
     found = score(compress(null, candidates[:1], NoiseModel(shaft.sigma)))
     extended = shaft.model.with_effect(effect, at=at)
     pars = extended.parameters()
-    start = np.append(null.values, found.amplitude[0])
-    full, _, less = settle(extended, [data], pars, start, first, sigma=shaft.sigma)
-    assert found.amplitude[0] == pytest.approx(full.values[-1], rel=0.03)
-    assert found.drop[0] == pytest.approx(cost - less, rel=0.03)
-    moved = full.values[:-1] - null.values
+    free = [name for name in pars if pars[name].vary]
+    for name, value in zip(free, [*null.values, found.amplitude[0]], strict=True):
+        pars[name].set(value)
+    full = ce.estimate(extended, data, parameters=pars, noise=noise, progress=False)
+    assert found.amplitude[0] == pytest.approx(full.z[-1], rel=0.03)
+    assert found.drop[0] == pytest.approx(fit.cost - full.cost, rel=0.03)
+    moved = full.z[:-1] - null.values
     scale = np.abs(moved / null.values).max()
     assert (np.abs(found.shift[:, 0] - moved) / null.values < 0.05 * scale).all()
 

@@ -10,6 +10,7 @@ import casadi_engine as ce
 from casadi_engine.estimation import ipopt
 from casadi_engine.estimation.loss import Loss
 from casadi_engine.estimation.search import Search
+from casadi_engine.estimation.spectral_start import SpectralStarts
 
 DATA = Path(__file__).parents[2] / "data"
 
@@ -58,7 +59,8 @@ def counted(model, data, truth, noise):
     return ends, counts
 
 
-def test_all_sign_patterns_end_at_one_optimum_within_twenty_steps(shaft, shaft_model):
+def test_all_sign_patterns_end_at_one_optimum_within_twenty_steps(shaft, shaft_model, monkeypatch):
+    monkeypatch.setattr(SpectralStarts, "search", lambda *_, **__: None)
     made = shaft()
     ends, counts = counted(shaft_model(), made.data, made.truth, KNOWN[True])
     np.testing.assert_allclose(ends, np.tile(ends[0], (32, 1)), rtol=1e-5)
@@ -91,8 +93,8 @@ def test_the_damping_falls_and_the_exact_hessian_ends_the_search(shaft, shaft_mo
     search = search_of(model, made.data, set_off(model, made.truth, SIGNS[13]))
     _, chosen = solved(search)
     damping, exact = zip(*chosen, strict=True)
-    assert (damping[0], exact[0]) == (0.05, False)
-    assert damping[1] == pytest.approx(0.015)
+    assert (damping[0], exact[0]) == (0.03, False)
+    assert damping[1] == pytest.approx(0.009)
     assert (damping[-1], exact[-1]) == (0.0, True)
     assert list(exact) == sorted(exact)
 
@@ -140,7 +142,8 @@ def test_no_step_is_longer_than_the_linearised_problem_reaches(shaft, shaft_mode
 
     search.solver._seen = noted
     solved(search)
-    steps = np.abs(np.diff(seen, axis=0)) / np.maximum(1.0, np.abs(seen[:-1]))
+    size = np.where(search.coordinates.log, 1.0, np.maximum(1.0, np.abs(seen[:-1])))
+    steps = np.abs(np.diff(seen, axis=0)) / size
     assert 0.5 < steps.max() <= ipopt._LONGEST
 
 

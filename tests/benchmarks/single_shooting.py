@@ -1,4 +1,4 @@
-"""A few Gauss-Newton steps by single shooting from a point near the optimum, for refits of initial states and tests."""
+"""A few Gauss-Newton steps by single shooting from a point near the optimum, for noise with memory and scatter."""
 
 from __future__ import annotations
 
@@ -15,12 +15,6 @@ from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 
 _HALVINGS = 12
-
-
-def chi_squared(null: NullModel, sigma: Mapping[str, float]) -> float:
-    """Sum of ((y - y_hat)/sigma)^2 and of the priors."""
-    noise = NoiseModel(sigma)
-    return _cost(null, _rows(null, noise, _random(null, noise, ())))
 
 
 def settle(
