@@ -38,6 +38,7 @@ def _repair(fresh):
     )
 
 
+@pytest.mark.slow
 def test_fits_errors_and_gaps_are_of_the_whole_data():
     fresh = _record("b", 200.0, 1)
     found = _repair(fresh)
@@ -54,6 +55,7 @@ def test_fits_errors_and_gaps_are_of_the_whole_data():
         assert side.gap.chi2_per_sample == pytest.approx(1, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_gap_that_stays_is_not_taken_for_noise():
     """The fresh record has another spring: the effect is withdrawn, and the model without it does not fit."""
     found = _repair(_record("b", 20.0, 1))
