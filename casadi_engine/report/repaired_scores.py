@@ -76,9 +76,9 @@ def draw_scores(panel: Panel, repair: Repair, most: int = MOST_ROWS) -> None:
 
 def _bent_axis(panel: Panel, threshold: float, top: float) -> None:
     panel.x = "score |z| [1], linear up to the threshold and logarithmic above"
-    panel.xscale, panel.threshold, panel.xlim = "symlog", threshold, (0, 2.2 * top)
+    panel.xscale, panel.threshold, panel.xlim = "symlog", threshold, (0, 4.0 * top)
     decades = [a * 10.0**k for k in range(0, math.ceil(math.log10(top)) + 1) for a in (1, 2, 5)]
-    panel.xticks = [0, *(v for v in decades if 1.15 * threshold < v <= 2 * top)]
+    panel.xticks = [0, *(v for v in decades if 1.15 * threshold < v <= 4 * top)]
 
 
 def draw_matrix(panel: Panel, matrix: ClassMatrix) -> None:

@@ -20,7 +20,7 @@ from casadi_engine.report.ticks import tick_words, ticks
 # Coordinates inside a panel are whole tenths of a pixel.
 FINE = 10
 # Width of a letter and height of a line, in pixels.
-LETTER, LINE = 6.3, 14
+LETTER, LINE = 6.9, 14
 # Names that stand upright beneath a panel have at most so many pixels.
 UPRIGHT = 240
 # Free pixels at the right, for half of the last number.
@@ -87,7 +87,7 @@ def _framed(panel: Panel, width: float, height: float) -> _Frame:
     letters = (
         max(letters, 6) if panel.linked else letters
     )  # panels over one time stand exactly beneath each other
-    left = min(LETTER * letters + 14, 0.45 * width) + (LINE + 4 if panel.y else 0)
+    left = min(LETTER * letters + 14, 0.5 * width) + (LINE + 4 if panel.y else 0)
     under = (
         LINE + 6 if not _slanted(panel) else min(max(len(words) for _, words in below) * LETTER, UPRIGHT) + 8
     )
@@ -141,12 +141,22 @@ def _placed(frame: _Frame, axis: Axis) -> list[tuple[int, str]]:
     return [(at, words) for at, words in inside if -1 <= at <= FINE * length + 1]
 
 
+def _apart(labels: list[tuple[int, str]], *, slanted: bool) -> list[tuple[int, str]]:
+    """Words along x without those that would run into the ones before them."""
+    found: list[tuple[int, str]] = []
+    for at, words in labels:
+        wide = LETTER * (len(words) + len(found[-1][1])) / 2 + 4 if found else 0.0
+        if slanted or not found or at - found[-1][0] >= FINE * wide:
+            found.append((at, words))
+    return found
+
+
 def _outside(frame: _Frame) -> Iterator[str]:
     """Axis lines, numbers and labels around the field."""
     panel, left, top = frame.panel, frame.left, frame.top
     right, bottom = left + frame.width, top + frame.height
     yield f'<path class="axis" d="M{left:g} {top:g}V{bottom:g}H{right:g}"/>'
-    for at, words in _placed(frame, "x"):
+    for at, words in _apart(_placed(frame, "x"), slanted=_slanted(panel)):
         yield _tick(left + at / FINE, bottom + LINE, words, slanted=_slanted(panel))
     for at, words in _placed(frame, "y"):
         yield f'<text class="end" x="{left - 6:g}" y="{top + at / FINE + 4:g}">{html.escape(words)}</text>'
