@@ -44,8 +44,9 @@ _SHARPER = 3
 # And as long as all records together are not integrated in more steps than this.
 _STEPS = 1e5
 
-# Rise of chi-squared at which a smaller amplitude is as good; times that it is halved.
-_CONTENT, _HALVINGS = 1.0, 12
+# Rise of chi-squared at which a smaller amplitude is as good; times that it is made smaller, by half at first, and by
+# as much as this while nothing rises.
+_CONTENT, _HALVINGS, _FASTEST = 1.0, 16, 256.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,14 +151,17 @@ class Refitter:
                 continue
             if _determined(found) and not self._open_above(fit, effects, one):
                 continue
-            best, least = fit, merit(fit) + _CONTENT
+            best, least, share = fit, merit(fit) + _CONTENT, 2.0
             for _ in range(_HALVINGS):
                 held = self._parameters(fit.model, effects)
-                held.fix(one.amplitude, best.values[one.amplitude] / 2)
+                held.fix(one.amplitude, best.values[one.amplitude] / share)
                 step = self._try(fit.model, held, Start.of(best), most=_FEWER)
-                if step is None or not step.converged or merit(step) > least:
+                if step is not None and step.converged and merit(step) <= least:
+                    best, share = step, min(share**2, _FASTEST)
+                elif share > 2.0:
+                    share = 2.0
+                else:
                     break
-                best = step
             if best is fit and not _determined(found):
                 continue
             size = best.values[one.amplitude]

@@ -39,7 +39,7 @@ def fits(tasks: Sequence[Task], *, jobs: int | None = 1) -> list[Fit | CasadiEng
     >>> import numpy as np, casadi_engine as ce
     >>> t = np.arange(200) * 0.01
     >>> exp = ce.Experiment.from_arrays("run_up", time=t, units={"T": "N m", "omega": "rad/s"}, hold="zero",
-    ...     T=np.full(200, 2.0), omega=4 * (1 - np.exp(-t / 0.8)))
+    ...     T=np.full(200, 2.0), omega=4 * (1 - np.exp(-t / 0.8)) + 0.01 * np.cos(90 * t))
     >>> tasks = [Task(ce.one_inertia(), exp, {"noise": ce.Noise(omega=level)}) for level in (0.01, 0.02)]
     >>> [round(fit.cost / fits(tasks)[0].cost, 2) for fit in fits(tasks)]
     [1.0, 0.25]
