@@ -38,12 +38,15 @@ def name(point):
     return f"{point[0]}_RPM_{point[1]}_Nm"
 
 
-def record(number, rpm, load):
+def simulated(number, rpm, load):
     """One operating point, noisy, with the friction that the thesis found there."""
     shaft = replace(two_mass_shaft(), absolute_damping=np.array([POINTS[rpm, load], 0.0]))
-    made = shared.record("two_mass", rpm, load=float(load), shaft=shaft, cycles=4, scatter_seed=700 + number,
+    return shared.record("two_mass", rpm, load=float(load), shaft=shaft, cycles=4, scatter_seed=700 + number,
                          noise_seed=900 + number, rtol=1e-8)  # fmt: skip
-    return shared.experiment(made, name((rpm, load)))
+
+
+def record(number, rpm, load):
+    return shared.experiment(simulated(number, rpm, load), name((rpm, load)))
 
 
 def one_by_one(data):

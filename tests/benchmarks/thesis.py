@@ -27,6 +27,7 @@ ORDER = (
     "reduction",
     "engine_orders",
     "friction_map",
+    "friction_law",
     "pressure_model",
     "speed_alone",
     "dampers",

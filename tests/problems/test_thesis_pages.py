@@ -115,6 +115,12 @@ def test_table_4_11(quick):
     assert lines["Table 4.11", "C_eng over speed and load"].ours == "6 of 6 within 95 % intervals"
 
 
+def test_the_law_behind_table_4_11(quick):
+    lines = quick("friction_law")
+    words = "3 numbers: C_eng and coulomb_friction, load_friction"
+    assert lines["Table 4.11", "36 coefficients"].ours == words
+
+
 def test_the_driveline(quick):
     lines = quick("driveline")
     found = lines["chapter 6 (c)", "the rest of the powertrain"].ours
