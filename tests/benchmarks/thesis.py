@@ -44,6 +44,7 @@ def spent() -> float:
 def rows_of(name: str) -> tuple[str, list[dict[str, str | bool]], float]:
     """First line of a page, its lines, and its processor time [s]."""
     begun = spent()
+    (RESULTS / f"{name}.json").unlink(missing_ok=True)  # a page that fails must not show an earlier answer
     subprocess.run(
         [sys.executable, str(PAGES / f"{name}.py")], cwd=ROOT, stdout=subprocess.DEVNULL, check=False
     )
