@@ -17,7 +17,7 @@ from casadi_engine.estimation.corner_widths import follow_motion
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.loss import read_loss
-from casadi_engine.estimation.lower_rate import lower_rate
+from casadi_engine.estimation.lower_rate import ONE_SEARCH, lower_rate
 from casadi_engine.estimation.moved_jumps import refuse_moved_jumps
 from casadi_engine.estimation.multistart import attempts_from, best_of, distinct_optima, interrupted
 from casadi_engine.estimation.options import begun_at, chosen, small, whole
@@ -168,7 +168,9 @@ def _searched(
         report = _reporter(progress, starts + 2 * neighbours, arguments["max_iterations"])
         search = Search(**arguments, progress=report, interrupts=interrupts)
         setup = time.perf_counter() - entered
-        lower = lower_rate(search)
+        # set-up, errors and last steps are of the whole data anyhow: one search from near by is as fast there
+        several_searches = starts + neighbours > 1 or arguments["approach"] == "prediction"
+        lower = lower_rate(search) if several_searches else ONE_SEARCH
         first = search
         if not isinstance(lower, str):
             first = lower_search(search, arguments, lower, report)

@@ -40,6 +40,10 @@ _LOOKED_AT = 30_000
 _FLAT = 1e-8
 
 
+# Why a single search runs on the whole data.
+ONE_SEARCH = "one search is as fast on them"
+
+
 @dataclass(frozen=True)
 class LowerRate:
     """What a search runs on: records (thinned by ``factor``), their noise, and the share of information ``lost``."""

@@ -52,7 +52,8 @@ def record():
 
 
 def _fit(record, **options):
-    return ce.estimate(_model(), record, noise=ce.Noise(y=SIGMA), progress=False, **options)
+    given = {"noise": ce.Noise(y=SIGMA), "progress": False, "starts": 2, **options}
+    return ce.estimate(_model(), record, **given)
 
 
 def _search(record, model=None, **options):
@@ -78,6 +79,11 @@ def test_the_answer_is_that_of_a_search_on_the_whole_data(record, monkeypatch):
         assert abs(short.values[name] - whole.values[name]) < 0.01 * error
         assert short.estimates[name].stderr == pytest.approx(error, rel=1e-4)
         assert abs(short.values[name] - value) < 4 * error
+
+
+def test_one_search_is_made_on_all_samples(record):
+    fit = _fit(record, starts=1)
+    assert fit.options["searched on"] == "all samples: one search is as fast on them"
 
 
 def test_several_starts_end_where_they_end_on_the_whole_data(record):
@@ -180,7 +186,7 @@ def test_a_model_that_takes_the_square_of_a_fast_input_is_searched_on_all_sample
     run = solve_ivp(slope, (0, time[-1]), [0.5], t_eval=time, rtol=1e-6, atol=1e-8, max_step=1e-3)
     y = run.y[0] + 0.01 * np.random.default_rng(0).standard_normal(8000)
     data = ce.Experiment.from_arrays("r", time=time, units={"u": "1", "y": "1"}, u=current, y=y)
-    fit = ce.estimate(b.model(), data, progress=False)
+    fit = ce.estimate(b.model(), data, starts=2, progress=False)
     assert fit.options["searched on"] == "all samples: y depends on what a filter would take from the inputs"
     assert abs(fit.values["k"] - 3) < 4 * fit.stderr["k"]
 

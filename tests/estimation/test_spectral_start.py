@@ -109,7 +109,7 @@ def test_reasons_for_all_samples(run_up):
         (data, {"initial": {"omega_eng": 20.0}}, "initial states are given, or have bounds"),
         (gappy, {}, "run_up lacks samples of an output"),
         (data, {"warm": fitted(data)}, "it starts at an optimum"),
-        (data, {"model": nonlinear()}, "the records are short"),
+        (data, {"model": nonlinear()}, "one search is as fast on them"),
     ]
     for record, options, why in cases:
         assert fitted(record, **options).options[SEARCHED] == f"all samples: {why}"
