@@ -41,6 +41,11 @@ class Decimation:
     step: float
     samples: int
 
+    @property
+    def count(self) -> int:
+        """Samples of the lower rate."""
+        return (self.samples - 1) // self.factor + 1
+
     def sampled(self, values: FloatArray, count: int, *, late: bool, sharp: bool) -> FloatArray:
         """(..., N) values of the whole record filtered, at ``count`` samples of the lower rate; (..., count).
 

@@ -128,6 +128,14 @@ def lay_grid(model: Model, experiment: Experiment, *, outputs: tuple[str, ...] |
 
 def _thinned(model: Model, grid: Grid, made: Decimation) -> Grid:
     """The grid of a record of a lower rate, with that of its whole record; outputs count where the filter fits."""
+    same = abs(grid.start - made.start) < _ON_GRID * made.step and grid.samples <= made.count
+    if not same or abs(grid.step - made.factor * made.step) > _SAME * grid.step:
+        raise SimulationError(
+            "a record of a lower rate was cut or resampled after it was made",
+            seen=f"{grid.samples} samples from {grid.start:.9g} s",
+            allowed=f"up to {made.count} from {made.start:.9g} s: its inputs are taken from the whole record",
+            cure="cut the whole record, and make the lower rate of that",
+        )
     there = made.whole_filter(grid.samples)
     measured = {}
     for name, own in grid.measured.items():

@@ -8,6 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
+from casadi_engine.errors import EstimationError, SimulationError
 from casadi_engine.estimation.loss import read_loss
 from casadi_engine.estimation.lower_rate import (
     LOST,
@@ -17,6 +18,8 @@ from casadi_engine.estimation.lower_rate import (
     whole_slopes,
 )
 from casadi_engine.estimation.search import Search
+from casadi_engine.estimation.two_stages import lower_search, on_whole_data
+from casadi_engine.simulation.grid import lay_grid
 
 STEP, SAMPLES, SIGMA = 1e-3, 10_001, 0.02
 TRUTH = {"c": 0.8, "k": 60.0, "k3": 30.0}
@@ -56,14 +59,15 @@ def _fit(record, **options):
     return ce.estimate(_model(), record, **given)
 
 
+ARGUMENTS = {
+    "noise": ce.Noise(y=SIGMA), "interval": "auto", "initial": None, "loss": read_loss("square"),
+    "ties": "substitute", "method": "exact", "max_iterations": 50, "tolerance": 1e-9, "warm": None,
+}  # fmt: skip
+
+
 def _search(record, model=None, **options):
-    arguments = {
-        "noise": ce.Noise(y=SIGMA), "interval": "auto", "initial": None, "loss": read_loss("square"),
-        "ties": "substitute", "method": "exact", "max_iterations": 50, "tolerance": 1e-9, "warm": None,
-        "progress": None,
-    }  # fmt: skip
     model = model or _model()
-    return Search(model, (record,), model.parameters(), **{**arguments, **options})
+    return Search(model, (record,), model.parameters(), **{**ARGUMENTS, "progress": None, **options})
 
 
 def test_the_answer_is_that_of_a_search_on_the_whole_data(record, monkeypatch):
@@ -189,6 +193,43 @@ def test_a_model_that_takes_the_square_of_a_fast_input_is_searched_on_all_sample
     fit = ce.estimate(b.model(), data, starts=2, progress=False)
     assert fit.options["searched on"] == "all samples: y depends on what a filter would take from the inputs"
     assert abs(fit.values["k"] - 3) < 4 * fit.stderr["k"]
+
+
+def test_a_record_of_a_lower_rate_that_was_cut_is_refused(record):
+    thin = lower_rate(_search(record)).data[0]
+    with pytest.raises(SimulationError, match="cut or resampled after it was made") as told:
+        lay_grid(_model(), thin.between(1.0, 5.0))
+    assert "cut the whole record" in str(told.value)
+
+
+def test_a_first_stage_that_ends_where_the_model_fails_is_left(record, monkeypatch):
+    search = _search(record)
+    first = lower_search(
+        search, ARGUMENTS | {"model": search.model, "parameters": search.parameters}, lower_rate(search), None
+    )
+    attempt, run, starts = first.run(first.pmap.start), search.run, []
+
+    def failing(z, *, first=True):
+        starts.append((z, first))
+        if first:
+            raise EstimationError("it cannot be evaluated", cure="none")
+        return run(z, first=False)
+
+    monkeypatch.setattr(search, "run", failing)
+    (found,) = on_whole_data(search, first, [attempt])
+    assert [first for _, first in starts] == [True, False]
+    assert np.array_equal(starts[1][0], attempt.start)
+    assert found.solution.status == "converged"
+
+
+def test_a_fit_that_ends_where_nothing_can_be_evaluated_says_so(record, monkeypatch):
+    def fails(*_):
+        raise FloatingPointError("the state is not finite")
+
+    monkeypatch.setattr(sys.modules["casadi_engine.estimation.answer"], "uncertainty", fails)
+    with pytest.raises(EstimationError, match="cannot be evaluated where the search ended") as told:
+        _fit(record.between(0.0, 0.5), starts=1)
+    assert "give other start values" in str(told.value)
 
 
 def test_a_record_of_a_lower_rate_is_not_thinned_again(record):
