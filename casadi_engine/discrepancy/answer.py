@@ -206,12 +206,8 @@ class Answer:
         if not old or not new:
             why = "the repaired model cannot be simulated on the fresh data"
             return Judgement(None, False, True, why)
-        noise = here.screened.noise
-        first, then = gap_of([base.screened.null], noise), gap_of([here.screened.null], noise)
-        drop = (first.chi2_per_sample - then.chi2_per_sample) * first.samples
-        foreseen = drop / max(len(base.screened.compressed.cycles), 1)
         event = here.effects[-1].placed and self.portion.source == "records"
-        judged = judge([n for _, n in old], [n for _, n in new], noise, foreseen=0.0 if event else foreseen)
+        judged = judge([n for _, n in old], [n for _, n in new], here.screened.noise)
         if event and not judged.confirmed and not judged.refused:
             why = "it is an event of one record, which no other record can confirm"
             return replace(judged, confirmed=None, why=f"{here.effects[-1].label}: {why}")

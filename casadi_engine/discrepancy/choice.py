@@ -178,7 +178,7 @@ class Choice:
             self._try(here, _chosen(screened, at_here, families[key]), Start(here.arrived.values, here.arrived.initial))
             if own is not None:
                 one = _chosen(screened, own, families[key])
-                if not self.path.linear((*here.effects, one)):
+                if not self.path.linear(here.effects):
                     self._try(here, one, None, windows=True)
                 elif here.arrived.held:
                     self._try(here, one, None)
@@ -276,7 +276,7 @@ class Choice:
         return Tried(effects, arrived, found, None, _beyond(effects, arrived, found))
 
     def _evidence(self, effects: tuple[Addition, ...], arrived: Arrived, *, colour: bool | None) -> Evidence:
-        null = self.path.null_at(effects, arrived)
+        null = self.path.residuals(effects, arrived)
         priors = priors_of(null, self.path.parameters(effects), effects)
         scatter = scatter_of(null, self.refitter.data, self.cylinders) if self.cylinders is not None else ()
         random = {r.name: scatter_columns(r, scatter) for r in null.records} if scatter else None
@@ -318,8 +318,7 @@ class Choice:
     def _none(self, fit: Fit) -> Tried:
         """The null fit as a structure."""
         initial = {r: {n: e.value for n, e in own.items()} for r, own in fit.initial.items()}
-        held = frozenset(n for n in fit.free if fit.estimates[n].at_bound is not False)
-        arrived = Arrived(dict(fit.values), initial, fit.cost, True, held, fit.noise)
+        arrived = self.path.at(fit.values, initial)
         made = self._counted((), arrived)
         if made is None:
             made = Tried((), arrived, Evidence(-math.inf, -math.inf, self._stations[frozenset()].screened.noise, {}))

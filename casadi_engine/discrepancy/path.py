@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from casadi_engine.discrepancy.from_search import null_of_search
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.null_model import NullModel, null_at
 from casadi_engine.discrepancy.refit import Addition, Refitter
@@ -23,6 +24,9 @@ from casadi_engine.estimation.loss import read_loss
 from casadi_engine.estimation.pieces import approach
 from casadi_engine.estimation.search import Search
 from casadi_engine.estimation.starts import chained_nodes, nodes_from_measurement
+from casadi_engine.experiment import Experiment
+from casadi_engine.model import Model
+from casadi_engine.parameters import Parameters
 from casadi_engine.problem.noise import Noise
 
 # A fall of chi-squared in one step below which a refit has arrived.
@@ -56,6 +60,7 @@ class Arrived:
     held: frozenset[str] = frozenset()
     noise: Mapping[str, tuple[float, bool]] = field(default_factory=dict)
     converged: bool = True
+    x: Array = field(default_factory=lambda: np.zeros(0), repr=False)
 
 
 class Path:
@@ -82,6 +87,15 @@ class Path:
         search = self._search(effects)
         return search is not None and all(record.linear for record in search.records)
 
+    def residuals(self, effects: Sequence[Addition], arrived: Arrived) -> NullModel:
+        """Residuals and slopes where a refit of these effects ended, as its own integrator has them."""
+        search = self._search(effects)
+        assert search is not None
+        try:
+            return null_of_search(search, arrived.x)
+        finally:
+            search.problem.forget()  # a point of a long record is large, and there are many problems
+
     def null_at(self, effects: Sequence[Addition], arrived: Arrived) -> NullModel:
         """The model with these effects, linearised where a refit of them ended."""
         search = self._search(effects)
@@ -90,6 +104,12 @@ class Path:
         first = {record: np.array([own[n] for n in names]) for record, own in arrived.initial.items()}
         z = np.array([arrived.values[name] for name in search.pmap.free])
         return null_at(search.model, search.data, search.parameters, z, first)
+
+    def at(self, values: Mapping[str, float], initial: Mapping[str, Mapping[str, float]]) -> Arrived:
+        """The model without effects at known parameters and first states."""
+        search = self._search(())
+        assert search is not None
+        return _arrived(search, _first(search, Start(values, initial), ()), True)
 
     def first_states(self) -> dict[str, Array]:
         """record -> (n,) first states that the measurement gives at the parameters' own values."""
@@ -140,27 +160,48 @@ class Path:
     def _problem(self, effects: Sequence[Addition]) -> Search:
         refitter = self.refitter
         model = refitter.extended(effects)
-        options = dict(refitter.options)
-        search = Search(
-            model,
-            refitter.data,
-            refitter.parameters_of(model, effects),
-            Noise(**self.levels),
-            interval=options.get("interval", "auto"),
-            initial=options.get("initial"),
-            loss=read_loss("square"),
-            ties="substitute",
-            method=options.get("method", "exact"),
-            max_iterations=200,
-            tolerance=1e-6,
-            warm=None,
-            progress=None,
-        )
+        pars = refitter.parameters_of(model, effects)
+        search = set_up(model, refitter.data, pars, self.levels, refitter.options)
         count = sum(max(len(one[name].time) for name in one.names) for one in refitter.data)
         if count > _LONG:
             for record in search.records:
                 record.limit_steps(max(1, int(_INTEGRATION / count)))
         return search
+
+
+def set_up(
+    model: Model,
+    data: Sequence[Experiment],
+    parameters: Parameters,
+    levels: Mapping[str, float],
+    options: Mapping[str, Any],
+) -> Search:
+    """The problem of one model at held noise levels; options : of ``estimate``."""
+    return Search(
+        model,
+        tuple(data),
+        parameters,
+        Noise(**levels),
+        interval=options.get("interval", "auto"),
+        initial=options.get("initial"),
+        loss=read_loss("square"),
+        ties="substitute",
+        method=options.get("method", "exact"),
+        max_iterations=200,
+        tolerance=1e-6,
+        warm=None,
+        progress=None,
+    )
+
+
+def settled(search: Search) -> Start | None:
+    """Where a refit from the measured states ends; None where the model fails."""
+    try:
+        with np.errstate(all="ignore"):
+            found = _arrived(search, *_descended(search, search._start(search.pmap.start, first=True)))
+    except FAILURES:
+        return None
+    return Start(found.values, found.initial, found.noise, found.settled)
 
 
 def _first(search: Search, start: Any, effects: Sequence[Addition]) -> Array:
@@ -262,7 +303,6 @@ def _arrived(search: Search, x: Array, settled: bool) -> Arrived:
         )
         for record, lay in zip(search.records, problem.layouts, strict=True)
     }
-    problem.forget()  # a point of a long record is large, and there are many problems
     span = np.maximum(np.abs(x[:nv]), 1e-12)
     low = x[:nv] - search.lower[:nv] <= 1e-8 * span
     high = search.upper[:nv] - x[:nv] <= 1e-8 * span
@@ -274,4 +314,5 @@ def _arrived(search: Search, x: Array, settled: bool) -> Arrived:
         settled,
         held,
         search.levels.by_name(search.sigma),
+        x=closed,
     )
