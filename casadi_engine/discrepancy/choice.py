@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from casadi_engine.discrepancy.compression import scatter_columns
-from casadi_engine.discrepancy.evidence import Evidence, evidence
+from casadi_engine.discrepancy.evidence import Digest, Evidence, Levels, digest, evidence, levels_left
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.linearised import OneStep, one_step, without_effect
 from casadi_engine.discrepancy.membership import class_of, ordered, reached
@@ -29,16 +29,18 @@ from casadi_engine.discrepancy.repaired import Round
 from casadi_engine.discrepancy.screening import Screened
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.discrepancy.station import Station
+from casadi_engine.errors import EstimationError
 from casadi_engine.estimation import Fit
 
 # A structure is excluded where another one is so many times more probable.
 FACTOR = 20.0
 # An amplitude is a finding beyond so many of its standard errors.
 BEYOND = 3.0
-# Structures whose evidence is counted with a noise of their own, the most probable ones with white noise.
-_WEIGHED = 8
 # Candidates that are refitted in the place of a member, the best by one step; times that a better one is looked from.
 _EXCHANGED, _AGAIN = 6, 3
+# A refit has arrived if chi-squared is no higher than without its effect, but for rounded corners; share of the
+# one-step amplitude from which it is tried again.
+_NESTED, _SMALL = 1.0, 0.02
 # Levels that fall by this share are new ones, at which refits go on.
 _RELEVELLED = 0.7
 
@@ -47,16 +49,16 @@ Key = frozenset[tuple[str, str]]
 
 @dataclass(eq=False)
 class Tried:
-    """A structure that was refitted: its effects, where that ended, its evidence with white noise and with its own.
+    """A structure that was refitted: its effects, where that ended, and its evidence with the noise of all.
 
-    beyond : the last effect's amplitude in its standard errors
+    failed : its whole fit did not converge
     """
 
     effects: tuple[Addition, ...]
     arrived: Arrived
-    white: Evidence
-    own: Evidence | None = None
-    beyond: float = math.inf
+    digest: Digest
+    evidence: Evidence
+    failed: bool = False
 
     @property
     def key(self) -> Key:
@@ -70,8 +72,18 @@ class Tried:
 
     @property
     def log(self) -> float:
-        """The log evidence that counts; -inf before it is known."""
-        return -math.inf if self.own is None else self.own.log
+        """The log evidence."""
+        return -math.inf if self.failed else self.evidence.log
+
+    @property
+    def beyond(self) -> float:
+        """The least certain amplitude in its standard errors."""
+        least, values = math.inf, self.arrived.values
+        for one in self.effects:
+            own = [n for n in values if n.partition("@")[0] == one.amplitude]
+            sizes = [abs(values[n]) / self.evidence.error.get(n, math.inf) for n in own]
+            least = min(least, max(sizes, default=math.inf))
+        return least
 
 
 def key_of(effects: Sequence[Addition]) -> Key:
@@ -103,6 +115,7 @@ class Choice:
         first = self._timed("score", lambda: self._screened(null_fit))
         self._stations[frozenset()] = Station(null_fit, (), first)
         self.path = Path(self.refitter, dict(first.noise.sigma))
+        self.levels = Levels(dict(first.noise.sigma), {}, max(first.noise.scatter.values(), default=0.0))
         here = self._none(null_fit)
         for _ in range(self.most):
             station = self._stations[here.key]
@@ -136,8 +149,8 @@ class Choice:
         """The structure that takes the place of ``here``; None where none does."""
         screened = station.screened
         tried = self._timed("refit", lambda: self._added(here, screened))
-        self._timed("evidence", lambda: self._weigh([here, *tried]))
-        known = len({one.key for one in screened.candidates})
+        self._timed("evidence", self._weigh)
+        known = int(screened.scores.testable.sum())
         while True:
             best = self._most_probable(here, tried)
             gain = -math.inf if best is None else best.log - here.log
@@ -149,19 +162,19 @@ class Choice:
             if self._station(best) is not None:
                 break
             self.failed[best.label] = "its fit of all data does not converge"
-            best.own = None if best.own is None else replace(best.own, log=-math.inf)
+            best.failed = True
         self._told(here, tried, best)
         return best
 
     def _told(self, here: Tried, tried: Sequence[Tried], kept: Tried | None) -> None:
-        order = sorted(tried, key=lambda one: (-one.log, -one.white.log))
-        library = tuple((one.label, one.log - here.log) for one in order if one.own is not None)
+        order = sorted(tried, key=lambda one: -one.log)
+        library = tuple((one.label, one.log - here.log) for one in order)
         refits = tuple((one.label, one.arrived.cost, one.arrived.settled) for one in order)
         gone = tuple(one.label for one in here.effects if kept and one.candidate.key not in kept.key)
         self.rounds.append(Round(library, refits, None if kept is None else kept.label, gone))
 
     def _most_probable(self, here: Tried, tried: Sequence[Tried]) -> Tried | None:
-        found = [one for one in tried if one.own is not None and one.beyond > BEYOND and math.isfinite(one.log)]
+        found = [one for one in tried if one.beyond > BEYOND and math.isfinite(one.log)]
         return max(found, key=lambda one: one.log, default=None)
 
     def _added(self, here: Tried, screened: Screened) -> list[Tried]:
@@ -182,25 +195,36 @@ class Choice:
                     self._try(here, one, None, windows=True)
                 elif here.arrived.held:
                     self._try(here, one, None)
-            if self._key(here, key) not in self.pool:
-                self.failed[f"{key[0]} at {key[1]}"] = "no refit of it arrives"
+            self._arrive(here, key, lambda key=key: _chosen(screened, at_here, families[key]))
         keys = [self._key(here, key) for key in order]
         self._relevel([self.pool[key] for key in keys if key in self.pool])
         self._around(here, screened, families)
         return [self.pool[key] for key in keys if key in self.pool]
 
+    def _arrive(self, here: Tried, key: tuple[str, str], chosen: Callable[[], Addition]) -> None:
+        """Another refit of an effect that has not come below the model without it, of which that is a special case,
+        from a small amplitude; it has no answer if that fails too."""
+        known = self.pool.get(self._key(here, key))
+        if known is None or known.arrived.cost > here.arrived.cost + _NESTED:
+            one = chosen()
+            small = replace(one, start=_SMALL * one.start)
+            self._try(here, small, Start(here.arrived.values, here.arrived.initial))
+            known = self.pool.get(self._key(here, key))
+        if known is None or known.arrived.cost > here.arrived.cost + _NESTED:
+            self.failed[f"{key[0]} at {key[1]}"] = "no refit of it arrives"
+
     def _around(self, here: Tried, screened: Screened, families: dict[tuple[str, str], list[int]]) -> None:
         """Refits from the parameters of the most probable one, in its place; again where that finds a better one."""
         for _ in range(_AGAIN):
             tried = [self.pool[k] for key in families if (k := self._key(here, key)) in self.pool]
-            best = max(tried, key=lambda one: one.white.log, default=None)
+            best = max(tried, key=lambda one: one.log, default=None)
             if best is None or self._late():
                 return
             for one in self._instead(best, best.effects[-1], screened, families):
                 start = {n: v for n, v in best.arrived.values.items() if not n.startswith(f"{best.effects[-1].key}.")}
                 self._try(here, one, Start(start, best.arrived.initial))
-            now = max((self.pool[k].white.log for key in families if (k := self._key(here, key)) in self.pool))
-            if now <= best.white.log:
+            now = max((self.pool[k].log for key in families if (k := self._key(here, key)) in self.pool))
+            if now <= best.log:
                 return
 
     def _instead(
@@ -231,7 +255,7 @@ class Choice:
                     self.tell(f"exchange {member.label} for {one.label}")
                     made += self._tried((*rest, one), Start(start, best.arrived.initial))
                 made += self._tried(rest, Start(start, best.arrived.initial))
-            self._weigh(made)
+            self._weigh()
             ready = [one for one in made if one.beyond > BEYOND or not one.effects]
             top = max(ready, key=lambda one: one.log, default=None)
             # one more effect has to be worth it; one in place of another has to be more probable
@@ -260,59 +284,61 @@ class Choice:
         if known is not None and known.arrived.cost <= arrived.cost + 1e-6:
             return [known]
         made = self._counted(effects, arrived)
-        if made is not None and (known is None or made.white.log > known.white.log):
+        if made is not None and (known is None or made.log > known.log):
             self.pool[key] = made
         return [self.pool[key]] if key in self.pool else []
 
     def _counted(self, effects: tuple[Addition, ...], arrived: Arrived) -> Tried | None:
-        """A refit with its evidence by white noise."""
+        """A refit with its evidence."""
         try:
             with np.errstate(all="ignore"):
-                found = self._evidence(effects, arrived, colour=False)
+                null = self.path.residuals(effects, arrived)
+                priors = priors_of(null, self.path.parameters(effects), effects)
+                choices = float(np.prod([one.choices for one in effects]))
+                made = digest(null, priors, random=self._random(null), held=arrived.held, choices=choices)
+                found = evidence(made, self.levels)
         except FAILURES:
             return None
-        if not math.isfinite(found.log):
-            return None
-        return Tried(effects, arrived, found, None, _beyond(effects, arrived, found))
+        return Tried(effects, arrived, made, found) if math.isfinite(found.log) else None
 
-    def _evidence(self, effects: tuple[Addition, ...], arrived: Arrived, *, colour: bool | None) -> Evidence:
-        null = self.path.residuals(effects, arrived)
-        priors = priors_of(null, self.path.parameters(effects), effects)
+    def _random(self, null: NullModel) -> dict[str, dict[str, Array]] | None:
+        """Columns of the random amplitudes of combustions whose pressure was assumed."""
         scatter = scatter_of(null, self.refitter.data, self.cylinders) if self.cylinders is not None else ()
-        random = {r.name: scatter_columns(r, scatter) for r in null.records} if scatter else None
-        known = {name: s for name, (s, own) in self.null_fit.noise.items() if not own}
-        drawn = sum(math.log(one.choices) for one in effects)
-        return evidence(
-            null, priors, known=known, random=random, held=arrived.held, colour=colour, drawn=drawn
-        )
+        return {r.name: scatter_columns(r, scatter) for r in null.records} if scatter else None
 
-    def _weigh(self, tried: Sequence[Tried]) -> None:
-        """Count the evidence of the most probable ones with the noise that each leaves itself."""
-        order = sorted({id(one): one for one in tried}.values(), key=lambda one: -one.white.log)
-        alike = [t for t in order if t.white.log > order[0].white.log - math.log(FACTOR) or not t.effects]
-        for one in {id(t): t for t in [*order[:_WEIGHED], *alike]}.values():
-            if one.own is None:
-                try:
-                    with np.errstate(all="ignore"):
-                        one.own = self._evidence(one.effects, one.arrived, colour=None)
-                    one.beyond = _beyond(one.effects, one.arrived, one.own)
-                except FAILURES:
-                    self.failed[one.label] = "the noise that it leaves cannot be described"
+    def _weigh(self) -> None:
+        """Count every structure's evidence with the noise that the most probable one leaves."""
+        known = {name: s for name, (s, own) in self.null_fit.noise.items() if not own}
+        seen: set[Key] = set()
+        while True:
+            best = max(self.pool.values(), key=lambda one: one.log)
+            if best.key in seen:
+                return
+            seen.add(best.key)
+            try:
+                with np.errstate(all="ignore"):
+                    null = self.path.residuals(best.effects, best.arrived)
+                    self.levels = levels_left(null, known, self.levels.scatter, self._random(null))
+            except FAILURES:
+                return
+            for one in self.pool.values():
+                one.evidence = evidence(one.digest, self.levels)
 
     def _relevel(self, tried: Sequence[Tried]) -> None:
         """Go on at the levels that the most probable one leaves, where they are lower."""
-        best = max(tried, key=lambda one: one.white.log, default=None)
+        best = max(tried, key=lambda one: one.log, default=None)
         if best is None:
             return
-        levels = {n: min(s, best.white.noise.sigma.get(n, s)) for n, s in self.path.levels.items()}
+        self._weigh()
+        levels = {n: min(s, self.levels.sigma.get(n, s)) for n, s in self.path.levels.items()}
         if all(levels[n] > _RELEVELLED * s for n, s in self.path.levels.items()):
             return
         self.path.relevel(levels)
-        for one in sorted(tried, key=lambda one: -one.white.log):
+        for one in sorted(tried, key=lambda one: -one.log):
             if not self._late():
                 again = self.path.from_point(one.effects, one.arrived)
                 made = None if again is None else self._counted(one.effects, again)
-                if made is not None and made.white.log > one.white.log:
+                if made is not None and made.log > one.log:
                     self.pool[one.key] = made
 
     def _none(self, fit: Fit) -> Tried:
@@ -321,9 +347,13 @@ class Choice:
         arrived = self.path.at(fit.values, initial)
         made = self._counted((), arrived)
         if made is None:
-            made = Tried((), arrived, Evidence(-math.inf, -math.inf, self._stations[frozenset()].screened.noise, {}))
+            raise EstimationError(
+                "the model without effects cannot be simulated at its own optimum",
+                seen="residuals that are no numbers",
+                allowed="a fit that can be simulated over the records",
+                cure="give other start values, bounds, or a shorter record",
+            )
         self.pool[frozenset()] = made
-        self._weigh([made])
         return made
 
     def _null(self, tried: Tried) -> NullModel | None:
@@ -417,13 +447,3 @@ def _chosen(screened: Screened, step: OneStep, members: Sequence[int]) -> Additi
         size = BEYOND * float(screened.scores.error[k]) * (candidate.side or 1)
     whole = any(grid.whole for grid in candidate.source.effect.nuisance.values())
     return addition(candidate, size, len(members) if whole else 1)
-
-
-def _beyond(effects: Sequence[Addition], arrived: Arrived, found: Evidence) -> float:
-    """The least certain amplitude in its standard errors."""
-    least = math.inf
-    for one in effects:
-        own = [n for n in arrived.values if n.partition("@")[0] == one.amplitude]
-        sizes = [abs(arrived.values[n]) / found.error.get(n, math.inf) for n in own]
-        least = min(least, max(sizes, default=math.inf))
-    return least

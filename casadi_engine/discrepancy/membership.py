@@ -18,9 +18,9 @@ def ordered(effects: Sequence[Addition], pool: Mapping[Any, Any]) -> tuple[Addit
     """Effects so that each beginning is the most probable one of its length."""
     left, done = list(effects), list[Addition]()
     while left:
-        def log(one: Addition) -> tuple[float, float]:
+        def log(one: Addition) -> float:
             found = pool.get(frozenset(e.candidate.key for e in (*done, one)))
-            return (-math.inf, -math.inf) if found is None else (found.log, found.white.log)
+            return -math.inf if found is None else float(found.log)
 
         best = max(left, key=log)
         done.append(best)
