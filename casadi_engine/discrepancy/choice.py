@@ -41,6 +41,8 @@ _EXCHANGED, _AGAIN = 6, 3
 # A refit has arrived if chi-squared is no higher than without its effect, but for rounded corners; share of the
 # one-step amplitude from which it is tried again.
 _NESTED, _SMALL = 1.0, 0.02
+# Log likelihood that a further effect has to promise to be refitted.
+_NOTHING = 1.0
 # Levels that fall by this share are new ones, at which refits go on.
 _RELEVELLED = 0.7
 
@@ -154,7 +156,7 @@ class Choice:
         while True:
             best = self._most_probable(here, tried)
             gain = -math.inf if best is None else best.log - here.log
-            calibrated = bool(screened.significant) and not screened.noise.colour
+            calibrated = bool(screened.significant) and not screened.noise.colour and not self.levels.memory
             if best is None or not (calibrated or gain > math.log(FACTOR * max(known, 1))):
                 self._told(here, tried, None)
                 return None
@@ -183,6 +185,10 @@ class Choice:
         at_here = OneStep(-screened.scores.drop, screened.scores.amplitude, screened.scores.error)
         own = self._own_step(here, screened)
         order = sorted(families, key=lambda key: min(at_here.cost[k] for k in families[key]))
+        if here.effects:
+            # beside what was found the model is near the truth, and one step tells what has nothing to give
+            least = -2 * _NOTHING * max(self.levels.memory.values(), default=1.0)
+            order = [key for key in order if min(at_here.cost[k] for k in families[key]) < least]
         for number, key in enumerate(order):
             if self._late():
                 self.failed |= {f"{name} at {port}": "the time was up" for name, port in order[number:]}
@@ -191,7 +197,7 @@ class Choice:
             self._try(here, _chosen(screened, at_here, families[key]), Start(here.arrived.values, here.arrived.initial))
             if own is not None:
                 one = _chosen(screened, own, families[key])
-                if not self.path.linear(here.effects):
+                if not self.path.linear(()):
                     self._try(here, one, None, windows=True)
                 elif here.arrived.held:
                     self._try(here, one, None)
