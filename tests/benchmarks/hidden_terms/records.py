@@ -60,7 +60,9 @@ def case_of(kind: Kind, task: Task) -> Case:
     return Case(model, parameters, records[0], records[1], effects, values, sigma, clean)
 
 
-def with_terms(kind: Kind, model: Any, names: tuple[str, ...], values: Mapping[str, float]) -> Any:
+def with_terms(
+    kind: Kind, model: Any, names: tuple[str, ...], values: Mapping[str, float], *, sharp: bool = False
+) -> Any:
     """The model with true terms, starting at half their true size."""
     for name in names:
         one = kind.terms[name]
@@ -68,7 +70,7 @@ def with_terms(kind: Kind, model: Any, names: tuple[str, ...], values: Mapping[s
             key: values["event"] if value == "event" else value for key, value in one.nuisance.items()
         }
         start = {one.effect.amplitude.name: 0.5 * values[name], **nuisance}
-        model = model.with_effect(one.effect, at=one.at, values=start)
+        model = model.with_effect(one.effect, at=one.at, values=start, sharp=sharp)
     return model
 
 
