@@ -100,9 +100,14 @@ def test_a_kind_is_well_formed(name):
     used = {term for choice in kind.choices for part in choice.split("|") for term in part.split("+")}
     assert used <= set(kind.terms)
     for term, one in kind.terms.items():
-        if one.in_library:
+        if one.wrong:
+            assert term == f"parameter_{one.wrong}.wrong_value"
+            assert one.wrong in {declared.name for declared in model.declarations if not declared.vary}
+        if one.effect is not None:
             assert term == f"{one.at}.{one.effect.name}"
-            assert with_terms(kind, model, (term,), {term: one.amplitude}).effects[0].key == term
+            assert (
+                with_terms(kind, model, (term,), {term: one.amplitude, "event": 1.0}).effects[0].key == term
+            )
     free = [one for one in model.declarations if one.vary]
     assert all(one.min <= kind.truth[one.name] / 2 and 2 * kind.truth[one.name] <= one.max for one in free)
 
@@ -116,7 +121,7 @@ def test_tasks_have_keys_of_their_own_and_any_part_holds_all_ratios():
         assert {task.snr for task in tasks[:10]} == {10, 20, 30, 40}
         assert {task.noise for task in tasks} == {"white", "coloured", "quantised"}
         assert not any(task.deleted for task in nulls)
-        known = [one for one in kind.terms.values() if one.in_library]
+        known = [one for one in kind.terms.values() if one.effect is not None]
         assert any(task.declared for task in nulls) == bool(known)
 
 

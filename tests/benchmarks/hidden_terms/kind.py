@@ -27,29 +27,52 @@ _VARIED, _OFF = 1.2, (0.2, 0.5)
 class Hidden:
     """A true effect that may be deleted from the model.
 
-    amplitude : true size, in the unit of the effect's amplitude; nuisance : true values of its nuisance parameters
+    amplitude : true size, in the unit of the effect's amplitude; nuisance : true values of its nuisance parameters,
+        "event" for the instant at which something happens in a record
     effect, at : what writes the true structure, by ``model.with_effect``; None where the library has no such effect
+    wrong : the fixed parameter that is wrong by the share `amplitude`, "" for none: ``parameter_NAME.wrong_value``
     right : answers that count as right, ``port.effect``, shell patterns allowed; the term's own name always does
+    needs : outputs without which nothing is seen of it; unseen : manoeuvres in which nothing is seen of it
     """
 
     amplitude: float
     effect: Any = None
     at: str = ""
-    nuisance: Mapping[str, float] = field(default_factory=dict)
+    nuisance: Mapping[str, Any] = field(default_factory=dict)
     right: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ()
+    unseen: tuple[str, ...] = ()
+    wrong: str = ""
 
     @property
     def in_library(self) -> bool:
-        return self.effect is not None
+        """True if an answer can name it."""
+        return self.effect is not None or bool(self.wrong)
 
 
 @dataclass(frozen=True)
 class Manoeuvre:
-    """Times [s] (N,), inputs by name (N,), and the true states at the start."""
+    """Times [s] (N,), inputs by name (N,), and the true states at the start.
+
+    event : when a load comes or goes, if one does [s]: another instant in every record, as it is in life
+    """
 
     time: np.ndarray
     inputs: Mapping[str, np.ndarray]
     start: tuple[float, ...]
+    event: float = float("nan")
+
+    @classmethod
+    def of(
+        cls,
+        rng: np.random.Generator,
+        time: np.ndarray,
+        inputs: Mapping[str, np.ndarray],
+        start: Sequence[float],
+    ) -> Manoeuvre:
+        """A manoeuvre with an event somewhere in its middle half."""
+        event = float(time[0] + rng.uniform(0.25, 0.75) * (time[-1] - time[0]))
+        return cls(time, inputs, tuple(start), event)
 
 
 @dataclass(frozen=True)
@@ -129,7 +152,7 @@ def tasks_of(kind: Kind) -> list[Task]:
 
 def nulls_of(kind: Kind) -> list[Task]:
     """The nulls of a kind: nothing deleted; every third has a term of the library in truth and in the model."""
-    known = [name for name, one in kind.terms.items() if one.in_library]
+    known = [name for name, one in kind.terms.items() if one.effect is not None]
     return [
         _task(kind, number, f"|{known[number // 3 % len(known)]}" if number % 3 == 2 and known else "")
         for number in range(NULLS)
@@ -139,6 +162,13 @@ def nulls_of(kind: Kind) -> list[Task]:
 def _task(kind: Kind, number: int, choice: str) -> Task:
     deleted, _, declared = choice.partition("|")
     turn = number + number // len(kind.choices)
+    there = [one for one in choice.replace("|", "+").split("+") if one]
+    needed = {name for one in there for name in kind.terms[one].needs}
+    # a term of a sensor needs its sensor
+    needed |= {one.partition(".")[0].removeprefix("sensor_") for one in there if one.startswith("sensor_")}
+    unseen = {name for one in there for name in kind.terms[one].unseen}
+    pairs = [pair for pair in kind.pairs if pair[0] not in unseen]
+    ways = [way for way in kind.outputs if needed <= set(way)]
     return Task(
         kind.name,
         number,
@@ -147,8 +177,8 @@ def _task(kind: Kind, number: int, choice: str) -> Task:
         kind.absent[number % len(kind.absent)] if kind.absent and number % 5 == 4 else "",
         SNRS[turn % len(SNRS)],
         NOISES[turn // 2 % len(NOISES)],
-        kind.outputs[turn % len(kind.outputs)],
-        kind.pairs[turn % len(kind.pairs)],
+        ways[turn % len(ways)],
+        pairs[turn % len(pairs)],
     )
 
 

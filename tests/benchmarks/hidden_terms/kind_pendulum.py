@@ -32,7 +32,7 @@ def model(outputs):
 
 
 def course(v, run):
-    m, length = v["m"], v["L"]
+    m, length = v["m"] * (1 + v.get("parameter_m.wrong_value", 0.0)), v["L"]
     inertia = m * length**2
     drag, cogging = v.get("pivot.quadratic_drag", 0.0), v.get("pivot.cogging", 0.0)
     constant, dry = v.get("pivot.constant_torque", 0.0), v.get("pivot.coulomb_friction", 0.0)
@@ -51,17 +51,17 @@ def course(v, run):
 
 def decay(rng):
     time = 0.03 * np.arange(600)
-    return Manoeuvre(time, {"T": 0 * time}, (float(rng.uniform(1.0, 1.8)), float(rng.uniform(-1, 1))))
+    return Manoeuvre.of(rng, time, {"T": 0 * time}, (float(rng.uniform(1.0, 1.8)), float(rng.uniform(-1, 1))))
 
 
 def driven(rng):
     time = 0.03 * np.arange(700)
-    return Manoeuvre(time, {"T": sines(rng, time, 1.2, (0.11, 0.37, 0.83, 1.31))}, (0.0, 0.0))
+    return Manoeuvre.of(rng, time, {"T": sines(rng, time, 1.2, (0.11, 0.37, 0.83, 1.31))}, (0.0, 0.0))
 
 
 def pushed(rng):
     time = 0.03 * np.arange(600)
-    return Manoeuvre(time, {"T": levels(rng, 600, 40, -1.0, 1.0)}, (0.0, 0.0))
+    return Manoeuvre.of(rng, time, {"T": levels(rng, 600, 40, -1.0, 1.0)}, (0.0, 0.0))
 
 
 KIND = Kind(
@@ -74,6 +74,7 @@ KIND = Kind(
         "pivot.constant_torque": Hidden(0.15, ce.effects.ConstantTorque(), "pivot"),
         "sensor_phi.sensor_offset": Hidden(0.12, ce.effects.SensorOffset(), "sensor_phi"),
         "pivot.cogging": Hidden(0.10),
+        "parameter_m.wrong_value": Hidden(0.3, wrong="m", unseen=("decay",)),
     },
     choices=(
         "pivot.coulomb_friction",
@@ -83,6 +84,7 @@ KIND = Kind(
         "pivot.cogging",
         "pivot.coulomb_friction|pivot.constant_torque",
         "pivot.constant_torque",
+        "parameter_m.wrong_value",
     ),
     model=model,
     outputs=(("phi", "gyro"), ("phi",)),

@@ -45,17 +45,19 @@ def course(v, run):
 
 def swept(rng):
     time = 1e-3 * np.arange(800)
-    return Manoeuvre(time, {"U": sines(rng, time, 12.0, (9.0, 23.0, 41.0, 57.0))}, (0.0, 0.0))
+    return Manoeuvre.of(rng, time, {"U": sines(rng, time, 12.0, (9.0, 23.0, 41.0, 57.0))}, (0.0, 0.0))
 
 
 def switched(rng):
     time = 1e-3 * np.arange(800)
-    return Manoeuvre(time, {"U": levels(rng, 800, 50, -12.0, 12.0)}, (0.0, 0.0))
+    return Manoeuvre.of(rng, time, {"U": levels(rng, 800, 50, -12.0, 12.0)}, (0.0, 0.0))
 
 
 def discharged(rng):
     time = 1e-3 * np.arange(500)
-    return Manoeuvre(time, {"U": levels(rng, 500, 125, -8.0, 8.0)}, (float(rng.uniform(1.5e-3, 3e-3)), 0.0))
+    return Manoeuvre.of(
+        rng, time, {"U": levels(rng, 500, 125, -8.0, 8.0)}, (float(rng.uniform(1.5e-3, 3e-3)), 0.0)
+    )
 
 
 KIND = Kind(

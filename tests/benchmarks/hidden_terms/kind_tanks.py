@@ -65,7 +65,7 @@ def model(outputs):
 def course(v, run):
     over, leak = v.get("upper.overflow", 0.0), v.get("upper.leak", 0.0)
     inflow, clog = v.get("lower.constant_torque", 0.0), v.get("upper.clogging", 0.0)
-    valve, opened = v.get("upper.load_step", 0.0), float(run.time[0] + 0.4 * (run.time[-1] - run.time[0]))
+    valve, opened = v.get("upper.load_step", 0.0), run.event
 
     def rate(t, x, u):
         h1, h2 = x
@@ -81,13 +81,13 @@ def course(v, run):
 
 def steps(rng):
     time = 4.0 * np.arange(500)
-    return Manoeuvre(time, {"u": levels(rng, 500, 50, 2.5, 8.5)}, (0.05, 0.04))
+    return Manoeuvre.of(rng, time, {"u": levels(rng, 500, 50, 2.5, 8.5)}, (0.05, 0.04))
 
 
 def waves(rng):
     time = 4.0 * np.arange(500)
     u = 5.3 + sines(rng, time, 3.0, (1 / 1100, 1 / 430, 1 / 190))
-    return Manoeuvre(time, {"u": u}, (0.18, 0.15))
+    return Manoeuvre.of(rng, time, {"u": u}, (0.18, 0.15))
 
 
 KIND = Kind(
@@ -99,6 +99,7 @@ KIND = Kind(
         "upper.leak": Hidden(5e-6, Leak(), "upper"),
         "lower.constant_torque": Hidden(8e-6, ce.effects.ConstantTorque(), "lower"),
         "sensor_y2.sensor_offset": Hidden(0.03, ce.effects.SensorOffset(), "sensor_y2"),
+        "upper.load_step": Hidden(1.2e-5, ce.effects.LoadStep(), "upper", {"time": "event"}),
         "upper.clogging": Hidden(0.4),
     },
     choices=(
@@ -109,6 +110,7 @@ KIND = Kind(
         "upper.overflow+lower.constant_torque",
         "upper.clogging",
         "upper.overflow|upper.leak",
+        "upper.load_step",
     ),
     model=model,
     outputs=(("y1", "y2"),),

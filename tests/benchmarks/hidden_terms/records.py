@@ -40,6 +40,7 @@ def case_of(kind: Kind, task: Task) -> Case:
     free = [one.name for one in model.declarations if one.vary]
     values = true_values(kind, task, free)
     runs = [kind.manoeuvres[name](task.rng(f"manoeuvre {k}")) for k, name in enumerate(task.pair)]
+    values["event"] = runs[0].event
     courses = [kind.course(values, run) for run in runs]
     sigma = {name: float(np.std(courses[0][name])) * 10 ** (-task.snr / 20) for name in task.outputs}
     records = []
@@ -59,12 +60,17 @@ def case_of(kind: Kind, task: Task) -> Case:
     return Case(model, parameters, records[0], records[1], effects, values, sigma, clean)
 
 
-def with_terms(kind: Kind, model: Any, names: tuple[str, ...], values: Mapping[str, float]) -> Any:
+def with_terms(
+    kind: Kind, model: Any, names: tuple[str, ...], values: Mapping[str, float], *, sharp: bool = False
+) -> Any:
     """The model with true terms, starting at half their true size."""
     for name in names:
         one = kind.terms[name]
-        start = {one.effect.amplitude.name: 0.5 * values[name], **one.nuisance}
-        model = model.with_effect(one.effect, at=one.at, values=start)
+        nuisance = {
+            key: values["event"] if value == "event" else value for key, value in one.nuisance.items()
+        }
+        start = {one.effect.amplitude.name: 0.5 * values[name], **nuisance}
+        model = model.with_effect(one.effect, at=one.at, values=start, sharp=sharp)
     return model
 
 
