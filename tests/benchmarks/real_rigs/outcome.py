@@ -91,24 +91,28 @@ def _number(value: Any) -> float | None:
 
 def _classes(effect: Any) -> list[str]:
     """Keys of a class, the lead first."""
-    return list(dict.fromkeys([effect.key, *(f"{m.at}.{m.name}" for m in effect.members)]))
+    keys = [(effect.at, effect.name), *((m.at, m.name) for m in effect.members)]
+    return list(dict.fromkeys(at if at.startswith("parameter_") else f"{at}.{name}" for at, name in keys))
 
 
 def outcome(verdict: str | None, classes: list[list[str]], truth: Iterable[set[str]]) -> str:
-    """The answer in one word, by the truth: each member of it is a complete right answer; none for "unnamed" alone.
+    """The answer in one word, by the truth: each member of it is a complete right answer, an empty one "unnamed".
+
+    A parameter that is freed is known by its port, ``parameter_NAME``, whatever the effect is called.
 
     >>> outcome("named", [["a.x"]], [{"a.x"}]), outcome("class", [["a.y", "a.x"]], [{"a.x"}])
     ('right', 'in class')
     >>> outcome("named", [["a.x"], ["b.y"]], [{"a.x"}]), outcome("named", [["a.x"]], [{"a.x", "b.y"}])
     ('right and more', 'in part')
-    >>> outcome("unnamed", [], [{"a.x"}]), outcome("named", [["b.z"]], [{"a.x"}]), outcome("unnamed", [], [])
+    >>> outcome("unnamed", [], [{"a.x"}]), outcome("named", [["b.z"]], [{"a.x"}]), outcome("unnamed", [], [set()])
     ('unnamed', 'wrong', 'right')
     """
     right = [frozenset(one) for one in truth]
     if verdict is None:
         return "no answer"
     if not classes:
-        return "right" if verdict == "unnamed" and not right else verdict
+        return "right" if verdict == "unnamed" and frozenset() in right else verdict
+    right = [one for one in right if one]
     leads = frozenset(one[0] for one in classes)
     if leads in right:
         return "right"
