@@ -22,6 +22,7 @@ from casadi_engine.experiment.slicing import crank_angle
 Array = NDArray[np.float64]
 
 SEGMENT = 0.007  # s: what is unknown at crank and load may change this often, or more
+MOST_SEGMENTS = 8  # of a combustion
 FIRST_LOOK = 2  # engine cycles from which the usual strength is taken at first
 FEWEST = 8  # samples of a combustion
 LONGEST_LAG = 6
@@ -176,7 +177,7 @@ def misfires(
     noise = _noise(fit, output, sigma)
     disturbances = Disturbances(float(step), float(road))
     plant = make_plant(fit, output, tables.enter, h, disturbances)
-    pieces = max(1, math.ceil(float(np.diff(edges).mean()) * h / SEGMENT))
+    pieces = min(MOST_SEGMENTS, max(1, math.ceil(float(np.diff(edges).max()) * h / SEGMENT)))
     segments = cut_segments(theta[None], omega[None], valid[None], edges[None], pieces, plant, tables, noise)
     found = smooth(
         plant, disturbances, Prior(lost, scatter), segments, omega[valid][:1],

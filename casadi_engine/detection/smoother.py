@@ -17,7 +17,7 @@ from casadi_engine.detection.segments import Segments
 Array = NDArray[np.float64]
 
 LEVEL_GAIN = 0.15  # with which the usual strength follows
-LEVEL_DOUBT = 0.15  # of the usual strength, common to the combustions within the lag
+LEVEL_DOUBT = 0.1  # of the usual strength, common to the combustions within the lag
 LEAST_LEVEL = 0.02  # of the strength in the fit
 WIDE = 3.0  # standard deviation of a strength of which nothing is known [1]
 NOISES = 4  # torque on the engine, torque on the load, the road's part, motored gas torque

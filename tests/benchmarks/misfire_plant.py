@@ -73,10 +73,11 @@ def simulate_long(
     governed: bool = True,
     cylinders: Cylinders | None = None,
     sweep: Callable[[float], float] | None = None,
+    seconds: float | None = None,
 ):
     """theta and omega (records, N) of an engine whose combustions `lost` (records, 4, cycles + 2) do not burn.
 
-    sweep : the governed speed as a function of time [RPM]; all records are as long as the slowest
+    sweep : the governed speed as a function of time [RPM]; seconds : length of the records, left out that of the cycles
     """
     shaft, people = two_mass_shaft() if shaft is None else shaft, unequal_cylinders() if cylinders is None else cylinders
     shaking = Shaking() if shaking is None else shaking
@@ -87,7 +88,7 @@ def simulate_long(
     engine, state = warm_up(Plant(shaft, one, lambda _t: load), rpm * np.pi / 30)
     strength = engine.strength / (1 - lost.mean(axis=(1, 2)) if governed else 1.0)
     h, n = 1 / rate, shaft.size
-    count = round((events - 2) * 120 / rpm * rate * 1.0) if sweep is None else round((events - 2) * rate)
+    count = round(rate * ((events - 2) * 120 / rpm if seconds is None else seconds))
     outside = shaking.torques(count, h, records, random)
     outside[:, 1] += load
     enter = np.column_stack([shaft.torque_columns(), np.zeros((2 * n, 2))])
@@ -110,8 +111,9 @@ def simulate_long(
         number = np.clip(event_number(at - TDC[:, None]).astype(int), 0, events - 1) if k % 8 == 0 else event
         fresh = number != event
         if fresh.any():
-            target = state[1] if sweep is None else sweep(k * h) * np.pi / 30
-            more = (asked + shaft.inertia.sum() / RETURN * (target - slow)) * governed
+            target, later = (state[1], state[1]) if sweep is None else np.pi / 30 * np.array([sweep(k * h), sweep(k * h + 1)])
+            more = (asked + shaft.inertia.sum() * ((target - slow) / RETURN + later - target)) * governed
+            more += shaft.absolute_damping.sum() * (target - state[1])
             now = strength * np.clip(1 + more / (usual - motored), 0.1, 3.0)
             drawn = factors[every, np.arange(4)[:, None], number]
             burn, event = np.where(fresh, now * drawn, burn), number
