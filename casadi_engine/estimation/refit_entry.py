@@ -39,12 +39,12 @@ Array = NDArray[np.float64]
 _FALL, _SHARE, _HALF = 5e-5, 1e-3, 0.5
 # Longest step of a logarithm, or of a number in units of its size; a number that starts at 0 has none.
 _LONGEST = 1.5
-# Changes of half chi-squared by closing gaps that count as none, and how often they are closed.
-_CLOSED, _CLOSINGS = 1e-6, 6
+# Gaps that count as none, by their effect on chi-squared as a share of that fall, and how often they are closed.
+_CLOSED, _CLOSINGS = 1e-2, 6
 # Rounds of shorter integration steps, each with a few steps from where the last one ended.
 _SHORTENED = 4
 # Growth of a window from one horizon to the next.
-_GROWTH = 4
+_GROWTH = 8
 
 
 @dataclass(frozen=True)
@@ -249,14 +249,21 @@ class RefitProblem:
             found = minimise(windows, v, low, high, fall=fall, steps=most, longest=self._longest)
             assert found is not None  # it was evaluated above
             v, converged = windows.best.v, found.converged
-            closed = not last or windows.closed() <= fall
-            if closed and (not last or before < 2 * max(windows.best.squares.cost, self.count)):
-                break
-        for _ in range(_CLOSINGS if last else 0):
-            if windows.closed() <= _CLOSED * unit:
+            if not last or (
+                self._closed(windows, fall) and before < 2 * max(windows.best.squares.cost, self.count)
+            ):
                 break
         self._steps += windows.evaluations
         return windows.best, "converged" if converged else f"the {most} steps over a horizon ran out"
+
+    def _closed(self, windows: Windows, fall: float) -> bool:
+        """Close the gaps; True if the cost is the one that the search ended at."""
+        begun = windows.best.squares.cost
+        for _ in range(_CLOSINGS):
+            if windows.gaps <= _CLOSED * fall:
+                break
+            windows.closed()
+        return abs(windows.best.squares.cost - begun) <= fall
 
     def _longest(self, v: Array) -> Array:
         size = np.where(self.coordinates.log, 1.0, np.maximum(1.0, np.abs(v)))

@@ -154,6 +154,12 @@ class Windows:
         assert self.here is not None  # a search has begun
         return self.here
 
+    @property
+    def gaps(self) -> float:
+        """By how much closing the gaps at the best point may change the cost: the square of what it does to first
+        order."""
+        return sum(own.gaps * float(own.squares[-1, -1]) for own in self.best.records)
+
     def closed(self) -> float:
         """Close the gaps at the best point by one more evaluation there; how much the cost has changed."""
         here = self.best
