@@ -67,10 +67,10 @@ class Fineness:
 class RungeKuttaTrajectory:
     """States and sensitivities; shapes as in ``LinearTrajectory``, but no interval shares one.
 
-    x : (L+1, n, M) states at the samples; s : (S+1, M, n, n+nz) sensitivities of the steps' starts to (start, z)
-    begun : (S+1, n, M) states at the steps' starts; stages : (4, S, M, n, n+nz) of their stage values
-    by_x : (4, S, M, n, n) slopes' derivatives; at_stage : (4, n, S*M) stage values
-    a : (S, M, n, n) steps' derivatives to the state; out : (L, M, ny, n+nz) outputs' to (x, z)
+    x : (L+1, n, M) states at the samples; K steps of all intervals as in ``StepLayout``, M ends behind them:
+    begun : (n, K+M) states where they begin; s : (K+M, n, n+nz) their sensitivities to (start, z)
+    stages : (4, K, n, n+nz) of the stage values; by_x : (4, K, n, n) slopes' derivatives; at_stage : (4, n, K) values
+    a : (K, n, n) steps' derivatives to the state; out : (L, M, ny, n+nz) outputs' to (x, z)
     """
 
     x: Array
@@ -93,12 +93,12 @@ class RungeKuttaTrajectory:
     def end_z(self) -> Array:
         """(nz, n, M)."""
         n = self.x.shape[1]
-        return np.ascontiguousarray(self.s[-1][:, :, n:].transpose(2, 1, 0))
+        return np.ascontiguousarray(self.s[-self.x.shape[2] :, :, n:].transpose(2, 1, 0))
 
     @property
     def end_s(self) -> Array:
         """(M, n, n)."""
-        return self.s[-1][:, :, : self.x.shape[1]]
+        return self.s[-self.x.shape[2] :, :, : self.x.shape[1]]
 
 
 class RungeKuttaPropagator:
@@ -176,43 +176,37 @@ class RungeKuttaPropagator:
         Each step is compared with two of half the length; what it is off by is carried through the later ones by the
         sensitivities. By cells it is the size of what arises there, relative to the largest state.
         """
-        layout, plan, n, parts = self.layout, self.intervals, self.n, self.slope.parts
-        count, steps = plan.m, layout.steps
-        flat = [rows.reshape(len(rows), steps * count) for rows in (layout.low, layout.high)]
-        time, half = layout.time.ravel(), 0.5 * layout.length.ravel()
-        middle = 0.5 * (flat[0] + flat[1])
-        begun = path.begun[::parts]
-        start = np.ascontiguousarray(begun[:-1].transpose(1, 0, 2)).reshape(n, -1)
+        layout, plan, n, count = self.layout, self.intervals, self.n, self.intervals.m
+        whole = np.flatnonzero(layout.part[: layout.steps] == 0)
+        ends = whole
+        for _ in range(self.slope.parts):
+            ends = layout.after[ends]
+        low, high = layout.low[:, whole], layout.high[:, whole]
+        time, half, middle = layout.time[whole], 0.5 * layout.length[whole], 0.5 * (low + high)
         with np.errstate(all="ignore"):
-            x = advance(self.slope, self._scheme, z, start, flat[0], middle, time, half)
-            x = advance(self.slope, self._scheme, z, x, middle, flat[1], time + half, half)
-        own = self._scheme.richardson * (
-            x.reshape(n, steps, count).transpose(1, 2, 0) - begun[1:].transpose(0, 2, 1)
-        )
-        own[layout.length == 0] = 0.0
-        carried = np.zeros((steps * parts + 1, count, n))
-        for k in range(steps * parts):
-            carried[k + 1] = (path.a[k] @ carried[k][..., None])[..., 0]
-            if (k + 1) % parts == 0:
-                carried[k + 1] += own[k // parts]
-        joined = np.zeros((count, n))
+            x = advance(self.slope, self._scheme, z, path.begun[:, whole], low, middle, time, half)
+            x = advance(self.slope, self._scheme, z, x, middle, high, time + half, half)
+        own = self._scheme.richardson * (x - path.begun[:, ends]).T
+        carried, arises = np.zeros((2, layout.steps + count, n))
+        arises[ends] = own
+        for steps, after in layout:
+            carried[after] = (path.a[steps] @ carried[steps][..., None])[..., 0] + arises[after]
+        joined, last = np.zeros((count, n)), layout.steps + np.arange(count)
         for i in range(count - 1):
-            joined[i + 1] = path.s[-1, i, :, :n] @ joined[i] + carried[-1, i]
-        carried += (path.s[..., :n] @ joined[..., None])[..., 0]
-        at = parts * layout.at[: plan.length]
-        off = (path.out[..., :n] @ carried[at, np.arange(count)][..., None])[..., 0]
-        size = np.abs(begun).max(axis=(0, 2)) + 1e-300
+            joined[i + 1] = path.end_s[i] @ joined[i] + carried[last[i]]
+        at = layout.at[: plan.length]
+        each = carried[at] + (path.s[at, :, :n] @ joined[None, :, :, None])[..., 0]
+        off = (path.out[..., :n] @ each[..., None])[..., 0]
+        size = np.abs(path.begun).max(axis=1) + 1e-300
         sizes = np.nan_to_num(np.abs(own / size).max(axis=-1), nan=np.inf, posinf=np.inf)
-        real = layout.cell >= 0
-        counted = np.bincount(layout.cell[real], sizes[real], minlength=self.grid.samples - 1)
-        cells = counted.astype(np.float64)
+        cells = np.bincount(layout.cell[whole], sizes, minlength=self.grid.samples - 1).astype(np.float64)
         return to_rows(plan, off.transpose(2, 0, 1)[None])[0], cells
 
     def _lay(self, fineness: Fineness) -> None:
         if int(fineness.counts.sum()) > self._most + len(fineness.counts):
             raise FloatingPointError("the equations ask for more integration steps than are allowed")
         self._fineness = fineness
-        self.layout: StepLayout = lay_steps(self.grid, self.intervals, fineness.counts)
+        self.layout: StepLayout = lay_steps(self.grid, self.intervals, fineness.counts, self.slope.parts)
         self._sweeps = Sweeps(self.slope, fineness.scheme, self.layout)
 
     @contextmanager
@@ -311,17 +305,21 @@ class RungeKuttaPropagator:
 
     def _stiff_at(self, z: Array, nodes: Array) -> bool:
         """True if an explicit step may be unstable at the intervals' starts."""
-        layout = self.layout
+        layout, at = self.layout, self.layout.at[0]
         known = self.slope.known(
-            layout.low[:, 0], layout.high[:, 0], layout.time[0], layout.length[0], 0.0, np.zeros(len(nodes))
+            layout.low[:, at],
+            layout.high[:, at],
+            layout.time[at],
+            layout.length[at],
+            0.0,
+            np.zeros(len(nodes)),
         )
         by_x = self.slope.newton(np.ascontiguousarray(nodes.T), known, z)[1]
         return _growth(by_x.reshape(self.n, self.n, -1).T[None]) > 0.2
 
     def _at_samples(self, begun: Array) -> Array:
-        """(L+1, n, M) of states (S+1, n, M) at the steps' starts."""
-        at = self.slope.parts * self.layout.at
-        return np.ascontiguousarray(begun[at, :, np.arange(at.shape[1])].transpose(0, 2, 1))
+        """(L+1, n, M) of states (n, K+M) at the steps' starts."""
+        return np.ascontiguousarray(begun[:, self.layout.at].transpose(1, 0, 2))
 
     def _values(self, z: Array, begun: Array) -> RungeKuttaTrajectory:
         x, four, five = self._at_samples(begun), np.zeros((0,) * 4), np.zeros((0,) * 5)
@@ -331,19 +329,19 @@ class RungeKuttaPropagator:
     def _sensitivities(
         self, z: Array, begun: Array, at_stage: Array, by_x: Array, by_z: Array
     ) -> RungeKuttaTrajectory:
-        n, plan = self.n, self.intervals
+        n, layout, plan = self.n, self.layout, self.intervals
         slopes, stages = stage_sensitivities(self._scheme, by_x, by_z)
-        step = step_sensitivities(self._scheme, slopes)
-        a = np.ascontiguousarray(step[..., :n])
-        s = np.zeros((len(step) + 1, plan.m, n, n + self.nz))
-        s[0, :, :, :n] = np.eye(n)
-        for k in range(len(step)):
-            np.matmul(a[k], s[k], out=s[k + 1])
-            s[k + 1, :, :, n:] += step[k, :, :, n:]
+        step = np.ascontiguousarray(step_sensitivities(self._scheme, slopes))
+        a, b = np.ascontiguousarray(step[..., :n]), step[..., n:]
+        s = np.zeros((layout.steps + plan.m, n, n + self.nz))
+        s[layout.at[0], :, :n] = np.eye(n)
+        for steps, after in layout:
+            found = a[steps] @ s[steps]
+            found[..., n:] += b[steps]
+            s[after] = found
         x = self._at_samples(begun)
-        at = self.slope.parts * self.layout.at[: plan.length]
         value, out = self.outputs.slopes(x, z)
-        full = out[..., :n] @ s[at, np.arange(plan.m)]
+        full = out[..., :n] @ s[layout.at[: plan.length]]
         full[..., n:] += out[..., n:]
         y = np.concatenate([value[None], full[..., n:].transpose(3, 2, 0, 1)])
         ys = to_rows(plan, full[..., :n].transpose(3, 2, 0, 1)).transpose(1, 2, 3, 0)
@@ -358,31 +356,29 @@ class RungeKuttaPropagator:
         self, z: Array, path: RungeKuttaTrajectory, rho: Array, lam: Array
     ) -> tuple[Array, Array, Array]:
         """Second derivatives of sum(rho * y) + sum(lam * end): (z, z), (z, start) and (start, start)."""
-        z, plan, n = np.asarray(z, dtype=float), self.intervals, self.n
+        z, plan, n, layout = np.asarray(z, dtype=float), self.intervals, self.n, self.layout
         weights = from_rows(plan, rho, self.ny)
-        at = self.slope.parts * self.layout.at[: plan.length]
-        pull = np.einsum("pym,pmya->pma", weights, path.out[..., :n])
-        steps = len(path.a)
-        mu = np.zeros((steps + 1, plan.m, n))
-        np.add.at(mu, (at, np.arange(plan.m)), pull)
-        mu[-1] += lam.T
-        for k in range(steps - 1, -1, -1):
-            mu[k] += (mu[k + 1][:, None, :] @ path.a[k])[:, 0]
-        total = self.outputs.contracted(path.x, z, weights, path.s[at, np.arange(plan.m)])
-        nu = stage_multipliers(self._scheme, path.by_x, mu[1:])
-        sweeps = self._sweeps
+        at = layout.at[: plan.length]
+        mu = np.zeros((layout.steps + plan.m, n))
+        np.add.at(mu, at, np.einsum("pym,pmya->pma", weights, path.out[..., :n]))
+        mu[layout.steps :] += lam.T
+        for steps, after in reversed(layout):
+            mu[steps] += (mu[after][:, None, :] @ path.a[steps])[:, 0]
+        total = self.outputs.contracted(path.x, z, weights, path.s[at])
+        nu = stage_multipliers(self._scheme, path.by_x, mu[layout.after])
+        sweeps, start = self._sweeps, path.s[: layout.steps]
         assert sweeps is not None  # the path was propagated
-        start = path.s[:-1]
+        bent = np.zeros((layout.steps, n + self.nz, n + self.nz))
         for i in range(self._scheme.stages):
             # stage values to (interval's start, z): through the step's start, and directly
-            basis = np.zeros((steps, plan.m, n + self.nz, n + self.nz))
-            basis[:, :, :n] = path.stages[i][..., :n] @ start
-            basis[:, :, :n, n:] += path.stages[i][..., n:]
-            basis[:, :, n:, n:] = np.eye(self.nz)
-            flat = np.ascontiguousarray(nu[i].transpose(2, 0, 1)).reshape(n, -1)
-            bend = self.slope.second(path.at_stage[i], sweeps.known[i], z, flat)
-            inner = bend.transpose(2, 0, 1).reshape(steps, plan.m, n + self.nz, n + self.nz)
-            total = total + (basis.swapaxes(-1, -2) @ inner @ basis).sum(axis=0)
+            basis = np.zeros_like(bent)
+            basis[:, :n] = path.stages[i][..., :n] @ start
+            basis[:, :n, n:] += path.stages[i][..., n:]
+            basis[:, n:, n:] = np.eye(self.nz)
+            flat = np.ascontiguousarray(nu[i].T)
+            inner = self.slope.second(path.at_stage[i], sweeps.known[i][:, : layout.steps], z, flat)
+            bent += basis.swapaxes(-1, -2) @ inner.transpose(2, 0, 1) @ basis
+        np.add.at(total, layout.interval, bent)
         return (
             total[:, n:, n:].sum(axis=0),
             np.ascontiguousarray(total[:, n:, :n].transpose(1, 2, 0)),

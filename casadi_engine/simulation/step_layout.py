@@ -1,11 +1,13 @@
 """The integration steps between the samples of a record, laid out for all shooting intervals side by side.
 
-Each cell of the grid, from one sample to the next, is cut into a number of steps of its own. Intervals with fewer steps
-than the longest are filled up with steps of length 0, which change nothing.
+Each cell of the grid, from one sample to the next, is cut into a number of steps of its own. Row by row stand the first
+steps of all intervals, then the second ones, and so on: a row holds the intervals that still have a step, so that one
+interval which passes a corner costs its own steps and none of the others'.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,57 +17,126 @@ from casadi_engine.simulation.grid import Grid
 from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.jets import Array
 
+Index = NDArray[np.intp]
+
 
 @dataclass(frozen=True)
 class StepLayout:
-    """S steps of M intervals.
+    """K steps of M intervals, or parts of steps that are cut at instants of their own; behind them M fillers of length
+    0, which stand at the intervals' ends.
 
-    time, length : (S, M) where a step begins and how long it is [s]; low, high : (nu, S, M) the channels at its ends
-    at : (L+1, M) number of the step that begins at each sample of the intervals (S where there is none)
-    cell : (S, M) number of the grid's cell that a step lies in, -1 for the fillers
+    rows : (S+1,) where each row of steps begins, K last
+    time, length : (K+M,) where the whole step begins and how long it is [s]; low, high : (nu, K+M) the channels at its
+    ends; part : (K+M,) number of the step's part; cell : (K,) number of the grid's cell that it lies in
+    at : (L+1, M) number of the step that begins at each sample of the intervals; K + m at the end of interval m
+    after : (K,) number of what follows each step in its interval
     """
 
+    rows: Index
     time: Array
     length: Array
     low: Array
     high: Array
-    at: NDArray[np.intp]
-    cell: NDArray[np.intp]
+    part: Index
+    cell: Index
+    at: Index
+    after: Index
 
     @property
     def steps(self) -> int:
-        """S."""
-        return len(self.time)
+        """K."""
+        return len(self.cell)
+
+    @property
+    def interval(self) -> Index:
+        """(K,) number of the interval of each step."""
+        found = np.empty(self.steps + self.intervals, np.intp)
+        found[self.steps :] = np.arange(self.intervals)
+        for own, after in reversed(self):
+            found[own] = found[after]
+        return found[: self.steps]
+
+    @property
+    def intervals(self) -> int:
+        """M."""
+        return self.at.shape[1]
+
+    def __iter__(self) -> Iterator[tuple[slice, Index]]:
+        """The rows one after the other: their steps, and the numbers of what follows these."""
+        for low, high in zip(self.rows[:-1], self.rows[1:], strict=True):
+            yield slice(int(low), int(high)), self.after[low:high]
+
+    def __reversed__(self) -> Iterator[tuple[slice, Index]]:
+        """The same, backward."""
+        return reversed(list(self))
 
 
-def lay_steps(grid: Grid, plan: Intervals, counts: NDArray[np.intp]) -> StepLayout:
-    """The steps of a record; counts : (N-1,) steps of each of the grid's cells, 1 or more."""
+def lay_steps(grid: Grid, plan: Intervals, counts: Index, parts: int = 1) -> StepLayout:
+    """The steps of a record; counts : (N-1,) steps of each of the grid's cells, 1 or more; parts : of each step."""
     m, length, cells = plan.m, plan.length, grid.samples - 1
     padded = np.zeros(m * length, np.intp)
     padded[:cells] = counts
     before = np.concatenate([[0], np.cumsum(padded)])
     starts = before[:-1].reshape(m, length)
-    at = np.concatenate([starts, before[length::length, None]], axis=1) - starts[:, :1]
-    size = max(int(at[:, -1].max()), 1)
+    inside = np.concatenate([starts, before[length::length, None]], axis=1) - starts[:, :1]
+    sizes = inside[:, -1]
+    rank = np.empty(m, np.intp)
+    rank[np.argsort(-sizes, kind="stable")] = np.arange(m)
+    size = int(sizes.max(initial=0))
+    active = m - np.cumsum(np.bincount(sizes, minlength=size + 1))[:size]
+    rows = np.concatenate([[0], parts * np.cumsum(active)]).astype(np.intp)
+    # steps in order of time, and the number that each has in the layout
     cell = np.repeat(np.arange(m * length), padded)
-    interval = cell // length
-    row = np.arange(len(cell)) - before[interval * length]
-    part = np.arange(len(cell)) - before[cell]
-    whole = np.maximum(padded, 1)[cell]
-    times = grid.time
-    duration = np.diff(times)
-    # Fillers stand at the end of their interval, where the model can be evaluated.
-    last = np.minimum(length * np.arange(1, m + 1), cells)
-    time, step = np.tile(times[last], (size, 1)), np.zeros((size, m))
-    time[row, interval] = times[cell] + duration[cell] * (part / whole)
-    step[row, interval] = duration[cell] / whole
-    where = np.full((size, m), -1, np.intp)
-    where[row, interval] = cell
-    low = np.tile(grid.channels[:, None, last], (1, size, 1))
-    high = low.copy()
-    first = np.array([[hold == "first"] for hold in grid.holds]).reshape(len(grid.channels), 1)
-    begin = grid.channels[:, cell]
-    rise = np.where(first, grid.channels[:, np.minimum(cell + 1, cells)] - begin, 0.0)
-    low[:, row, interval] = begin + rise * (part / whole)
-    high[:, row, interval] = begin + rise * ((part + 1) / whole)
-    return StepLayout(time, step, low, high, np.ascontiguousarray(at.T), where)
+    interval, total = cell // length, parts * len(cell)
+    row, share = np.arange(len(cell)) - before[interval * length], np.arange(len(cell)) - before[cell]
+    place = rows[row] + rank[interval]
+    last = row + 1 == sizes[interval]
+    following = np.where(last, total + interval, rows[np.minimum(row + 1, size - 1)] + rank[interval])
+    chosen, after, part = (np.empty(total, np.intp) for _ in range(3))
+    for k in range(parts):
+        own = place + k * active[row]
+        chosen[own], part[own] = np.arange(len(cell)), k
+        after[own] = own + active[row] if k < parts - 1 else following
+    at = np.where(
+        inside < sizes[:, None],
+        rows[np.minimum(inside, size - 1)] + rank[:, None],
+        total + np.arange(m)[:, None],
+    )
+    ends = np.minimum(length * np.arange(1, m + 1), cells)
+    steps = _Steps.of(grid, cell, share, padded)
+    return StepLayout(
+        rows=np.concatenate([[0], np.cumsum(np.repeat(active, parts))]).astype(np.intp),
+        time=np.concatenate([steps.time[chosen], grid.time[ends]]),
+        length=np.concatenate([steps.length[chosen], np.zeros(m)]),
+        low=np.concatenate([steps.low[:, chosen], grid.channels[:, ends]], axis=1),
+        high=np.concatenate([steps.high[:, chosen], grid.channels[:, ends]], axis=1),
+        part=np.concatenate([part, np.zeros(m, np.intp)]),
+        cell=cell[chosen],
+        at=np.ascontiguousarray(at.T),
+        after=after,
+    )
+
+
+@dataclass(frozen=True)
+class _Steps:
+    """Steps in order of time: where they begin, their lengths, and the channels at their ends."""
+
+    time: Array
+    length: Array
+    low: Array
+    high: Array
+
+    @staticmethod
+    def of(grid: Grid, cell: Index, share: Index, counts: Index) -> _Steps:
+        """The steps with the number ``share`` in their cells, which have so many each."""
+        whole, times, first = counts[cell], grid.time, [[hold == "first"] for hold in grid.holds]
+        duration = np.diff(times)[cell]
+        begin = grid.channels[:, cell]
+        linear = np.array(first).reshape(len(grid.channels), 1)
+        rise = np.where(linear, grid.channels[:, cell + 1] - begin, 0.0)
+        return _Steps(
+            times[cell] + duration * (share / whole),
+            duration / whole,
+            begin + rise * (share / whole),
+            begin + rise * ((share + 1) / whole),
+        )

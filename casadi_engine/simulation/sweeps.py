@@ -27,95 +27,92 @@ _ROUNDING = 1e-11
 
 
 class Sweeps:
-    """The steps of a layout by one scheme. known : (rows, S*parts*M) for each stage."""
+    """The steps of a layout by one scheme. known : (rows, K+M) for each stage."""
 
     def __init__(self, slope: StageSlope, scheme: Tableau, layout: StepLayout) -> None:
-        self.slope, self.scheme = slope, scheme
-        parts = slope.parts
-        self.steps, self.count = layout.steps * parts, layout.time.shape[1]
-        low, high = (
-            np.repeat(rows, parts, axis=1).reshape(len(rows), self.steps * self.count)
-            for rows in (layout.low, layout.high)
-        )
-        time, length = (np.repeat(rows, parts, axis=0).ravel() for rows in (layout.time, layout.length))
-        part = np.repeat(np.tile(np.arange(float(parts)), layout.steps), self.count)
-        made = {c: slope.known(low, high, time, length, c, part) for c in dict.fromkeys(scheme.c.tolist())}
+        self.slope, self.scheme, self.layout = slope, scheme, layout
+        given = layout.low, layout.high, layout.time, layout.length
+        made = {c: slope.known(*given, c, layout.part) for c in dict.fromkeys(scheme.c.tolist())}
         self.known = [made[c] for c in scheme.c.tolist()]
-        self._made = made
+        self._given = np.concatenate(list(made.values()))
 
     # ---- values
 
     def run(self, z: Array, nodes: Array) -> tuple[Array | None, Array | None]:
-        """States (S+1, n, M) at the steps' starts from ``nodes`` (M, n); stage values (stages, S, n, M) of implicit
-        steps. No states where Newton's method does not arrive."""
+        """States (n, K+M) at the steps' starts and the intervals' ends from ``nodes`` (M, n); stage values
+        (stages, n, K) of implicit steps. No states where Newton's method does not arrive."""
+        layout = self.layout
+        begun = np.empty((self.slope.n, layout.steps + layout.intervals))
+        begun[:, layout.at[0]] = nodes.T
         if self.scheme.implicit:
-            return self._newton(z, nodes)
-        begun = np.empty((self.steps + 1, self.slope.n, self.count))
-        begun[0] = nodes.T
-        given = np.concatenate(
-            [rows.reshape(len(rows), self.steps, self.count) for rows in self._made.values()]
-        )
-        if self.count >= _WIDE:
-            step = _array_step(self.slope, self.scheme).bound(z)
-            for k in range(self.steps):
-                begun[k + 1] = step(begun[k], given[:, k])[0]
+            return self._newton(z, begun)
+        if layout.intervals < _WIDE:
+            self._by_machine(z, begun)
             return begun, None
-        size = min(_SWEEP, self.steps)
-        sweep = _machine_step(self.slope, self.scheme).mapaccum(size)
-        if self.count > 1:
-            sweep = sweep.map(self.count)
-        many = np.repeat(z[:, None], self.count * size, axis=1)
-        for k in range(0, self.steps, size):
-            # The last sweep steps back over what is done rather than being of another length.
-            first = min(k, self.steps - size)
-            columns = given[:, first : first + size].transpose(0, 2, 1).reshape(len(given), -1)
-            swept = np.asarray(sweep(begun[first], columns, many), dtype=float)
-            begun[first + 1 : first + 1 + size] = swept.reshape(-1, self.count, size).transpose(2, 0, 1)
+        step = _array_step(self.slope, self.scheme).bound(z)
+        for own, after in layout:
+            begun[:, after] = step(begun[:, own], self._given[:, own])[0]
         return begun, None
 
-    def _newton(self, z: Array, nodes: Array) -> tuple[Array | None, Array | None]:
-        n, count, size = self.slope.n, self.count, self.scheme.stages
-        begun = np.empty((self.steps + 1, n, count))
-        begun[0] = nodes.T
-        stages = np.empty((size, self.steps, n, count))
-        known = np.stack([rows.reshape(len(rows), self.steps, count) for rows in self.known])
+    def _by_machine(self, z: Array, begun: Array) -> None:
+        """The states of few intervals, side by side, the shorter ones filled up with steps of length 0."""
+        layout, count = self.layout, self.layout.intervals
+        steps = max(len(layout.rows) - 1, 1)
+        place = np.tile(layout.steps + np.arange(count), (steps + 1, 1))
+        place[0] = layout.at[0]
+        for k in range(steps):
+            real = place[k] < layout.steps
+            place[k + 1, real] = layout.after[place[k, real]]
+        size = min(_SWEEP, steps)
+        sweep = _machine_step(self.slope, self.scheme).mapaccum(size)
+        if count > 1:
+            sweep = sweep.map(count)
+        many = np.repeat(z[:, None], count * size, axis=1)
+        for k in range(0, steps, size):
+            # The last sweep steps back over what is done rather than being of another length.
+            first = min(k, steps - size)
+            own = place[first : first + size].T.ravel()
+            swept = np.asarray(sweep(begun[:, place[first]], self._given[:, own], many), dtype=float)
+            begun[:, place[first + 1 : first + 1 + size].T.ravel()] = swept
+
+    def _newton(self, z: Array, begun: Array) -> tuple[Array | None, Array | None]:
+        n, layout, size = self.slope.n, self.layout, self.scheme.stages
+        stages = np.empty((size, n, layout.steps))
         function = self.slope.newton.bound(z)
-        for k in range(self.steps):
-            x = begun[k]
-            guess = np.repeat(x[None], size, axis=0)
-            given = np.concatenate(list(known[:, :, k]), axis=-1)
-            found = solve_stages(self.scheme, function, x, guess, given)
+        for own, after in layout:
+            x = begun[:, own]
+            given = np.concatenate([known[:, own] for known in self.known], axis=-1)
+            found = solve_stages(self.scheme, function, x, np.repeat(x[None], size, axis=0), given)
             if found is None:
                 return None, None
-            stages[:, k], begun[k + 1] = found, found[-1]
+            stages[:, :, own] = found
+            begun[:, after] = found[-1]
         return begun, stages
 
     # ---- derivatives
 
     def derivatives(self, z: Array, begun: Array, stages: Array | None) -> tuple[Array, Array, Array]:
-        """Stage values (stages, n, S*M), slopes' derivatives by x (stages, S, M, n, n) and z (stages, S, M, n, nz)."""
-        n, nz, size = self.slope.n, int(self.slope.z.numel()), self.scheme.stages
-        start = np.ascontiguousarray(begun[:-1].transpose(1, 0, 2)).reshape(n, -1)
-        at, by_x, by_z = [], [], []
+        """Stage values (stages, n, K), slopes' derivatives by x (stages, K, n, n) and z (stages, K, n, nz)."""
+        n, nz, steps = self.slope.n, int(self.slope.z.numel()), self.layout.steps
+        start, at, by_x, by_z = begun[:, :steps], [], [], []
         slopes: list[Array] = []
-        for i in range(size):
+        for i in range(self.scheme.stages):
+            x = start if stages is None else stages[i]
             if stages is None:
-                x = start + sum(
-                    (
-                        weight * slope
-                        for weight, slope in zip(self.scheme.a[i], slopes, strict=False)
-                        if weight
-                    ),
-                    np.zeros(1),
-                )
-            else:
-                x = np.ascontiguousarray(stages[i].transpose(1, 0, 2)).reshape(n, -1)
-            value, in_x, in_z = self.slope.first(x, self.known[i], z)
+                for weight, slope in zip(self.scheme.a[i], slopes, strict=False):
+                    x = x + weight * slope if weight else x
+            value, in_x, in_z = self.slope.first(x, self.known[i][:, :steps], z)
             slopes.append(value)
             at.append(x)
-            by_x.append(in_x.reshape(n, n, self.steps, self.count).transpose(2, 3, 1, 0))
-            by_z.append(in_z.reshape(nz, n, self.steps, self.count).transpose(2, 3, 1, 0))
-        return np.stack(at), np.ascontiguousarray(np.stack(by_x)), np.ascontiguousarray(np.stack(by_z))
+            # all steps side by side in memory, for `products`
+            by_x.append(in_x.reshape(n, n, steps).transpose(2, 1, 0))
+            by_z.append(in_z.reshape(nz, n, steps).transpose(2, 1, 0))
+        return np.stack(at), _stacked(by_x), _stacked(by_z)
+
+
+def _stacked(parts: list[Array]) -> Array:
+    """Arrays (K, n, k) on top of each other, K last in memory as it is in theirs."""
+    return np.stack([part.transpose(1, 2, 0) for part in parts]).transpose(0, 3, 1, 2)
 
 
 def solve_stages(scheme: Tableau, function: object, x: Array, guess: Array, given: Array) -> Array | None:

@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 
 from casadi_engine.simulation.jets import Array
 
+# Rows of matrices up to which products of many of them are formed entry by entry.
+_FEW = 4
+
 
 @dataclass(frozen=True, eq=False)
 class Tableau:
@@ -85,13 +88,38 @@ def stage_sensitivities(scheme: Tableau, by_x: Array, by_z: Array) -> tuple[Arra
         right = np.concatenate([by_x, by_z], axis=-1)
         slopes = _unstacked(np.linalg.solve(_coupling(scheme, by_x), _stacked(right)), scheme.stages)
     else:
-        slopes = np.empty((*by_x.shape[:-1], wide))
+        slopes = _empty_like(by_x, wide)
         for i in range(scheme.stages):
-            inner = np.broadcast_to(identity, (*by_x.shape[1:-1], wide)) + _summed(scheme.a[i, :i], slopes)
-            np.matmul(by_x[i], inner, out=slopes[i])
+            inner = identity + _summed(scheme.a[i, :i], slopes)
+            slopes[i] = products(by_x[i], inner)
             slopes[i, ..., n:] += by_z[i]
-    values = np.stack([identity + _summed(scheme.a[i], slopes) for i in range(scheme.stages)])
+    values = _empty_like(by_x, wide)
+    for i in range(scheme.stages):
+        values[i] = identity + _summed(scheme.a[i], slopes)
     return slopes, values
+
+
+def products(a: Array, b: Array) -> Array:
+    """The products (..., n, k) of many small matrices a (..., n, n) and b (..., n, k).
+
+    Few rows are multiplied entry by entry, all matrices at once: a product of BLAS costs a call for each.
+    """
+    n = a.shape[-1]
+    if n > _FEW:
+        return np.asarray(a @ b)
+    left, right = np.moveaxis(a, (-2, -1), (0, 1)), np.moveaxis(b, (-2, -1), (0, 1))
+    found = np.empty((n, *right.shape[1:2], *left.shape[2:]))
+    for i in range(n):
+        np.multiply(left[i, 0], right[0], out=found[i])
+        for j in range(1, n):
+            found[i] += left[i, j] * right[j]
+    return np.moveaxis(found, (0, 1), (-2, -1))
+
+
+def _empty_like(by_x: Array, wide: int) -> Array:
+    """(stages, ..., n, wide) without values, what many matrices have in common side by side in memory."""
+    size, *batch, n, _ = by_x.shape
+    return np.moveaxis(np.empty((size, n, wide, *batch)), (1, 2), (-2, -1))
 
 
 def step_sensitivities(scheme: Tableau, slopes: Array) -> Array:
@@ -152,11 +180,11 @@ def _coupling(scheme: Tableau, by_x: Array) -> Array:
 
 def _summed(weights: Array, parts: Array) -> Array:
     """sum_j weights_j parts_j, leaving out what counts nothing."""
-    total = np.zeros(parts.shape[1:])
+    total: Array | None = None
     for weight, part in zip(weights, parts, strict=False):
         if weight:
-            total += weight * part
-    return total
+            total = weight * part if total is None else total + weight * part
+    return np.zeros(parts.shape[1:]) if total is None else total
 
 
 def _stacked(parts: Array) -> Array:

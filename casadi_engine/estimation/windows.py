@@ -1,0 +1,200 @@
+"""The fit over a horizon: windows of a record, each with an initial state of its own that is projected out.
+
+A record is cut into short shooting intervals, which are integrated side by side whatever the horizon is. A window is a
+run of them: their states follow from that at its start, to first order, and the gaps between them close step by step
+(multiple shooting with condensing, Bock & Plitt 1984; its lifted form, Albersmeyer & Diehl 2010). The states at the
+starts of the windows are projected out of every step (Golub & Pereyra 1973), so that only the parameters are left,
+however many windows there are. A short horizon has few and wide valleys; one window of the whole record is the
+simulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.errors import ModelError
+from casadi_engine.estimation.constraints import Priors
+from casadi_engine.estimation.levenberg_marquardt import Squares
+from casadi_engine.estimation.record import RecordPoint, RecordTerm
+
+Array = NDArray[np.float64]
+
+# Weak spring on every state of a window, as a share of the largest slope in any of them: it keeps those that nothing is
+# known of.
+_SPRING = 1e-6
+# Share of the squared residuals that closing the gaps may change for the cost to count, and evaluations to come there.
+_OPEN, _CLOSINGS = 0.1, 4
+
+
+@dataclass(frozen=True)
+class Condensed:
+    """A record's windows at one point: what their residuals follow, to first order, from the states at their starts.
+
+    gaps : what closing the gaps changes the residuals by, as a share of these, squared
+    slopes : (M, K, n + nz + 1) of the weighted residuals of M intervals by the window's start and the active
+    parameters, and the residual itself with the gaps closed; chain : (M, n, n + nz + 1) of the intervals' starts
+    change : (W, n, nz + 1) of the windows' starts that serve best, by the parameters and constant
+    starts : (W,) number of each window's first interval; squares : (nz + 1, nz + 1) of all, the states projected out
+    """
+
+    slopes: Array
+    chain: Array
+    change: Array
+    starts: NDArray[np.intp]
+    squares: Array
+    gaps: float
+
+    def moved(self, nodes: Array, step: Array) -> Array:
+        """The intervals' starts (M, n) after a step (nz,) of the active parameters, gaps closed to first order."""
+        n = nodes.shape[1]
+        own = self.change[:, :, :-1] @ step + self.change[:, :, -1]
+        sizes = np.diff(np.append(self.starts, len(nodes)))
+        each = np.repeat(own, sizes, axis=0)
+        found = np.einsum("mij,mj->mi", self.chain[:, :, :n], each) + self.chain[:, :, n:-1] @ step
+        return np.asarray(nodes + found + self.chain[:, :, -1])
+
+
+def condense(record: RecordTerm, point: RecordPoint, nodes: Array, count: int) -> Condensed:
+    """The windows of about ``count`` intervals each at a point."""
+    m, n = record.plan.m, record.n
+    windows = max(1, round(m / count))
+    starts = np.floor(np.linspace(0, m, windows + 1)[:-1]).astype(np.intp)
+    slopes, chain = _chained(record, point, nodes, starts)
+    grams = np.add.reduceat(slopes.transpose(0, 2, 1) @ slopes, starts, axis=0)
+    own = grams[:, :n, :n]
+    own[:, range(n), range(n)] += _SPRING**2 * np.einsum("wii->wi", own).max(axis=1, keepdims=True) + 1e-300
+    size = np.sqrt(np.einsum("wii->wi", own))
+    scaled = own / (size[:, :, None] * size[:, None, :])
+    mixed = grams[:, :n, n:] / size[:, :, None]
+    inside = np.linalg.solve(scaled, mixed)
+    squares = (grams[:, n:, n:] - mixed.transpose(0, 2, 1) @ inside).sum(axis=0)
+    left, total = slopes[:, :, -1] - point.r.T, float(squares[-1, -1])
+    gaps = float(np.sum(left**2)) / max(total, 1e-300)
+    return Condensed(slopes, chain, -inside / size[:, :, None], starts, squares, gaps)
+
+
+def _chained(
+    record: RecordTerm, point: RecordPoint, nodes: Array, starts: NDArray[np.intp]
+) -> tuple[Array, Array]:
+    """Slopes of the residuals and of the intervals' starts; see ``Condensed``."""
+    m, n, nz = record.plan.m, record.n, len(record.active)
+    path, js = point.path, point.js
+    chain = np.zeros((m, n, n + nz + 1))
+    chain[starts, :, :n] = np.eye(n)
+    forced = np.zeros((m, n, nz + 1))  # what an interval adds to the start of the next one
+    forced[:, :, :nz] = path.end_z.transpose(2, 1, 0)
+    forced[:-1, :, nz] = path.end.T[:-1] - nodes[1:]
+    ends = np.broadcast_to(path.end_s, (m, n, n))
+    sizes = np.diff(np.append(starts, m))
+    for k in range(1, int(sizes.max())):
+        at = starts[sizes > k] + k
+        chain[at] = ends[at - 1] @ chain[at - 1]
+        chain[at, :, n:] += forced[at - 1]
+    wide = js.transpose(1, 0, 2) if js.ndim == 3 else np.broadcast_to(js, (m, *js.shape))
+    slopes = (wide * record.weight.T[:, :, None]) @ chain
+    slopes[:, :, n:-1] += point.jz.transpose(2, 1, 0)
+    slopes[:, :, -1] += point.r.T
+    return slopes, chain
+
+
+@dataclass(frozen=True)
+class Place:
+    """A point of the search: parameters v (nv,), each record's intervals' starts (M, n), its windows, the squares."""
+
+    v: Array
+    nodes: tuple[Array, ...]
+    records: tuple[Condensed, ...]
+    squares: Squares
+
+
+class Windows:
+    """Least squares in the parameters alone, over one horizon; ``here`` is the best point so far.
+
+    counts : intervals of a window of each record; nodes : (M, n) where the search for the states begins
+    """
+
+    def __init__(
+        self,
+        records: Sequence[RecordTerm],
+        priors: Priors,
+        counts: Sequence[int],
+        nodes: Sequence[Array],
+    ) -> None:
+        self.records, self.priors, self.counts = list(records), priors, list(counts)
+        self.here: Place | None = None
+        self._nodes = tuple(nodes)
+        self.evaluations = 0
+
+    def __call__(self, v: Array) -> Squares | None:
+        """The problem at v (nv,), or None where the model cannot be evaluated; states from the best point so far."""
+        here = self.here
+        if here is not None and np.array_equal(v, here.v):
+            return here.squares
+        nodes = self._nodes
+        if here is not None:
+            nodes = self._moved(here, v)
+        found = self._at(v, nodes)
+        for _ in range(_CLOSINGS):
+            if found is None or max(own.gaps for own in found.records) < _OPEN:
+                break
+            found = self._at(v, self._moved(found, v))
+        if found is None:
+            return None
+        if here is None or found.squares.cost < here.squares.cost:
+            self.here = found
+        return found.squares
+
+    @property
+    def best(self) -> Place:
+        """The best point so far."""
+        assert self.here is not None  # a search has begun
+        return self.here
+
+    @property
+    def gaps(self) -> float:
+        """By how much closing the gaps at the best point may change the cost: the square of what it does to first
+        order."""
+        return sum(own.gaps * float(own.squares[-1, -1]) for own in self.best.records)
+
+    def closed(self) -> float:
+        """Close the gaps at the best point by one more evaluation there; how much the cost has changed."""
+        here = self.best
+        found = self._at(here.v, self._moved(here, here.v))
+        if found is None:
+            return np.inf
+        self.here = found
+        return abs(found.squares.cost - here.squares.cost)
+
+    def _moved(self, here: Place, v: Array) -> tuple[Array, ...]:
+        """The intervals' starts at v from a point near by, with the states that serve best there."""
+        step = v - here.v
+        return tuple(
+            own.moved(at, step[record.active])
+            for record, own, at in zip(self.records, here.records, here.nodes, strict=True)
+        )
+
+    def _at(self, v: Array, nodes: tuple[Array, ...]) -> Place | None:
+        self.evaluations += 1
+        size = len(v)
+        cost, gradient, _, matrix = self.priors.evaluate(v)
+        gradient, matrix, condensed = gradient.copy(), matrix.copy(), []
+        for record, at, count in zip(self.records, nodes, self.counts, strict=True):
+            try:
+                point = record.evaluate(v, at)
+                own = condense(record, point, at, count)
+            except (FloatingPointError, np.linalg.LinAlgError, ModelError):
+                return None
+            active, squares = record.active, own.squares
+            cost += 0.5 * float(squares[-1, -1])
+            gradient[active] += squares[:-1, -1]
+            matrix[np.ix_(active, active)] += squares[:-1, :-1]
+            condensed.append(own)
+        if not (np.isfinite(cost) and np.isfinite(gradient).all() and np.isfinite(matrix).all()):
+            return None
+        return Place(
+            np.array(v), nodes, tuple(condensed), Squares(cost, gradient, matrix.reshape(size, size))
+        )
