@@ -233,10 +233,10 @@ def _linearised(
     null = null_model(fit)
     skipped: list[NotApplicable] = []
     every = library_candidates(null, fit.data, request.effects, skipped, known)
-    request = replace(request, skipped=(*request.skipped, *dict.fromkeys(skipped)))
     candidates = [one for one in every if request.wants(one)]
     columns = {record.name: candidate_columns(record, candidates) for record in null.records}
-    _check_columns(candidates, columns)
+    candidates, columns, without = _finite(candidates, columns)
+    request = replace(request, skipped=(*request.skipped, *dict.fromkeys((*skipped, *without))))
     return null, tuple(candidates), columns, request
 
 
@@ -258,19 +258,38 @@ def _check(fit: Any, noise: Any, alpha: Any) -> None:
     check_alpha(alpha)
 
 
-def _check_columns(candidates: Sequence[Candidate], columns: Mapping[str, Mapping[str, Array]]) -> None:
-    """Raise EffectError for an effect whose sensitivity is no number somewhere in the data."""
+def _finite(
+    candidates: list[Candidate], columns: dict[str, dict[str, Array]]
+) -> tuple[list[Candidate], dict[str, dict[str, Array]], list[NotApplicable]]:
+    """The candidates whose sensitivity is a number everywhere in the data, their columns, and notes for the others.
+
+    Raises EffectError where none is left.
+    """
+    wrong: dict[int, str] = {}
     for record, outputs in columns.items():
-        for output, values in outputs.items():
-            wrong = np.flatnonzero(~np.isfinite(values).all(axis=0))
-            if len(wrong):
-                raise EffectError(
-                    f"the law of {candidates[wrong[0]].label} has no finite derivative along record {record}",
-                    seen=f"the change of {output} with its amplitude is infinite or not a number",
-                    allowed="a law that is smooth for all values that its signals take in the data",
-                    cure="take functions of math, the last argument of law, not those of Python's own module; keep "
-                    "roots and divisions away from zero",
-                )
+        for values in outputs.values():
+            wrong |= dict.fromkeys(np.flatnonzero(~np.isfinite(values).all(axis=0)).tolist(), record)
+    if not wrong:
+        return candidates, columns, []
+    why = {k: f"its law has no finite derivative along record {record}" for k, record in wrong.items()}
+    if len(wrong) == len(candidates):
+        first = min(wrong)
+        raise EffectError(
+            f"the law of {candidates[first].label} has no finite derivative along record {wrong[first]}",
+            seen="a change of an output with its amplitude that is infinite or not a number",
+            allowed="a law that is smooth for all values that its signals take in the data",
+            cure="take functions of math, the last argument of law, not those of Python's own module; keep "
+            "roots and divisions away from zero",
+        )
+    kept = [k for k in range(len(candidates)) if k not in wrong]
+    columns = {
+        record: {name: values[:, kept] for name, values in outputs.items()}
+        for record, outputs in columns.items()
+    }
+    notes = [
+        NotApplicable(candidates[k].effect, candidates[k].port, (), (), words) for k, words in why.items()
+    ]
+    return [candidates[k] for k in kept], columns, notes
 
 
 def rescored(screened: Screened, choice: NoiseChoice) -> Screened:

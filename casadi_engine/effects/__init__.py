@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         ViscousFriction,
     )
     from casadi_engine.effects.library import library
+    from casadi_engine.effects.parameter import WrongValue
     from casadi_engine.effects.sensor import SensorDelay, SensorOffset
     from casadi_engine.effects.stiffness import Backlash, CubicStiffness
     from casadi_engine.effects.torque import ConstantTorque, LoadStep
@@ -48,6 +49,7 @@ __all__ = [
     "Smooth",
     "StribeckFriction",
     "ViscousFriction",
+    "WrongValue",
     "candidate",
     "candidates",
     "cycles_of",
@@ -69,6 +71,7 @@ import_at_first_use(
             "ViscousFriction",
         ),
         "casadi_engine.effects.library": ("library",),
+        "casadi_engine.effects.parameter": ("WrongValue",),
         "casadi_engine.effects.sensor": ("SensorDelay", "SensorOffset"),
         "casadi_engine.effects.stiffness": ("Backlash", "CubicStiffness"),
         "casadi_engine.effects.torque": ("ConstantTorque", "LoadStep"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from casadi_engine.effects.combustion import CylinderImbalance, Misfire
 from casadi_engine.effects.friction import CoulombFriction, QuadraticDrag, StribeckFriction, ViscousFriction
+from casadi_engine.effects.parameter import WrongValue
 from casadi_engine.effects.sensor import SensorDelay, SensorOffset
 from casadi_engine.effects.stiffness import Backlash, CubicStiffness
 from casadi_engine.effects.torque import ConstantTorque, LoadStep
@@ -33,6 +34,7 @@ def library(*names: str) -> tuple[Effect, ...]:
         LoadStep(),
         SensorOffset(),
         SensorDelay(),
+        WrongValue(),
     )
     if not names:
         return everything

@@ -29,7 +29,7 @@ def attach(
     """Return `model` with an effect at the port `at`; see `Model.with_effect`."""
     term = read_term(model, effect, at, values=values, sharp=sharp)
     check_side(model, term.port)
-    made = Attachment(effect, term.port.name, sharp, dict(term.constants), term.width)
+    made = Attachment(term.effect, term.port.name, sharp, dict(term.constants), term.width)
     words = f"{effect.name} at {term.port.name}"
     wider = replace(
         model,
@@ -124,11 +124,11 @@ def _with_output(model: Model, term: Term) -> Model:
 
 def _with_shift(model: Model, term: Term) -> Model:
     """A changed channel or parameter: the symbol is replaced wherever it stands."""
-    name = term.port.name.partition("_")[2]
     if term.port.kind == "input":
+        name = term.port.name.partition("_")[2]
         symbol = model.u[[variable.name for variable in model.inputs].index(name)]
     else:
-        symbol = model.p[model.parameter_names.index(name)]
+        symbol = model.p[model.parameter_names.index(term.port.parameter)]
     return _replaced(model, symbol, symbol + term.value)
 
 

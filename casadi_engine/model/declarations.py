@@ -138,6 +138,11 @@ class Port:
             )
         object.__setattr__(self, "signals", MappingProxyType(dict(self.signals)))
 
+    @property
+    def parameter(self) -> str:
+        """Name of the parameter at a port of that kind; "" at others."""
+        return self.name.removeprefix("parameter_") if self.kind == "parameter" else ""
+
     def in_its_unit(self, text: str) -> str:
         """A unit that is written for torques and angles, as it reads at this port; "-" where that is not known.
 

@@ -145,6 +145,7 @@ class Effect:
     kin : names of effects that look alike, for the reader of a class
     limit : name of the simpler effect that this one becomes at an end of its grid; "" for none
     sentence : one clause with {port}, for reports
+    fixed_only : True if it is looked for at no parameter that is estimated, which would do the same
     amplitude : Amplitude        nuisance : name -> Grid
 
     >>> class FanTorque(Effect):
@@ -165,6 +166,7 @@ class Effect:
     kin: ClassVar[tuple[str, ...]] = ()
     limit: ClassVar[str] = ""
     sentence: ClassVar[str] = ""
+    fixed_only: ClassVar[bool] = False
     amplitude: ClassVar[Amplitude]
     nuisance: ClassVar[Mapping[str, Grid]] = MappingProxyType({})
 
@@ -194,6 +196,11 @@ class Effect:
         for name, values in grids.items():
             found = [one | {name: value} for one in found for value in values]
         return tuple(found)
+
+    def placed(self, port: Any) -> Effect:
+        """The effect as it is at a port before there is a record; by default itself."""
+        del port
+        return self
 
     def fitted(self, port: Any, record: Any, values: Mapping[str, float]) -> Effect:
         """The effect with constants that are read off a record (an Experiment); by default itself.

@@ -13,7 +13,7 @@ import numpy as np
 
 from casadi_engine.errors import CasadiEngineError, EffectError
 from casadi_engine.model.declarations import PORT_KINDS, ParameterDeclaration, Port
-from casadi_engine.model.effect import Grid, check_effect
+from casadi_engine.model.effect import Effect, Grid, check_effect
 from casadi_engine.model.effect_math import Sharp, Smooth
 from casadi_engine.model.law_checks import OwnState, check_null, check_symbols, read_law
 from casadi_engine.model.port_view import MissingSignalError, PortView, TrialView, Values
@@ -74,13 +74,18 @@ def not_applicable(model: Model, effect: Any, port: Port) -> tuple[NotApplicable
     try:
         read_term(model, effect, port, values=_tried_values(effect), again=True)
         check_side(model, port)
-    except MissingSignalError as fault:
-        why = f"the port has no {', '.join(fault.missing)}"
-        return NotApplicable(effect.name, port.name, fault.missing, fault.has, why), fault
     except EffectError as fault:
-        why = fault.problem if fault.seen is None else f"{fault.problem} ({fault.seen})"
-        return NotApplicable(effect.name, port.name, (), tuple(port.signals), why), fault
+        return not_applicable_because(effect, port, fault), fault
     return None
+
+
+def not_applicable_because(effect: Any, port: Port, fault: EffectError) -> NotApplicable:
+    """The note for an effect that an error keeps from acting at a port."""
+    if isinstance(fault, MissingSignalError):
+        why = f"the port has no {', '.join(fault.missing)}"
+        return NotApplicable(effect.name, port.name, fault.missing, fault.has, why)
+    why = fault.problem if fault.seen is None else f"{fault.problem} ({fault.seen})"
+    return NotApplicable(effect.name, port.name, (), tuple(port.signals), why)
 
 
 def check_side(model: Model, port: Port) -> None:
@@ -187,6 +192,8 @@ def read_terms(
     """As ``read_term``, for several choices of values: the law is read once for each choice of whole numbers."""
     check_effect(effect)
     port = find_port(model, effect, at)
+    if isinstance(effect, Effect):
+        effect = effect.placed(PortView(model, port, effect=effect.name))
     if not again and any(one.at == port.name and one.effect.name == effect.name for one in model.effects):
         raise EffectError(
             f"the model {model.name} has {effect.name} at {port.name} already",
