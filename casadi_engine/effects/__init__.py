@@ -1,7 +1,8 @@
 """Physical effects that a model may lack: the protocol for your own, and the library.
 
-An effect can act at a port of its kind that has the signals which its law reads. ``help(ce.Blueprint.port)`` lists what
-the library reads, ``print(model.ports)`` what the ports of a model have, ``ports_for(model, effect)`` where it fits.
+An effect can act at a port of its kind that has the signals which its law reads. ``print(ce.effects.table())``, or
+``python -m casadi_engine.effects``, lists formulas, ports and signals of the library, ``print(model.ports)`` what the
+ports of a model have, ``ports_for(model, effect)`` where it fits.
 """
 
 from typing import TYPE_CHECKING
@@ -11,7 +12,9 @@ from casadi_engine.lazy import import_at_first_use
 if TYPE_CHECKING:
     from casadi_engine.effects.candidate import Candidate, candidate, candidates, cycles_of
     from casadi_engine.effects.combustion import CylinderImbalance, Misfire
+    from casadi_engine.effects.events import by_record
     from casadi_engine.effects.friction import (
+        AsymmetricFriction,
         CoulombFriction,
         QuadraticDrag,
         StribeckFriction,
@@ -21,7 +24,9 @@ if TYPE_CHECKING:
     from casadi_engine.effects.parameter import WrongValue
     from casadi_engine.effects.sensor import SensorDelay, SensorOffset
     from casadi_engine.effects.stiffness import Backlash, CubicStiffness
-    from casadi_engine.effects.torque import ConstantTorque, LoadStep
+    from casadi_engine.effects.table import table
+    from casadi_engine.effects.torque import ConstantTorque, Impulse, LoadStep
+    from casadi_engine.effects.transfer import Transfer
     from casadi_engine.model.combustion import Motored, fit_motored
     from casadi_engine.model.effect import Amplitude, Effect, Grid, Law
     from casadi_engine.model.effect_math import Sharp, Smooth
@@ -30,6 +35,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Amplitude",
+    "AsymmetricFriction",
     "Backlash",
     "Candidate",
     "ConstantTorque",
@@ -38,6 +44,7 @@ __all__ = [
     "CylinderImbalance",
     "Effect",
     "Grid",
+    "Impulse",
     "Law",
     "LoadStep",
     "Misfire",
@@ -48,8 +55,10 @@ __all__ = [
     "Sharp",
     "Smooth",
     "StribeckFriction",
+    "Transfer",
     "ViscousFriction",
     "WrongValue",
+    "by_record",
     "candidate",
     "candidates",
     "cycles_of",
@@ -57,6 +66,7 @@ __all__ = [
     "library",
     "port_view",
     "ports_for",
+    "table",
 ]
 
 import_at_first_use(
@@ -64,7 +74,9 @@ import_at_first_use(
     {
         "casadi_engine.effects.candidate": ("Candidate", "candidate", "candidates", "cycles_of"),
         "casadi_engine.effects.combustion": ("CylinderImbalance", "Misfire"),
+        "casadi_engine.effects.events": ("by_record",),
         "casadi_engine.effects.friction": (
+            "AsymmetricFriction",
             "CoulombFriction",
             "QuadraticDrag",
             "StribeckFriction",
@@ -74,7 +86,9 @@ import_at_first_use(
         "casadi_engine.effects.parameter": ("WrongValue",),
         "casadi_engine.effects.sensor": ("SensorDelay", "SensorOffset"),
         "casadi_engine.effects.stiffness": ("Backlash", "CubicStiffness"),
-        "casadi_engine.effects.torque": ("ConstantTorque", "LoadStep"),
+        "casadi_engine.effects.table": ("table",),
+        "casadi_engine.effects.torque": ("ConstantTorque", "Impulse", "LoadStep"),
+        "casadi_engine.effects.transfer": ("Transfer",),
         "casadi_engine.model.combustion": ("Motored", "fit_motored"),
         "casadi_engine.model.effect": ("Amplitude", "Effect", "Grid", "Law"),
         "casadi_engine.model.effect_math": ("Sharp", "Smooth"),

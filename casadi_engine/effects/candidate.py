@@ -208,6 +208,9 @@ def candidates(
                     raise
                 _note(not_applicable_because(effect, port, fault), skipped)
                 continue
+            if not made:
+                words = f"no value of {' and '.join(effect.nuisance)} is within reach of the motion on the records"
+                _note(NotApplicable(effect.name, port.name, (), tuple(port.signals), words), skipped)
             if port.parameter and not all(_has_lever(one, vector) for one in made):
                 words = f"no equation depends on {port.parameter} at these values"
                 _note(NotApplicable(effect.name, port.name, (), tuple(port.signals), words), skipped)
@@ -341,8 +344,10 @@ def _responses(model: Model, term: Term, value: Any) -> tuple[Any, Any, Any, Any
     drives = ca.SX.zeros(model.d.numel(), 1)
     outputs = ca.SX.zeros(len(model.outputs), 1)
     port = term.port
-    if takes_torque(port):
-        slots[[made.name for made in model.ports.with_slot].index(port.name)] = value
+    if takes_torque(port) or port.ends:
+        rows = [made.name for made in model.ports.with_slot]
+        for name, share in zip(port.ends or (port.name,), (-1, 1) if port.ends else (1,), strict=True):
+            slots[rows.index(name)] = share * value
         return slots, drives, outputs, None
     if port.kind == "sensor":
         sensors = [made.name for made in model.ports if made.kind == "sensor"]

@@ -42,6 +42,10 @@ def attach(
     wider = _with_states(wider, term)
     if takes_torque(term.port):
         wider = _with_torque(wider, term)
+    elif term.port.kind == "link":
+        first, second = term.port.ends
+        wider = _with_torque(wider, replace(term, port=wider.ports[first], value=-term.value))
+        wider = _with_torque(wider, replace(term, port=wider.ports[second]))
     elif term.port.kind == "sensor":
         wider = _with_output(wider, term)
     else:

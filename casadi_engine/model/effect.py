@@ -141,9 +141,10 @@ class Effect:
     """Base class of effects; a subclass says what these attributes are and writes `law`.
 
     name : identifier; parameters are called ``port.name.parameter``
-    attaches : kinds of ports: inertia, coupling, cylinder, input, sensor, parameter
+    attaches : kinds of ports: inertia, coupling, cylinder, input, sensor, parameter, link
     kin : names of effects that look alike, for the reader of a class
-    limit : name of the simpler effect that this one becomes at an end of its grid; "" for none
+    limit : name of the simpler effect that this one becomes at an end or in the middle of its
+        grid; "" for none
     sentence : one clause with {port}, for reports
     fixed_only : True if it is looked for at no parameter that is estimated, which would do the same
     amplitude : Amplitude        nuisance : name -> Grid

@@ -28,6 +28,7 @@ _MAY_USE: Mapping[str, tuple[str, ...]] = {
     "inertia": ("x", "u", "d", "t", "p"),
     "coupling": ("x", "u", "d", "t", "p"),
     "cylinder": ("x", "u", "d", "t", "p"),
+    "link": ("x", "u", "d", "t", "p"),
     "input": ("u", "t", "p"),
     "sensor": ("x", "u", "d", "w", "t", "p"),
     "parameter": ("t", "p"),

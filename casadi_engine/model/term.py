@@ -128,8 +128,26 @@ def check_side(model: Model, port: Port) -> None:
 
 
 def ports_of_kind(model: Model, effect: Any) -> tuple[Port, ...]:
-    """The ports of the kinds that an effect attaches to, in model order."""
-    return tuple(port for port in model.ports if port.kind in effect.attaches)
+    """The ports of the kinds that an effect attaches to, in model order; last the links that no coupling joins."""
+    links = model.ports.links if "link" in effect.attaches else ()
+    listed = (port for port in model.ports if port.kind in effect.attaches)
+    return (*listed, *(link for link in links if not _joined(model, link)))
+
+
+def _joined(model: Model, link: Port) -> bool:
+    """True if a coupling of the model acts between the ends of a link: an effect there is one at the coupling."""
+    first, second = (model.ports[name].slot for name in link.ends)
+    couplings = [port.slot for port in model.ports.with_slot if port.kind == "coupling"]
+    between = ca.jacobian(model.ode, first) - ca.jacobian(model.ode, second)
+    apart = [ca.jacobian(model.ode, slot) - sign * between for slot in couplings for sign in (1, -1)]
+    if not apart:
+        return False
+    unknown = [model.x, model.u, model.d, model.w, model.t]
+    values = ca.vertcat(*[one.value for one in model.declarations])
+    function = ca.Function("apart", [*unknown, model.p], [ca.horzcat(between, *apart)])
+    rng = np.random.default_rng(0)
+    found = np.array(function(*(rng.uniform(0.5, 1.5, one.numel()) for one in unknown), values))
+    return bool((np.abs(found[:, 1:]).max(axis=0) < 1e-9 * np.abs(found[:, 0]).max()).any())
 
 
 def ports_for(model: Model, effect: Any) -> tuple[Port, ...]:
@@ -140,7 +158,7 @@ def ports_for(model: Model, effect: Any) -> tuple[Port, ...]:
 def find_port(model: Model, effect: Any, at: Any) -> Port:
     """The port `at`; EffectError that lists the right ports if it does not exist or does not fit."""
     name = at.name if isinstance(at, Port) else at
-    if name not in model.ports.names:
+    if name not in model.ports.names and name not in [link.name for link in model.ports.links]:
         right = [port.name for port in ports_for(model, effect)]
         raise EffectError(
             f"{effect.name} is to act at a port that the model {model.name} does not have",
@@ -361,7 +379,9 @@ def unit_at(model: Model, port: Port) -> str:
 
 
 def _range(grid: Grid, view: PortView) -> tuple[float, float, float]:
-    """Bounds and start value; a time grid has no bounds before the record is known."""
+    """Bounds and start value; a grid of times or cycles has no bounds before the record is known."""
+    if grid.over == "cycle":
+        return -math.inf, math.inf, 1.0
     magnitude = 1.0 if grid.of is None else view.typical(grid.of)
     if grid.over == "time":
         return -math.inf, math.inf, 0.5 * sum(grid.ends())

@@ -12,7 +12,13 @@ from casadi_engine.report.result_file import to_result
 from casadi_engine.report.schema import faults
 
 FRICTION = {"coulomb_friction", "viscous_friction"}
-AT_SPEED = FRICTION | {"quadratic_drag", "stribeck_friction", "constant_torque", "load_step"}
+AT_SPEED = FRICTION | {
+    "asymmetric_friction",
+    "quadratic_drag",
+    "stribeck_friction",
+    "constant_torque",
+    "load_step",
+}
 
 
 def mass():

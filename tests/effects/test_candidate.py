@@ -279,8 +279,10 @@ def test_a_model_without_ports_for_an_effect_has_no_candidates():
 
 def test_the_library_by_name():
     assert [e.name for e in effects.library()] == [
-        "coulomb_friction", "viscous_friction", "quadratic_drag", "stribeck_friction", "constant_torque",
+        "coulomb_friction", "viscous_friction", "quadratic_drag", "stribeck_friction", "asymmetric_friction",
+        "constant_torque",
         "cubic_stiffness", "backlash", "misfire", "cylinder_imbalance", "load_step", "sensor_offset", "sensor_delay",
+        "transfer",
         "wrong_value",
     ]  # fmt: skip
     assert [e.name for e in effects.library("misfire", "backlash")] == ["misfire", "backlash"]
