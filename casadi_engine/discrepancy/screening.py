@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_engine.discrepancy.candidate import Candidate
+from casadi_engine.discrepancy.candidate import Candidate, with_finite_columns
 from casadi_engine.discrepancy.compression import (
     Compressed,
     candidate_columns,
@@ -43,7 +43,7 @@ from casadi_engine.discrepancy.requests import Request, check_alpha, read_reques
 from casadi_engine.discrepancy.score import Scores, score
 from casadi_engine.distributions import normal_isf
 from casadi_engine.effects.candidate import Known
-from casadi_engine.errors import EffectError, EstimationError
+from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.options import whole
 from casadi_engine.model.term import NotApplicable
@@ -235,7 +235,7 @@ def _linearised(
     every = library_candidates(null, fit.data, request.effects, skipped, known)
     candidates = [one for one in every if request.wants(one)]
     columns = {record.name: candidate_columns(record, candidates) for record in null.records}
-    candidates, columns, without = _finite(candidates, columns)
+    candidates, columns, without = with_finite_columns(candidates, columns)
     request = replace(request, skipped=(*request.skipped, *dict.fromkeys((*skipped, *without))))
     return null, tuple(candidates), columns, request
 
@@ -256,40 +256,6 @@ def _check(fit: Any, noise: Any, alpha: Any) -> None:
             cure="leave it out: the levels that the fit was told count, or those of its residual",
         )
     check_alpha(alpha)
-
-
-def _finite(
-    candidates: list[Candidate], columns: dict[str, dict[str, Array]]
-) -> tuple[list[Candidate], dict[str, dict[str, Array]], list[NotApplicable]]:
-    """The candidates whose sensitivity is a number everywhere in the data, their columns, and notes for the others.
-
-    Raises EffectError where none is left.
-    """
-    wrong: dict[int, str] = {}
-    for record, outputs in columns.items():
-        for values in outputs.values():
-            wrong |= dict.fromkeys(np.flatnonzero(~np.isfinite(values).all(axis=0)).tolist(), record)
-    if not wrong:
-        return candidates, columns, []
-    why = {k: f"its law has no finite derivative along record {record}" for k, record in wrong.items()}
-    if len(wrong) == len(candidates):
-        first = min(wrong)
-        raise EffectError(
-            f"the law of {candidates[first].label} has no finite derivative along record {wrong[first]}",
-            seen="a change of an output with its amplitude that is infinite or not a number",
-            allowed="a law that is smooth for all values that its signals take in the data",
-            cure="take functions of math, the last argument of law, not those of Python's own module; keep "
-            "roots and divisions away from zero",
-        )
-    kept = [k for k in range(len(candidates)) if k not in wrong]
-    columns = {
-        record: {name: values[:, kept] for name, values in outputs.items()}
-        for record, outputs in columns.items()
-    }
-    notes = [
-        NotApplicable(candidates[k].effect, candidates[k].port, (), (), words) for k, words in why.items()
-    ]
-    return [candidates[k] for k in kept], columns, notes
 
 
 def rescored(screened: Screened, choice: NoiseChoice) -> Screened:
