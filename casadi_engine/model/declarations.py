@@ -160,9 +160,13 @@ class Port:
 
         >>> Port("mass", "inertia", unit="N").in_its_unit("N m s2/rad2")
         'N s2/m2'
+        >>> Port("tank", "inertia", unit="m3/s").in_its_unit("N m")
+        'm3/s'
         """
         if self.unit == "N m":
             return text
+        if text == "N m":
+            return self.unit
         if self.unit == "N":
             return text.replace("N m", "N").replace("rad", "m")
         return "-" if "N m" in text or "rad" in text else text
