@@ -8,10 +8,10 @@ from typing import Any
 
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.effects import Effect, library
+from casadi_engine.effects.protocol import check_effect
 from casadi_engine.errors import EffectError, EstimationError
 from casadi_engine.estimation.options import as_number
 from casadi_engine.model import Model
-from casadi_engine.model.effect import check_effect
 from casadi_engine.model.term import NotApplicable, find_port, not_applicable, ports_of_kind
 
 

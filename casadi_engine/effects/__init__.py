@@ -20,16 +20,16 @@ if TYPE_CHECKING:
         StribeckFriction,
         ViscousFriction,
     )
+    from casadi_engine.effects.functions import Sharp, Smooth
     from casadi_engine.effects.library import library
     from casadi_engine.effects.parameter import WrongValue
+    from casadi_engine.effects.protocol import Amplitude, Effect, Grid, Law
     from casadi_engine.effects.sensor import SensorDelay, SensorOffset
     from casadi_engine.effects.stiffness import Backlash, CubicStiffness
     from casadi_engine.effects.table import table
     from casadi_engine.effects.torque import ConstantTorque, Impulse, LoadStep
     from casadi_engine.effects.transfer import Transfer
     from casadi_engine.model.combustion import Motored, fit_motored
-    from casadi_engine.model.effect import Amplitude, Effect, Grid, Law
-    from casadi_engine.model.effect_math import Sharp, Smooth
     from casadi_engine.model.port_view import port_view
     from casadi_engine.model.term import ports_for
 
@@ -90,8 +90,8 @@ import_at_first_use(
         "casadi_engine.effects.torque": ("ConstantTorque", "Impulse", "LoadStep"),
         "casadi_engine.effects.transfer": ("Transfer",),
         "casadi_engine.model.combustion": ("Motored", "fit_motored"),
-        "casadi_engine.model.effect": ("Amplitude", "Effect", "Grid", "Law"),
-        "casadi_engine.model.effect_math": ("Sharp", "Smooth"),
+        "casadi_engine.effects.protocol": ("Amplitude", "Effect", "Grid", "Law"),
+        "casadi_engine.effects.functions": ("Sharp", "Smooth"),
         "casadi_engine.model.port_view": ("port_view",),
         "casadi_engine.model.term": ("ports_for",),
     },

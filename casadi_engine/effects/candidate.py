@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.effects.combustion import CYCLE
+from casadi_engine.effects.protocol import Amplitude, Effect, check_effect
 from casadi_engine.errors import CasadiEngineError, EffectError
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.model.arrival import arriving
 from casadi_engine.model.declarations import Port
-from casadi_engine.model.effect import Amplitude, Effect, check_effect
 from casadi_engine.model.law_checks import OwnState
 from casadi_engine.model.linearity import is_affine
 from casadi_engine.model.port_view import Courses, PortView

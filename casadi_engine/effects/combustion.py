@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from casadi_engine.effects.protocol import Amplitude, Effect, Grid
 from casadi_engine.errors import EffectError
 from casadi_engine.model.combustion import Motored, combustion_torque, compresses, fit_motored
-from casadi_engine.model.effect import Amplitude, Effect, Grid
 
 # The cycle of a cylinder is counted from this angle before its combustion TDC, where nothing burns [rad].
 SEAM = _math.pi

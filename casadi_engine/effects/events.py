@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from casadi_engine.effects.protocol import Attachment, Grid
 from casadi_engine.errors import EffectError
 from casadi_engine.experiment import Experiment
 from casadi_engine.experiment.experiment import with_unique_names
 from casadi_engine.model import Model
-from casadi_engine.model.effect import Attachment, Grid
 from casadi_engine.parameters import Parameters, near_matches
 
 Starts = Mapping[str, Mapping[str, float]]

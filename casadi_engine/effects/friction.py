@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from casadi_engine.effects.corners import narrow
-from casadi_engine.model.effect import Amplitude, Effect, Grid
+from casadi_engine.effects.protocol import Amplitude, Effect, Grid
 
 # Share of the typical speed over which a sign is rounded: half a rad/s for a shaft of 100 rad/s, and 0.02 rad/s
 # for the twist rate of a coupling, whose typical magnitude is that of the two speeds.

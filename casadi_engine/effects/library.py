@@ -11,12 +11,12 @@ from casadi_engine.effects.friction import (
     ViscousFriction,
 )
 from casadi_engine.effects.parameter import WrongValue
+from casadi_engine.effects.protocol import Effect
 from casadi_engine.effects.sensor import SensorDelay, SensorOffset
 from casadi_engine.effects.stiffness import Backlash, CubicStiffness
 from casadi_engine.effects.torque import ConstantTorque, Impulse, LoadStep
 from casadi_engine.effects.transfer import Transfer
 from casadi_engine.errors import EffectError
-from casadi_engine.model.effect import Effect
 from casadi_engine.parameters import near_matches
 
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from casadi_engine.effects.protocol import Amplitude, Effect
 from casadi_engine.errors import EffectError
-from casadi_engine.model.effect import Amplitude, Effect
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ from typing import Any
 
 import casadi as ca
 
+from casadi_engine.effects.functions import Sharp
 from casadi_engine.effects.library import library
-from casadi_engine.model.effect import Effect, Law, check_effect
-from casadi_engine.model.effect_math import Sharp
+from casadi_engine.effects.protocol import Effect, Law, check_effect
 from casadi_engine.model.port_view import Values
 from casadi_engine.model.printing import write_expressions
 

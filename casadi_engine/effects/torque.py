@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_engine.model.effect import Amplitude, Effect, Grid
+from casadi_engine.effects.protocol import Amplitude, Effect, Grid
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 
+from casadi_engine.effects.protocol import Attachment
 from casadi_engine.model.declarations import Port, Ports, Variable
-from casadi_engine.model.effect import Attachment
 from casadi_engine.model.linearity import is_affine
 from casadi_engine.model.rates import with_rates
 from casadi_engine.model.term import Term, check_side, read_term, takes_torque

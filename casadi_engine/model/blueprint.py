@@ -10,9 +10,10 @@ from typing import Any
 
 import casadi as ca
 
+from casadi_engine.effects.protocol import PORT_KINDS
 from casadi_engine.errors import ModelError
 from casadi_engine.experiment.units import NOT_STATED
-from casadi_engine.model.declarations import PORT_KINDS, ParameterDeclaration, Port, Ports, Variable
+from casadi_engine.model.declarations import ParameterDeclaration, Port, Ports, Variable
 from casadi_engine.model.declared_units import (
     check_crank_angle,
     check_shared_units,

@@ -12,23 +12,10 @@ from numbers import Real
 from types import MappingProxyType
 from typing import Any, overload
 
+from casadi_engine.effects.protocol import PORT_KINDS
 from casadi_engine.errors import ModelError, UnitError
 from casadi_engine.experiment.units import NOT_STATED, read_unit
 from casadi_engine.parameters import Parameter, near_matches
-
-# The kinds of ports, and whether a torque can be added there.
-PORT_KINDS: Mapping[str, bool] = MappingProxyType(
-    {
-        "inertia": True,
-        "coupling": True,
-        "cylinder": True,
-        "internal": True,
-        "input": False,
-        "sensor": False,
-        "parameter": False,
-        "link": False,
-    }
-)
 
 
 def check_unit(name: str, unit: str) -> None:

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
+from casadi_engine.effects.protocol import Law
 from casadi_engine.errors import EffectError
 from casadi_engine.model.declarations import Port
-from casadi_engine.model.effect import Law
 from casadi_engine.model.port_view import PortView
 
 if TYPE_CHECKING:

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
+from casadi_engine.effects.functions import Sharp, Smooth
+from casadi_engine.effects.protocol import PORT_KINDS, Effect, Grid, check_effect
 from casadi_engine.errors import CasadiEngineError, EffectError
-from casadi_engine.model.declarations import PORT_KINDS, ParameterDeclaration, Port
-from casadi_engine.model.effect import Effect, Grid, check_effect
-from casadi_engine.model.effect_math import Sharp, Smooth
+from casadi_engine.model.declarations import ParameterDeclaration, Port
 from casadi_engine.model.law_checks import OwnState, check_null, check_symbols, read_law
 from casadi_engine.model.port_view import MissingSignalError, PortView, TrialView, Values
 from casadi_engine.parameters import near_matches

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from casadi_engine import Experiment, effects
+from casadi_engine.effects.protocol import Amplitude, Effect
 from casadi_engine.errors import EffectError
 from casadi_engine.model import crankshaft, one_inertia, two_mass
-from casadi_engine.model.effect import Amplitude, Effect
 from casadi_engine.model.term import read_terms
 
 MODELS = {

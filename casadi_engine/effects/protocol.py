@@ -12,9 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.errors import EffectError
-from casadi_engine.model.declarations import PORT_KINDS
 from casadi_engine.parameters import near_matches
 
+# The kinds of ports, and whether a torque can be added there.
+PORT_KINDS: Mapping[str, bool] = MappingProxyType(
+    {
+        "inertia": True,
+        "coupling": True,
+        "cylinder": True,
+        "internal": True,
+        "input": False,
+        "sensor": False,
+        "parameter": False,
+        "link": False,
+    }
+)
 # The kinds of ports that effects may attach to.
 KINDS = tuple(kind for kind in PORT_KINDS if kind != "internal")
 GRID_KINDS = ("value", "time", "cycle")
