@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import casadi_engine as ce
+from casadi_engine.effects.functions import Sharp, Smooth
+from casadi_engine.effects.protocol import Amplitude, Effect, Grid, Law, check_effect
 from casadi_engine.errors import EffectError
 from casadi_engine.model import Blueprint, two_mass
-from casadi_engine.model.effect import Amplitude, Effect, Grid, Law, check_effect
-from casadi_engine.model.effect_math import Sharp, Smooth
 from casadi_engine.model.port_view import PortView
 
 

@@ -12,9 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.errors import EffectError
-from casadi_engine.model.declarations import PORT_KINDS
 from casadi_engine.parameters import near_matches
 
+# The kinds of ports, and whether a torque can be added there.
+PORT_KINDS: Mapping[str, bool] = MappingProxyType(
+    {
+        "inertia": True,
+        "coupling": True,
+        "cylinder": True,
+        "internal": True,
+        "input": False,
+        "sensor": False,
+        "parameter": False,
+        "link": False,
+    }
+)
 # The kinds of ports that effects may attach to.
 KINDS = tuple(kind for kind in PORT_KINDS if kind != "internal")
 GRID_KINDS = ("value", "time", "cycle")
@@ -141,10 +153,12 @@ class Effect:
     """Base class of effects; a subclass says what these attributes are and writes `law`.
 
     name : identifier; parameters are called ``port.name.parameter``
-    attaches : kinds of ports: inertia, coupling, cylinder, input, sensor, parameter
+    attaches : kinds of ports: inertia, coupling, cylinder, input, sensor, parameter, link
     kin : names of effects that look alike, for the reader of a class
-    limit : name of the simpler effect that this one becomes at an end of its grid; "" for none
+    limit : name of the simpler effect that this one becomes at an end or in the middle of its
+        grid; "" for none
     sentence : one clause with {port}, for reports
+    fixed_only : True if it is looked for at no parameter that is estimated, which would do the same
     amplitude : Amplitude        nuisance : name -> Grid
 
     >>> class FanTorque(Effect):
@@ -165,6 +179,7 @@ class Effect:
     kin: ClassVar[tuple[str, ...]] = ()
     limit: ClassVar[str] = ""
     sentence: ClassVar[str] = ""
+    fixed_only: ClassVar[bool] = False
     amplitude: ClassVar[Amplitude]
     nuisance: ClassVar[Mapping[str, Grid]] = MappingProxyType({})
 
@@ -194,6 +209,11 @@ class Effect:
         for name, values in grids.items():
             found = [one | {name: value} for one in found for value in values]
         return tuple(found)
+
+    def placed(self, port: Any) -> Effect:
+        """The effect as it is at a port before there is a record; by default itself."""
+        del port
+        return self
 
     def fitted(self, port: Any, record: Any, values: Mapping[str, float]) -> Effect:
         """The effect with constants that are read off a record (an Experiment); by default itself.
