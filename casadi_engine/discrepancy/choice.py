@@ -197,7 +197,7 @@ class Choice:
             self._try(here, _chosen(screened, at_here, families[key]), Start(here.arrived.values, here.arrived.initial))
             if own is not None:
                 one = _chosen(screened, own, families[key])
-                if not self.path.linear(()):
+                if not self.path.linear:
                     self._try(here, one, None, windows=True)
                 elif here.arrived.held:
                     self._try(here, one, None)
@@ -227,6 +227,7 @@ class Choice:
             if best is None or self._late():
                 return
             for one in self._instead(best, best.effects[-1], screened, families):
+                self.tell(f"refit {one.label} from the parameters of {best.effects[-1].label}")
                 start = {n: v for n, v in best.arrived.values.items() if not n.startswith(f"{best.effects[-1].key}.")}
                 self._try(here, one, Start(start, best.arrived.initial))
             now = max((self.pool[k].log for key in families if (k := self._key(here, key)) in self.pool))
@@ -342,6 +343,7 @@ class Choice:
         self.path.relevel(levels)
         for one in sorted(tried, key=lambda one: -one.log):
             if not self._late():
+                self.tell(f"go on with {one.label}")
                 again = self.path.from_point(one.effects, one.arrived)
                 made = None if again is None else self._counted(one.effects, again)
                 if made is not None and made.log > one.log:
@@ -351,7 +353,7 @@ class Choice:
         """The null fit as a structure."""
         initial = {r: {n: e.value for n, e in own.items()} for r, own in fit.initial.items()}
         arrived = self.path.at(fit.values, initial)
-        made = self._counted((), arrived)
+        made = None if arrived is None else self._counted((), arrived)
         if made is None:
             raise EstimationError(
                 "the model without effects cannot be simulated at its own optimum",
@@ -390,7 +392,7 @@ class Choice:
         """The structure fitted as the null model is, and screened; None where that does not converge."""
         if tried.key not in self._stations:
             self.tell(f"fit with {tried.label}")
-            start = Start(tried.arrived.values, tried.arrived.initial, tried.arrived.noise, tried.arrived.settled)
+            start = Start(tried.arrived.values, tried.arrived.initial, {}, tried.arrived.settled)
             fit = self._timed("fit", lambda: self.refitter(self.null_fit, tried.effects, start=start))
             if fit is None or not fit.converged:
                 return None

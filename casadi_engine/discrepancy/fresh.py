@@ -19,7 +19,7 @@ from casadi_engine.discrepancy.noise_choice import NoiseChoice, scatter_of, whit
 from casadi_engine.discrepancy.noise_model import NoiseModel, left_over
 from casadi_engine.discrepancy.null_model import FOUR_STROKE, Index, NullModel, null_model
 from casadi_engine.discrepancy.parameter_doubt import doubted, pooled, within_errors
-from casadi_engine.discrepancy.path import set_up, settled
+from casadi_engine.discrepancy.path import first_states_on
 from casadi_engine.discrepancy.refit import Addition, Refitter
 from casadi_engine.discrepancy.repaired import Side
 from casadi_engine.discrepancy.start import Start
@@ -146,7 +146,7 @@ def held_fit(
     }
     method = str(fit.options.get("method", "exact"))
 
-    starts = [settled(set_up(model, (record,), held, levels, {"method": method}))]
+    starts = [first_states_on(model, record, held, levels)]
     found = None
     for start in starts:
         most = 200 if start is not None and start.converged else _LOST

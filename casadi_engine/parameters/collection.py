@@ -325,6 +325,12 @@ class Parameters:
         """What other processes are sent; symbols are made anew there."""
         return storage.received, (self.to_dict(), self._frozen)
 
+    def unconstrained(self) -> Parameters:
+        """A copy with its bounds, ties and priors, without constraints on expressions and frequencies."""
+        other = self.copy()
+        other._constraints, other._frequencies = [], []
+        return other
+
     def frozen(self) -> Parameters:
         """A copy on which every change raises ParameterError; ``copy()`` of it can be changed again."""
         other = self.copy()
