@@ -9,6 +9,7 @@ import importlib.util
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -84,8 +85,9 @@ class Kind:
         where b is true and in the model too
     model : outputs -> the model as a user would write it, without any of the terms
     outputs : choices of what is measured, the full one first
-    course : (values, manoeuvre) -> output -> noise-free values (N,); values hold `truth` and by their names the
-        amplitudes of the terms that are there
+    course : (values, manoeuvre) -> output -> noise-free values (N,), and inputs that come of the motion; values hold
+        `truth` and by their names the amplitudes of the terms that are there; "states" -> (N, n or more), the
+        model's states first, for rivals that are given them
     manoeuvres : name -> (rng -> Manoeuvre); pairs : (to find it on, fresh)
     units : unit of every channel        effects : what `repair` is given; None for the library
     absent : declared parameters that may be 0 in truth
@@ -203,6 +205,7 @@ def start_values(kind: Kind, task: Task, free: Sequence[str]) -> dict[str, float
     return found
 
 
+@cache
 def load_kinds(*, sealed: bool = False) -> dict[str, Kind]:
     """The kinds of this folder by name, those that are kept sealed only if asked for."""
     files = sorted(HERE.glob("kind_*.py")) + (sorted(HERE.glob("sealed/kind_*.py")) if sealed else [])

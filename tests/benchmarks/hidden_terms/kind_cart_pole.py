@@ -72,7 +72,7 @@ def course(v, run):
         if size:
             held.append(Dry(row, weight(*push), lambda x, size=size: size))
     x = simulate(rate, run.start, run.time, run.inputs, dry=held)
-    return {"speed": x[:, 0], "theta": x[:, 1] + v.get("sensor_theta.sensor_offset", 0.0)}
+    return {"speed": x[:, 0], "theta": x[:, 1] + v.get("sensor_theta.sensor_offset", 0.0), "states": x}
 
 
 def pushed(rng):

@@ -45,7 +45,7 @@ def course(v, run):
     held = [Dry((0, 1, 0), (0, 1 / v["J"], 0), lambda x: dry)] if dry else []
     x = simulate(rate, run.start, run.time, run.inputs, dry=held, breaks=[at] if drop else ())
     gyro = delayed(run.time, x[:, 1], v.get("sensor_gyro.sensor_delay", 0.0))
-    return {"gyro": gyro + v.get("sensor_gyro.sensor_offset", 0.0), "roll": x[:, 0]}
+    return {"gyro": gyro + v.get("sensor_gyro.sensor_offset", 0.0), "roll": x[:, 0], "states": x}
 
 
 def rolled(rng):

@@ -46,7 +46,7 @@ def course(v, run):
     held = [Dry((0, 1), (0, 1 / inertia), lambda x: dry)] if dry else []
     x = simulate(rate, run.start, run.time, run.inputs, dry=held)
     offset = v.get("sensor_phi.sensor_offset", 0.0)
-    return {"phi": x[:, 0] + offset, "gyro": x[:, 1]}
+    return {"phi": x[:, 0] + offset, "gyro": x[:, 1], "states": x}
 
 
 def decay(rng):

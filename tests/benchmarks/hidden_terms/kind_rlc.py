@@ -40,7 +40,7 @@ def course(v, run):
 
     held = [Dry((0, 1), (0, 1 / v["L"]), lambda x: diode)] if diode else []
     x = simulate(rate, run.start, run.time, run.inputs, dry=held)
-    return {"I": x[:, 1] + v.get("sensor_I.sensor_offset", 0.0), "UC": x[:, 0] / v["C"]}
+    return {"I": x[:, 1] + v.get("sensor_I.sensor_offset", 0.0), "UC": x[:, 0] / v["C"], "states": x}
 
 
 def swept(rng):

@@ -60,7 +60,7 @@ def course(v, run):
             inertia = v["Jm" if name == "motor" else "Jl"]
             held.append(Dry(row, [one / inertia for one in row], lambda x, size=size: size))
     x = simulate(rate, run.start, run.time, run.inputs, dry=held)
-    return {"tacho": x[:, 0], "load_speed": x[:, 1]}
+    return {"tacho": x[:, 0], "load_speed": x[:, 1], "states": x}
 
 
 def rocked(rng):

@@ -76,7 +76,7 @@ def course(v, run):
         ) / v["A"]
 
     x = simulate(rate, run.start, run.time, run.inputs, breaks=[opened] if valve else ())
-    return {"y1": x[:, 0], "y2": x[:, 1] + v.get("sensor_y2.sensor_offset", 0.0)}
+    return {"y1": x[:, 0], "y2": x[:, 1] + v.get("sensor_y2.sensor_offset", 0.0), "states": x}
 
 
 def steps(rng):

@@ -58,7 +58,7 @@ def course(v, run):
 
     x = simulate(rate, run.start, run.time, run.inputs, breaks=[opened] if door else ())
     late = delayed(run.time, x[:, 1], v.get("sensor_Ts.sensor_delay", 0.0))
-    return {"Tb": x[:, 0], "Ts": late + v.get("sensor_Ts.sensor_offset", 0.0)}
+    return {"Tb": x[:, 0], "Ts": late + v.get("sensor_Ts.sensor_offset", 0.0), "states": x}
 
 
 def _room(rng, time):

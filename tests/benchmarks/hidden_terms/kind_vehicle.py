@@ -39,7 +39,7 @@ def course(v, run):
 
     held = [Dry((1, 0), (1 / v["m"], 0), lambda x: rolling)] if rolling else []
     x = simulate(rate, run.start, run.time, run.inputs, dry=held, breaks=[begins] if climb else ())
-    return {"speed": delayed(run.time, x[:, 0], v.get("sensor_speed.sensor_delay", 0.0))}
+    return {"speed": delayed(run.time, x[:, 0], v.get("sensor_speed.sensor_delay", 0.0)), "states": x}
 
 
 def driven(rng):

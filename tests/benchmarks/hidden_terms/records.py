@@ -47,7 +47,8 @@ def case_of(kind: Kind, task: Task) -> Case:
     for k, (run, course) in enumerate(zip(runs, courses, strict=True)):
         rng = task.rng(f"noise {k}")
         measured = {name: noisy(course[name], sigma[name], task.noise, rng) for name in task.outputs}
-        channels = dict(run.inputs) | measured
+        # an input may itself be measured in the course: the crank angle of an engine
+        channels = {key: course.get(key, given) for key, given in run.inputs.items()} | measured
         units = {name: kind.units[name] for name in channels}
         name = ("found_on", "fresh")[k]
         records.append(ce.Experiment.from_arrays(name, time=run.time, units=units, **channels))

@@ -55,7 +55,8 @@ def limited(seconds: float) -> Iterator[None]:
         raise OutOfBudgetError
 
     before = signal.signal(signal.SIGPROF, stop)
-    signal.setitimer(signal.ITIMER_PROF, seconds)
+    # again and again: what is raised in a solver's callback may get lost there
+    signal.setitimer(signal.ITIMER_PROF, seconds, 1.0)
     try:
         yield
     finally:

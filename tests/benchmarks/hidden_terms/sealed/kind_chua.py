@@ -57,7 +57,7 @@ def course(v, run):
 
     held = [Dry((0, 0, 1), (0, 0, 1 / v["L"]), lambda x: drop)] if drop else []
     x = simulate(rate, run.start, run.time, run.inputs, dry=held)
-    return {"V1": x[:, 0] + v.get("sensor_V1.sensor_offset", 0.0), "V2": x[:, 1]}
+    return {"V1": x[:, 0] + v.get("sensor_V1.sensor_offset", 0.0), "V2": x[:, 1], "states": x}
 
 
 def switched(rng):
@@ -81,13 +81,12 @@ KIND = Kind(
     sentence="a circuit with a nonlinear resistor",
     truth={"C1": 10.0, "C2": 47.0, "L": 0.05, "R": 100.0, "RL": 10.0, "g": 2e-3},
     terms={
-        "node.cubic_conductance": Hidden(6e-5, CubicConductance(), "node"),
+        "node.cubic_conductance": Hidden(1.2e-4, CubicConductance(), "node"),
         "node.constant_torque": Hidden(0.015, ce.effects.ConstantTorque(), "node"),
         "branch.coulomb_friction": Hidden(1.0, ce.effects.CoulombFriction(), "branch"),
         "branch.quadratic_drag": Hidden(60.0, ce.effects.QuadraticDrag(), "branch"),
         "sensor_V1.sensor_offset": Hidden(0.8, ce.effects.SensorOffset(), "sensor_V1"),
-        "parameter_RL.wrong_value": Hidden(0.8, wrong="RL"),
-        "node.diode": Hidden(2.5e-3),
+        "node.diode": Hidden(5e-3),
     },
     choices=(
         "node.cubic_conductance",
@@ -97,7 +96,6 @@ KIND = Kind(
         "node.constant_torque",
         "node.cubic_conductance+branch.coulomb_friction",
         "sensor_V1.sensor_offset",
-        "parameter_RL.wrong_value",
     ),
     model=model,
     outputs=(("V1", "V2"), ("V2",)),

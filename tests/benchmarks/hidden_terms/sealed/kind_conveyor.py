@@ -62,7 +62,7 @@ def course(v, run):
         if size:
             held.append(Dry(row, [one / inertia for one in row], lambda x, size=size: size))
     x = simulate(rate, run.start, run.time, run.inputs, dry=held, breaks=[run.event] if load else ())
-    return {"encoder": x[:, 0], "laser": x[:, 1]}
+    return {"encoder": x[:, 0], "laser": x[:, 1], "states": x}
 
 
 def shuttled(rng):

@@ -64,7 +64,7 @@ def course(v, run):
             row = np.eye(5)[k]
             held.append(Dry(row, row / v[inertia], lambda x, size=size: size))
     x = simulate(rate, run.start, run.time, run.inputs, dry=held)
-    return {"current": x[:, 0] + v.get("sensor_current.sensor_offset", 0.0), "speed": x[:, 1]}
+    return {"current": x[:, 0] + v.get("sensor_current.sensor_offset", 0.0), "speed": x[:, 1], "states": x}
 
 
 def reversed_(rng):

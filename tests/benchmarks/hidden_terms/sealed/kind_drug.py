@@ -53,7 +53,7 @@ def course(v, run):
 
     x = simulate(rate, run.start, run.time, run.inputs, breaks=[run.event] if bleed else ())
     shown = delayed(run.time, x[:, 0], v.get("sensor_blood.sensor_delay", 0.0))
-    return {"blood": shown + v.get("sensor_blood.sensor_offset", 0.0)}
+    return {"blood": shown + v.get("sensor_blood.sensor_offset", 0.0), "states": x}
 
 
 def infused(rng):
@@ -81,7 +81,7 @@ KIND = Kind(
     truth={"V": 10.0, "CL": 3.0, "Q": 4.0, "V2": 20.0},
     terms={
         "blood.saturable_elimination": Hidden(12.0, Saturable(), "blood", {"half": 2.0}),
-        "blood.constant_torque": Hidden(3.0, ce.effects.ConstantTorque(), "blood"),
+        "blood.constant_torque": Hidden(6.0, ce.effects.ConstantTorque(), "blood"),
         "blood.load_step": Hidden(8.0, ce.effects.LoadStep(), "blood", {"time": "event"}),
         "sensor_blood.sensor_offset": Hidden(0.6, ce.effects.SensorOffset(), "sensor_blood"),
         "sensor_blood.sensor_delay": Hidden(0.25 * HOUR, ce.effects.SensorDelay(), "sensor_blood"),

@@ -59,7 +59,7 @@ def course(v, run):
     if dry or fades:
         held = [Dry((1, 0), (1 / mass, 0), lambda x: dry + fades * np.exp(-((x[0] / 0.03) ** 2)))]
     x = simulate(rate, run.start, run.time, run.inputs, dry=held)
-    return {"speed": x[:, 0], "pressure": x[:, 1] + v.get("sensor_pressure.sensor_offset", 0.0)}
+    return {"speed": x[:, 0], "pressure": x[:, 1] + v.get("sensor_pressure.sensor_offset", 0.0), "states": x}
 
 
 def stepped(rng):

@@ -70,7 +70,7 @@ def course(v, run):
         return (u["u"] + grown - eaten) / HOUR, dy / HOUR
 
     x = simulate(rate, run.start, run.time, run.inputs, breaks=[run.event] if harvest else ())
-    return {"X": x[:, 0] + v.get("sensor_X.sensor_offset", 0.0), "Y": x[:, 1]}
+    return {"X": x[:, 0] + v.get("sensor_X.sensor_offset", 0.0), "Y": x[:, 1], "states": x}
 
 
 def stocked(rng):

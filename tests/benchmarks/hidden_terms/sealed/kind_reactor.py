@@ -60,7 +60,7 @@ def course(v, run):
     x = simulate(rate, run.start, run.time, run.inputs, breaks=[run.event] if fouled else ())
     late = delayed(run.time, x[:, 0], v.get("sensor_analyser.sensor_delay", 0.0))
     offset = v.get("sensor_temperature.sensor_offset", 0.0)
-    return {"temperature": x[:, 1] + offset, "analyser": late}
+    return {"temperature": x[:, 1] + offset, "analyser": late, "states": x}
 
 
 def stepped(rng):
