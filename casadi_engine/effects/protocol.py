@@ -215,6 +215,14 @@ class Effect:
         del port
         return self
 
+    def idle(self, port: Any) -> str:
+        """Why records cannot show the effect at a port, one clause; "" where they may, which is the default.
+
+        port : with its courses, and ``port.has_free_constant``: whether a torque there that is constant is estimated
+        """
+        del port
+        return ""
+
     def fitted(self, port: Any, record: Any, values: Mapping[str, float]) -> Effect:
         """The effect with constants that are read off a record (an Experiment); by default itself.
 
