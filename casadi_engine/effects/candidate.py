@@ -156,7 +156,7 @@ def _without_amplitude(effect: Effect, values: Mapping[str, float]) -> dict[str,
 def _made(model: Model, term: Term, size: float | None) -> Candidate:
     """The candidate of a term, at the values of its declarations."""
     numbers = {one.name.rpartition(".")[2]: one.value for one in term.declarations[1:]}
-    value = _per_amplitude(term, size)
+    value = ca.vertcat(*(_per_amplitude(term, part, size) for part in (term.value, term.arrives)))
     if numbers:
         value = ca.substitute(value, ca.vertcat(*term.symbols[1:]), ca.SX(ca.DM(list(numbers.values()))))
     states = _own_states(term, list(numbers.values()))
@@ -313,9 +313,9 @@ def cycles_of(view: PortView, record: Experiment, numbers: Mapping[str, float]) 
     return tuple(number + 1 for number in range(first, last + 1))
 
 
-def _per_amplitude(term: Term, size: float | None) -> Any:
-    """The slope of the law at amplitude 0, or its secant to `size`."""
-    psi, value = term.amplitude, term.value
+def _per_amplitude(term: Term, value: Any, size: float | None) -> Any:
+    """The slope of a value of the law at amplitude 0, or its secant to `size`."""
+    psi = term.amplitude
     if size is not None:
         if not np.isfinite(size) or size == 0:
             raise EffectError(
@@ -341,15 +341,20 @@ def _own_states(term: Term, numbers: list[float]) -> tuple[OwnState, ...]:
 
 
 def _responses(model: Model, term: Term, value: Any) -> tuple[Any, Any, Any, Any]:
-    """Slots, drives, outputs per unit of amplitude, and the ode's own share (of a parameter), or None."""
+    """Slots, drives, outputs per unit of amplitude, and the ode's own share (of a parameter), or None.
+
+    value : (2, 1), what the law adds, and what arrives at the second end of a link
+    """
     slots = ca.SX.zeros(model.w.numel(), 1)
     drives = ca.SX.zeros(model.d.numel(), 1)
     outputs = ca.SX.zeros(len(model.outputs), 1)
     port = term.port
+    value, arrives = ca.vertsplit(value)
     if takes_torque(port) or port.ends:
         rows = [made.name for made in model.ports.with_slot]
-        for name, share in zip(port.ends or (port.name,), (-1, 1) if port.ends else (1,), strict=True):
-            slots[rows.index(name)] = share * value
+        parts = (-value, arrives) if port.ends else (value,)
+        for name, part in zip(port.ends or (port.name,), parts, strict=True):
+            slots[rows.index(name)] = part
         return slots, drives, outputs, None
     if port.kind == "sensor":
         sensors = [made.name for made in model.ports if made.kind == "sensor"]

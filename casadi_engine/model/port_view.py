@@ -113,6 +113,23 @@ class PortView:
         """True if a parameter that is estimated acts as a constant torque in the port's slot does, and nowhere else."""
         return any(_is_constant(self._model, self._port, name) for name in self._free)
 
+    def response(self, signal: str, values: Mapping[str, float]) -> float:
+        """How fast a signal changes per unit of what is added in the port's slot, or the ends' slots of a pipe: the
+        largest, at these values by name and at the scales of the states.
+
+        >>> from casadi_engine import one_inertia
+        >>> port_view(one_inertia(), "engine").response("speed", {"J_eng": 0.5, "C_eng": 0.1})
+        2.0
+        """
+        model, slots = self._model, [self._model.ports[name].slot for name in self._port.ends or (self.name,)]
+        rate = ca.jtimes(getattr(self, signal), model.x, model.ode)
+        slope = ca.jacobian(rate, ca.vertcat(*slots))
+        x = [variable.scale for variable in model.states]
+        known = [model.x, model.d, model.w, model.t, model.p]
+        p = [values[name] for name in model.parameter_names]
+        found = ca.Function("response", known, [slope])(x, 0, 0, 0.0, p)
+        return float(np.abs(np.array(found)).max())
+
     def courses(self, signal: str) -> tuple[NDArray[np.float64], ...]:
         """The signal along the simulation of each record, (N,) at its samples; empty where nothing was simulated."""
         return () if self._courses is None else tuple(self._courses(getattr(self, signal)))
