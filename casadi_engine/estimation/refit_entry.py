@@ -8,8 +8,6 @@ then the whole record, are those of ``windows``.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,8 +20,9 @@ from casadi_engine.estimation.integration import shorten_steps
 from casadi_engine.estimation.levenberg_marquardt import minimise
 from casadi_engine.estimation.options import initial_bounds, interval_length
 from casadi_engine.estimation.record import RecordTerm
+from casadi_engine.estimation.refit_answer import Refit, RefitRecord, Run, in_time
 from casadi_engine.estimation.starts import chained_nodes, fitted_nodes, nodes_from_measurement
-from casadi_engine.estimation.windows import Place, Windows
+from casadi_engine.estimation.windows import Place, Windows, simulated
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters, compile
@@ -32,6 +31,8 @@ from casadi_engine.simulation.grid import lay_grid
 from casadi_engine.simulation.propagator import fineness_of, switches_with_states
 from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 from casadi_engine.simulation.shared_core import Cores
+
+__all__ = ["Refit", "RefitProblem", "RefitRecord", "refit"]
 
 Array = NDArray[np.float64]
 
@@ -45,60 +46,6 @@ _CLOSED, _CLOSINGS = 1e-2, 6
 _SHORTENED = 4
 # Growth of a window from one horizon to the next.
 _GROWTH = 8
-
-
-@dataclass(frozen=True)
-class RefitRecord:
-    """One record of a refit.
-
-    time : output -> (N,) s of its valid samples; residual : output -> (N,) (simulated - measured) / level, in order of
-    time; jacobian : output -> (N, nz + n) its derivatives by the free parameters and the record's initial states, in
-    their units; states : (M, n) at the starts of the shooting intervals, over the first horizon, in their units
-    """
-
-    time: Mapping[str, Array]
-    residual: Mapping[str, Array]
-    jacobian: Mapping[str, Array]
-    states: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Refit:
-    """Where a refit ended.
-
-    free : names of the free parameters z (nz); values : name -> value of these; initial : record -> state -> value
-    cost : chi-squared at the given levels, priors included; prior_cost : the priors' part
-    prior_information : (nz, nz) of the priors; status : "converged", or why not; steps : evaluations of the model
-    """
-
-    free: tuple[str, ...]
-    values: Mapping[str, float]
-    initial: Mapping[str, Mapping[str, float]]
-    cost: float
-    prior_cost: float
-    prior_information: Array
-    records: Mapping[str, RefitRecord]
-    status: str
-    steps: int
-    fineness: Mapping[str, Any] = field(default_factory=dict, repr=False)
-
-    @property
-    def converged(self) -> bool:
-        """True at an optimum: one more step would lower chi-squared by 0.001 at most."""
-        return self.status == "converged"
-
-    @cached_property
-    def information(self) -> Array:
-        """(nz + R n, nz + R n) of the free parameters, then of each record's initial states, in their units."""
-        nz, each = len(self.free), [list(one.jacobian.values()) for one in self.records.values()]
-        n = len(next(iter(self.initial.values())))
-        found = np.zeros((nz + n * len(each),) * 2)
-        found[:nz, :nz] = self.prior_information
-        for k, jacobians in enumerate(each):
-            at = np.r_[0:nz, nz + k * n : nz + (k + 1) * n]
-            for jacobian in jacobians:
-                found[np.ix_(at, at)] += jacobian.T @ jacobian
-        return found
 
 
 def refit(
@@ -158,15 +105,6 @@ class RefitProblem:
         self.model = model
         names = tuple(record.name for record in records)
         self.pmap: ParameterMap = compile(parameters, model.parameter_names, names)
-        labels = [one.label for one in self.pmap.constraints]
-        labels += [one.label for one in self.pmap.frequency_constraints]
-        if labels:
-            raise EstimationError(
-                "a refit keeps bounds, ties and priors alone",
-                seen=", ".join(labels),
-                allowed="a parameter set without constraints",
-                cure="take estimate(), which keeps constraints",
-            )
         sigma = np.array([_level(levels, output.name) for output in model.outputs])
         self.coordinates, cores = Coordinates(self.pmap), Cores()
         local: dict[int, Any] = {}
@@ -199,6 +137,7 @@ class RefitProblem:
         most: int = 60,
     ) -> Refit:
         """The refit from a start; see `refit`."""
+        self._check_constraints()
         z = self._values(start, warm)
         v = self.coordinates.of(z)
         self._steps = 0
@@ -269,7 +208,46 @@ class RefitProblem:
         size = np.where(self.coordinates.log, 1.0, np.maximum(1.0, np.abs(v)))
         return np.asarray(_LONGEST * size * self._endless)
 
+    # ---- simulation alone
+
+    def simulated(self, values: Mapping[str, float], initial: Mapping[str, Any]) -> list[Array]:
+        """The states (M, n) of each record's intervals in a simulation from these values and initial states."""
+        z = self._values(values, None)
+        return [self._nodes(record, self.coordinates.of(z), z, initial, None) for record in self.records]
+
+    def run_from(self, values: Mapping[str, float], nodes: Sequence[Array]) -> Run:
+        """The run at these values from the first of each record's states; nodes : (M, n), near that run.
+
+        Steps of the integration are made so short that they move no estimate.
+        """
+        z = np.array([values[name] for name in self.pmap.free])
+        v = self.coordinates.of(z)
+        for _ in range(1 + _SHORTENED):
+            residuals, nodes, points = simulated(self.records, v, nodes)
+            if not shorten_steps(self.records, v, nodes):
+                break
+        states = [
+            point.path.x[: record.plan.length]
+            .transpose(1, 2, 0)
+            .reshape(record.n, -1)[:, : record.grid.samples]
+            * record.scale[:, None]
+            for record, point in zip(self.records, points, strict=True)
+        ]
+        p = [self.pmap.unpack(z, record.experiment.name) for record in self.records]
+        return Run(float(sum(np.sum(r**2) for r in residuals)), states, p)
+
     # ---- where it starts
+
+    def _check_constraints(self) -> None:
+        labels = [one.label for one in self.pmap.constraints]
+        labels += [one.label for one in self.pmap.frequency_constraints]
+        if labels:
+            raise EstimationError(
+                "a refit keeps bounds, ties and priors alone",
+                seen=", ".join(labels),
+                allowed="a parameter set without constraints",
+                cure="take estimate(), which keeps constraints",
+            )
 
     def _values(self, start: Mapping[str, float] | None, warm: Refit | None) -> Array:
         known = {**(warm.values if warm is not None else {}), **(start or {})}
@@ -329,7 +307,7 @@ class RefitProblem:
             name = record.experiment.name
             begun = own.moved(nodes, np.zeros(len(record.active)))[0] * record.scale
             initial[name] = dict(zip(names, begun.tolist(), strict=True))
-            records[name] = _record(record, own.slopes, slope, before)
+            records[name] = in_time(record, own.slopes, slope, before)
         return Refit(
             free=self.pmap.free,
             values=dict(zip(self.pmap.free, z.tolist(), strict=True)),
@@ -347,21 +325,6 @@ class RefitProblem:
         nz = len(z)
         values = dict(zip(self.pmap.free, z.tolist(), strict=True))
         return Refit(self.pmap.free, values, {}, np.inf, 0.0, np.zeros((nz, nz)), {}, status, self._steps)
-
-
-def _record(record: RecordTerm, slopes: Array, scale: Array, states: Array) -> RefitRecord:
-    """A record's residuals and their derivatives in order of time; slopes : as in ``Condensed`` of one window."""
-    n, nz, observation = record.n, len(scale), record.observation
-    time, residual, jacobian = {}, {}, {}
-    columns = slopes.transpose(2, 1, 0)  # (n + nz + 1, K, M)
-    for name, sample in record.grid.measured.items():
-        rows = np.zeros((len(sample.values), nz + n))
-        for k, entry in enumerate(record.active):
-            rows[:, entry] = observation.series(columns[n + k], name) / scale[entry]
-        for k in range(n):
-            rows[:, nz + k] = observation.series(columns[k], name) / record.scale[k]
-        time[name], residual[name], jacobian[name] = sample.time, observation.series(columns[-1], name), rows
-    return RefitRecord(time, residual, jacobian, states * record.scale)
 
 
 def _level(levels: Mapping[str, float], output: str) -> float:
