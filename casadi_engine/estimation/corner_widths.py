@@ -20,14 +20,15 @@ from numpy.typing import NDArray
 
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation.fit import Fit
-from casadi_engine.estimation.refit_entry import RefitProblem
+from casadi_engine.estimation.refit_answer import Refit
+from casadi_engine.estimation.refit_problem import RefitProblem
 from casadi_engine.model import Model
 from casadi_engine.model.port_view import PortView
 from casadi_engine.parameters import Parameters, compile
 from casadi_engine.simulation.candidate_sensitivities import at_measurements
 from casadi_engine.simulation.exponential_runge_kutta import MOST_SUBSTEPS, ExponentialPropagator
 from casadi_engine.simulation.grid import lay_grid
-from casadi_engine.simulation.null_path import NullPath, null_path, with_slope
+from casadi_engine.simulation.null_path import NullPath, null_path
 from casadi_engine.simulation.observed import ObservedPropagator
 
 Array = NDArray[np.float64]
@@ -69,7 +70,7 @@ def _followed(
     again: Callable[[Parameters, Fit, Any], Fit],
 ) -> Fit:
     begun = Motion(fit, wide)
-    first = _by_motion(begun, widths)
+    first = _by_motion(fit.model, fit.parameters, widths, begun.paths())
     found = begun if first == wide else _refitted(begun, parameters, first, again)
     for _ in range(SHARPER):
         if found is None:
@@ -119,18 +120,14 @@ class Motion:
         """Chi-squared at these widths, in units of what the fit leaves."""
         if self.whole:
             return cost_along(self.fit, paths_of(self.fit, moved=widths))
-        run = self._problem.run_from(self._values | dict(widths), self._nodes)
-        return run.cost / max(self.fit.cost / self.fit.n, 1.0)
+        cost = self._problem.cost_from(self._values | dict(widths), self._nodes)
+        return cost / max(self.fit.cost / self.fit.n, 1.0)
 
     def paths(self) -> list[NullPath]:
         """The records' simulations at the fit's own widths."""
         if self.whole:
             return paths_of(self.fit)
-        run = self._problem.run_from(self._values | self.widths, self._nodes)
-        return [
-            with_slope(self.fit.model, record.grid, states, p)
-            for record, states, p in zip(self._problem.records, run.states, run.parameters, strict=True)
-        ]
+        return self._problem.paths(self._values | self.widths, self._nodes)
 
 
 def _told(motion: Motion, widths: Mapping[str, float]) -> Fit:
@@ -163,14 +160,37 @@ def _untouched(parameter: Any, value: float) -> bool:
     return not own and bool(parameter.value == value)
 
 
-def _by_motion(motion: Motion, widths: Mapping[str, Any]) -> dict[str, float]:
-    """The width of each corner by the motion on the records."""
-    found, fit, paths = {}, motion.fit, motion.paths()
+def narrowed(problem: RefitProblem, parameters: Parameters, found: Refit) -> dict[str, float]:
+    """The widths of the corners that the motion of a refit asks to be sharper than the set has them."""
+    widths = _open_widths(problem.model, parameters)
+    if not widths:
+        return {}
+    try:
+        with np.errstate(all="ignore"):
+            paths = problem.paths(found.values, found.nodes)
+            by_motion = _by_motion(problem.model, parameters, widths, paths)
+    except (FloatingPointError, np.linalg.LinAlgError):
+        return {}
+    return {name: width for name, width in by_motion.items() if width < parameters[name].value}
+
+
+def with_widths(parameters: Parameters, widths: Mapping[str, float]) -> Parameters:
+    """A copy of a set with other widths of corners."""
+    pars = parameters.copy()
+    for name, width in widths.items():
+        pars[name].set(width, min=min(width, pars[name].min))
+    return pars
+
+
+def _by_motion(
+    model: Model, parameters: Parameters, widths: Mapping[str, Any], paths: Sequence[NullPath]
+) -> dict[str, float]:
+    """The width of each corner by the motion along these simulations."""
+    found = {}
     for name, one in widths.items():
-        port = fit.model.ports[one.at]
-        view = PortView(fit.model, port, partial(courses, paths), effect=one.effect.name)
+        view = PortView(model, model.ports[one.at], partial(courses, paths), effect=one.effect.name)
         width = getattr(one.effect.narrowed(view), "width", None)
-        found[name] = fit.parameters[name].value if width is None else min(width, fit.parameters[name].value)
+        found[name] = parameters[name].value if width is None else min(width, parameters[name].value)
     return found
 
 
@@ -181,9 +201,7 @@ def _refitted(
     again: Callable[[Parameters, Fit, Any], Fit],
 ) -> Motion | None:
     """The simulation of a converged fit with these widths; None where there is none."""
-    pars = parameters.copy()
-    for name, width in widths.items():
-        pars[name].set(width, min=min(width, pars[name].min))
+    pars = with_widths(parameters, widths)
     try:
         fit = again(pars, motion.fit, max(2, max(motion.samples) // _INTERVALS))
         return Motion(fit, widths) if fit.converged else None

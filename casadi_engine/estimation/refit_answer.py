@@ -36,7 +36,9 @@ class Refit:
 
     free : names of the free parameters z (nz); values : name -> value of these; initial : record -> state -> value
     cost : chi-squared at the given levels, priors included; prior_cost : the priors' part
-    prior_information : (nz, nz) of the priors; status : "converged", or why not; steps : evaluations of the model
+    prior_information : (nz, nz) of the priors; widths : of corners that were made sharper by the motion
+    status : "converged", or why not; steps : evaluations of the model
+    fineness, nodes : of the integration, and (M, n) where the intervals begin at the end, for what goes on from here
     """
 
     free: tuple[str, ...]
@@ -48,7 +50,9 @@ class Refit:
     records: Mapping[str, RefitRecord]
     status: str
     steps: int
+    widths: Mapping[str, float] = field(default_factory=dict)
     fineness: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    nodes: tuple[Array, ...] = field(default=(), repr=False)
 
     @property
     def converged(self) -> bool:
@@ -67,16 +71,6 @@ class Refit:
             for jacobian in jacobians:
                 found[np.ix_(at, at)] += jacobian.T @ jacobian
         return found
-
-
-@dataclass(frozen=True)
-class Run:
-    """One simulation of all records: chi-squared without priors; of each record the states (n, N) at its samples and
-    the model's parameters (np,), in their units."""
-
-    cost: float
-    states: list[Array]
-    parameters: list[Array]
 
 
 def in_time(record: RecordTerm, slopes: Array, scale: Array, states: Array) -> RefitRecord:
