@@ -6,6 +6,7 @@ from casadi_engine import effects
 from casadi_engine.lazy import import_at_first_use
 
 if TYPE_CHECKING:
+    from casadi_engine.detection import misfires
     from casadi_engine.discrepancy import repair
     from casadi_engine.effects import Effect
     from casadi_engine.errors import CasadiEngineError
@@ -36,6 +37,7 @@ __all__ = [
     "identifiability",
     "load_problem",
     "load_result",
+    "misfires",
     "one_inertia",
     "orders",
     "plot",
@@ -51,6 +53,7 @@ __all__ = [
 import_at_first_use(
     __name__,
     {
+        "casadi_engine.detection": ("misfires",),
         "casadi_engine.discrepancy": ("repair",),
         "casadi_engine.effects": ("Effect",),
         "casadi_engine.errors": ("CasadiEngineError",),

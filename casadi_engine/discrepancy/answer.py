@@ -17,6 +17,7 @@ from casadi_engine.discrepancy.certificate import (
     score_rows,
     unknown_of,
 )
+from casadi_engine.discrepancy.choice import Choice
 from casadi_engine.discrepancy.confirmation import PairedGain
 from casadi_engine.discrepancy.fresh import (
     Judgement,
@@ -32,7 +33,7 @@ from casadi_engine.discrepancy.next_experiment import next_experiment
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.repaired import FoundEffect, Gaps, NextExperiment, Repair, Unknown, Verdict
-from casadi_engine.discrepancy.search import Search, Station
+from casadi_engine.discrepancy.station import Station
 from casadi_engine.estimation import Fit
 
 _MAY_HIDE = (
@@ -62,7 +63,7 @@ class Confirmation:
 class Answer:
     """What the search found, to be put to the test and into words."""
 
-    search: Search
+    search: Choice
     portion: Portions
     alpha: float
     options: dict[str, Any]
@@ -73,17 +74,18 @@ class Answer:
 
     def made(self) -> Repair:
         """The Repair."""
-        null = self.search.stations[0]
+        null = self.search.null
         if self.portion.why is not None:
             self.messages.append(self.portion.why)
         proof = self._timed("confirm", self._confirmation)
         last = proof.kept[-1]
-        found, withdrawn = self._timed("certificate", lambda: _effects(proof, self.search.stations))
+        found, withdrawn = self._timed("certificate", lambda: _effects(proof))
         unknown = self._timed("leftover", lambda: _unknown(last, null, found, withdrawn))
         if null.screened.request.blind:
             self.messages.append(_BLIND)
-            if len(self.search.stations) > 1:
-                unknown = _behind_a_sensor(null, self.search.stations[1])
+            way = self.search.way(self.search.best)
+            if way is not None and len(way) > 1:
+                unknown = _behind_a_sensor(null, way[1])
         verdict = _verdict(found, unknown)
         self._say(null, last, proof)
         blank = Repair(
@@ -143,57 +145,69 @@ class Answer:
     # ---- fresh data
 
     def _confirmation(self) -> Confirmation:
-        """Take back the effects that fresh data refuse, the last one first."""
-        stations = self.search.stations
-        if stations[0].screened.request.blind:
-            # none of these stations adds physics: what they found is told, and not claimed
-            stations = [self.search.plainly(stations[0])]
-        if not self.portion.fresh:
-            return Confirmation(tuple(stations), (), None)
-        self.tell("fresh data")
-        null = stations[0]
-        noise = stations[-1].screened.noise
-        before = fresh_sides(null.fit, (), self.portion, noise, self.search.refitter)
-        if before is None:
+        """The first structure, in order of evidence, that fresh data do not refuse."""
+        search = self.search
+        null = search.null
+        if null.screened.request.blind:
+            # none of these structures adds physics: what they found is told, and not claimed
+            return Confirmation((null,), (), None)
+        before = self._on_fresh(null) if self.portion.fresh else None
+        if self.portion.fresh and before is None:
             self.messages.append("the model without effects cannot be simulated on the fresh data")
-            return Confirmation(tuple(stations), (), None)
-        kept, refused = list(stations), list[Station]()
-        sides: dict[int, Pairs | None] = {0: before}
-        while len(kept) > 1:
-            here, base = kept[-1], kept[-2]
-            for number, station in ((len(kept) - 1, here), (len(kept) - 2, base)):
-                if number not in sides:
-                    sides[number] = fresh_sides(
-                        station.fit, station.effects, self.portion, noise, self.search.refitter
-                    )
-            judged = self._judged(sides[len(kept) - 2], sides[len(kept) - 1], base, here)
-            if base.effects and judged.confirmed is False and here.screened.leftover.alarms:
-                # beside what is not explained a companion is significant too easily
-                why = f"{judged.why}; it may stand for what is left unexplained"
-                judged = replace(judged, refused=True, why=why)
+        first: list[Station] | None = None
+        for key in search.ranked():
+            stations = search.way(key)
+            if stations is None:
+                self.messages.append(f"{search.pool[key].label}: its fit of all data does not converge")
+                continue
+            first = stations if first is None else first
+            if before is None or len(stations) == 1:
+                return self._kept(stations, first, before)
+            judged, after = self._of_structure(stations, before)
             if not judged.refused:
-                break
-            self.messages.append(f"{here.effects[-1].label}: {judged.why}")
-            refused.insert(0, kept.pop())
-            kept[-1] = self.search.plainly(kept[-1])
-        after = sides[len(kept) - 1] if len(kept) > 1 else before
-        if len(kept) == 1:
-            return Confirmation((null,), tuple(refused), Judgement(None, None), before, before)
-        judgement = self._judged(before, after, null, kept[-1])
-        if not judgement.confirmed and judgement.why:
-            self.messages.append(judgement.why)
-        return Confirmation(tuple(kept), tuple(refused), judgement, before, after or [])
+                if not judged.confirmed and judged.why:
+                    self.messages.append(judged.why)
+                return self._kept(stations, first, before, judged, after)
+            self.messages.append(f"{search.pool[key].label}: {judged.why}")
+        return self._kept([null], first or [null], before)
+
+    @staticmethod
+    def _kept(
+        stations: list[Station],
+        first: list[Station],
+        before: Pairs | None,
+        judged: Judgement | None = None,
+        after: Pairs | None = None,
+    ) -> Confirmation:
+        refused = tuple(first[1:]) if stations[-1] is not first[-1] else ()
+        if judged is None and before is not None:
+            judged = Judgement(None, None)
+        return Confirmation(tuple(stations), refused, judged, before or [], after or before or [])
+
+    def _on_fresh(self, station: Station) -> Pairs | None:
+        self.tell("fresh data")
+        noise = station.screened.noise
+        return fresh_sides(station.fit, station.effects, self.portion, noise, self.search.refitter)
+
+    def _of_structure(self, stations: list[Station], before: Pairs) -> tuple[Judgement, Pairs]:
+        """What fresh data say of a structure, against none and against its parts."""
+        last, base = stations[-1], stations[-2]
+        after = self._on_fresh(last)
+        if after is None:
+            return Judgement(None, False, True, "the repaired model cannot be simulated on the fresh data"), []
+        if base.effects:
+            part = self._on_fresh(base)
+            judged = self._judged(part, after, base, last)
+            if judged.refused:
+                return judged, after
+        return self._judged(before, after, stations[0], last), after
 
     def _judged(self, old: Pairs | None, new: Pairs | None, base: Station, here: Station) -> Judgement:
         if not old or not new:
             why = "the repaired model cannot be simulated on the fresh data"
             return Judgement(None, False, True, why)
-        noise = here.screened.noise
-        first, then = gap_of([base.screened.null], noise), gap_of([here.screened.null], noise)
-        drop = (first.chi2_per_sample - then.chi2_per_sample) * first.samples
-        foreseen = drop / max(len(base.screened.compressed.cycles), 1)
         event = here.effects[-1].placed and self.portion.source == "records"
-        judged = judge([n for _, n in old], [n for _, n in new], noise, foreseen=0.0 if event else foreseen)
+        judged = judge([n for _, n in old], [n for _, n in new], here.screened.noise)
         if event and not judged.confirmed and not judged.refused:
             why = "it is an event of one record, which no other record can confirm"
             return replace(judged, confirmed=None, why=f"{here.effects[-1].label}: {why}")
@@ -233,7 +247,7 @@ class Answer:
             self.messages.append(
                 f"without the effects {', '.join(bound)} went to a bound: the scores held them there"
             )
-        if bound and len(self.search.stations) == 1:
+        if bound and not self.search.best:
             self.messages.append(
                 f"{', '.join(bound)} went to a bound: the model may not describe these data, whatever was tested"
             )
@@ -265,15 +279,13 @@ def _noise_of_place(last: Station) -> NoiseModel:
     return last.screened.choice.stated or last.screened.noise
 
 
-def _effects(
-    proof: Confirmation, stations: Sequence[Station]
-) -> tuple[tuple[FoundEffect, ...], tuple[FoundEffect, ...]]:
-    """The effects found, and those withdrawn; stations : as the search left them."""
+def _effects(proof: Confirmation) -> tuple[tuple[FoundEffect, ...], tuple[FoundEffect, ...]]:
+    """The effects found, and those withdrawn."""
     found = found_effects(proof.kept)
     if not proof.refused:
         return found, ()
     known = {one.key for one in found}
-    everything = found_effects(stations)
+    everything = found_effects((proof.kept[0], *proof.refused))
     return found, tuple(one for one in everything if one.key not in known)
 
 

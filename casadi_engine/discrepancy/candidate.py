@@ -6,6 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+import numpy as np
+
+from casadi_engine.discrepancy.linear_algebra import Array
+from casadi_engine.errors import EffectError
+from casadi_engine.model.term import NotApplicable
 from casadi_engine.simulation.candidate_sensitivities import Direction
 
 Side = Literal[-1, 0, 1]
@@ -49,3 +54,37 @@ class Candidate:
         inside = [f"{name} {value:.4g}" for name, value in self.nuisance.items()]
         inside += [] if self.size is None else [f"size {self.size:.4g}"]
         return f"{self.effect} at {self.port}" + (f" ({', '.join(inside)})" if inside else "")
+
+
+def with_finite_columns(
+    candidates: list[Candidate], columns: dict[str, dict[str, Array]]
+) -> tuple[list[Candidate], dict[str, dict[str, Array]], list[NotApplicable]]:
+    """The candidates whose sensitivity is a number everywhere in the data, their columns, and notes for the others.
+
+    Raises EffectError where none is left.
+    """
+    wrong: dict[int, str] = {}
+    for record, outputs in columns.items():
+        for values in outputs.values():
+            wrong |= dict.fromkeys(np.flatnonzero(~np.isfinite(values).all(axis=0)).tolist(), record)
+    if not wrong:
+        return candidates, columns, []
+    why = {k: f"its law has no finite derivative along record {record}" for k, record in wrong.items()}
+    if len(wrong) == len(candidates):
+        first = min(wrong)
+        raise EffectError(
+            f"the law of {candidates[first].label} has no finite derivative along record {wrong[first]}",
+            seen="a change of an output with its amplitude that is infinite or not a number",
+            allowed="a law that is smooth for all values that its signals take in the data",
+            cure="take functions of math, the last argument of law, not those of Python's own module; keep "
+            "roots and divisions away from zero",
+        )
+    kept = [k for k in range(len(candidates)) if k not in wrong]
+    columns = {
+        record: {name: values[:, kept] for name, values in outputs.items()}
+        for record, outputs in columns.items()
+    }
+    notes = [
+        NotApplicable(candidates[k].effect, candidates[k].port, (), (), words) for k, words in why.items()
+    ]
+    return [candidates[k] for k in kept], columns, notes

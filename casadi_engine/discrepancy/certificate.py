@@ -27,7 +27,7 @@ from casadi_engine.discrepancy.repaired import (
     Unknown,
 )
 from casadi_engine.discrepancy.screening import Leftover, Screened
-from casadi_engine.discrepancy.search import Station
+from casadi_engine.discrepancy.station import Station
 from casadi_engine.effects import candidate as candidate_of
 from casadi_engine.estimation import Fit
 from casadi_engine.model import Model

@@ -10,16 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.discrepancy.linear_algebra import Array
+from casadi_engine.distributions import t_sf
 
-_WANTED = 2.0
+# The chance of a gain where there is none (two standard errors of many cycles); fewest cycles that tell.
+_CHANCE = 0.02275
 _FEWEST = 3
 
 
 @dataclass(frozen=True)
 class PairedGain:
-    """Drop of chi-squared per cycle of fresh data: mean, its standard error, number of cycles.
+    """Twice the gain of log likelihood per cycle of fresh data: mean, its standard error, number of cycles.
 
-    confirmed : mean/se > 2; None where there are too few cycles to tell, and ``why`` says so
+    confirmed : beyond chance (2.3 %, Student's t); None where there are too few cycles to tell, and ``why`` says so
     """
 
     mean: float | None
@@ -27,6 +29,13 @@ class PairedGain:
     cycles: int
     confirmed: bool | None
     why: str | None = None
+
+    @property
+    def refused(self) -> bool:
+        """True for a loss that is beyond chance as far as a gain has to be."""
+        if self.mean is None or self.se is None:
+            return False
+        return float(t_sf(-self.mean / max(self.se, 1e-300), self.cycles - 1)) < _CHANCE
 
 
 @dataclass(frozen=True)
@@ -51,21 +60,36 @@ class Residuals:
     sigma: float
 
 
+def gains(before: Sequence[Residuals], after: Sequence[Residuals]) -> Array:
+    """(cycles,) twice the gain of log likelihood in each cycle, with the level of the noise that each model leaves
+    there: one cycle in which the first model is lost does not outweigh all others."""
+    squares: dict[tuple[str, str, int], tuple[float, float, int]] = {}
+    for old, new in zip(before, after, strict=True):
+        for number in np.unique(old.cycle):
+            own = old.cycle == number
+            key = (old.record, old.output, int(number))
+            floor = np.finfo(float).eps * float(old.measured[own] @ old.measured[own]) + 1e-300
+            squares[key] = (
+                float(old.e[own] @ old.e[own]) + floor,
+                float(new.e[own] @ new.e[own]) + floor,
+                int(own.sum()),
+            )
+    found: dict[tuple[str, int], float] = {}
+    for (record, _, number), (first, then, count) in squares.items():
+        found[record, number] = found.get((record, number), 0.0) + count * math.log(first / then)
+    return np.array(list(found.values()))
+
+
 def paired_gain(before: Sequence[Residuals], after: Sequence[Residuals]) -> PairedGain:
     """The gain per cycle; the same records, outputs and samples before and after."""
-    gains: dict[tuple[str, int], float] = {}
-    for old, new in zip(before, after, strict=True):
-        drop = (old.e**2 - new.e**2) / old.sigma**2
-        for number in np.unique(old.cycle):
-            key = (old.record, int(number))
-            gains[key] = gains.get(key, 0.0) + float(drop[old.cycle == number].sum())
-    values = np.array(list(gains.values()))
+    values = gains(before, after)
     if len(values) < _FEWEST:
         mean = float(values.mean()) if len(values) else None
         why = f"{len(values)} cycles of fresh data: at least {_FEWEST} are needed to tell a gain from chance"
         return PairedGain(mean, None, len(values), None, why)
     mean, se = float(values.mean()), float(values.std(ddof=1) / math.sqrt(len(values)))
-    return PairedGain(mean, se, len(values), mean > _WANTED * se and mean > 0)
+    sure = float(t_sf(mean / max(se, 1e-300), len(values) - 1)) < _CHANCE
+    return PairedGain(mean, se, len(values), sure)
 
 
 def gap(residuals: Sequence[Residuals]) -> Gap:

@@ -36,12 +36,20 @@ def library_candidates(
     """
     found: dict[tuple[Any, ...], Candidate] = {}
     known = {} if known is None else known
+    free = frozenset(name.partition("@")[0] for name in null.parameters)
     # of all records together: a grid that followed each one's motion would make one effect several
     motion = partial(courses, [record.path for record in null.records])
     for record, experiment in zip(null.records, data, strict=True):
         numbers = dict(zip(null.model.parameter_names, record.path.p.tolist(), strict=True))
         every = candidates(
-            null.model, effects, experiment, parameters=numbers, courses=motion, skipped=skipped, known=known
+            null.model,
+            effects,
+            experiment,
+            parameters=numbers,
+            courses=motion,
+            skipped=skipped,
+            known=known,
+            free=free,
         )
         for number, made in enumerate(every):
             placed = any(grid.over in ("time", "cycle") for grid in made.effect.nuisance.values())

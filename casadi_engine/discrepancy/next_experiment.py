@@ -17,7 +17,7 @@ from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import null_at
 from casadi_engine.discrepancy.repaired import Member, NextExperiment
 from casadi_engine.discrepancy.score import Scores, score
-from casadi_engine.discrepancy.search import Station
+from casadi_engine.discrepancy.station import Station
 from casadi_engine.effects import candidate as candidate_of
 from casadi_engine.experiment import Channel, Experiment
 from casadi_engine.model import Model

@@ -115,13 +115,13 @@ def choose_noise(
     noise = replace(noise, sigma=_above_rounding(null, noise.sigma))
     _check_levels(noise.sigma)
     white = white.relevelled(noise, scatter)
-    if colour is False or (colour == "auto" and _is_white(null, noise, beside(null, columns, ()), random)):
+    if colour is False or (colour == "auto" and is_white(null, noise, beside(null, columns, ()), random)):
         return NoiseChoice(noise, scatter, cylinders, messages, white, white=white)
     if wait and colour == "auto" and not scatter and _is_long(null, data):
         return NoiseChoice(noise, scatter, cylinders, messages, white, waits=True, white=white)
     found, held = coloured_noise(null, candidates, columns, white, scatter=scatter, random=random)
     left = beside(null, columns, held)
-    if colour == "auto" and (not found.colour or _is_white(null, noise, left, random)):
+    if colour == "auto" and (not found.colour or is_white(null, noise, left, random)):
         return NoiseChoice(noise, scatter, cylinders, messages, white, white=white)
     known = {name: sigma for name, (sigma, estimated) in levels.items() if not estimated}
     larger = _too_large(null, found, known)
@@ -154,7 +154,7 @@ def noise_left(
     noise = NoiseModel(left, {}, {}, "estimated" if count else "known", count)
     if not all(level > 0 for level in left.values()):
         return None
-    return noise if _is_white(null, noise, {r.name: dict(r.slopes) for r in null.records}, None) else None
+    return noise if is_white(null, noise, {r.name: dict(r.slopes) for r in null.records}, None) else None
 
 
 def _is_long(null: NullModel, data: Sequence[Experiment]) -> bool:
@@ -257,7 +257,7 @@ def _explained(null: NullModel, white: Compressed, columns: Columns) -> dict[str
     return beside(null, columns, chosen)
 
 
-def _is_white(null: NullModel, noise: NoiseModel, explained: Columns, random: Columns | None) -> bool:
+def is_white(null: NullModel, noise: NoiseModel, explained: Columns, random: Columns | None) -> bool:
     """True if the residual that the columns and the scatter leave is white, in all outputs of all records."""
     left = left_over(null, noise, explained, random)
     tests = 0

@@ -186,8 +186,8 @@ def null_at(
     refuse_jumps(model)
     pmap = compile(parameters, model.parameter_names, tuple(r.name for r in data))  # type: ignore[arg-type]
     z = np.asarray(z, dtype=float)
-    turn = _free_directions(model, pmap, z, held_parameters)
-    prior = _prior_rows(pmap, z, turn)
+    turn = free_directions(model, pmap, z, held_parameters)
+    prior = prior_rows(pmap, z, turn)
     records = []
     for record in data:
         p = pmap.unpack(z, record.name)
@@ -205,15 +205,15 @@ def null_at(
                 (steps or {}).get(record.name),
             )
         )
-    units = tuple(_unit(parameters, name) for name in pmap.free)
+    units = tuple(unit_of(parameters, name) for name in pmap.free)
     return NullModel(model, pmap.free, units, z, turn, prior, tuple(records))
 
 
-def _unit(parameters: object, name: str) -> str:
+def unit_of(parameters: object, name: str) -> str:
     return str(parameters[name.partition("@")[0]].unit)  # type: ignore[index]
 
 
-def _free_directions(model: Model, pmap: ParameterMap, z: Array, held: Sequence[str]) -> Array:
+def free_directions(model: Model, pmap: ParameterMap, z: Array, held: Sequence[str]) -> Array:
     """(nz, n_theta) steps of z, each about the size of its entry, that keep what bounds and constraints hold."""
     nz = len(z)
     scale = np.where(z != 0, np.abs(z), pmap.scale)
@@ -234,7 +234,7 @@ def _free_directions(model: Model, pmap: ParameterMap, z: Array, held: Sequence[
     return np.asarray(scale[:, None] * turn[rank:].T)
 
 
-def _prior_rows(pmap: ParameterMap, z: Array, turn: Array) -> Array:
+def prior_rows(pmap: ParameterMap, z: Array, turn: Array) -> Array:
     residual = ca.vertcat(ca.SX(0, 1), *[(p.mean - p.expression) / p.sigma for p in pmap.priors])
     if not residual.numel():
         return np.zeros((0, turn.shape[1] + 1))

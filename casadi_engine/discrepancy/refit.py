@@ -29,16 +29,10 @@ from casadi_engine.problem.noise import Noise
 from casadi_engine.simulation.exponential_runge_kutta import MOST_SUBSTEPS
 from casadi_engine.simulation.null_path import NullPath
 
-# Shares of the predicted amplitude at which it is held, one after the other, where a free start fails.
-_SHARES = (0.1, 0.3, 0.6, 1.0)
-_SMALL = 0.02
-# One step tells little of an effect whose predicted drop of chi-squared is larger.
-_LARGE = 400.0
-# Iterations of one try; of one from a start that nothing speaks for, which goes on if it has come below the base.
+# Iterations of one try; of one that holds an amplitude.
 _ITERATIONS, _FEWER = 60, 30
 # Intervals into which a record is cut for laws with sharp corners.
 _INTERVALS = 400
-_ROUNDING = 1e-3
 # Corners are sharpened at most so often.
 _SHARPER = 3
 # And as long as all records together are not integrated in more steps than this.
@@ -51,12 +45,12 @@ _CONTENT, _HALVINGS, _FASTEST = 1.0, 16, 256.0
 
 @dataclass(frozen=True, eq=False)
 class Addition:
-    """An effect that is added: its candidate, the amplitude from which the search starts, and the predicted drop of
-    chi-squared."""
+    """An effect that is added: its candidate, the amplitude from which the search starts, and from how many choices of
+    whole numbers (the cycles of a misfire) it is the best one."""
 
     candidate: Candidate
     start: float
-    drop: float = 0.0
+    choices: int = 1
 
     @property
     def label(self) -> str:
@@ -74,6 +68,22 @@ class Addition:
         return f"{self.key}.{self.candidate.source.effect.amplitude.name}"
 
     @property
+    def bounds(self) -> Any:
+        """The effect's `Amplitude`."""
+        return self.candidate.source.effect.amplitude
+
+    @property
+    def nuisance(self) -> Mapping[str, Any]:
+        """Name -> `Grid` of the effect's nuisance parameters."""
+        found: Mapping[str, Any] = self.candidate.source.effect.nuisance
+        return found
+
+    @property
+    def kind(self) -> str:
+        """The kind of its port."""
+        return str(self.candidate.source.model.ports[self.candidate.port].kind)
+
+    @property
     def placed(self) -> bool:
         """True for an event: an effect at a time or in cycles of one record."""
         nuisance = self.candidate.source.effect.nuisance
@@ -87,11 +97,11 @@ class Addition:
         return next(iter(self.candidate.direction))
 
 
-def addition(candidate: Candidate, amplitude: float, drop: float) -> Addition:
+def addition(candidate: Candidate, amplitude: float, choices: int = 1) -> Addition:
     """An effect to add, from its one-step amplitude; a candidate made at a size starts there."""
     start = candidate.size if candidate.size is not None else amplitude
     bounds = candidate.source.effect.amplitude
-    return Addition(candidate, float(np.clip(start, bounds.min, bounds.max)), drop)
+    return Addition(candidate, float(np.clip(start, bounds.min, bounds.max)), choices)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,39 +118,22 @@ class Refitter:
     # models by their effects, each with the effect added last, so that it keeps its identity
     _models: dict[tuple[Any, ...], tuple[Any, Model]] = field(default_factory=dict, repr=False)
 
-    def __call__(self, base: Fit, effects: Sequence[Addition], *, start: Any = None) -> Fit:
-        """The fit with these effects, from a fit with some of them.
+    def __call__(self, base: Fit, effects: Sequence[Addition], *, start: Any) -> Fit | None:
+        """The fit with these effects, of all data and as the fit without effects was made, from where a refit arrived;
+        None where it fails.
 
-        start : values and initial states near it, if known
-
-        Not converged where no start leads to an optimum below the base's. Tried are the base's optimum with the
-        predicted amplitude; the parameters' own start values where the base was driven to a bound; the base's optimum
-        with a small amplitude; and the amplitude held at growing shares of the prediction.
+        base : the fit without effects, by whose motion corners are narrowed; start : values and initial states
         """
         self._look(base, effects)
         model = self.extended(effects)
-        pars = self._parameters(model, effects)
-        new = [one for one in effects if one.amplitude not in base.parameters]
-        if start is not None:
-            near = self._try(model, pars, start)
-            if near is not None and _nested(base, near):
-                return self._smallest(self._sharpened(near, effects), effects, new)
-        warm = Start.of(base, near=False)
-        best = self._try(model, pars, warm)
-        if best is None or not best.converged or _driven(base) or _driven(best):
-            best = _better(best, self._try(model, pars, None))
-        if not new:
-            return base if best is None else best
-        if not _nested(base, best):
-            small = self._try(model, self._at(pars, new, _SMALL), warm, most=_FEWER)
-            if small is not None and not small.converged and merit(small) < merit(base):
-                small = _better(small, self._try(model, pars, Start.of(small)))  # on its way
-            best = _better(best, small)
-        if not _nested(base, best) and any(one.drop > _LARGE for one in new):
-            best = _better(best, self._continued(model, pars, new, warm))
-        if best is None or not _nested(base, best):
-            return replace(base, status="not converged: no start leads below the fit without the effect")
-        return self._smallest(self._sharpened(best, effects), effects, new)
+        pars = self.parameters_of(model, effects)
+        fit = self._try(model, pars, start)
+        if fit is None or not fit.converged:
+            far = Start(start.values, {}, {}, False)
+            fit = _better(fit, self._try(model, pars, far))
+        if fit is None or not fit.converged:
+            return fit
+        return self._smallest(self._sharpened(fit, effects), effects, effects)
 
     def _smallest(self, fit: Fit, effects: Sequence[Addition], new: Sequence[Addition]) -> Fit:
         """The fit with amplitudes that have no error, one larger than themselves, or rest on their upper bound, as
@@ -153,7 +146,7 @@ class Refitter:
                 continue
             best, least, share = fit, merit(fit) + _CONTENT, 2.0
             for _ in range(_HALVINGS):
-                held = self._parameters(fit.model, effects)
+                held = self.parameters_of(fit.model, effects)
                 held.fix(one.amplitude, best.values[one.amplitude] / share)
                 step = self._try(fit.model, held, Start.of(best), most=_FEWER)
                 if step is not None and step.converged and merit(step) <= least:
@@ -165,7 +158,7 @@ class Refitter:
             if best is fit and not _determined(found):
                 continue
             size = best.values[one.amplitude]
-            pars = self._parameters(fit.model, effects)
+            pars = self.parameters_of(fit.model, effects)
             own = pars[one.amplitude]
             own.set(size, min=own.min if size > 0 else size, max=size if size > 0 else own.max)
             again = self._try(fit.model, pars, Start.of(best))
@@ -177,31 +170,12 @@ class Refitter:
         its slope says nothing of larger ones."""
         if type(one.candidate.source.effect).sizes is Effect.sizes:
             return False
-        pars = self._parameters(fit.model, effects)
+        pars = self.parameters_of(fit.model, effects)
         own, size = pars[one.amplitude], 2 * fit.values[one.amplitude]
         own.set(size, min=min(size, own.min), max=max(size, own.max))
         pars.fix(one.amplitude)
         step = self._try(fit.model, pars, Start.of(fit), most=_FEWER)
         return step is not None and merit(step) <= merit(fit) + _CONTENT
-
-    def _continued(self, model: Model, pars: Parameters, new: Sequence[Addition], warm: Start) -> Fit | None:
-        """The fit reached with the amplitude held at growing shares of the prediction."""
-        for share in _SHARES:
-            held = self._at(pars, new, share)
-            for one in new:
-                held.fix(one.amplitude)
-            step = self._try(model, held, warm)
-            if step is None:
-                break
-            warm = Start.of(step)
-        return self._try(model, pars, warm)
-
-    @staticmethod
-    def _at(pars: Parameters, new: Sequence[Addition], share: float) -> Parameters:
-        moved = pars.copy()
-        for one in new:
-            moved[one.amplitude].set(share * one.start)
-        return moved
 
     def extended(self, effects: Sequence[Addition]) -> Model:
         """The null fit's model with these effects; the same one each time.
@@ -256,13 +230,13 @@ class Refitter:
         if not chosen:
             return fit
         model = self.extended(effects)
-        again = self._try(model, self._parameters(model, effects), Start.of(fit), short=True)
+        again = self._try(model, self.parameters_of(model, effects), Start.of(fit), short=True)
         if again is not None and again.converged and merit(again) < merit(fit) + FELT:
             return again
         self._narrow.update(before)
         return fit
 
-    def _parameters(self, model: Model, effects: Sequence[Addition]) -> Parameters:
+    def parameters_of(self, model: Model, effects: Sequence[Addition]) -> Parameters:
         pars = self.parameters.copy().extended(model)
         spans = [record.span for record in self.data]
         for one in effects:
@@ -319,19 +293,9 @@ def _samples(record: Experiment) -> int:
     return max(len(record[name].time) for name in record.names)
 
 
-def _driven(fit: Fit) -> bool:
-    """True if an estimate is at a bound."""
-    return any(fit.estimates[name].at_bound is not False for name in fit.free)
-
-
 def _determined(found: Estimate) -> bool:
     """True for an estimate inside its bounds with an error that is smaller than itself."""
     return found.at_bound is False and found.stderr is not None and found.stderr < abs(found.value)
-
-
-def _nested(base: Fit, fit: Fit | None) -> bool:
-    """True for a converged fit that is no worse than the base, which it holds as a special case."""
-    return fit is not None and fit.converged and merit(fit) <= merit(base) + _ROUNDING
 
 
 def _better(one: Fit | None, other: Fit | None) -> Fit | None:

@@ -10,6 +10,7 @@ from typing import Any
 
 from casadi_engine.discrepancy.answer import Answer
 from casadi_engine.discrepancy.assumed_pressure import carry, remarks, settle_scatter
+from casadi_engine.discrepancy.choice import Choice
 from casadi_engine.discrepancy.fresh import Portions, portions
 from casadi_engine.discrepancy.lower_rate import at_lower_rate
 from casadi_engine.discrepancy.noise_choice import ColourChoice, check_choice
@@ -18,7 +19,6 @@ from casadi_engine.discrepancy.refit import Refitter
 from casadi_engine.discrepancy.repaired import Repair
 from casadi_engine.discrepancy.requests import check_alpha, read_request
 from casadi_engine.discrepancy.screening import Screened, screen_in_turn
-from casadi_engine.discrepancy.search import Search
 from casadi_engine.effects.candidate import Known
 from casadi_engine.errors import EstimationError, ExperimentError
 from casadi_engine.estimation import Fit, estimate
@@ -135,11 +135,11 @@ def repair(
 
     lower = at_lower_rate(null_fit, pars, portion, noise, options)
     searched, own_noise = (portion, noise) if lower is None else (lower.portion, lower.noise)
-    search = Search(Refitter(model, pars, searched.data, own_noise, options), scores, most, tell)
+    search = Choice(Refitter(model, pars, searched.data, own_noise, options), scores, most, tell, cylinders=scatter)
     try:
         search.run(null_fit if lower is None else lower.fit)
         timing |= search.timing
-        told = remarks(search.stations[-1].fit, scatter)
+        told = remarks(search.chosen.fit, scatter)
         made = Answer(search, searched, alpha, asked, timing, begun, tell, told).made()
         if lower is None:
             return made
@@ -150,7 +150,7 @@ def repair(
         timing["total"] = time.perf_counter() - begun
         return made
     except KeyboardInterrupt:
-        best = search.stations[-1].fit if search.stations else null_fit
+        best = search.chosen.fit
         timing["total"] = time.perf_counter() - begun
         why = "interrupted before the search was at its end: the best model so far has no verdict"
         return Repair(

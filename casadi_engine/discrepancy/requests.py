@@ -8,11 +8,10 @@ from typing import Any
 
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.effects import Effect, library
+from casadi_engine.effects.protocol import check_effect
 from casadi_engine.errors import EffectError, EstimationError
 from casadi_engine.estimation.options import as_number
 from casadi_engine.model import Model
-from casadi_engine.model.effect import check_effect
-from casadi_engine.model.port_view import MissingSignalError
 from casadi_engine.model.term import NotApplicable, find_port, not_applicable, ports_of_kind
 
 
@@ -40,10 +39,10 @@ def read_request(model: Model, effects: Any, at: Sequence[str] | str | None = No
 
     effects : None for the library, or a sequence of effects, names of the library, or pairs (effect or name, port)
     at : names of ports to which the search is held, None for all
-    An effect whose law reads a signal that a port lacks is left out there, and listed as not applicable.
+    An effect whose law fails at a port, or reads a signal that the port lacks, is left out there, and listed as not
+    applicable.
     Raises EffectError for an effect that does not follow the protocol, for one that is there twice, for a port that
-    does not exist, for a pair whose effect cannot act at its port, for an effect of the user's own whose law fails or
-    that no port has the signals for, and where nothing is left to be tested.
+    does not exist, and where nothing is left to be tested.
     """
     if effects is not None and (
         isinstance(effects, Mapping) or not isinstance(effects, (Effect, str, Iterable))
@@ -74,10 +73,13 @@ def read_request(model: Model, effects: Any, at: Sequence[str] | str | None = No
         where[effect.name] = ports if ports is None else (*(where.get(effect.name) or ()), *ports)
     fits: dict[str, tuple[str, ...]] = {}
     skipped: list[NotApplicable] = []
+    faults: list[EffectError] = []
     for name, effect in found.items():
-        fits[name], left_out = _tried(model, effect, where[name], held)
+        fits[name], left_out = _tried(model, effect, where[name], held, faults)
         skipped += left_out
     if not any(fits.values()):
+        if len(found) == 1 and faults:
+            raise faults[0]
         lacking = [one for one in skipped if one.at]
         raise EffectError(
             f"none of these effects can act anywhere in the model {model.name}",
@@ -92,30 +94,29 @@ def read_request(model: Model, effects: Any, at: Sequence[str] | str | None = No
 
 
 def _tried(
-    model: Model, effect: Effect, asked: tuple[str, ...] | None, held: tuple[str, ...] | None
+    model: Model,
+    effect: Effect,
+    asked: tuple[str, ...] | None,
+    held: tuple[str, ...] | None,
+    faults: list[EffectError],
 ) -> tuple[tuple[str, ...], list[NotApplicable]]:
     """The ports at which an effect can act, by a call of its law on trial, and where it cannot.
 
-    asked : the ports that it was paired with; held : those to which the search is held
+    asked : the ports that it was paired with; held : those to which the search is held; faults : to be added to
     """
     there = [port for port in ports_of_kind(model, effect) if asked is None or port.name in asked]
     there = [port for port in there if held is None or port.name in held]
     if not there and held is None:
         kinds = " or ".join(effect.attaches)
         return (), [NotApplicable(effect.name, "", (), (), f"the model has no port of the kind {kinds}")]
-    fine, left_out, faults = [], [], []
+    fine, left_out = [], []
     for port in there:
         why = not_applicable(model, effect, port)
         if why is None:
             fine.append(port.name)
-            continue
-        left_out.append(why[0])
-        faults.append(why[1])
-    broken = [fault for fault in faults if not isinstance(fault, MissingSignalError)]
-    if asked is not None and faults:
-        raise faults[0]
-    if type(effect) not in {type(one) for one in library()} and faults and (broken or not fine):
-        raise (broken or faults)[0]
+        else:
+            left_out.append(why[0])
+            faults.append(why[1])
     return tuple(fine), left_out
 
 

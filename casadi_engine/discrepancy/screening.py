@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_engine.discrepancy.candidate import Candidate
+from casadi_engine.discrepancy.candidate import Candidate, with_finite_columns
 from casadi_engine.discrepancy.compression import (
     Compressed,
     candidate_columns,
@@ -43,7 +43,7 @@ from casadi_engine.discrepancy.requests import Request, check_alpha, read_reques
 from casadi_engine.discrepancy.score import Scores, score
 from casadi_engine.distributions import normal_isf
 from casadi_engine.effects.candidate import Known
-from casadi_engine.errors import EffectError, EstimationError
+from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.options import whole
 from casadi_engine.model.term import NotApplicable
@@ -233,10 +233,10 @@ def _linearised(
     null = null_model(fit)
     skipped: list[NotApplicable] = []
     every = library_candidates(null, fit.data, request.effects, skipped, known)
-    request = replace(request, skipped=(*request.skipped, *dict.fromkeys(skipped)))
     candidates = [one for one in every if request.wants(one)]
     columns = {record.name: candidate_columns(record, candidates) for record in null.records}
-    _check_columns(candidates, columns)
+    candidates, columns, without = with_finite_columns(candidates, columns)
+    request = replace(request, skipped=(*request.skipped, *dict.fromkeys((*skipped, *without))))
     return null, tuple(candidates), columns, request
 
 
@@ -256,21 +256,6 @@ def _check(fit: Any, noise: Any, alpha: Any) -> None:
             cure="leave it out: the levels that the fit was told count, or those of its residual",
         )
     check_alpha(alpha)
-
-
-def _check_columns(candidates: Sequence[Candidate], columns: Mapping[str, Mapping[str, Array]]) -> None:
-    """Raise EffectError for an effect whose sensitivity is no number somewhere in the data."""
-    for record, outputs in columns.items():
-        for output, values in outputs.items():
-            wrong = np.flatnonzero(~np.isfinite(values).all(axis=0))
-            if len(wrong):
-                raise EffectError(
-                    f"the law of {candidates[wrong[0]].label} has no finite derivative along record {record}",
-                    seen=f"the change of {output} with its amplitude is infinite or not a number",
-                    allowed="a law that is smooth for all values that its signals take in the data",
-                    cure="take functions of math, the last argument of law, not those of Python's own module; keep "
-                    "roots and divisions away from zero",
-                )
 
 
 def rescored(screened: Screened, choice: NoiseChoice) -> Screened:

@@ -1,7 +1,8 @@
 """Physical effects that a model may lack: the protocol for your own, and the library.
 
-An effect can act at a port of its kind that has the signals which its law reads. ``help(ce.Blueprint.port)`` lists what
-the library reads, ``print(model.ports)`` what the ports of a model have, ``ports_for(model, effect)`` where it fits.
+An effect can act at a port of its kind that has the signals which its law reads. ``print(ce.effects.table())``, or
+``python -m casadi_engine.effects``, lists formulas, ports and signals of the library, ``print(model.ports)`` what the
+ports of a model have, ``ports_for(model, effect)`` where it fits.
 """
 
 from typing import TYPE_CHECKING
@@ -11,24 +12,30 @@ from casadi_engine.lazy import import_at_first_use
 if TYPE_CHECKING:
     from casadi_engine.effects.candidate import Candidate, candidate, candidates, cycles_of
     from casadi_engine.effects.combustion import CylinderImbalance, Misfire
+    from casadi_engine.effects.events import by_record
     from casadi_engine.effects.friction import (
+        AsymmetricFriction,
         CoulombFriction,
         QuadraticDrag,
         StribeckFriction,
         ViscousFriction,
     )
+    from casadi_engine.effects.functions import Sharp, Smooth
     from casadi_engine.effects.library import library
+    from casadi_engine.effects.parameter import WrongValue
+    from casadi_engine.effects.protocol import Amplitude, Effect, Grid, Law
     from casadi_engine.effects.sensor import SensorDelay, SensorOffset
     from casadi_engine.effects.stiffness import Backlash, CubicStiffness
-    from casadi_engine.effects.torque import ConstantTorque, LoadStep
+    from casadi_engine.effects.table import table
+    from casadi_engine.effects.torque import ConstantTorque, Impulse, LoadStep
+    from casadi_engine.effects.transfer import Transfer
     from casadi_engine.model.combustion import Motored, fit_motored
-    from casadi_engine.model.effect import Amplitude, Effect, Grid, Law
-    from casadi_engine.model.effect_math import Sharp, Smooth
     from casadi_engine.model.port_view import port_view
     from casadi_engine.model.term import ports_for
 
 __all__ = [
     "Amplitude",
+    "AsymmetricFriction",
     "Backlash",
     "Candidate",
     "ConstantTorque",
@@ -37,6 +44,7 @@ __all__ = [
     "CylinderImbalance",
     "Effect",
     "Grid",
+    "Impulse",
     "Law",
     "LoadStep",
     "Misfire",
@@ -47,7 +55,10 @@ __all__ = [
     "Sharp",
     "Smooth",
     "StribeckFriction",
+    "Transfer",
     "ViscousFriction",
+    "WrongValue",
+    "by_record",
     "candidate",
     "candidates",
     "cycles_of",
@@ -55,6 +66,7 @@ __all__ = [
     "library",
     "port_view",
     "ports_for",
+    "table",
 ]
 
 import_at_first_use(
@@ -62,19 +74,24 @@ import_at_first_use(
     {
         "casadi_engine.effects.candidate": ("Candidate", "candidate", "candidates", "cycles_of"),
         "casadi_engine.effects.combustion": ("CylinderImbalance", "Misfire"),
+        "casadi_engine.effects.events": ("by_record",),
         "casadi_engine.effects.friction": (
+            "AsymmetricFriction",
             "CoulombFriction",
             "QuadraticDrag",
             "StribeckFriction",
             "ViscousFriction",
         ),
         "casadi_engine.effects.library": ("library",),
+        "casadi_engine.effects.parameter": ("WrongValue",),
         "casadi_engine.effects.sensor": ("SensorDelay", "SensorOffset"),
         "casadi_engine.effects.stiffness": ("Backlash", "CubicStiffness"),
-        "casadi_engine.effects.torque": ("ConstantTorque", "LoadStep"),
+        "casadi_engine.effects.table": ("table",),
+        "casadi_engine.effects.torque": ("ConstantTorque", "Impulse", "LoadStep"),
+        "casadi_engine.effects.transfer": ("Transfer",),
         "casadi_engine.model.combustion": ("Motored", "fit_motored"),
-        "casadi_engine.model.effect": ("Amplitude", "Effect", "Grid", "Law"),
-        "casadi_engine.model.effect_math": ("Sharp", "Smooth"),
+        "casadi_engine.effects.protocol": ("Amplitude", "Effect", "Grid", "Law"),
+        "casadi_engine.effects.functions": ("Sharp", "Smooth"),
         "casadi_engine.model.port_view": ("port_view",),
         "casadi_engine.model.term": ("ports_for",),
     },

@@ -7,25 +7,34 @@ with g = `Candidate.ode` and m = `Candidate.output`: one linear sweep scores any
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_engine.effects.combustion import CYCLE
+from casadi_engine.effects.protocol import Amplitude, Effect, check_effect
 from casadi_engine.errors import CasadiEngineError, EffectError
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.model.arrival import arriving
 from casadi_engine.model.declarations import Port
-from casadi_engine.model.effect import Amplitude, Effect, check_effect
 from casadi_engine.model.law_checks import OwnState
 from casadi_engine.model.linearity import is_affine
-from casadi_engine.model.port_view import Courses, MissingSignalError, PortView
-from casadi_engine.model.term import NotApplicable, Term, ports_for, read_term, read_terms, takes_torque
+from casadi_engine.model.port_view import Courses, PortView
+from casadi_engine.model.term import (
+    NotApplicable,
+    Term,
+    not_applicable_because,
+    ports_for,
+    read_term,
+    read_terms,
+    takes_torque,
+)
 from casadi_engine.parameters import Parameters
 
 # What was read of laws: by port, effect and values the terms, and with the model and the sizes the candidates.
@@ -167,35 +176,65 @@ def candidates(
     courses: Courses | None = None,
     skipped: list[NotApplicable] | None = None,
     known: Known | None = None,
+    free: Collection[str] | None = None,
 ) -> tuple[Candidate, ...]:
     """Return all candidates of effects at all ports of a model, over the grids of their nuisance parameters.
 
     record : gives time grids their span, cycle grids their cycles, and cylinders their motored trace
-    parameters : as in `Model.parameter_vector`, for constants that hang on them
+    parameters : as in `Model.parameter_vector`, for constants that depend on them
     courses : an SX scalar of the model -> its values (N,) along each record, for effects that look at the motion
-    skipped : a list to which effects are added whose other methods read signals that a port lacks; None raises
-    MissingSignalError for them
+    skipped : a list to which every effect is added that cannot be prepared at a port, with the reason; None raises
+    EffectError for it
     known : what earlier calls have read, to be used again; this call adds to it
+    free : names of the parameters that are estimated or tied, which have no fixed value that could be wrong; None takes
+    those of `parameters`, and of the declarations where it is no Parameters
     Effects that the model has already at a port are left out there, and ports that lack a signal which the law reads.
     """
     record = arriving(model, record)
     vector = model.parameter_vector(parameters)
     numbers = dict(zip(model.parameter_names, (float(value) for value in vector), strict=True))
     there = {(one.at, one.effect.name) for one in model.effects}
+    free = _not_fixed(model, parameters) if free is None else free
     found: list[Candidate] = []
     for effect in effects:
         check_effect(effect)
         for port in ports_for(model, effect):
-            if (port.name, effect.name) in there:
+            if (port.name, effect.name) in there or (effect.fixed_only and port.parameter in free):
                 continue
             try:
-                found += _at_port(model, effect, port, record, numbers, courses, sharp, known)
-            except MissingSignalError as fault:
+                made = _at_port(model, effect, port, record, numbers, courses, sharp, known)
+            except EffectError as fault:
                 if skipped is None:
                     raise
-                why = f"the port has no {', '.join(fault.missing)}"
-                skipped.append(NotApplicable(effect.name, port.name, fault.missing, fault.has, why))
+                _note(not_applicable_because(effect, port, fault), skipped)
+                continue
+            if not made:
+                words = f"no value of {' and '.join(effect.nuisance)} is within reach of the motion on the records"
+                _note(NotApplicable(effect.name, port.name, (), tuple(port.signals), words), skipped)
+            if port.parameter and not all(_has_lever(one, vector) for one in made):
+                words = f"no equation depends on {port.parameter} at these values"
+                _note(NotApplicable(effect.name, port.name, (), tuple(port.signals), words), skipped)
+                continue
+            found += made
     return tuple(found)
+
+
+def _not_fixed(model: Model, parameters: Any) -> frozenset[str]:
+    """The parameters that are estimated or tied."""
+    given = parameters if isinstance(parameters, Parameters) else model.parameters()
+    return frozenset(name for name, one in given.items() if one.vary or one.tie is not None)
+
+
+def _note(why: NotApplicable, skipped: list[NotApplicable] | None) -> None:
+    if skipped is not None and why not in skipped:
+        skipped.append(why)
+
+
+def _has_lever(one: Candidate, vector: NDArray[np.float64]) -> bool:
+    """False if nothing at all depends on a candidate at these values of the parameters."""
+    parts = [part for part in (one.slots, one.drives, one.outputs, one.beyond) if part is not None]
+    left = ca.substitute(ca.vertcat(*parts), one.model.p, ca.SX(ca.DM(vector)))
+    return bool(ca.sparsify(left).nnz() > 0)
 
 
 def _at_port(
@@ -260,7 +299,7 @@ def cycles_of(view: PortView, record: Experiment, numbers: Mapping[str, float]) 
     """The cycles of a cylinder whose combustion lies in a record, counted from theta = 0 of cylinder 1."""
     if "theta" not in record:
         raise EffectError(
-            "the engine cycles of a record cannot be counted",
+            "there is no crank angle to count engine cycles by",
             seen=f"{record.place} without theta",
             allowed="a record with the channel theta [rad]",
             cure="leave effects with cycles out, or record the crank angle",
@@ -305,18 +344,20 @@ def _responses(model: Model, term: Term, value: Any) -> tuple[Any, Any, Any, Any
     drives = ca.SX.zeros(model.d.numel(), 1)
     outputs = ca.SX.zeros(len(model.outputs), 1)
     port = term.port
-    if takes_torque(port):
-        slots[[made.name for made in model.ports.with_slot].index(port.name)] = value
+    if takes_torque(port) or port.ends:
+        rows = [made.name for made in model.ports.with_slot]
+        for name, share in zip(port.ends or (port.name,), (-1, 1) if port.ends else (1,), strict=True):
+            slots[rows.index(name)] = share * value
         return slots, drives, outputs, None
     if port.kind == "sensor":
         sensors = [made.name for made in model.ports if made.kind == "sensor"]
         outputs[sensors.index(port.name)] = value
         return slots, drives, outputs, None
-    name = port.name.partition("_")[2]
     if port.kind == "input":
+        name = port.name.partition("_")[2]
         symbol = model.u[[variable.name for variable in model.inputs].index(name)]
     else:
-        symbol = model.p[model.parameter_names.index(name)]
+        symbol = model.p[model.parameter_names.index(port.parameter)]
     moved = [model.laws, model.drive_expressions, model.output_expressions, model.ode]
     slots, drives, outputs, beyond = (
         ca.densify(ca.jacobian(part, symbol)) * value if part.numel() else part for part in moved

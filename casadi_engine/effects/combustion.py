@@ -5,13 +5,14 @@ from __future__ import annotations
 import math as _math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import Any
 
 import numpy as np
 
+from casadi_engine.effects.protocol import Amplitude, Effect, Grid
 from casadi_engine.errors import EffectError
 from casadi_engine.model.combustion import Motored, combustion_torque, compresses, fit_motored
-from casadi_engine.model.effect import Amplitude, Effect, Grid
 
 # The cycle of a cylinder is counted from this angle before its combustion TDC, where nothing burns [rad].
 SEAM = _math.pi
@@ -62,24 +63,31 @@ class Misfire(Effect):
     single cycles, and losses that last to the end of the record. Lost in all cycles it is an imbalance of −1.
 
     motored : as in `CylinderImbalance`
+    by_record : True makes `first` and `last` parameters of the model, so that each record has its own cycles, given
+        by ``effects.by_record``; False makes them constants, the same in all records
     """
 
     motored: Motored | None = None
+    by_record: bool = False
 
     name = "misfire"
     attaches = ("cylinder",)
     kin = ("cylinder_imbalance", "load_step")
     sentence = "combustion in {port} that is lost in some cycles"
     amplitude = Amplitude("lost", unit="1", min=0)
-    nuisance = {  # noqa: RUF012 (read only)
-        "first": Grid(over="cycle", whole=True, description="first cycle lost"),
-        "last": Grid(over="cycle", whole=True, description="last cycle lost"),
-    }
+
+    @property
+    def nuisance(self) -> Mapping[str, Grid]:  # type: ignore[override]
+        """The first and the last cycle lost."""
+        return {
+            name: Grid(over="cycle", whole=not self.by_record, description=f"{name} cycle lost")
+            for name in ("first", "last")
+        }
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
         """−(lost) times the combustion torque, in the chosen cycles."""
         _ = port.firing_offset  # cycles are counted by one cylinder's own firing, so that it must have one
-        if p.last < p.first:
+        if isinstance(p.first, Real) and p.last < p.first:
             raise EffectError(
                 "the cycles of a misfire are in the wrong order",
                 seen=f"first = {p.first:.0f}, last = {p.last:.0f}",

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from casadi_engine.effects.corners import narrow
-from casadi_engine.model.effect import Amplitude, Effect, Grid
+from casadi_engine.effects.protocol import Amplitude, Effect, Grid
 
 # Share of the typical speed over which a sign is rounded: half a rad/s for a shaft of 100 rad/s, and 0.02 rad/s
 # for the twist rate of a coupling, whose typical magnitude is that of the two speeds.
@@ -73,6 +73,45 @@ class CoulombFriction(_Rounded):
         """∓T sign(ω)."""
         signal, side = motion(port)
         return side * p.torque * math.sign(getattr(port, signal), width=rounding(port, self.width))
+
+
+@dataclass(frozen=True)
+class AsymmetricFriction(_Rounded):
+    """Dry friction that differs by direction: T (1 + a) against a positive motion, T (1 − a) against a negative one.
+
+    T is the mean of both levels, the asymmetry a between −1 and 1. It is dry friction and a constant torque −T a
+    together. So it is not looked for on a motion in one direction alone, where dry friction does all, nor at a
+    coupling, where a constant torque is a twist that no speed shows. Where a parameter of the model is a constant
+    torque already, the data do not tell it from dry friction either.
+
+    width : as in `CoulombFriction`
+
+    >>> from casadi_engine import two_mass
+    >>> two_mass().with_effect(AsymmetricFriction(width=0.1), at="load").parameter_names[-2:]
+    ('load.asymmetric_friction.torque', 'load.asymmetric_friction.asymmetry')
+    """
+
+    width: float | None = None
+
+    name = "asymmetric_friction"
+    attaches = ("inertia",)
+    kin = ("coulomb_friction", "constant_torque", "stribeck_friction")
+    limit = "coulomb_friction"
+    sentence = "dry friction at {port} that differs by direction"
+    amplitude = Amplitude("torque", unit="N m", min=0)
+    # an even number of values: without asymmetry it is dry friction
+    nuisance = {"asymmetry": Grid(-1, 1, steps=6, description="share by which the directions differ")}  # noqa: RUF012
+
+    def law(self, port: Any, p: Any, math: Any) -> Any:
+        """−T (sign(ω) + a sign(ω)²)."""
+        sign = math.sign(port.speed, width=rounding(port, self.width))
+        return -p.torque * sign * (1 + p.asymmetry * sign)
+
+    def choices(self, port: Any, grids: Mapping[str, tuple[float, ...]]) -> tuple[dict[str, float], ...]:
+        """All asymmetries, if the records move in both directions; none else."""
+        courses = port.courses("speed")
+        both = not courses or (min(c.min() for c in courses) < 0 < max(c.max() for c in courses))
+        return super().choices(port, grids) if both else ()
 
 
 @dataclass(frozen=True)

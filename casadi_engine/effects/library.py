@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 from casadi_engine.effects.combustion import CylinderImbalance, Misfire
-from casadi_engine.effects.friction import CoulombFriction, QuadraticDrag, StribeckFriction, ViscousFriction
+from casadi_engine.effects.friction import (
+    AsymmetricFriction,
+    CoulombFriction,
+    QuadraticDrag,
+    StribeckFriction,
+    ViscousFriction,
+)
+from casadi_engine.effects.parameter import WrongValue
+from casadi_engine.effects.protocol import Effect
 from casadi_engine.effects.sensor import SensorDelay, SensorOffset
 from casadi_engine.effects.stiffness import Backlash, CubicStiffness
-from casadi_engine.effects.torque import ConstantTorque, LoadStep
+from casadi_engine.effects.torque import ConstantTorque, Impulse, LoadStep
+from casadi_engine.effects.transfer import Transfer
 from casadi_engine.errors import EffectError
-from casadi_engine.model.effect import Effect
 from casadi_engine.parameters import near_matches
 
 
 def library(*names: str) -> tuple[Effect, ...]:
-    """Return the effects of the library, or those called `names`; EffectError for a name that it lacks.
+    """Return the effects that a search tries unless told otherwise, or those called `names`, which may be others too.
+
+    By name alone: impulse, whose grid of times is long. EffectError for a name that there is not.
 
     >>> [effect.name for effect in library()][:3]
     ['coulomb_friction', 'viscous_friction', 'quadratic_drag']
@@ -25,6 +35,7 @@ def library(*names: str) -> tuple[Effect, ...]:
         ViscousFriction(),
         QuadraticDrag(),
         StribeckFriction(),
+        AsymmetricFriction(),
         ConstantTorque(),
         CubicStiffness(),
         Backlash(),
@@ -33,10 +44,12 @@ def library(*names: str) -> tuple[Effect, ...]:
         LoadStep(),
         SensorOffset(),
         SensorDelay(),
+        Transfer(),
+        WrongValue(),
     )
     if not names:
         return everything
-    known = {effect.name: effect for effect in everything}
+    known = {effect.name: effect for effect in (*everything, Impulse())}
     for name in names:
         if name not in known:
             raise EffectError(

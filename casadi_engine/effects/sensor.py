@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from casadi_engine.model.effect import Amplitude, Effect
+from casadi_engine.effects.protocol import Amplitude, Effect
 
 
 @dataclass(frozen=True)

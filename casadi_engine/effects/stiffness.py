@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from casadi_engine.effects.corners import narrow
-from casadi_engine.model.effect import Amplitude, Effect
+from casadi_engine.effects.protocol import Amplitude, Effect
 
 # Torque at the edge of a play, in shares of the coupling's largest one; the width of its corners, likewise; and the
 # largest torque where none is known [N m].

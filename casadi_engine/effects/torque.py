@@ -1,11 +1,15 @@
-"""Torques from outside on an inertia: a constant one, and a load that comes or goes."""
+"""Torques from outside on an inertia: a constant one, a load that comes or goes, and an impulse."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math as _math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
-from casadi_engine.model.effect import Amplitude, Effect, Grid
+import numpy as np
+
+from casadi_engine.effects.protocol import Amplitude, Effect, Grid
 
 
 @dataclass(frozen=True)
@@ -28,6 +32,8 @@ class ConstantTorque(Effect):
 class LoadStep(Effect):
     """A load that is switched on (positive) or off (negative) within the record; it brakes.
 
+    ``effects.by_record`` gives it a time of its own in each of several records.
+
     width : the switch is rounded over it in fits [s]
     """
 
@@ -43,3 +49,44 @@ class LoadStep(Effect):
     def law(self, port: Any, p: Any, math: Any) -> Any:
         """−T for t > t_0."""
         return -p.torque * math.step(port.time - p.time, width=self.width)
+
+
+# Width of an impulse in samples, and where no record is known [s].
+_SAMPLES, _SHORT = 1.0, 0.01
+
+
+@dataclass(frozen=True)
+class Impulse(Effect):
+    """A blow: a torque of known short duration at one time of the record, of which the data show the impulse alone.
+
+    The torque is ∫T dt · exp(−((t − t_0)/w)²) / (w √π). ``effects.by_record`` gives it a time in each record.
+
+    width : w [s]; None takes one sample of the record, 0.01 s where none is known
+
+    >>> from casadi_engine import two_mass
+    >>> two_mass().with_effect(Impulse(), at="load").parameter_names[-2:]
+    ('load.impulse.impulse', 'load.impulse.time')
+    """
+
+    width: float | None = None
+
+    name = "impulse"
+    attaches = ("inertia",)
+    kin = ("load_step",)
+    sentence = "a blow on {port}"
+    amplitude = Amplitude("impulse", unit="N m s")
+    nuisance = {"time": Grid(0.02, 0.98, steps=97, unit="s", over="time")}  # noqa: RUF012 (read only)
+
+    def fitted(self, port: Any, record: Any, values: Mapping[str, float]) -> Effect:
+        """The effect with a width of one sample of the record, where none was given."""
+        del port, values
+        if self.width is not None:
+            return self
+        gap = max(float(np.median(np.diff(record[name].time))) for name in record.names)
+        return replace(self, width=float(f"{_SAMPLES * gap:.3g}"))
+
+    def law(self, port: Any, p: Any, math: Any) -> Any:
+        """The impulse, spread over the width."""
+        width = _SHORT if self.width is None else self.width
+        away = (port.time - p.time) / width
+        return p.impulse * math.exp(-(away**2)) / (width * _math.sqrt(_math.pi))

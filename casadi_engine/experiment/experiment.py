@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -17,6 +18,7 @@ from . import (
     conditioning,
     csv_writer,
     npz_reader,
+    pegging,
     pressures,
     requirements,
     slicing,
@@ -313,6 +315,33 @@ class Experiment:
         Raises :class:`ExperimentError` for missing offsets, gaps, or less than one engine cycle.
         """
         return pressures.shift_pressures(self, pairs, offsets=offsets, theta=theta, cycle_length=cycle_length)
+
+    def peg_pressures(
+        self,
+        channels: Iterable[str] | str,
+        *,
+        compression_ratio: float,
+        rod_ratio: float,
+        exponent: float | None = 1.32,
+        window: tuple[float, float] = (math.radians(-110), math.radians(-35)),
+        offsets: Mapping[str, float] | None = None,
+        theta: str = "theta",
+        cycle_length: float = slicing.FOUR_STROKE,
+    ) -> Experiment:
+        """Make relative cylinder pressures absolute: in every cycle p + p_0 follows V^-n over the compression.
+
+        compression_ratio : V_bdc/V_tdc.  rod_ratio : crank radius over rod length.  exponent : n of the polytrope;
+        None finds one for all cycles of a cylinder.  window : angles [rad] from combustion TDC between which the
+        valves are shut and nothing burns.  offsets : combustion TDC [rad] of each pressure; left out, firing order
+        1-3-4-2. p_0 is found by least squares per cycle and added from one gas exchange TDC to the next; a cycle whose
+        compression is not in the record takes that of the nearest. The history tells n and every p_0.
+        Raises :class:`ExperimentError` for a channel that is no pressure, for missing offsets, for holes in the crank
+        angle, and where no compression is found.
+        """
+        return pegging.peg_pressures(
+            self, channels, compression_ratio=compression_ratio, rod_ratio=rod_ratio, exponent=exponent, window=window,
+            offsets=offsets, theta=theta, cycle_length=cycle_length,
+        )  # fmt: skip
 
     def masked(self, name: str, mask: Any) -> Experiment:
         """Mark samples of a channel as missing: mask (N,) bool, True where the sample stays valid."""

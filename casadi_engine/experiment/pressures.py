@@ -57,7 +57,7 @@ def shift_pressures(
                 "the shifted pressure would run across the hole",
                 "split the record there by split_at_holes(), and shift the pressures of the pieces",
             )
-        shift = _offset(tdc, new) - _offset(tdc, old)
+        shift = tdc_of(tdc, new) - tdc_of(tdc, old)
         made.append(_shifted(experiment, new, experiment[old], shift, theta, cycle_length))
     rows = max(len(channel) for channel in made)
     arguments: dict[str, Any] = {
@@ -101,12 +101,13 @@ def _check_pair(experiment: Experiment, new: str, old: str) -> None:
         )
 
 
-def _offset(offsets: Mapping[str, float], name: str) -> float:
+def tdc_of(offsets: Mapping[str, float], name: str) -> float:
+    """Combustion TDC [rad] of a pressure."""
     if not isinstance(offsets, Mapping) or name not in offsets:
         raise ExperimentError(
             f"no firing offset of pressure {name!r}",
             seen=", ".join(map(str, offsets)) if isinstance(offsets, Mapping) else repr(offsets),
-            allowed="the combustion TDC [rad] of every pressure that is shifted",
+            allowed="the combustion TDC [rad] of every pressure",
             cure=f"give offsets={{{name!r}: ...}}",
         )
     return finite(offsets[name], f"the firing offset of {name!r}")

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 
+from casadi_engine.effects.protocol import Attachment
 from casadi_engine.model.declarations import Port, Ports, Variable
-from casadi_engine.model.effect import Attachment
 from casadi_engine.model.linearity import is_affine
 from casadi_engine.model.rates import with_rates
 from casadi_engine.model.term import Term, check_side, read_term, takes_torque
@@ -29,7 +29,7 @@ def attach(
     """Return `model` with an effect at the port `at`; see `Model.with_effect`."""
     term = read_term(model, effect, at, values=values, sharp=sharp)
     check_side(model, term.port)
-    made = Attachment(effect, term.port.name, sharp, dict(term.constants), term.width)
+    made = Attachment(term.effect, term.port.name, sharp, dict(term.constants), term.width)
     words = f"{effect.name} at {term.port.name}"
     wider = replace(
         model,
@@ -42,6 +42,10 @@ def attach(
     wider = _with_states(wider, term)
     if takes_torque(term.port):
         wider = _with_torque(wider, term)
+    elif term.port.kind == "link":
+        first, second = term.port.ends
+        wider = _with_torque(wider, replace(term, port=wider.ports[first], value=-term.value))
+        wider = _with_torque(wider, replace(term, port=wider.ports[second]))
     elif term.port.kind == "sensor":
         wider = _with_output(wider, term)
     else:
@@ -124,11 +128,11 @@ def _with_output(model: Model, term: Term) -> Model:
 
 def _with_shift(model: Model, term: Term) -> Model:
     """A changed channel or parameter: the symbol is replaced wherever it stands."""
-    name = term.port.name.partition("_")[2]
     if term.port.kind == "input":
+        name = term.port.name.partition("_")[2]
         symbol = model.u[[variable.name for variable in model.inputs].index(name)]
     else:
-        symbol = model.p[model.parameter_names.index(name)]
+        symbol = model.p[model.parameter_names.index(term.port.parameter)]
     return _replaced(model, symbol, symbol + term.value)
 
 

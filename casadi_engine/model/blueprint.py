@@ -10,9 +10,10 @@ from typing import Any
 
 import casadi as ca
 
+from casadi_engine.effects.protocol import PORT_KINDS
 from casadi_engine.errors import ModelError
 from casadi_engine.experiment.units import NOT_STATED
-from casadi_engine.model.declarations import PORT_KINDS, ParameterDeclaration, Port, Ports, Variable
+from casadi_engine.model.declarations import ParameterDeclaration, Port, Ports, Variable
 from casadi_engine.model.declared_units import (
     check_crank_angle,
     check_shared_units,
@@ -132,22 +133,11 @@ class Blueprint:
     ) -> Any:
         """Declare a port; returns its slot symbol to be put into the ode, or None if it takes none.
 
-        kind : inertia, coupling, cylinder or internal; those of input, sensor and parameter are made by `model()`
-        signals : name -> expression, what is known there. An effect can act where the signals are that its law reads;
-            those of the library read
-
-            ========= ============================================ ==========================================
-            kind      signals                                      effects
-            ========= ============================================ ==========================================
-            inertia   speed [rad/s]                                coulomb_friction, viscous_friction,
-                                                                   quadratic_drag, stribeck_friction
-            inertia   (none)                                       constant_torque, load_step
-            coupling  twist_rate [rad/s]                           coulomb_friction, viscous_friction
-            coupling  twist [rad]                                  cubic_stiffness
-            coupling  twist [rad], stiffness [N m/rad]             backlash
-            cylinder  combustion_torque [N m]                      cylinder_imbalance
-            cylinder  combustion_torque, angle, firing_offset      misfire
-            ========= ============================================ ==========================================
+        kind : inertia, coupling, cylinder or internal; those of input, sensor and parameter are made by `model()`,
+            and links between inertias, ``a_and_b``
+        signals : name -> expression, what is known there. An effect can act where the signals are that its law reads:
+            ``speed`` of an inertia, ``twist``, ``twist_rate`` and ``stiffness`` of a coupling serve those of the
+            library, which ``print(ce.effects.table())`` lists one by one.
 
             On what moves in metres the names are the same: ``speed`` [m/s] of a mass, ``twist`` [m] and ``twist_rate``
             [m/s] of a spring or damper. The slot accelerates an inertia: it enters the ode of ``speed`` with +. At a

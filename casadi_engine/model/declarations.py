@@ -6,26 +6,16 @@ import math
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import combinations
 from numbers import Real
 from types import MappingProxyType
 from typing import Any, overload
 
+from casadi_engine.effects.protocol import PORT_KINDS
 from casadi_engine.errors import ModelError, UnitError
 from casadi_engine.experiment.units import NOT_STATED, read_unit
 from casadi_engine.parameters import Parameter, near_matches
-
-# The kinds of ports, and whether a torque can be added there.
-PORT_KINDS: Mapping[str, bool] = MappingProxyType(
-    {
-        "inertia": True,
-        "coupling": True,
-        "cylinder": True,
-        "internal": True,
-        "input": False,
-        "sensor": False,
-        "parameter": False,
-    }
-)
 
 
 def check_unit(name: str, unit: str) -> None:
@@ -112,13 +102,14 @@ class Port:
     """A place of a model where something can be attached.
 
     name : identifier, unique in the model
-    kind : one of inertia, coupling, cylinder, internal, input, sensor, parameter
+    kind : one of inertia, coupling, cylinder, internal, input, sensor, parameter, link
     description : one clause for tables
     signals : the quantities known there, as scalar SX expressions of the model's symbols
     slot : scalar SX, the torque [N m] that a law may add there, or None; a force [N] on what moves in metres.
         Positive accelerates an inertia or the crank (kinds inertia, cylinder, internal); at a coupling it acts on the
         first side, and its opposite on the other.
     unit : of the slot
+    ends : names of the two ports that a link joins; what an effect adds there leaves the first and enters the second
     """
 
     name: str
@@ -127,6 +118,7 @@ class Port:
     signals: Mapping[str, Any] = field(default_factory=dict)
     slot: Any = None
     unit: str = "N m"
+    ends: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not isinstance(self.kind, str) or self.kind not in PORT_KINDS:
@@ -136,16 +128,32 @@ class Port:
                 allowed=near_matches(self.kind, PORT_KINDS),
                 cure="choose the kind by what is attached there",
             )
+        if self.kind == "link" and len(self.ends) != 2:
+            raise ModelError(
+                f"the port {self.name} is a link without ends",
+                seen=f"ends = {self.ends!r}",
+                allowed="links that the model makes of its inertias by itself",
+                cure="declare both inertias; their link is called a_and_b",
+            )
         object.__setattr__(self, "signals", MappingProxyType(dict(self.signals)))
+
+    @property
+    def parameter(self) -> str:
+        """Name of the parameter at a port of that kind; "" at others."""
+        return self.name.removeprefix("parameter_") if self.kind == "parameter" else ""
 
     def in_its_unit(self, text: str) -> str:
         """A unit that is written for torques and angles, as it reads at this port; "-" where that is not known.
 
         >>> Port("mass", "inertia", unit="N").in_its_unit("N m s2/rad2")
         'N s2/m2'
+        >>> Port("tank", "inertia", unit="m3/s").in_its_unit("N m")
+        'm3/s'
         """
         if self.unit == "N m":
             return text
+        if text == "N m":
+            return self.unit
         if self.unit == "N":
             return text.replace("N m", "N").replace("rad", "m")
         return "-" if "N m" in text or "rad" in text else text
@@ -171,6 +179,25 @@ class Ports(Sequence[Port]):
         """The ports that can take a torque, in the order of the model's slot vector w."""
         return tuple(port for port in self._ports if port.slot is not None)
 
+    @cached_property
+    def links(self) -> tuple[Port, ...]:
+        """A link ``a_and_b`` for every two inertias whose slots have the same known unit and that have a signal of one
+        name; its signal ``difference`` is that of the first such signal, a's less b's.
+
+        Links are found by name, ``ports["a_and_b"]``, and are not listed among the ports.
+        """
+        able = [port for port in self.with_slot if port.kind == "inertia" and port.unit != "-"]
+        pairs = [(a, b) for a, b in combinations(able, 2) if a.unit == b.unit]
+        found = []
+        for a, b in pairs:
+            shared = [name for name in a.signals if name in b.signals and name != "angle"]
+            if shared:
+                difference = {"difference": a.signals[shared[0]] - b.signals[shared[0]]}
+                words = f"{shared[0]} of {a.name} less that of {b.name}"
+                ends = (a.name, b.name)
+                found.append(Port("_and_".join(ends), "link", words, difference, None, a.unit, ends))
+        return tuple(found)
+
     @overload
     def __getitem__(self, key: int | str) -> Port: ...
     @overload
@@ -179,6 +206,9 @@ class Ports(Sequence[Port]):
         if isinstance(key, int | slice):
             return self._ports[key]
         if key not in self._by_name:
+            link = next((port for port in self.links if port.name == key), None)
+            if link is not None:
+                return link
             raise ModelError(
                 "the model has no such port",
                 seen=repr(key),

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
+from casadi_engine.effects.protocol import Law
 from casadi_engine.errors import EffectError
 from casadi_engine.model.declarations import Port
-from casadi_engine.model.effect import Law
 from casadi_engine.model.port_view import PortView
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ _MAY_USE: Mapping[str, tuple[str, ...]] = {
     "inertia": ("x", "u", "d", "t", "p"),
     "coupling": ("x", "u", "d", "t", "p"),
     "cylinder": ("x", "u", "d", "t", "p"),
+    "link": ("x", "u", "d", "t", "p"),
     "input": ("u", "t", "p"),
     "sensor": ("x", "u", "d", "w", "t", "p"),
     "parameter": ("t", "p"),

@@ -11,11 +11,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casadi_engine.effects.protocol import Attachment
 from casadi_engine.errors import ModelError
 from casadi_engine.model import sheets
 from casadi_engine.model.attach import attach
 from casadi_engine.model.declarations import ParameterDeclaration, Ports, Variable
-from casadi_engine.model.effect import Attachment
 from casadi_engine.model.jumps import Switch, has_jumps, jumps
 from casadi_engine.model.linear import LinearCore, linear_core
 from casadi_engine.model.modes import Modes, displacement_states, is_geometric, modes_of

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.errors import EffectError
-from casadi_engine.model.declarations import Port
+from casadi_engine.model.declarations import ParameterDeclaration, Port
 from casadi_engine.parameters import near_matches
 
 # An SX scalar -> its values (N,) along every record.
@@ -54,6 +54,11 @@ class PortView:
     def has(self, signal: str) -> bool:
         """True if the port has a signal of that name."""
         return signal in self._port.signals
+
+    @property
+    def declaration(self) -> ParameterDeclaration | None:
+        """What the model declares of the parameter at this port; None at a port of another kind."""
+        return next((one for one in self._model.declarations if one.name == self._port.parameter), None)
 
     def __getattr__(self, signal: str) -> Any:
         if signal.startswith("__"):

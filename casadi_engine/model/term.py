@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
+from casadi_engine.effects.functions import Sharp, Smooth
+from casadi_engine.effects.protocol import PORT_KINDS, Effect, Grid, check_effect
 from casadi_engine.errors import CasadiEngineError, EffectError
-from casadi_engine.model.declarations import PORT_KINDS, ParameterDeclaration, Port
-from casadi_engine.model.effect import Grid, check_effect
-from casadi_engine.model.effect_math import Sharp, Smooth
+from casadi_engine.model.declarations import ParameterDeclaration, Port
 from casadi_engine.model.law_checks import OwnState, check_null, check_symbols, read_law
 from casadi_engine.model.port_view import MissingSignalError, PortView, TrialView, Values
 from casadi_engine.parameters import near_matches
@@ -74,13 +74,18 @@ def not_applicable(model: Model, effect: Any, port: Port) -> tuple[NotApplicable
     try:
         read_term(model, effect, port, values=_tried_values(effect), again=True)
         check_side(model, port)
-    except MissingSignalError as fault:
-        why = f"the port has no {', '.join(fault.missing)}"
-        return NotApplicable(effect.name, port.name, fault.missing, fault.has, why), fault
     except EffectError as fault:
-        why = fault.problem if fault.seen is None else f"{fault.problem} ({fault.seen})"
-        return NotApplicable(effect.name, port.name, (), tuple(port.signals), why), fault
+        return not_applicable_because(effect, port, fault), fault
     return None
+
+
+def not_applicable_because(effect: Any, port: Port, fault: EffectError) -> NotApplicable:
+    """The note for an effect that an error keeps from acting at a port."""
+    if isinstance(fault, MissingSignalError):
+        why = f"the port has no {', '.join(fault.missing)}"
+        return NotApplicable(effect.name, port.name, fault.missing, fault.has, why)
+    why = fault.problem if fault.seen is None else f"{fault.problem} ({fault.seen})"
+    return NotApplicable(effect.name, port.name, (), tuple(port.signals), why)
 
 
 def check_side(model: Model, port: Port) -> None:
@@ -123,8 +128,26 @@ def check_side(model: Model, port: Port) -> None:
 
 
 def ports_of_kind(model: Model, effect: Any) -> tuple[Port, ...]:
-    """The ports of the kinds that an effect attaches to, in model order."""
-    return tuple(port for port in model.ports if port.kind in effect.attaches)
+    """The ports of the kinds that an effect attaches to, in model order; last the links that no coupling joins."""
+    links = model.ports.links if "link" in effect.attaches else ()
+    listed = (port for port in model.ports if port.kind in effect.attaches)
+    return (*listed, *(link for link in links if not _joined(model, link)))
+
+
+def _joined(model: Model, link: Port) -> bool:
+    """True if a coupling of the model acts between the ends of a link: an effect there is one at the coupling."""
+    first, second = (model.ports[name].slot for name in link.ends)
+    couplings = [port.slot for port in model.ports.with_slot if port.kind == "coupling"]
+    between = ca.jacobian(model.ode, first) - ca.jacobian(model.ode, second)
+    apart = [ca.jacobian(model.ode, slot) - sign * between for slot in couplings for sign in (1, -1)]
+    if not apart:
+        return False
+    unknown = [model.x, model.u, model.d, model.w, model.t]
+    values = ca.vertcat(*[one.value for one in model.declarations])
+    function = ca.Function("apart", [*unknown, model.p], [ca.horzcat(between, *apart)])
+    rng = np.random.default_rng(0)
+    found = np.array(function(*(rng.uniform(0.5, 1.5, one.numel()) for one in unknown), values))
+    return bool((np.abs(found[:, 1:]).max(axis=0) < 1e-9 * np.abs(found[:, 0]).max()).any())
 
 
 def ports_for(model: Model, effect: Any) -> tuple[Port, ...]:
@@ -135,7 +158,7 @@ def ports_for(model: Model, effect: Any) -> tuple[Port, ...]:
 def find_port(model: Model, effect: Any, at: Any) -> Port:
     """The port `at`; EffectError that lists the right ports if it does not exist or does not fit."""
     name = at.name if isinstance(at, Port) else at
-    if name not in model.ports.names:
+    if name not in model.ports.names and name not in [link.name for link in model.ports.links]:
         right = [port.name for port in ports_for(model, effect)]
         raise EffectError(
             f"{effect.name} is to act at a port that the model {model.name} does not have",
@@ -187,6 +210,8 @@ def read_terms(
     """As ``read_term``, for several choices of values: the law is read once for each choice of whole numbers."""
     check_effect(effect)
     port = find_port(model, effect, at)
+    if isinstance(effect, Effect):
+        effect = effect.placed(PortView(model, port, effect=effect.name))
     if not again and any(one.at == port.name and one.effect.name == effect.name for one in model.effects):
         raise EffectError(
             f"the model {model.name} has {effect.name} at {port.name} already",
@@ -354,7 +379,9 @@ def unit_at(model: Model, port: Port) -> str:
 
 
 def _range(grid: Grid, view: PortView) -> tuple[float, float, float]:
-    """Bounds and start value; a time grid has no bounds before the record is known."""
+    """Bounds and start value; a grid of times or cycles has no bounds before the record is known."""
+    if grid.over == "cycle":
+        return -math.inf, math.inf, 1.0
     magnitude = 1.0 if grid.of is None else view.typical(grid.of)
     if grid.over == "time":
         return -math.inf, math.inf, 0.5 * sum(grid.ends())

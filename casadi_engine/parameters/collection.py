@@ -21,7 +21,7 @@ from casadi_engine.parameters.constraint import (
 from casadi_engine.parameters.expression import write_expression
 from casadi_engine.parameters.given import names_in, read_given, shown_text
 from casadi_engine.parameters.names import near_matches
-from casadi_engine.parameters.parameter import Parameter
+from casadi_engine.parameters.parameter import Parameter, own_values
 
 
 class Parameters:
@@ -280,20 +280,29 @@ class Parameters:
             )
         self._frequencies.append(constraint)
 
-    def vary_by_experiment(self, *names: str) -> None:
-        """Give every record its own value of free parameters, estimated as ``name@record``."""
+    def vary_by_experiment(
+        self, *names: str, values: Mapping[str, float | tuple[float, float, float]] | None = None
+    ) -> None:
+        """Give every record its own value of free parameters, estimated as ``name@record``.
+
+        values : record -> where its search starts, or (start, min, max); records left out take those of the set. A
+            fixed parameter can have its own value in every record too, if they are given.
+        """
         self._check_open()
         for name in names:
-            if not self[name].vary:
-                tie = self[name].tie
+            parameter = self[name]
+            if not parameter.vary and (values is None or parameter.tie is not None):
+                tie = parameter.tie
                 raise ParameterError(
                     f"the parameter {name} cannot vary by experiment, for it is not free",
                     seen=f"{name} == {tie}" if tie is not None else f"{name} is fixed",
-                    allowed="free parameters",
+                    allowed="free parameters, and fixed ones with `values`",
                     cure=f'call {"untie" if tie is not None else "free"}("{name}") first',
                 )
-        for name in names:
-            self._items[name]._varies = True
+        found = {name: own_values(self[name], values) for name in names}
+        for name, own in found.items():
+            self._items[name]._varies, self._items[name]._own = True, own
+            self._changed()
 
     # ---- copies --------------------------------------------------------------------------------
 

@@ -182,24 +182,24 @@ class _Layout:
         self.values = parameters.as_dict()
         closure = {name: parameters.references((name,)) for name in parameters}
         plain = {name for name, parameter in parameters.items() if parameter.vary}
-        own = {name for name in plain if parameters[name].varies_by_experiment}
+        own = {name for name in parameters if parameters[name].varies_by_experiment}
         # the tied ones move, and vary by experiment, with what they refer to
-        self.moving = {name for name in parameters if not plain.isdisjoint(closure[name])}
+        self.moving = {name for name in parameters if not (plain | own).isdisjoint(closure[name])}
         self.varying = {name for name in parameters if not own.isdisjoint(closure[name])}
         self._check_used(names, plain, closure)
         self.distinct = records if self.varying else records[:1]
         self.order = parameters.tied_in_order()
         self.kept = [name for name in self.order if ties == "constraint" and name in self.moving]
         # entry of z -> (name, record): the plain ones, those of each record, the tied ones
-        self.free: dict[str, str] = {}
+        self.free: dict[str, tuple[str, str]] = {}
         for group in (
             [name for name in parameters if name in plain - own],
-            [name for name in parameters if name in own],
+            [name for name in parameters if name in plain & own],
             self.kept,
         ):
             for name in group:
                 for record in self.records_of((name,)):
-                    self.free[_at(name, record) if name in self.varying else name] = name
+                    self.free[_at(name, record) if name in self.varying else name] = (name, record)
         self.entries = {entry: ca.SX.sym(entry) for entry in self.free}
         self.z = ca.vertcat(*self.entries.values()) if self.entries else ca.SX(0, 1)
         self.symbols = ca.vertcat(*parameters._symbols.values())
@@ -214,12 +214,16 @@ class _Layout:
         found: dict[str, Any] = {}
         for name in self.parameters:
             entry = _at(name, record) if name in self.varying else name
-            found[name] = self.entries.get(entry, self.values[name])
+            found[name] = self.entries.get(entry, self.value_in(name, record))
         for name in self.order:
             if name in self.moving and name not in self.kept:
                 found[name] = self.tie_of(name, found)
         self.found[record] = found
         return ca.SX(ca.vertcat(*found.values()))
+
+    def value_in(self, name: str, record: str) -> float:
+        """The number of a parameter in a record."""
+        return self.parameters[name].in_record(record)[0] if name in self.varying else self.values[name]
 
     def tie_of(self, name: str, found: Mapping[str, Any]) -> Any:
         """A tie as an expression of z, from the expressions or numbers of the names that it refers to."""
@@ -230,10 +234,8 @@ class _Layout:
 
     def numbers(self) -> tuple[NDArray[np.float64], ...]:
         """start, lower, upper, scale, each (nz,)."""
-        members = [self.parameters[name] for name in self.free.values()]
-        lower = np.array([p.min for p in members], dtype=float)
-        upper = np.array([p.max for p in members], dtype=float)
-        start = np.array([self.values[p.name] for p in members], dtype=float)
+        members = [self.parameters[name].in_record(record) for name, record in self.free.values()]
+        start, lower, upper = np.array(members, dtype=float).reshape(-1, 3).T.copy()
         start = np.clip(start, lower, upper)  # a tied one's start may be outside its bounds
         scale = np.where(start != 0, np.abs(start), 1.0)
         for array in (start, lower, upper, scale):

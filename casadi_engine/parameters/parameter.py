@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from numbers import Real
 from typing import TYPE_CHECKING, Any
 
@@ -34,7 +35,7 @@ class Parameter:
     """
 
     __slots__ = (
-        "_description", "_explicit", "_max", "_min", "_name", "_owner",
+        "_description", "_explicit", "_max", "_min", "_name", "_own", "_owner",
         "_prior", "_tie", "_unit", "_value", "_varies", "_vary",
     )  # fmt: skip
 
@@ -55,6 +56,7 @@ class Parameter:
         self._description = _text(name, "description", description)
         self._tie: str | None = None
         self._varies = False
+        self._own: Mapping[str, tuple[float, float, float]] = {}  # record -> value, min, max
         self._explicit = False  # fixed by the user's own word, not by the model's default
         self._owner: Parameters | None = None
         self._value = _number(name, "value", value)
@@ -130,12 +132,18 @@ class Parameter:
 
     @property
     def varies_by_experiment(self) -> bool:
-        """True if every record has its own value; has no effect while the parameter is fixed or tied."""
-        return self._varies and self.vary
+        """True if every record has its own value; has no effect while the parameter is tied, nor while it is fixed
+        unless the values were given."""
+        return self._varies and (self.vary or (bool(self._own) and self._tie is None))
 
     @varies_by_experiment.setter
     def varies_by_experiment(self, new: Any) -> None:
         self._refuse("varies_by_experiment", new)
+
+    def in_record(self, record: str) -> tuple[float, float, float]:
+        """Value, min and max in a record: those given to ``vary_by_experiment``, else those of all records."""
+        own = self._own.get(record) if self.varies_by_experiment else None
+        return (self.value, self._min, self._max) if own is None else own
 
     def _refuse(self, name: str, new: Any) -> None:
         cure = (
@@ -189,6 +197,8 @@ class Parameter:
         _check_order(name, new_value, new_min, new_max)
         self._value, self._min, self._max = new_value, new_min, new_max
         self._vary, self._prior = new_vary, new_prior
+        if value is not _KEEP or vary is not _KEEP:
+            self._own = {}  # one word for all records
         if vary is not _KEEP:
             self._explicit = not new_vary
         self._touch()
@@ -249,6 +259,28 @@ def number(what: str, value: object, *, infinite: int = 0) -> float:
     raise ParameterError(
         f"{what} is not acceptable", seen=repr(value), allowed=allowed, cure="give one number"
     )
+
+
+def own_values(parameter: Parameter, values: object) -> dict[str, tuple[float, float, float]]:
+    """Record -> (value, min, max) from what a user gave: a number, or the three of them; {} for None."""
+    name, found = parameter.name, {}
+    if values is not None and not isinstance(values, Mapping):
+        raise ParameterError(
+            f"the values of the parameter {name} by experiment are no mapping",
+            seen=repr(values),
+            allowed="name of the record -> value, or (value, min, max)",
+            cure='write {"record": 1.0}, for instance',
+        )
+    for record, given in (values or {}).items():
+        parts = (
+            given if isinstance(given, tuple) and len(given) == 3 else (given, parameter.min, parameter.max)
+        )
+        what = f"value in {record}"
+        value = _number(name, what, parts[0])
+        low, high = (_number(name, what, part, infinite=2) for part in parts[1:])
+        _check_order(name, value, low, high)
+        found[str(record)] = (value, low, high)
+    return found
 
 
 def _number(name: str, what: str, value: object, *, infinite: int = 0) -> float:

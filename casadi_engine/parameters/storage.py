@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from casadi_engine.errors import ParameterError
 from casadi_engine.parameters.expression import write_expression
-from casadi_engine.parameters.parameter import Parameter
+from casadi_engine.parameters.parameter import Parameter, own_values
 
 if TYPE_CHECKING:
     from casadi_engine.parameters.collection import Parameters
@@ -23,7 +23,7 @@ PARAMETER_KEYS = {
     "max": "bound",
     "vary": "flag",
     "fixed_by_user": "flag",
-    "varies_by_experiment": "flag",
+    "varies_by_experiment": "flag or values",  # record -> [value, min, max] where they were given
     "tie": "text or null",
     "prior": "pair or null",
     "description": "text",
@@ -65,7 +65,11 @@ def _parameter(parameters: Parameters, name: str) -> dict[str, Any]:
         "max": _finite(parameter.max),
         "vary": parameter._vary,
         "fixed_by_user": parameter._explicit,
-        "varies_by_experiment": parameter._varies,
+        "varies_by_experiment": {
+            record: [value, _finite(low), _finite(high)]
+            for record, (value, low, high) in parameter._own.items()
+        }
+        or parameter._varies,
         "tie": tie,
         "prior": None if parameter.prior is None else list(parameter.prior),
         "description": parameter.description,
@@ -84,7 +88,7 @@ def from_dict(data: Mapping[str, Any], parameters: Parameters) -> Parameters:
         for index, entry in enumerate(_list(data, "parameters"))
     ]
     for entry in entries:
-        parameter = parameters._insert(
+        parameters._insert(
             Parameter(
                 entry["name"],
                 entry["value"],
@@ -96,12 +100,12 @@ def from_dict(data: Mapping[str, Any], parameters: Parameters) -> Parameters:
                 description=entry["description"],
             )
         )
-        parameter._varies = entry["varies_by_experiment"]
     for entry in entries:  # a tie may refer to names that come later
         if entry["tie"] is not None:
             parameters.tie(entry["name"], entry["tie"])
         if entry["fixed_by_user"]:
             parameters.fix(entry["name"])
+        _vary_by_experiment(parameters[entry["name"]], entry["varies_by_experiment"])
     for index, raw in enumerate(_list(data, "constraints")):
         entry = _entry(raw, CONSTRAINT_KEYS, f"constraints[{index}]")
         low, high = _bounds(entry)
@@ -111,6 +115,18 @@ def from_dict(data: Mapping[str, Any], parameters: Parameters) -> Parameters:
         low, high = _bounds(entry)
         parameters.constrain_frequency(entry["mode"], low, high)
     return parameters
+
+
+def _vary_by_experiment(parameter: Parameter, stored: Any) -> None:
+    parameter._varies = bool(stored)
+    if isinstance(stored, Mapping):
+        values = {}
+        for record, given in stored.items():
+            if not isinstance(given, list | tuple) or len(given) != 3:
+                raise _bad(f"{parameter.name}.varies_by_experiment", given, "[value, min, max]")
+            value, low, high = given
+            values[record] = (value, -math.inf if low is None else low, math.inf if high is None else high)
+        parameter._own = own_values(parameter, values)
 
 
 def received(data: Mapping[str, Any], frozen: bool) -> Parameters:
@@ -141,6 +157,7 @@ def _entry(entry: Any, keys: Mapping[str, str], place: str) -> Mapping[str, Any]
             "text": isinstance(value, str),
             "text or null": value is None or isinstance(value, str),
             "flag": isinstance(value, bool),
+            "flag or values": isinstance(value, bool | Mapping),
             "number": isinstance(value, int | float) and not isinstance(value, bool),
             "bound": value is None or (isinstance(value, int | float) and not isinstance(value, bool)),
             "pair or null": value is None or (isinstance(value, list | tuple) and len(value) == 2),

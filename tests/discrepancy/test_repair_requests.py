@@ -274,6 +274,11 @@ def test_a_law_without_a_finite_derivative_is_named(shaft, friction, law, messag
 
     with pytest.raises(EffectError, match=message):
         ce.repair(shaft.model, friction, effects=[Root()], noise=NOISE, starts=1, progress=False)
+    screened = screen(
+        ce.estimate(shaft.model, friction, noise=NOISE, progress=False), ["coulomb_friction", Root()]
+    )
+    assert {one.effect for one in screened.candidates} == {"coulomb_friction"}
+    assert {one.at for one in screened.not_applicable if one.effect == "root"} == {"engine", "load"}
 
 
 def test_fresh_data_must_suit_the_model(shaft, friction):

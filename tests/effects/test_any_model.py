@@ -12,7 +12,13 @@ from casadi_engine.report.result_file import to_result
 from casadi_engine.report.schema import faults
 
 FRICTION = {"coulomb_friction", "viscous_friction"}
-AT_SPEED = FRICTION | {"quadratic_drag", "stribeck_friction", "constant_torque", "load_step"}
+AT_SPEED = FRICTION | {
+    "asymmetric_friction",
+    "quadratic_drag",
+    "stribeck_friction",
+    "constant_torque",
+    "load_step",
+}
 
 
 def mass():
@@ -124,6 +130,7 @@ def test_every_effect_acts_or_says_why_it_cannot(name):
         for port in model.ports:
             acts = effect.name in expected.get(port.name, set())
             acts = acts or (port.kind == "sensor" and effect.name in SENSORS)
+            acts = acts or (port.kind == "parameter" and effect.name == "wrong_value")
             assert (port in ports_for(model, effect)) == acts, (effect.name, port.name)
             if not acts:
                 with pytest.raises(EffectError, match=f"{effect.name} cannot act at the port {port.name}"):
@@ -220,13 +227,18 @@ def record(model, n=300, seed=0, **values):
         ("raises", "fails; seen: ZeroDivisionError"),
     ],
 )
-def test_a_broken_law_of_ones_own_is_refused_by_name_before_the_fit(result, message):
+def test_a_broken_law_of_ones_own_is_named_and_listed(result, message):
     effect = Broken()
     effect.result = result
     with pytest.raises(EffectError, match=f"^the law of broken at body {message}"):
         mass().with_effect(effect, at="body")
     with pytest.raises(EffectError, match=f"^the law of broken at body {message}"):
-        ce.repair(mass(), record(mass()), effects=[*ce.effects.library(), effect], progress=False)
+        ce.repair(mass(), record(mass()), effects=effect, progress=False)
+    fit = ce.estimate(mass(), record(mass()), noise=ce.Noise(speed=0.01), progress=False)
+    screened = screen(fit, [*ce.effects.library("viscous_friction", "constant_torque"), effect])
+    assert {one.effect for one in screened.candidates} == {"viscous_friction", "constant_torque"}
+    why = {one.effect: one.why for one in screened.not_applicable}["broken"]
+    assert why.startswith("the law of broken at body ")
 
 
 def test_a_search_leaves_out_what_cannot_act_and_lists_it():

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from casadi_engine import Experiment, effects
+from casadi_engine.effects.protocol import Amplitude, Effect
 from casadi_engine.errors import EffectError
 from casadi_engine.model import crankshaft, one_inertia, two_mass
-from casadi_engine.model.effect import Amplitude, Effect
 from casadi_engine.model.term import read_terms
 
 MODELS = {
@@ -258,8 +258,18 @@ def test_wrong_requests_are_refused():
     ):
         effects.candidate(model, effects.Backlash(), "clutch")
     blind = Experiment.from_arrays("blind", time=[0.0, 0.1], units={"T": "N m"}, T=[0.0, 0.0])
-    with pytest.raises(EffectError, match=r"engine cycles of a record cannot be counted.*without theta"):
+    with pytest.raises(EffectError, match=r"no crank angle to count engine cycles by.*without theta"):
         effects.candidates(model, effects.library("misfire"), blind)
+
+
+def test_effects_that_count_cycles_are_not_applicable_without_a_crank_angle():
+    blind, skipped = record().only("T_load", "omega"), []
+    found = effects.candidates(
+        MODELS["two"], effects.library("misfire", "constant_torque"), blind, skipped=skipped
+    )
+    assert {one.effect.name for one in found} == {"constant_torque"}
+    assert {(one.effect, one.at) for one in skipped} == {("misfire", f"cylinder_{k}") for k in (1, 2, 3, 4)}
+    assert "no crank angle" in skipped[0].why
 
 
 def test_a_model_without_ports_for_an_effect_has_no_candidates():
@@ -269,8 +279,11 @@ def test_a_model_without_ports_for_an_effect_has_no_candidates():
 
 def test_the_library_by_name():
     assert [e.name for e in effects.library()] == [
-        "coulomb_friction", "viscous_friction", "quadratic_drag", "stribeck_friction", "constant_torque",
+        "coulomb_friction", "viscous_friction", "quadratic_drag", "stribeck_friction", "asymmetric_friction",
+        "constant_torque",
         "cubic_stiffness", "backlash", "misfire", "cylinder_imbalance", "load_step", "sensor_offset", "sensor_delay",
+        "transfer",
+        "wrong_value",
     ]  # fmt: skip
     assert [e.name for e in effects.library("misfire", "backlash")] == ["misfire", "backlash"]
     with pytest.raises(EffectError, match=r"the library has no such effect.*nearest: backlash"):

@@ -19,9 +19,9 @@ from casadi_engine.effects import (
     library,
     ports_for,
 )
+from casadi_engine.effects.protocol import Amplitude, Effect
 from casadi_engine.errors import EffectError
 from casadi_engine.model import crankshaft, one_inertia, two_mass
-from casadi_engine.model.effect import Amplitude, Effect
 
 CYCLES = {"first": 1, "last": 2}
 MODELS = {

@@ -1,6 +1,7 @@
 """The set of parameters: reading, changing, copies."""
 
 import copy
+import json
 import math
 
 import casadi as ca
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from casadi_engine.errors import ConstraintError, ExpressionError, ParameterError, TieError
-from casadi_engine.parameters import Parameter, Parameters
+from casadi_engine.parameters import Parameter, Parameters, compile
 
 NAMES = ("J_eng", "J_load", "K_el", "C_el", "C2", "C_eng")
 
@@ -282,6 +283,47 @@ def test_a_fixed_parameter_has_one_value_until_freed(engine):
     assert engine["C_eng"].varies_by_experiment is False
     engine.free("C_eng")
     assert engine["C_eng"].varies_by_experiment is True
+
+
+def test_values_by_experiment_are_starts_bounds_and_constants(engine, refused):
+    engine.vary_by_experiment("C_eng", values={"first": 0.3, "second": (0.5, 0.4, 0.6)})
+    engine.vary_by_experiment("C_el", values={"second": 7.0})
+    engine.tie("C2", "C_eng*C_el")
+    assert engine["C_el"].varies_by_experiment is True
+    records = ("first", "second", "third")
+    for one in (engine, engine.copy(), Parameters.from_dict(json.loads(json.dumps(engine.to_dict())))):
+        pmap = compile(one, NAMES, records)
+        own = [pmap.free.index(f"C_eng@{record}") for record in records]
+        assert pmap.start[own].tolist() == [0.3, 0.5, one["C_eng"].value]
+        assert pmap.lower[own].tolist() == [one["C_eng"].min, 0.4, one["C_eng"].min]
+        assert pmap.upper[own].tolist() == [one["C_eng"].max, 0.6, one["C_eng"].max]
+        assert not any(name.startswith("C_el") for name in pmap.free)
+        assert pmap.unpack(pmap.start, "second").tolist()[3:] == [7.0, 3.5, 0.5]
+        assert pmap.unpack(pmap.start, "first")[3] == one["C_el"].value
+        assert pmap.values(pmap.start)["C_el@second"] == 7.0
+    engine.fix("C_eng", 0.2)  # one word for all records
+    pmap = compile(engine, NAMES, records)
+    assert pmap.values(pmap.start)["C_eng"] == 0.2
+    for wrong, problem, seen, allowed, cure in (
+        ([1.0], "J_eng by experiment are no mapping", "[1.0]", "record -> value", "{"),
+        (
+            {"first": "a"},
+            "the value in first of the parameter J_eng is not acceptable",
+            "'a'",
+            "a finite",
+            "give",
+        ),
+        (
+            {"first": (2.0, 3.0, 4.0)},
+            "the value of the parameter J_eng is outside its bounds",
+            "2",
+            "3 to 4",
+            "change",
+        ),
+    ):
+        with refused(ParameterError, problem, seen=seen, allowed=allowed, cure=cure):
+            engine.vary_by_experiment("J_eng", values=wrong)
+    assert engine["J_eng"].varies_by_experiment is False
 
 
 # ---- copies --------------------

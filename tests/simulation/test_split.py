@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from casadi_engine.effects.protocol import Amplitude, Effect
 from casadi_engine.model import Blueprint
-from casadi_engine.model.effect import Amplitude, Effect
 from casadi_engine.simulation.split import split
 from tests.model.random_expressions import expressions
 

@@ -1,0 +1,279 @@
+"""misfires: for every combustion of a record the probability that it was lost, from crank speed alone."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from casadi_engine.detection.plant import Disturbances, make_plant
+from casadi_engine.detection.segments import cut_segments, window_edges
+from casadi_engine.detection.smoother import Prior, smooth
+from casadi_engine.detection.torques import CYCLE, TorqueTables, learn_torques
+from casadi_engine.errors import EstimationError, ExperimentError
+from casadi_engine.estimation import Fit
+from casadi_engine.experiment import Experiment
+from casadi_engine.experiment.slicing import crank_angle
+
+Array = NDArray[np.float64]
+
+SEGMENT = 0.007  # s: what is unknown at crank and load may change this often, or more
+MOST_SEGMENTS = 8  # of a combustion
+FIRST_LOOK = 2  # engine cycles from which the usual strength is taken at first
+FEWEST = 8  # samples of a combustion
+LONGEST_LAG = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Misfires:
+    """The answer of ``misfires``: a row for each combustion of a record, K of them, as they followed.
+
+    Attributes
+    ----------
+    record : its name
+    cylinder : (K,) number of the cylinder; time : (K,) start of its combustion [s]; angle : (K,) the same [rad]
+    probability : (K,) that the combustion was lost
+    strength, stderr : (K,) its size, 1 for a usual one, and standard error; NaN for the last ``lag`` combustions
+    level : (K,) size of the usual combustion, of that in the fit's records
+    separation : (K,) d', the distance of a lost from a usual combustion in standard deviations; NaN as ``strength``
+    lag : combustions that were waited for before one was decided
+    """
+
+    record: str
+    cylinder: NDArray[np.int64]
+    time: Array
+    angle: Array
+    probability: Array
+    strength: Array
+    stderr: Array
+    level: Array
+    separation: Array
+    lag: int
+
+    @property
+    def lost(self) -> NDArray[np.bool_]:
+        """(K,) True where a combustion was lost more likely than not."""
+        return self.probability > 0.5
+
+    @property
+    def rate(self) -> dict[int, float]:
+        """Cylinder -> expected share of its combustions that were lost [1]."""
+        return {int(c): float(self.probability[self.cylinder == c].mean()) for c in np.unique(self.cylinder)}
+
+    @property
+    def expected_error(self) -> float:
+        """Mean probability that a combustion is taken for the other kind, half way between both, by ``separation``."""
+        return float(np.mean(ndtr(-self.separation[np.isfinite(self.separation)] / 2)))
+
+    def rates(self, revolutions: float) -> Array:
+        """Expected share of lost combustions in each whole block of so many revolutions in a row, (blocks,) [1].
+
+        On-board diagnosis looks at 200 revolutions for the catalyst and 1000 for emissions.
+
+        Raises
+        ------
+        ExperimentError : the record is shorter than a block
+        """
+        turned = (self.angle - self.angle[0]) / (2 * math.pi)
+        whole = float(turned[-1] + np.median(np.diff(turned)))
+        number = isinstance(revolutions, int | float | np.number) and not isinstance(revolutions, bool)
+        if not number or not 1 <= revolutions <= whole * (1 + 1e-9):
+            raise ExperimentError(
+                f"the record {self.record!r} holds no such block of revolutions",
+                seen=repr(revolutions),
+                allowed=f"1 to {whole:.4g} revolutions",
+                cure="ask for shorter blocks, or give a longer record",
+            )
+        block = np.floor(turned / revolutions + 1e-6).astype(int)
+        return np.array([self.probability[block == k].mean() for k in range(int(whole / revolutions + 1e-6))])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and lists, ready for JSON; None for NaN."""
+        names = ("cylinder", "time", "angle", "probability", "strength", "stderr", "level", "separation")
+        arrays = {name: [None if one != one else one for one in getattr(self, name).tolist()] for name in names}
+        return {"record": self.record, "lag": self.lag, **arrays}
+
+    def __str__(self) -> str:
+        rows = [
+            f"Combustions of {self.record}: {self.lost.sum()} of {len(self.lost)} lost",
+            "cylinder  combustions  lost  expected share",
+        ]
+        for cylinder, share in self.rate.items():
+            own = self.cylinder == cylinder
+            rows.append(f"{cylinder:8d}  {own.sum():11d}  {self.lost[own].sum():4d}  {100 * share:12.3g} %")
+        unsure = int(np.sum(np.abs(self.probability - 0.5) < 0.49))
+        low, middle = np.nanmin(self.separation), np.nanmedian(self.separation)
+        rows.append(f"uncertain (1 % to 99 %): {unsure}")
+        rows.append(f"separation of lost from usual: {middle:.1f} standard deviations, {low:.1f} at least")
+        if ndtr(-middle / 2) > 1e-3:
+            rows.append("that is too little to decide each combustion: look at the rates, or at more load")
+        return "\n".join(rows)
+
+
+def misfires(
+    fit: Fit,
+    data: Experiment,
+    *,
+    lag: int = 3,
+    lost: float = 0.01,
+    scatter: float = 0.05,
+    step: float = 20.0,
+    road: float = 30.0,
+    sigma: float | None = None,
+    output: str = "omega",
+) -> Misfires:
+    """Find the probability of each combustion of a record that it was lost, from crank speed and crank angle alone.
+
+    The fit gives the engine; the pressures of its records give the torque of a motored cylinder and of a combustion
+    over the crank angle. The torque on the load, one on the engine, and the size of each combustion are estimated along
+    the record by a smoother that waits for ``lag`` further combustions. A load step or a jolt of the road is not taken
+    for a misfire, because neither has its shape. Runs forwards: what is decided never depends on later samples than those
+    of the lag.
+
+    Parameters
+    ----------
+    fit : of a model with cylinders and a linear core (``two_mass``, ``crankshaft``), whose records hold the pressures
+    data : a record with the crank angle theta [rad], unwrapped, and the speed [rad/s], equally spaced in time; pressures
+        and load are not needed
+    lag : combustions to wait for, 0 to 6
+    lost : probability of a combustion to be lost before the record is looked at
+    scatter : standard deviation of a combustion's size, cylinders' differences included [1]
+    step : standard deviation of the change of the torques on the engine and on the load in a combustion [N m]
+    road : standard deviation of a shaking torque on the load, below about 10 Hz [N m]
+    sigma : standard deviation of the noise on the speed [rad/s]; left out, that of the fit
+    output : name of the speed, an output of the model
+
+    Returns
+    -------
+    Misfires : probabilities, sizes and what can be told at all
+
+    Raises
+    ------
+    ModelError : the fit's model is not of that kind
+    ExperimentError : no crank angle, no speed, a crank that turns back, samples not equally spaced or too few, a record
+        shorter than an engine cycle
+    EstimationError : an option is not acceptable
+
+    Notes
+    -----
+    When the throttle closes until hardly anything burns, a combustion and a lost one are alike, and the probability
+    stays between 0 and 1; ``separation`` says so.
+
+    Examples
+    --------
+    >>> import casadi_engine as ce
+    >>> fit, record = getfixture("misfire_case")                                         # doctest: +SKIP
+    >>> print(ce.misfires(fit, record))                                                  # doctest: +SKIP
+    """
+    _check_options(fit, lag, lost, scatter, step, road)
+    tables = learn_torques(fit)
+    time, theta, omega, valid = _samples(data, output)
+    h = float(time[-1] - time[0]) / (len(time) - 1)
+    edges, places = _edges(data, theta, tables, lag)
+    noise = _noise(fit, output, sigma)
+    disturbances = Disturbances(float(step), float(road))
+    plant = make_plant(fit, output, tables.enter, h, disturbances)
+    pieces = min(MOST_SEGMENTS, max(1, math.ceil(float(np.diff(edges).max()) * h / SEGMENT)))
+    segments = cut_segments(theta[None], omega[None], valid[None], edges[None], pieces, plant, tables, noise)
+    found = smooth(
+        plant, disturbances, Prior(lost, scatter), segments, omega[valid][:1],
+        lag=lag, first_look=FIRST_LOOK * len(tables.order),
+    )  # fmt: skip
+    strength, stderr = found.strength[0] / found.level[0], found.stderr[0] / found.level[0]
+    return Misfires(
+        data.name,
+        cylinder=tables.order[places],
+        time=time[edges[:-1]],
+        angle=theta[edges[:-1]],
+        probability=found.lost[0],
+        strength=strength,
+        stderr=stderr,
+        level=found.level[0],
+        separation=1 / np.hypot(stderr, scatter),
+        lag=lag,
+    )
+
+
+def _check_options(fit: Any, lag: Any, lost: Any, scatter: Any, step: Any, road: Any) -> None:
+    if not isinstance(fit, Fit):
+        raise EstimationError(
+            "misfires needs a fit", seen=type(fit).__name__, allowed="a Fit", cure="make one by estimate"
+        )
+    if not isinstance(lag, int | np.integer) or isinstance(lag, bool) or not 0 <= lag <= LONGEST_LAG:
+        raise _option("lag", lag, f"a whole number, 0 to {LONGEST_LAG}")
+    for name, value, top in (("lost", lost, 1.0), ("scatter", scatter, 1.0), ("step", step, 1e4), ("road", road, 1e4)):
+        number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+        if not number or not 0 < value < top:
+            raise _option(name, value, f"a number > 0, less than {top:g}")
+
+
+def _option(name: str, seen: Any, allowed: str) -> EstimationError:
+    return EstimationError(f"invalid `{name}`", seen=repr(seen), allowed=allowed, cure="leave it out")
+
+
+def _noise(fit: Fit, output: str, sigma: float | None) -> float:
+    if output not in fit.noise:
+        raise ExperimentError(
+            f"the fit has no output {output!r}",
+            seen=repr(output),
+            allowed=", ".join(fit.noise),
+            cure="name the crank speed by output=",
+        )
+    noise = fit.residual_level[output] if sigma is None else sigma
+    if isinstance(noise, bool) or not isinstance(noise, int | float | np.number) or not 0 < noise < math.inf:
+        raise _option("sigma", sigma, "a number > 0 [rad/s]")
+    return float(noise)
+
+
+def _samples(data: Experiment, output: str) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """Times [s], crank angles [rad], speeds [rad/s] at the samples of the speed, and which of these are valid."""
+    for name, what in (("theta", "crank angle"), (output, "crank speed")):
+        if name not in data:
+            raise ExperimentError(
+                f"experiment {data.name!r} has no {what}",
+                seen=", ".join(data.names),
+                allowed=f"a channel {name!r}",
+                cure="add it by with_channel",
+            )
+    times, angles = crank_angle(data, "theta")
+    speed = data[output]
+    inside = (speed.time >= times[0]) & (speed.time <= times[-1])
+    time, omega, valid = speed.time[inside], speed.values[inside], speed.mask[inside]
+    steps = np.diff(time)
+    if len(time) < 2 or np.ptp(steps) > 0.01 * steps.mean():
+        raise ExperimentError(
+            f"the speed of {data.name!r} is not sampled evenly",
+            seen=f"{len(time)} samples" if len(time) < 2 else f"steps of {steps.min():.4g} to {steps.max():.4g} s",
+            allowed="equal steps of time",
+            cure="interpolate theta and speed to equal steps first",
+        )
+    if not valid.any():
+        raise ExperimentError(f"the speed of {data.name!r} has no valid samples", seen="none", allowed="some")
+    return time, np.interp(time, times, angles), np.where(valid, omega, omega[valid][0]), valid
+
+
+def _edges(
+    data: Experiment, theta: Array, tables: TorqueTables, lag: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    edges, places = window_edges(theta, tables)
+    least = max(len(tables.order), lag + 1)
+    if len(places) < least:
+        raise ExperimentError(
+            f"the record {data.name!r} is too short to find misfires",
+            seen=f"{len(places)} whole combustions in {(theta[-1] - theta[0]) / CYCLE:.3g} engine cycles",
+            allowed=f"{least} or more",
+            cure="give a longer record",
+        )
+    fewest = int(np.diff(edges).min())
+    if fewest < FEWEST:
+        raise ExperimentError(
+            f"the record {data.name!r} has too few samples to find misfires",
+            seen=f"{fewest} in a combustion",
+            allowed=f"{FEWEST} or more",
+            cure="sample the speed faster",
+        )
+    return edges, places

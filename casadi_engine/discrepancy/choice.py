@@ -1,0 +1,455 @@
+"""The choice of a structure: rounds that add, drop or exchange an effect, by how probable the data make each model.
+
+Every effect at every port is refitted beside the best structure so far (``path``), and its evidence counted with the
+noise that it leaves itself (``evidence``). The most probable one is kept while something is missing: where the noise is
+white the calibrated score test says so, where it is coloured the evidence has to gain a factor of 20 after all
+candidates are paid for. Then each member is exchanged for, and tried without, what one step says might do as well.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from casadi_engine.discrepancy.compression import scatter_columns
+from casadi_engine.discrepancy.evidence import Digest, Evidence, Levels, digest, evidence, levels_left
+from casadi_engine.discrepancy.linear_algebra import Array
+from casadi_engine.discrepancy.linearised import OneStep, one_step, without_effect
+from casadi_engine.discrepancy.membership import class_of, ordered, reached
+from casadi_engine.discrepancy.noise_choice import scatter_of
+from casadi_engine.discrepancy.null_model import NullModel, null_at
+from casadi_engine.discrepancy.path import FAILURES, Arrived, Path
+from casadi_engine.discrepancy.priors import priors_of
+from casadi_engine.discrepancy.refit import Addition, Refitter, addition
+from casadi_engine.discrepancy.repaired import Round
+from casadi_engine.discrepancy.screening import Screened
+from casadi_engine.discrepancy.start import Start
+from casadi_engine.discrepancy.station import Station
+from casadi_engine.errors import EstimationError
+from casadi_engine.estimation import Fit
+
+# A structure is excluded where another one is so many times more probable.
+FACTOR = 20.0
+# An amplitude is a finding beyond so many of its standard errors.
+BEYOND = 3.0
+# Candidates that are refitted in the place of a member, the best by one step; times that a better one is looked from.
+_EXCHANGED, _AGAIN = 6, 3
+# A refit has arrived if chi-squared is no higher than without its effect, but for rounded corners; share of the
+# one-step amplitude from which it is tried again.
+_NESTED, _SMALL = 1.0, 0.02
+# Log likelihood that a further effect has to promise to be refitted.
+_NOTHING = 1.0
+# Levels that fall by this share are new ones, at which refits go on.
+_RELEVELLED = 0.7
+
+Key = frozenset[tuple[str, str]]
+
+
+@dataclass(eq=False)
+class Tried:
+    """A structure that was refitted: its effects, where that ended, and its evidence with the noise of all.
+
+    failed : its whole fit did not converge
+    """
+
+    effects: tuple[Addition, ...]
+    arrived: Arrived
+    digest: Digest
+    evidence: Evidence
+    failed: bool = False
+
+    @property
+    def key(self) -> Key:
+        """Effects and ports."""
+        return key_of(self.effects)
+
+    @property
+    def label(self) -> str:
+        """The effects' labels."""
+        return " + ".join(one.label for one in self.effects) or "no effects"
+
+    @property
+    def log(self) -> float:
+        """The log evidence."""
+        return -math.inf if self.failed else self.evidence.log
+
+    @property
+    def beyond(self) -> float:
+        """The least certain amplitude in its standard errors."""
+        least, values = math.inf, self.arrived.values
+        for one in self.effects:
+            own = [n for n in values if n.partition("@")[0] == one.amplitude]
+            sizes = [abs(values[n]) / self.evidence.error.get(n, math.inf) for n in own]
+            least = min(least, max(sizes, default=math.inf))
+        return least
+
+
+def key_of(effects: Sequence[Addition]) -> Key:
+    """Effects and ports, in no order."""
+    return frozenset(one.candidate.key for one in effects)
+
+
+@dataclass
+class Choice:
+    """The rounds, and what they found; ``pool`` has every structure that was refitted."""
+
+    refitter: Refitter
+    screen: Callable[[Fit], Screened]
+    most: int
+    tell: Callable[[str], None]
+    budget: float = math.inf
+    cylinders: object = "assumed"
+    rounds: list[Round] = field(default_factory=list)
+    timing: dict[str, float] = field(default_factory=dict)
+    pool: dict[Key, Tried] = field(default_factory=dict)
+    failed: dict[str, str] = field(default_factory=dict)
+    best: Key = frozenset()
+    _begun: float = field(default_factory=time.perf_counter, repr=False)
+    _stations: dict[Key, Station] = field(default_factory=dict, repr=False)
+
+    def run(self, null_fit: Fit) -> None:
+        """Add, drop and exchange effects until no change is worth it."""
+        self.null_fit = null_fit
+        first = self._timed("score", lambda: self._screened(null_fit))
+        self._stations[frozenset()] = Station(null_fit, (), first)
+        self.path = Path(self.refitter, dict(first.noise.sigma))
+        self.levels = Levels(dict(first.noise.sigma), {}, max(first.noise.scatter.values(), default=0.0))
+        here = self._none(null_fit)
+        for _ in range(self.most):
+            station = self._stations[here.key]
+            if not self._asks(station.screened) or self._late():
+                break
+            made = self._round(here, station)
+            if made is None:
+                break
+            here = made
+            self.best = here.key
+
+    @property
+    def null(self) -> Station:
+        """The model without effects."""
+        return self._stations[frozenset()]
+
+    @property
+    def chosen(self) -> Station:
+        """The model of the best structure so far."""
+        return self._stations[self.best]
+
+    # ---- one round
+
+    def _asks(self, screened: Screened) -> bool:
+        """True if there may be something that the library names."""
+        if not screened.scores.testable.any():
+            return False
+        return bool(screened.significant) or bool(screened.noise.colour) or bool(screened.leftover.alarms)
+
+    def _round(self, here: Tried, station: Station) -> Tried | None:
+        """The structure that takes the place of ``here``; None where none does."""
+        screened = station.screened
+        tried = self._timed("refit", lambda: self._added(here, screened))
+        self._timed("evidence", self._weigh)
+        known = int(screened.scores.testable.sum())
+        while True:
+            best = self._most_probable(here, tried)
+            gain = -math.inf if best is None else best.log - here.log
+            calibrated = bool(screened.significant) and not screened.noise.colour and not self.levels.memory
+            if best is None or not (calibrated or gain > math.log(FACTOR * max(known, 1))):
+                self._told(here, tried, None)
+                return None
+            best = self._timed("exchange", lambda: self._exchanged(best, here))  # noqa: B023
+            if self._station(best) is not None:
+                break
+            self.failed[best.label] = "its fit of all data does not converge"
+            best.failed = True
+        self._told(here, tried, best)
+        return best
+
+    def _told(self, here: Tried, tried: Sequence[Tried], kept: Tried | None) -> None:
+        order = sorted(tried, key=lambda one: -one.log)
+        library = tuple((one.label, one.log - here.log) for one in order)
+        refits = tuple((one.label, one.arrived.cost, one.arrived.settled) for one in order)
+        gone = tuple(one.label for one in here.effects if kept and one.candidate.key not in kept.key)
+        self.rounds.append(Round(library, refits, None if kept is None else kept.label, gone))
+
+    def _most_probable(self, here: Tried, tried: Sequence[Tried]) -> Tried | None:
+        found = [one for one in tried if one.beyond > BEYOND and math.isfinite(one.log)]
+        return max(found, key=lambda one: one.log, default=None)
+
+    def _added(self, here: Tried, screened: Screened) -> list[Tried]:
+        """Every effect at every port beside ``here``, refitted."""
+        families = _families(screened)
+        at_here = OneStep(-screened.scores.drop, screened.scores.amplitude, screened.scores.error)
+        own = self._own_step(here, screened)
+        order = sorted(families, key=lambda key: min(at_here.cost[k] for k in families[key]))
+        if here.effects:
+            # beside what was found the model is near the truth, and one step tells what has nothing to give
+            least = -2 * _NOTHING * max(self.levels.memory.values(), default=1.0)
+            order = [key for key in order if min(at_here.cost[k] for k in families[key]) < least]
+        for number, key in enumerate(order):
+            if self._late():
+                self.failed |= {f"{name} at {port}": "the time was up" for name, port in order[number:]}
+                break
+            self.tell(f"refit {number + 1} of {len(order)}: {key[0]} at {key[1]}")
+            self._try(here, _chosen(screened, at_here, families[key]), Start(here.arrived.values, here.arrived.initial))
+            if own is not None:
+                one = _chosen(screened, own, families[key])
+                if not self.path.linear(()):
+                    self._try(here, one, None, windows=True)
+                elif here.arrived.held:
+                    self._try(here, one, None)
+            self._arrive(here, key, lambda key=key: _chosen(screened, at_here, families[key]))
+        keys = [self._key(here, key) for key in order]
+        self._relevel([self.pool[key] for key in keys if key in self.pool])
+        self._around(here, screened, families)
+        return [self.pool[key] for key in keys if key in self.pool]
+
+    def _arrive(self, here: Tried, key: tuple[str, str], chosen: Callable[[], Addition]) -> None:
+        """Another refit of an effect that has not come below the model without it, of which that is a special case,
+        from a small amplitude; it has no answer if that fails too."""
+        known = self.pool.get(self._key(here, key))
+        if known is None or known.arrived.cost > here.arrived.cost + _NESTED:
+            one = chosen()
+            small = replace(one, start=_SMALL * one.start)
+            self._try(here, small, Start(here.arrived.values, here.arrived.initial))
+            known = self.pool.get(self._key(here, key))
+        if known is None or known.arrived.cost > here.arrived.cost + _NESTED:
+            self.failed[f"{key[0]} at {key[1]}"] = "no refit of it arrives"
+
+    def _around(self, here: Tried, screened: Screened, families: dict[tuple[str, str], list[int]]) -> None:
+        """Refits from the parameters of the most probable one, in its place; again where that finds a better one."""
+        for _ in range(_AGAIN):
+            tried = [self.pool[k] for key in families if (k := self._key(here, key)) in self.pool]
+            best = max(tried, key=lambda one: one.log, default=None)
+            if best is None or self._late():
+                return
+            for one in self._instead(best, best.effects[-1], screened, families):
+                start = {n: v for n, v in best.arrived.values.items() if not n.startswith(f"{best.effects[-1].key}.")}
+                self._try(here, one, Start(start, best.arrived.initial))
+            now = max((self.pool[k].log for key in families if (k := self._key(here, key)) in self.pool))
+            if now <= best.log:
+                return
+
+    def _instead(
+        self, tried: Tried, member: Addition, screened: Screened, families: dict[tuple[str, str], list[int]]
+    ) -> list[Addition]:
+        """The candidates that might do as well in the place of a member, the best by one step first."""
+        null = self._null(tried)
+        states = len(self.null_fit.model.states)
+        rest = None if null is None else without_effect(null, member, states)
+        step = None if rest is None else one_step(rest, screened.candidates, self.path.levels)
+        if step is None:
+            return []
+        best = {key: min(own, key=lambda k: step.cost[k]) for key, own in families.items() if key != member.candidate.key}
+        order = sorted(best, key=lambda key: step.cost[best[key]])[:_EXCHANGED]
+        return [_chosen(screened, step, families[key]) for key in order]
+
+    def _exchanged(self, best: Tried, here: Tried) -> Tried:
+        """The structure after its members were exchanged one by one, and each was left out."""
+        screened = self._stations[frozenset()].screened
+        families = _families(screened)
+        while len(best.effects) > 1 and not self._late():
+            made: list[Tried] = []
+            for member in best.effects:
+                rest = tuple(one for one in best.effects if one is not member)
+                others = {k: v for k, v in families.items() if k not in key_of(rest)}
+                start = {n: v for n, v in best.arrived.values.items() if not n.startswith(f"{member.key}.")}
+                for one in self._instead(best, member, screened, others):
+                    self.tell(f"exchange {member.label} for {one.label}")
+                    made += self._tried((*rest, one), Start(start, best.arrived.initial))
+                made += self._tried(rest, Start(start, best.arrived.initial))
+            self._weigh()
+            ready = [one for one in made if one.beyond > BEYOND or not one.effects]
+            top = max(ready, key=lambda one: one.log, default=None)
+            # one more effect has to be worth it; one in place of another has to be more probable
+            price = 0.0 if top is None else math.log(FACTOR) * (len(top.effects) - len(best.effects))
+            if top is None or top.log - price <= best.log or top.key == here.key:
+                return best
+            best = top
+        return best
+
+    # ---- refits
+
+    def _key(self, here: Tried, key: tuple[str, str]) -> Key:
+        return here.key | {key}
+
+    def _try(self, here: Tried, one: Addition, start: Start | None, *, windows: bool = False) -> None:
+        self._tried((*here.effects, one), start, windows=windows)
+
+    def _tried(self, effects: tuple[Addition, ...], start: Start | None, *, windows: bool = False) -> list[Tried]:
+        """The structure in the pool, after another refit of it from a start; empty where none has arrived."""
+        key = key_of(effects)
+        go = self.path.from_windows if windows else self.path.from_point
+        arrived = go(effects, start)
+        known = self.pool.get(key)
+        if arrived is None or not math.isfinite(arrived.cost):
+            return [] if known is None else [known]
+        if known is not None and known.arrived.cost <= arrived.cost + 1e-6:
+            return [known]
+        made = self._counted(effects, arrived)
+        if made is not None and (known is None or made.log > known.log):
+            self.pool[key] = made
+        return [self.pool[key]] if key in self.pool else []
+
+    def _counted(self, effects: tuple[Addition, ...], arrived: Arrived) -> Tried | None:
+        """A refit with its evidence."""
+        try:
+            with np.errstate(all="ignore"):
+                null = self.path.residuals(effects, arrived)
+                priors = priors_of(null, self.path.parameters(effects), effects)
+                choices = float(np.prod([one.choices for one in effects]))
+                made = digest(null, priors, random=self._random(null), held=arrived.held, choices=choices)
+                found = evidence(made, self.levels)
+        except FAILURES:
+            return None
+        return Tried(effects, arrived, made, found) if math.isfinite(found.log) else None
+
+    def _random(self, null: NullModel) -> dict[str, dict[str, Array]] | None:
+        """Columns of the random amplitudes of combustions whose pressure was assumed."""
+        scatter = scatter_of(null, self.refitter.data, self.cylinders) if self.cylinders is not None else ()
+        return {r.name: scatter_columns(r, scatter) for r in null.records} if scatter else None
+
+    def _weigh(self) -> None:
+        """Count every structure's evidence with the noise that the most probable one leaves."""
+        known = {name: s for name, (s, own) in self.null_fit.noise.items() if not own}
+        seen: set[Key] = set()
+        while True:
+            best = max(self.pool.values(), key=lambda one: one.log)
+            if best.key in seen:
+                return
+            seen.add(best.key)
+            try:
+                with np.errstate(all="ignore"):
+                    null = self.path.residuals(best.effects, best.arrived)
+                    self.levels = levels_left(null, known, self.levels.scatter, self._random(null))
+            except FAILURES:
+                return
+            for one in self.pool.values():
+                one.evidence = evidence(one.digest, self.levels)
+
+    def _relevel(self, tried: Sequence[Tried]) -> None:
+        """Go on at the levels that the most probable one leaves, where they are lower."""
+        best = max(tried, key=lambda one: one.log, default=None)
+        if best is None:
+            return
+        self._weigh()
+        levels = {n: min(s, self.levels.sigma.get(n, s)) for n, s in self.path.levels.items()}
+        if all(levels[n] > _RELEVELLED * s for n, s in self.path.levels.items()):
+            return
+        self.path.relevel(levels)
+        for one in sorted(tried, key=lambda one: -one.log):
+            if not self._late():
+                again = self.path.from_point(one.effects, one.arrived)
+                made = None if again is None else self._counted(one.effects, again)
+                if made is not None and made.log > one.log:
+                    self.pool[one.key] = made
+
+    def _none(self, fit: Fit) -> Tried:
+        """The null fit as a structure."""
+        initial = {r: {n: e.value for n, e in own.items()} for r, own in fit.initial.items()}
+        arrived = self.path.at(fit.values, initial)
+        made = self._counted((), arrived)
+        if made is None:
+            raise EstimationError(
+                "the model without effects cannot be simulated at its own optimum",
+                seen="residuals that are no numbers",
+                allowed="a fit that can be simulated over the records",
+                cure="give other start values, bounds, or a shorter record",
+            )
+        self.pool[frozenset()] = made
+        return made
+
+    def _null(self, tried: Tried) -> NullModel | None:
+        try:
+            with np.errstate(all="ignore"):
+                return self.path.null_at(tried.effects, tried.arrived)
+        except FAILURES:
+            return None
+
+    def _own_step(self, here: Tried, screened: Screened) -> OneStep | None:
+        """One step from the parameters' own values, the effects so far as they were found."""
+        fit, own = self._stations[here.key].fit, self.refitter.parameters
+        z = np.array([float(own[n].value) if n in own else fit.values[n] for n in fit.free])
+        try:
+            with np.errstate(all="ignore"):
+                null = null_at(fit.model, fit.data, fit.parameters, z, self.path.first_states())
+        except (*FAILURES, KeyError):
+            return None
+        return one_step(null, screened.candidates, self.path.levels)
+
+    # ---- whole fits
+
+    def _screened(self, fit: Fit) -> Screened:
+        self.tell("scores of all effects at all ports")
+        return self.screen(fit)
+
+    def _station(self, tried: Tried) -> Station | None:
+        """The structure fitted as the null model is, and screened; None where that does not converge."""
+        if tried.key not in self._stations:
+            self.tell(f"fit with {tried.label}")
+            start = Start(tried.arrived.values, tried.arrived.initial, tried.arrived.noise, tried.arrived.settled)
+            fit = self._timed("fit", lambda: self.refitter(self.null_fit, tried.effects, start=start))
+            if fit is None or not fit.converged:
+                return None
+            screened = self._timed("score", lambda: self._screened(fit))
+            self._stations[tried.key] = Station(fit, tried.effects, screened)
+        return self._stations[tried.key]
+
+    def ranked(self) -> Iterator[Key]:
+        """The structures in the order in which fresh data are asked: the chosen one, its rivals, its parts, none."""
+        chosen = self.pool[self.best]
+        yield self.best
+        near = [t for t in self.pool.values() if t.effects and t.beyond > BEYOND and t.key != self.best]
+        near = [t for t in near if t.log > chosen.log - math.log(FACTOR) or t.key < self.best]
+        for one in sorted(near, key=lambda t: -t.log):
+            yield one.key
+        if self.best:
+            yield frozenset()
+
+    def way(self, key: Key) -> list[Station] | None:
+        """The stations on the way to a structure, effect by effect, the most telling first; None where a fit of one
+        does not converge."""
+        found = [self._stations[frozenset()]]
+        effects = ordered(self.pool[key].effects, self.pool)
+        for count in range(1, len(effects) + 1):
+            own = effects[:count]
+            if key_of(own) not in self.pool:
+                there = self.pool[key].arrived
+                self._tried(own, Start(there.values, there.initial))
+            part = self.pool.get(key_of(own))
+            station = None if part is None else self._station(part)
+            if station is None:
+                return None
+            members = class_of(self.pool, key, own[-1], FACTOR)
+            found.append(reached(found[-1], station, own, members))
+        return found
+
+    def _late(self) -> bool:
+        return time.perf_counter() - self._begun > self.budget
+
+    def _timed(self, what, work):  # type: ignore[no-untyped-def]
+        begun = time.perf_counter()
+        made = work()
+        self.timing[what] = self.timing.get(what, 0.0) + time.perf_counter() - begun
+        return made
+
+
+def _families(screened: Screened) -> dict[tuple[str, str], list[int]]:
+    """(effect, port) -> its testable candidates."""
+    found: dict[tuple[str, str], list[int]] = {}
+    for k in screened.order:
+        found.setdefault(screened.candidates[k].key, []).append(k)
+    return found
+
+
+def _chosen(screened: Screened, step: OneStep, members: Sequence[int]) -> Addition:
+    """The candidate of the least chi-squared, started at its one-step amplitude: small where that has a wrong sign."""
+    k = min(members, key=lambda k: step.cost[k])
+    candidate, size = screened.candidates[k], float(step.amplitude[k])
+    if size * candidate.side < 0 or size == 0 or not math.isfinite(size):
+        size = BEYOND * float(screened.scores.error[k]) * (candidate.side or 1)
+    whole = any(grid.whole for grid in candidate.source.effect.nuisance.values())
+    return addition(candidate, size, len(members) if whole else 1)

@@ -1,0 +1,210 @@
+"""How probable the data make a model: its log evidence by Laplace's method.
+
+log Z = log L - 1/2 log det(1 + H/P) + log of the amplitudes' prior at the optimum,
+
+where H is the information of all that is free (parameters, first states, random combustions) and P the precision of
+their priors: each number costs what it was known better by. Constants that all models of the same records share are
+left out.
+
+Noise is a property of the sensors, not of the model: all models are held against the same one, which the most probable
+of them leaves. A wrong model's residual is smooth, and an autoregression of its own predicts it well from one sample to
+the next; counted as noise it would excuse any missing effect that is slow. Where what the best model leaves is
+coloured, samples count as so many independent ones as they are worth (``Levels.memory``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from casadi_engine.discrepancy.linear_algebra import Array, triangle
+from casadi_engine.discrepancy.noise_choice import is_white
+from casadi_engine.discrepancy.noise_model import NoiseModel, estimated_noise
+from casadi_engine.discrepancy.null_model import NullModel
+from casadi_engine.discrepancy.selection import effective_samples
+
+# Prior standard deviation of a first state, in the state's scale.
+_STATE = 10.0
+_TINY = 1e-300
+
+Columns = Mapping[str, Mapping[str, Array]]
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of a free parameter before the data: its standard deviation, and for an amplitude that it is near
+    zero (heavy tails) and on one side."""
+
+    deviation: float
+    amplitude: bool = False
+    one_sided: bool = False
+
+
+@dataclass(frozen=True)
+class Levels:
+    """The noise that models are held against: output -> standard deviation, and how many samples are worth one
+    independent one; scatter : standard deviation of random amplitudes, in their unit."""
+
+    sigma: Mapping[str, float]
+    memory: Mapping[str, float] = field(default_factory=dict)
+    scatter: float = 0.0
+
+    def weight(self, output: str) -> float:
+        """What an output's residual is multiplied by."""
+        return 1 / (self.sigma[output] * math.sqrt(self.memory.get(output, 1.0)))
+
+
+@dataclass(frozen=True, eq=False)
+class Digest:
+    """A model linearised at its optimum, small enough to keep: for every record and output a triangle of
+    [parameters | first states and random amplitudes of each record | residual].
+
+    prior : rows of the priors in the same columns; random : which columns are random amplitudes; turn : (nz, n) from
+    directions to parameters; amplitudes : log of the amplitudes' prior at their values
+    """
+
+    names: tuple[str, ...]
+    parts: tuple[tuple[str, Array], ...]
+    prior: Array
+    random: Array
+    turn: Array
+    amplitudes: float
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """log : log evidence but for a constant of the records; cost : chi-squared with priors at the optimum
+    error : standard errors of the free parameters, inf where not known
+    """
+
+    log: float
+    cost: float
+    error: Mapping[str, float]
+
+
+def digest(
+    null: NullModel,
+    priors: Mapping[str, Prior],
+    *,
+    random: Columns | None = None,
+    held: frozenset[str] = frozenset(),
+    choices: float = 1.0,
+) -> Digest:
+    """What a model's evidence is counted from.
+
+    priors : of every free parameter; random : record -> output -> (N, g) columns of random amplitudes
+    held : parameters at a bound; choices : whole numbers from which the effects' were chosen
+    """
+    columns = list(range(null.turn.shape[1]))
+    if null.turn.shape[0] == null.turn.shape[1] and np.count_nonzero(null.turn) == len(null.turn):
+        columns = [k for k, name in enumerate(null.parameters) if name not in held]
+    turn = null.turn[:, columns]
+    drawn = {r.name: next(iter(random[r.name].values())).shape[1] if random else 0 for r in null.records}
+    wide = len(columns) + sum(len(r.starts) + drawn[r.name] for r in null.records) + 1
+    first, parts = len(columns), []
+    is_random = np.zeros(wide - 1, dtype=bool)
+    for record in null.records:
+        more = len(record.starts) + drawn[record.name]
+        is_random[first + len(record.starts) : first + more] = True
+        for output in record.outputs:
+            slopes = record.slopes[output]
+            own = [slopes[:, columns], slopes[:, null.turn.shape[1] :]]
+            own += [random[record.name][output]] if random else []
+            rows = triangle(np.column_stack([*own, record.residual[output]]))
+            placed = np.zeros((len(rows), wide))
+            placed[:, : len(columns)] = rows[:, : len(columns)]
+            placed[:, first : first + more] = rows[:, len(columns) : -1]
+            placed[:, -1] = rows[:, -1]
+            parts.append((output, placed))
+        first += more
+    prior = _prior_rows(null, priors, turn, is_random)
+    at = _amplitudes(null, priors) - math.log(choices)
+    return Digest(null.parameters, tuple(parts), prior, is_random, turn, at)
+
+
+def evidence(model: Digest, levels: Levels) -> Evidence:
+    """The evidence of a model with this noise."""
+    width = model.prior.shape[1] - 1
+    prior = model.prior.copy()
+    drawn = np.flatnonzero(model.random)
+    used = np.ones(width + 1, dtype=bool)
+    if len(drawn):
+        extra = np.zeros((len(drawn), width + 1))
+        extra[np.arange(len(drawn)), drawn] = 1 / max(levels.scatter, 1e-6)
+        prior = np.concatenate([prior, extra])
+        used[drawn] = levels.scatter > 0
+    rows = np.concatenate([part * levels.weight(output) for output, part in model.parts])
+    whole = triangle(np.concatenate([rows, prior])[:, used])
+    width = int(used.sum()) - 1
+    occam = _log_determinant(prior[:, used][:, :width]) - _log_determinant(whole[:width, :width])
+    cost = float((whole[width:, width] ** 2).sum())
+    error = dict(zip(model.names, _errors(whole[:width, :width], model.turn).tolist(), strict=True))
+    return Evidence(-0.5 * cost + occam + model.amplitudes, cost, error)
+
+
+def levels_left(
+    null: NullModel, known: Mapping[str, float], scatter: float, random: Columns | None
+) -> Levels:
+    """The noise that a model leaves: no lower than what was stated, its memory where it is not white."""
+    explained = {record.name: dict(record.slopes) for record in null.records}
+    made = estimated_noise(null, explained=explained, scatter=random)
+    sigma = {n: max(s, known.get(n, 0.0), _TINY) for n, s in made.sigma.items()}
+    white = NoiseModel(sigma, {}, made.scatter, "estimated", made.freedom)
+    if is_white(null, white, explained, random):
+        return Levels(sigma, {}, scatter)
+    count = dict.fromkeys(sigma, 0.0)
+    worth = dict.fromkeys(sigma, 0.0)
+    for record in null.records:
+        for output, e in record.residual.items():
+            count[output] += len(e)
+            worth[output] += effective_samples(e)
+    memory = {n: count[n] / worth[n] for n in sigma if worth[n] > 0}
+    return Levels(sigma, memory, scatter)
+
+
+def _prior_rows(null: NullModel, priors: Mapping[str, Prior], turn: Array, random: Array) -> Array:
+    """Rows of the priors, in standard deviations; those of the user with their residual."""
+    width = len(random)
+    deviation = np.array([priors[name].deviation for name in null.parameters])
+    weak = np.zeros((len(turn), width + 1))
+    weak[:, : turn.shape[1]] = turn / deviation[:, None]
+    states = [k for k in range(turn.shape[1], width) if not random[k]]
+    start = np.zeros((len(states), width + 1))
+    start[np.arange(len(states)), states] = 1 / _STATE
+    blocks: Sequence[Array] = [weak, start]
+    if len(null.prior) and null.prior.shape[1] == turn.shape[1] + 1:
+        given = np.zeros((len(null.prior), width + 1))
+        given[:, : turn.shape[1]], given[:, -1] = null.prior[:, :-1], null.prior[:, -1]
+        blocks = [*blocks, given]
+    return np.concatenate(blocks)
+
+
+def _log_determinant(rows: Array) -> float:
+    """1/2 log det(R'R)."""
+    if not rows.shape[1]:
+        return 0.0
+    strength = np.linalg.svd(rows, compute_uv=False)
+    return float(np.log(np.maximum(strength, _TINY)).sum())
+
+
+def _errors(root: Array, turn: Array) -> Array:
+    """(nz,) standard errors from the triangle of all columns."""
+    if not turn.shape[1]:
+        return np.full(len(turn), np.inf)
+    inverse = np.linalg.pinv(root)[: turn.shape[1]]
+    found = np.linalg.norm(turn @ inverse, axis=1)
+    return np.where(found > 0, found, np.inf)
+
+
+def _amplitudes(null: NullModel, priors: Mapping[str, Prior]) -> float:
+    """log of the amplitudes' prior at their values over its height at zero: Cauchy's, one half where one-sided."""
+    found = 0.0
+    for name, value in zip(null.parameters, null.values, strict=True):
+        own = priors[name]
+        if own.amplitude:
+            found -= math.log1p((value / own.deviation) ** 2)
+            found += math.log(2) if own.one_sided else 0.0
+    return found

@@ -1,0 +1,72 @@
+"""Where a refit starts from: all candidates in one step along a model, beside its effects or in the place of one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casadi_engine.discrepancy.candidate import Candidate
+from casadi_engine.discrepancy.compression import candidate_columns, compress
+from casadi_engine.discrepancy.linear_algebra import Array, basis, without
+from casadi_engine.discrepancy.noise_model import NoiseModel
+from casadi_engine.discrepancy.null_model import NullModel
+from casadi_engine.discrepancy.refit import Addition
+from casadi_engine.discrepancy.score import scores_of
+from casadi_engine.errors import CasadiEngineError
+
+
+@dataclass(frozen=True, eq=False)
+class OneStep:
+    """Chi-squared (k,) with each candidate, its amplitude (k,) and the amplitude's error (k,)."""
+
+    cost: Array
+    amplitude: Array
+    error: Array
+
+
+def one_step(
+    null: NullModel, candidates: Sequence[Candidate], levels: Mapping[str, float]
+) -> OneStep | None:
+    """All candidates linearised along a model, at white levels; None where that fails."""
+    try:
+        with np.errstate(all="ignore"):
+            columns = {r.name: candidate_columns(r, candidates) for r in null.records}
+    except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
+        return None
+    if not all(np.isfinite(part).all() for own in columns.values() for part in own.values()):
+        return None
+    reduced = compress(null, candidates, NoiseModel(dict(levels)), columns=columns).reduced()
+    scores = scores_of(reduced, candidates, null.turn)
+    left = without(basis(reduced.rows[:, : reduced.parameters]), reduced.rows[:, -1:])
+    return OneStep(float((left**2).sum()) - scores.drop, scores.amplitude, scores.error)
+
+
+def without_effect(null: NullModel, one: Addition, states: int) -> NullModel | None:
+    """The model linearised where an effect is, without it: candidates are to take its place.
+
+    What its amplitude does to the outputs is to be explained along with the residual, by the others' slopes.
+    states : how many the model has without effects
+    """
+    size = np.diag(null.turn)
+    plain = null.turn.shape == (len(null.values),) * 2 and np.array_equal(null.turn, np.diag(size))
+    if not plain or len(null.model.states) != states:
+        return None
+    names = [name.partition("@")[0] for name in null.parameters]
+    gone = [k for k, name in enumerate(names) if name.startswith(f"{one.key}.")]
+    # a nuisance value moves nothing once its effect is gone; an amplitude goes to zero
+    zero = [k for k in gone if names[k] == one.amplitude]
+    records = []
+    for record in null.records:
+        slopes, residual = {}, {}
+        for output, own in record.slopes.items():
+            residual[output] = record.residual[output] + own[:, zero] @ (null.values[zero] / size[zero])
+            slopes[output] = np.delete(own, gone, axis=1)
+        records.append(replace(record, slopes=slopes, residual=residual))
+    return replace(
+        null,
+        turn=np.delete(null.turn, gone, axis=1),
+        prior=np.delete(null.prior, gone, axis=1),
+        records=tuple(records),
+    )

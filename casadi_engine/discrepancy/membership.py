@@ -1,0 +1,80 @@
+"""The way to a structure, effect by effect, with the class of each: what the data do not exclude in its place."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from casadi_engine.discrepancy.refit import Addition, whitened_cost
+from casadi_engine.discrepancy.repaired import Member
+from casadi_engine.discrepancy.screening import Screened
+from casadi_engine.discrepancy.selection import selection_frequency
+from casadi_engine.discrepancy.station import Station
+
+
+def ordered(effects: Sequence[Addition], pool: Mapping[Any, Any]) -> tuple[Addition, ...]:
+    """Effects so that each beginning is the most probable one of its length."""
+    left, done = list(effects), list[Addition]()
+    while left:
+        def log(one: Addition) -> float:
+            found = pool.get(frozenset(e.candidate.key for e in (*done, one)))
+            return -math.inf if found is None else float(found.log)
+
+        best = max(left, key=log)
+        done.append(best)
+        left.remove(best)
+    return tuple(done)
+
+
+def reached(before: Station, station: Station, effects: tuple[Addition, ...], members: tuple[Member, ...]) -> Station:
+    """A station with how it was reached from the one before; effects : its own, in order."""
+    screened, one = before.screened, effects[-1]
+    lead = number_of(screened, one.candidate.key, one.label)
+    choice = station.screened.choice
+    drop = whitened_cost(before.fit, choice) - whitened_cost(station.fit, choice)
+    rows = tuple(replace(m, rho=_rho(screened, lead, (m.name, m.at))) for m in members)
+    return replace(
+        station, effects=effects, lead=lead, members=rows, drop=drop, frequency=_frequency(screened, lead)
+    )
+
+
+def class_of(pool: Mapping[Any, Any], key: frozenset[tuple[str, str]], one: Addition, factor: float) -> tuple[Member, ...]:
+    """The effects that are not excluded in the place of one of a structure, with their probabilities, itself first."""
+    rest = key - {one.candidate.key}
+    logs = {
+        next(iter(other - rest)): found.log
+        for other, found in pool.items()
+        if len(other) == len(key) and rest < other and found.log > -math.inf
+    }
+    top = max(logs.values(), default=0.0)
+    own = one.candidate.key
+    logs.setdefault(own, top)
+    kept = {k: math.exp(log - top) for k, log in logs.items() if k == own or log > top - math.log(factor)}
+    total = sum(kept.values())
+    order = sorted(kept, key=lambda k: (k != own, -kept[k]))
+    return tuple(Member(name, at, 1.0, kept[name, at] / total) for name, at in order)
+
+
+def number_of(screened: Screened, key: tuple[str, str], label: str = "") -> int:
+    """The number of an effect's candidate: the one of this label, else the one that scores best."""
+    own = [k for k, c in enumerate(screened.candidates) if c.key == key]
+    same = [k for k in own if screened.candidates[k].label == label]
+    return (same or sorted(own, key=lambda k: -screened.scores.statistic[k]))[0]
+
+
+def _rho(screened: Screened, lead: int, key: tuple[str, str]) -> float:
+    if screened.candidates[lead].key == key:
+        return 1.0
+    own = [k for k, c in enumerate(screened.candidates) if c.key == key]
+    return max((float(screened.scores.correlation[lead, k]) for k in own), key=abs, default=0.0)
+
+
+def _frequency(screened: Screened, lead: int) -> float | None:
+    """How often the lead's effect scores best in half-samples, against the best point of every other effect."""
+    best: dict[tuple[str, str], int] = {}
+    for k in screened.order:
+        best.setdefault(screened.candidates[k].key, k)
+    found = selection_frequency(screened.compressed.only(list(best.values())), seed=screened.seed)
+    return found.get(screened.candidates[lead].key, 0.0) if found else None

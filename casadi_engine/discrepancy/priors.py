@@ -1,0 +1,92 @@
+"""What is known of a model's free numbers before the data: weak and physical, in the scales of the records.
+
+An amplitude is scaled by what it does: at one prior standard deviation it moves an output by the output's own
+variation (an error of a sensor, by a twentieth of it; a stated number that may be wrong, by a tenth of itself). That
+holds in any units and any way of writing the model.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from casadi_engine.discrepancy.evidence import Prior
+from casadi_engine.discrepancy.null_model import NullModel
+from casadi_engine.discrepancy.refit import Addition
+from casadi_engine.experiment import Experiment
+from casadi_engine.parameters import Parameters
+
+# Share of an output's variation that a physical effect, and that an error of a sensor, may well make; share of itself
+# by which a stated number may well be wrong.
+PHYSICAL, SENSOR, STATED = 1.0, 0.05, 0.1
+# A law that bends has no slope where it does nothing: its amplitude is not taken to be larger than so many times.
+_BENT = 30.0
+# Standard deviation of a parameter without bounds, in its own size.
+_OPEN = 10.0
+
+
+def priors_of(null: NullModel, parameters: Parameters, effects: Sequence[Addition]) -> dict[str, Prior]:
+    """The prior of every free parameter of a model with these effects, linearised at its optimum."""
+    amplitudes = {one.amplitude: one for one in effects}
+    nuisance = {f"{one.key}.{name}": (one, name) for one in effects for name in one.nuisance}
+    found: dict[str, Prior] = {}
+    for k, name in enumerate(null.parameters):
+        stem = name.partition("@")[0]
+        if stem in amplitudes:
+            one = amplitudes[stem]
+            found[name] = Prior(_amplitude(null, k, one), True, one.bounds.one_sided != 0)
+        elif stem in nuisance:
+            one, own = nuisance[stem]
+            found[name] = Prior(_range_of(one, own, null, parameters, stem))
+        else:
+            found[name] = Prior(_base(parameters, stem, float(null.values[k])))
+    return found
+
+
+def _amplitude(null: NullModel, k: int, one: Addition) -> float:
+    kind = one.kind
+    value = abs(float(null.values[k]))
+    if kind == "parameter" and one.bounds.unit == "1":
+        return STATED
+    share = SENSOR if kind == "sensor" else PHYSICAL
+    step = float(np.linalg.norm(null.turn[k]))
+    direction = int(np.argmax(np.abs(null.turn[k])))
+    sizes = []
+    for record in null.records:
+        for output, slopes in record.slopes.items():
+            moved = float(np.sqrt(np.mean(slopes[:, direction] ** 2))) / max(step, 1e-300)
+            varied = float(np.std(record.path.grid.measured[output].values))
+            if moved > 0 and varied > 0:
+                sizes.append(share * varied / moved)
+    size = min(sizes, default=math.inf)
+    size = min(size, _BENT * value) if value > 0 else size
+    return size if 0 < size < math.inf else max(value, 1e-12)
+
+
+def _range_of(
+    one: Addition, name: str, null: NullModel, parameters: Parameters, stem: str
+) -> float:
+    """Standard deviation of a number that may be anywhere on its grid, or in the record."""
+    grid = one.nuisance[name]
+    if grid.over == "time":
+        return max(r.path.grid.span for r in null.records) / math.sqrt(12)
+    own = parameters[stem]
+    if math.isfinite(own.max - own.min):
+        return float(own.max - own.min) / math.sqrt(12)
+    return max(abs(float(own.value)), 1e-12) * (2.0 if grid.log else 1.0)
+
+
+def _base(parameters: Parameters, name: str, value: float) -> float:
+    if name not in parameters:
+        return _OPEN * max(abs(value), 1e-12)
+    own = parameters[name]
+    if math.isfinite(own.max - own.min) and own.max > own.min:
+        return float(own.max - own.min) / math.sqrt(12)
+    return _OPEN * max(abs(float(own.value)), 1e-12)
+
+
+def spans(data: Sequence[Experiment]) -> Mapping[str, tuple[float, float]]:
+    """Record -> its first and last time."""
+    return {record.name: record.span for record in data}

@@ -1,0 +1,1 @@
+"""Hidden physical terms in systems of many kinds: true equations by SciPy, and ``ce.repair`` by its public verb."""

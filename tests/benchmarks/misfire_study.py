@@ -1,0 +1,271 @@
+"""Large numbers of combustions, lost and not, over speeds, loads, roads and noise: the table MISFIRE.md.
+
+    OPENBLAS_NUM_THREADS=1 python tests/benchmarks/misfire_study.py [--count 50000] [--only NAME]
+
+A finished condition is kept in results/misfire and not run again; delete its file to do so. The engine of each detector
+is fitted to two records of the simulator at 1200 RPM; the long ones come from misfire_plant.py.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import json
+import math
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import median_filter
+from scipy.special import ndtr
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(ROOT / "data"), str(Path(__file__).parent)]
+
+import misfire_plant as plants  # noqa: E402
+import simulator  # noqa: E402
+from simulator.shaft import crankshaft_shaft, two_mass_shaft  # noqa: E402
+
+import casadi_engine as ce  # noqa: E402
+from casadi_engine.detection import plant as cores  # noqa: E402
+from casadi_engine.detection import segments, smoother, torques  # noqa: E402
+from casadi_engine.model import thesis_ties  # noqa: E402
+
+KEPT = ROOT / "results" / "misfire"
+ROUGH = plants.Shaking(road=30.0, impulse=100.0, step=20.0)
+LAG, PRIOR, SCATTER = 3, 0.01, 0.05
+RECORDS, AT_ONCE = 64, 16
+SKIP = 8  # combustions of the first look
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What is simulated, and whose engine the detector has."""
+
+    name: str
+    rpm: float
+    load: float = 57.0
+    sigma: float = 0.1
+    rough: bool = True
+    lost: float = 0.1
+    pattern: str = "random"
+    cycles: int = 100
+    shaft: str = "two_mass"
+    detector: str = "two_mass"
+    seconds: float | None = None
+    more: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def rate(self) -> float:
+        """Hz; slow engines at half the rate, with the noise of two samples averaged."""
+        return 14402.0 if self.rpm > 1500 or self.shaft != "two_mass" else 7201.0
+
+    @property
+    def noise(self) -> float:
+        return self.sigma * math.sqrt(self.rate / 14402.0)
+
+
+def conditions() -> list[Condition]:
+    made = []
+    for rpm in (800, 1200, 2000, 4000, 6000):
+        for load in (57, 5):
+            for rough in (False, True):
+                name = f"{rpm} RPM, {load} N m, {'rough' if rough else 'calm'}"
+                made.append(Condition(name, rpm, load, rough=rough))
+    for rpm in (800, 1200, 6000):
+        made += [Condition(f"{rpm} RPM, {load} N m, rough, noise 0.5", rpm, load, sigma=0.5) for load in (57, 5)]
+    for rpm in (1200, 6000):
+        made += [Condition(f"{rpm} RPM, 57 N m, rough, {word}", rpm, pattern=word) for word in ("paired", "continuous")]
+    made.append(Condition("run-up 800 to 5000 RPM in 20 s, 57 N m, rough", 800, seconds=20.0, cycles=520))
+    for rpm in (1200, 6000):
+        for detector in ("crankshaft", "two_mass"):
+            name = f"crankshaft, {rpm} RPM, 57 N m, rough, by {'7' if detector == 'crankshaft' else '2'} DOF"
+            made.append(Condition(name, rpm, shaft="crankshaft", detector=detector))
+    for share in (0.01, 0.05):
+        name = f"1200 RPM, 57 N m, rough, {100 * share:g} % random"
+        made.append(Condition(name, 1200, lost=share, cycles=505))
+    return made
+
+
+def fits(shaft: str) -> dict[str, Any]:
+    """The detectors' engines, fitted to a normal and a misfire record of this shaft."""
+    make = getattr(simulator, f"simulate_{shaft}")
+    units = {"theta": "rad", **dict.fromkeys(("p1", "p2", "p3", "p4"), "Pa"), "T_load": "N m", "omega": "rad/s"}
+    data = []
+    for name, lost in (("normal", {}), ("misfire", {2: "all"})):
+        made = make(1200.0, scatter_seed=len(name), misfire=lost, rtol=1e-9)
+        channels = {key: made[key] for key in units}
+        data.append(ce.Experiment.from_arrays(name, time=made["time"], units=units, **channels))
+    two = ce.two_mass(reciprocating_speed="measured")
+    found = {"two_mass": ce.estimate(two, data, noise=ce.Noise(omega="estimate"), progress=False)}
+    if shaft == "crankshaft":
+        seven = ce.crankshaft(reciprocating_speed="measured")
+        tied = thesis_ties(seven.parameters())
+        found[shaft] = ce.estimate(seven, data, parameters=tied, noise=ce.Noise(omega=0.1), progress=False)
+    return found
+
+
+def drawn(one: Condition, random: np.random.Generator) -> np.ndarray:
+    """(records, 4, cycles + 2) True where a combustion is lost."""
+    shape = (RECORDS, 4, one.cycles + 2)
+    lost = random.uniform(size=shape) < one.lost
+    if one.pattern == "continuous":
+        lost[:] = False
+        lost[np.arange(RECORDS), np.arange(RECORDS) % 4] = True
+    elif one.pattern == "paired":  # the second one follows the first in the firing order 1-3-4-2
+        first = random.uniform(size=shape) < one.lost / 2
+        first[:, 1] = False
+        lost = first.copy()
+        for before, after in ((0, 2), (2, 3), (3, 1)):
+            lost[:, after] |= first[:, before]
+    lost[:, :, :3] &= one.pattern == "continuous"
+    return lost
+
+
+def decide(one: Condition, fit: Any, tables: Any, theta: np.ndarray, omega: np.ndarray) -> tuple[Any, Any, Any]:
+    """What the smoother found in records (B, N), their windows' edges and places."""
+    cut = [segments.window_edges(row, tables) for row in theta]
+    count = min(len(places) for _, places in cut)
+    edges, places = np.array([edge[: count + 1] for edge, _ in cut]), cut[0][1][:count]
+    pieces = max(1, math.ceil(np.diff(edges).max() / one.rate / 0.007))
+    unknown = cores.Disturbances()
+    plant = cores.make_plant(fit, "omega", tables.enter, 1 / one.rate, unknown)
+    sigma = max(one.noise, fit.residual_level["omega"] * math.sqrt(one.rate / 14402.0) if one.sigma == 0.1 else 0.0)
+    parts = segments.cut_segments(
+        theta, omega, np.ones(theta.shape, dtype=bool), edges, min(pieces, 8), plant, tables, sigma
+    )
+    prior = smoother.Prior(PRIOR, SCATTER)
+    return smoother.smooth(plant, unknown, prior, parts, omega[:, 0], lag=LAG, first_look=SKIP), edges, places
+
+
+def index(omega: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """The usual index of each combustion, (B, K): gain of the mean speed, times speed, less its running median."""
+    total = np.cumsum(np.pad(omega, ((0, 0), (1, 0))), axis=1)
+    mean = np.diff(np.take_along_axis(total, edges, axis=1)) / np.diff(edges)
+    gained = np.diff(mean**2, axis=1, prepend=mean[:, :1] ** 2)
+    return gained - median_filter(gained, (1, 9))
+
+
+def hindsight(values: np.ndarray, lost: np.ndarray) -> tuple[int, int]:
+    """Missed and false at the threshold with the fewest errors; lost ones have low values."""
+    order = np.argsort(values)
+    caught, false = np.cumsum(lost[order]), np.cumsum(~lost[order])
+    wrong = np.concatenate([[lost.sum()], lost.sum() - caught + false])
+    at = int(np.argmin(wrong))
+    return (int(lost.sum() - caught[at - 1]), int(false[at - 1])) if at else (int(lost.sum()), 0)
+
+
+def run(one: Condition, count: int) -> dict[str, Any]:
+    """Simulate and decide `count` combustions."""
+    fit = fits(one.shaft)[one.detector]
+    tables = torques.learn_torques(fit)
+    shaft = crankshaft_shaft() if one.shaft == "crankshaft" else two_mass_shaft()
+    parts: dict[str, list[np.ndarray]] = {key: [] for key in ("lost", "found", "index", "expected", "d", "blocks")}
+    seed, spent, done = 0, 0.0, 0
+    sweep = (lambda t: 800 + 210 * t) if one.seconds else None
+    while done < count:
+        random = np.random.default_rng([seed, 16])
+        lost = drawn(one, random)
+        theta, omega = plants.simulate_long(
+            one.rpm, one.load, lost, seed=seed, shaft=shaft, rate=one.rate, sigma=one.noise,
+            shaking=ROUGH if one.rough else None, sweep=sweep, seconds=one.seconds,
+        )  # fmt: skip
+        for first in range(0, RECORDS, AT_ONCE):
+            few = slice(first, first + AT_ONCE)
+            begun = time.process_time()
+            found, edges, places = decide(one, fit, tables, theta[few], omega[few])
+            spent += time.process_time() - begun
+            cylinder = tables.order[places]
+            angle = np.take_along_axis(theta[few], edges[:, :-1], axis=1)
+            event = plants.event_number(angle + 0.5 - plants.TDC[cylinder - 1]).astype(int)
+            true = lost[few][np.arange(AT_ONCE)[:, None], cylinder - 1, event]
+            use = slice(SKIP, len(places) - LAG)
+            d = (found.level / np.hypot(found.stderr, SCATTER * found.level))[:, use]
+            odds = math.log(1 / PRIOR - 1)
+            rows = {"lost": true[:, use], "found": found.lost[:, use], "index": index(omega[few], edges)[:, use], "d": d}
+            rows["expected"] = np.stack([ndtr(odds / d - d / 2), ndtr(-odds / d - d / 2)], axis=-1)
+            for key, value in rows.items():
+                parts[key].append(value)
+            done += d.size
+        seed += 1
+    return summed(one, parts, 1000 * spent / done)
+
+
+def summed(one: Condition, parts: dict[str, list[np.ndarray]], cost: float) -> dict[str, Any]:
+    width = min(part.shape[1] for part in parts["lost"])
+    whole = {key: np.concatenate([part[:, :width] for part in value]) for key, value in parts.items() if value}
+    lost, found = whole["lost"], whole["found"] > 0.5
+    missed, false = lost & ~found, found & ~lost
+    beside = np.zeros_like(false)
+    beside[:, 1:] |= false[:, :-1]
+    beside[:, :-1] |= false[:, 1:]
+    index_missed, index_false = hindsight(whole["index"].ravel(), lost.ravel())
+    answer = {
+        "name": one.name, "date": str(datetime.datetime.now(tz=datetime.UTC).date()), "combustions": int(lost.size),
+        "lost": int(lost.sum()), "missed": int(missed.sum()), "false": int(false.sum()),
+        "wrong cylinder": int((missed & beside).sum()), "index missed": index_missed, "index false": index_false,
+        "d": float(np.median(whole["d"])), "d low": float(np.quantile(whole["d"], 0.001)),
+        "expected missed": float(whole["expected"][..., 0].mean()), "ms": cost,
+        "expected false": float(whole["expected"][..., 1].mean()), "blocks": {},
+    }  # fmt: skip
+    for revolutions in (200, 1000):
+        size = 2 * revolutions
+        if width >= size:
+            cut = (len(lost), width // size, size)
+            true, told = (part[:, : cut[1] * size].reshape(cut).mean(axis=2) for part in (lost, whole["found"]))
+            answer["blocks"][revolutions] = [true.size, float(np.abs(told - true).max()), float(true.min()), float(true.max())]
+    return answer
+
+
+def most(events: int, of: int) -> float:
+    """95 % upper limit of a probability."""
+    from scipy.stats import beta
+
+    return float(beta.ppf(0.95, events + 1, of - events)) if events < of else 1.0
+
+
+def table(answers: list[dict[str, Any]]) -> str:
+    head = ["condition", "combustions", "lost", "missed", "at most", "by theory", "false", "at most", "by theory",
+            "wrong cylinder", "d'", "index missed", "index false", "ms each"]  # fmt: skip
+    lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
+    for a in answers:
+        burned = a["combustions"] - a["lost"]
+        cells = [a["name"], a["combustions"], a["lost"], a["missed"], f"{100 * most(a['missed'], a['lost']):.2g} %",
+                 f"{100 * a['expected missed']:.1g} %", a["false"], f"{100 * most(a['false'], burned):.1g} %",
+                 f"{100 * a['expected false']:.1g} %", a["wrong cylinder"], f"{a['d']:.1f}",
+                 f"{100 * a['index missed'] / max(a['lost'], 1):.3g} %", f"{100 * a['index false'] / burned:.2g} %",
+                 f"{a['ms']:.2f}"]  # fmt: skip
+        lines.append("| " + " | ".join(map(str, cells)) + " |")
+    return "\n".join(lines)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=50_000)
+    parser.add_argument("--only", default="")
+    asked = parser.parse_args()
+    KEPT.mkdir(parents=True, exist_ok=True)
+    answers = []
+    for one in conditions():
+        path = KEPT / f"{one.name.replace(' ', '_').replace(',', '')}.json"
+        if not path.is_file() and asked.only in one.name:
+            answer = run(one, asked.count)
+            part = path.with_suffix(".part")
+            part.write_text(json.dumps(answer, indent=1), "utf-8")
+            part.replace(path)
+        if path.is_file():
+            answers.append(json.loads(path.read_text("utf-8")))
+            print(table(answers[-1:]).splitlines()[-1], answers[-1]["blocks"], flush=True)
+    Path(__file__).with_name("MISFIRE.md").write_text(words(answers), "utf-8")
+    return 0
+
+
+def words(answers: list[dict[str, Any]]) -> str:
+    return table(answers)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

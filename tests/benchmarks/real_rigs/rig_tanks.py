@@ -1,0 +1,128 @@
+"""Cascaded tanks (Schoukens, Mattsson, Wigren and Noël 2016; ../shared/data/tanks): a pump fills the upper tank, which
+empties into the lower one, by the square root of the level; the lower level is measured. Every second sample (8 s).
+
+The model lacks the overflow at 10 V: what leaves the upper tank over its edge comes partly into the lower one. No
+effect of the library at one port is that; "unnamed" is right, and so is an effect between the two tanks.
+"""
+
+import casadi as ca
+import numpy as np
+from rigs_common import shared
+from scipy_fits import Record, Structure, fit
+
+import casadi_engine as ce
+
+writings = (
+    "a factor for each flow, volts and seconds",
+    "time constants at a level of 5 V, levels in shares of it",
+    "a factor for each flow, per minute",
+)
+truth = (set(), {"upper_to_lower.overflow"})
+same = "overflow"
+FIRST, SECOND, PUMP, SPAN = 0.05, 0.05, 0.05, 10.0  # start values; V
+
+
+def build(writing=0):
+    b = ce.Blueprint("tanks", time_unit="min" if writing == 2 else None)
+    (_factors, _time_constants, _minutes)[writing](b)
+    m = b.model()
+    return m, m.parameters()
+
+
+def root(level, smallest=1e-3):
+    """Square root of a level, as flat as a parabola below an empty tank."""
+    return ca.sqrt(ca.fmax(level, smallest))
+
+
+def _factors(b, *, minute=1.0):
+    first = b.parameter("k1", FIRST * minute, min=1e-3 * minute, max=minute)
+    second = b.parameter("k3", SECOND * minute, min=1e-3 * minute, max=minute)
+    pump = b.parameter("k4", PUMP * minute, min=1e-3 * minute, max=minute)
+    upper, lower = b.state("upper", unit="V", scale=5), b.state("lower", unit="V", scale=5)
+    volts = b.input("u", unit="V")
+    rate = "V/min" if minute > 1 else "V/s"
+    into_upper = b.port("upper", "inertia", {"speed": upper}, unit=rate)
+    into_lower = b.port("lower", "inertia", {"speed": lower}, unit=rate)
+    b.ode("upper", pump * volts - first * root(upper) + into_upper)
+    b.ode("lower", first * root(upper) - second * root(lower) + into_lower)
+    b.output("y", lower, unit="V", scale=5)
+
+
+def _minutes(b):
+    _factors(b, minute=60.0)
+
+
+def _time_constants(b):
+    level = 5.0
+    first = b.parameter("tau1", level**0.5 / FIRST, unit="s", min=1, max=1e4)
+    second = b.parameter("tau2", level**0.5 / SECOND, unit="s", min=1, max=1e4)
+    pump = b.parameter("fill", level / PUMP, unit="V s", min=1, max=1e4)
+    upper, lower = b.state("upper", unit="1"), b.state("lower", unit="1")
+    volts = b.input("u", unit="V")
+    into_upper = b.port("upper", "inertia", {"speed": upper}, unit="1/s")
+    into_lower = b.port("lower", "inertia", {"speed": lower}, unit="1/s")
+    least = 1e-3 / level
+    b.ode("upper", volts / pump - root(upper, least) / first + into_upper)
+    b.ode("lower", root(upper, least) / first - root(lower, least) / second + into_lower)
+    b.output("y", level * lower, unit="V", scale=5)
+
+
+def initial(writing=0):
+    return {"upper": 1.0, "lower": 1.0} if writing == 1 else {"upper": 5.0, "lower": 5.0}
+
+
+def records():
+    table = np.genfromtxt(shared("tanks", "tanks.csv"), delimiter=",", skip_header=1, usecols=(0, 1, 2, 3))
+    return tuple(
+        [_record(name, table[:, k], table[:, 2 + k])] for k, name in enumerate(("estimation", "validation"))
+    )
+
+
+def _record(name, u, y, every=2):
+    time = 4.0 * every * np.arange(len(y[::every]))
+    # the pump's voltage holds from sample to sample
+    mean = u[: len(time) * every].reshape(-1, every).mean(axis=1)
+    return ce.Experiment.from_arrays(
+        name, time=time, units={"u": "V", "y": "V"}, hold={"u": "zero", "y": "first"}, u=mean, y=y[::every]
+    )
+
+
+def by_hand():
+    estimation, fresh = (
+        [Record(e["y"].time, e["u"].values[:, None], e["y"].values, held=True) for e in part]
+        for part in records()
+    )
+    return {name: fit(one, estimation, fresh) for name, one in _structures().items()}
+
+
+def _structures():
+    def made(over, **starts):
+        def rhs(x, u, p):
+            upper, lower = (np.sqrt(np.maximum(one, 1e-3)) for one in x)
+            lost, gained = over(x, p)
+            return 0.1 * np.array(
+                [
+                    p["pump"] * u[0] - p["first"] * upper - lost,
+                    p["first"] * upper - p["second"] * lower + gained,
+                ]
+            )
+
+        whole = {"first": [0.5, 0.8], "second": [0.5, 0.8], "pump": [0.5, 0.8], **starts}
+        return Structure(
+            rhs,
+            lambda x, u, p: np.minimum(x[1], 10.0),
+            whole,
+            lambda one: np.repeat(one.output[0], 2),
+            state_scale=1.0,
+        )
+
+    def spilled(x, p):
+        return p["rate"] * np.maximum(x[0] - p["edge"], 0)
+
+    edge = {"rate": [1.0, 3.0], "edge": [10.0, 8.0]}
+    return {
+        "nothing added": made(lambda x, p: (0.0, 0.0)),
+        "overflow that is lost": made(lambda x, p: (spilled(x, p), 0.0), **edge),
+        "overflow": made(lambda x, p: (spilled(x, p), p["share"] * spilled(x, p)), **edge, share=[0.3, 0.3]),
+        "drag of the upper level": made(lambda x, p: (p["drag"] * x[0] ** 2, 0.0), drag=[0.01, 0.01]),
+    }

@@ -1,0 +1,61 @@
+"""The rigs' readers, and that all writings of a model are the same physics."""
+
+import doctest
+
+import numpy as np
+import outcome
+import pytest
+from rigs_common import NAMES, NoDataError, rig, to_si
+
+import casadi_engine as ce
+
+
+def records_of(name):
+    try:
+        return rig(name).records()
+    except NoDataError as why:
+        pytest.skip(str(why))
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", NAMES)
+def test_the_writings_of_a_rig_are_one_physics(name):
+    one = rig(name)
+    (record, *_), _ = records_of(name)
+    (time,) = {(channel.time[0], channel.time[-1]) for channel in record.channels[:1]}
+    short = record.between(time[0], time[0] + 0.15 * (time[1] - time[0]))
+    runs = []
+    for writing in range(len(one.writings)):
+        model, parameters = one.build(writing)
+        (output,) = model.outputs
+        run = ce.simulate(model, short, parameters=parameters, initial=one.initial(writing), tolerance=1e-8)
+        runs.append(run[output.name].values * to_si(model)[output.name])
+    assert np.ptp(runs[0]) > 0
+    for run in runs[1:]:
+        assert np.abs(run - runs[0]).max() < 1e-6 * np.ptp(runs[0])
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", NAMES)
+def test_a_rig_has_records_to_search_and_fresh_ones_and_a_fit_by_hand(name):
+    one = rig(name)
+    estimation, fresh = records_of(name)
+    model, _ = one.build(0)
+    (output,) = (out.name for out in model.outputs)
+    for record in (*estimation, *fresh):
+        assert all(channel.name in record for channel in model.inputs)
+        assert 100 < record[output].mask.sum() < 6000
+    assert not {record.name for record in estimation} & {record.name for record in fresh}
+
+
+@pytest.mark.parametrize("name", sorted(outcome.kept()))
+def test_the_right_structure_is_better_than_nothing_by_hand(name):
+    structures = outcome.kept()[name]["structures"]
+    null, right = structures["nothing added"], structures[rig(name).same]
+    assert right["estimation"] < null["estimation"]
+
+
+def test_an_outcome_is_told_from_the_truth():
+    tried = doctest.testmod(outcome)
+    assert tried.attempted > 0
+    assert tried.failed == 0
