@@ -70,7 +70,8 @@ def make_plant(fit: Fit, output: str, enter: Array, h: float, disturbances: Dist
     assert core is not None
     vector = ca.DM(vector_of(fit))
     a, g, c = (
-        np.array(ca.Function("f", [model.p], [ca.densify(part)])(vector).full()) for part in (core.A, core.G, core.C)
+        np.array(ca.Function("f", [model.p], [ca.densify(part)])(vector).full())
+        for part in (core.A, core.G, core.C)
     )
     n, slots = len(a), model.ports.with_slot
     bodies = [k for k, port in enumerate(slots) if port.kind == "inertia"]

@@ -65,16 +65,17 @@ def cut_segments(
     responses, ends = [], []
     for kind in pushes:
         held = [np.where(inside, one[record, index], 0.0) for one in kind]
-        responses.append(sum(h @ respond[:, :, c].T for c, h in enumerate(held)))
-        ends.append(sum(h @ reach[:, :, c] for c, h in enumerate(held)))
+        responses.append(np.sum([h @ respond[:, :, c].T for c, h in enumerate(held)], axis=0))
+        ends.append(np.sum([h @ reach[:, :, c] for c, h in enumerate(held)], axis=0))
     measured = omega[record, index] - responses[0]
     looks = np.einsum("i,kij->kj", plant.c, powers[:-1])
     first = np.arange(most) - (most - length)[..., None]
     raw = np.concatenate(
-        [looks[np.clip(first, 0, most - 1)], *[one[..., None] for one in responses[1:]], measured[..., None]], axis=-1
+        [looks[np.clip(first, 0, most - 1)], *[one[..., None] for one in responses[1:]], measured[..., None]],
+        axis=-1,
     )
     raw *= ((inside & valid[record, index]) / sigma)[..., None]
-    rows = np.linalg.qr(raw, mode="r")
+    rows: Array = np.asarray(np.linalg.qr(raw, mode="r"))
     return Segments(rows, powers[length], np.stack(ends, axis=-1), length * plant.h)
 
 

@@ -38,7 +38,9 @@ class Smoother:
     combustions, oldest first | right side], rows in standard deviations.
     """
 
-    def __init__(self, plant: Plant, disturbances: Disturbances, segments: Segments, *, lag: int, speed: Array) -> None:
+    def __init__(
+        self, plant: Plant, disturbances: Disturbances, segments: Segments, *, lag: int, speed: Array
+    ) -> None:
         self.plant, self.disturbances, self.segments, self.lag = plant, disturbances, segments, lag
         self.spans = segments.add.shape[-1] - 2
         self.nz = plant.size + 1
@@ -82,8 +84,6 @@ class Smoother:
             stack[:, :size, -1] = self.root[:, :, -1]
             stack[:, size, 0] = 1 / np.sqrt(variance)
             stack[:, size, -1] = mean / np.sqrt(variance)
-            # The new strength has no prior but one so wide that it says nothing; it keeps the triangle regular.
-            stack[:, size - 1 : size, newest] += 0.0
         taken = stack[:, size + gone : total]
         taken[:, :, state] = rows[:, :, :nz]
         for span in range(self.spans):
@@ -106,7 +106,8 @@ class Smoother:
         noise[:, 2] = self.disturbances.road * np.sqrt(-np.expm1(-2 * self.plant.road_decay * seconds))
         each = np.arange(NOISES)
         stack[:, total + each, gone + each] = 1 / noise
-        self.root = np.linalg.qr(stack, mode="r")[:, left : left + size, left:]
+        triangle: Array = np.asarray(np.linalg.qr(stack, mode="r"))
+        self.root = triangle[:, left : left + size, left:]
 
 
 class Decision:
@@ -122,7 +123,10 @@ class Decision:
     def probabilities(self, root: Array, right: Array, level: Array) -> Array:
         """(B, lag + 1) that each of the last combustions was lost, oldest first; level (B,) the usual strength."""
         size = self.lag + 1
-        spread = self.prior.scatter**2 * np.eye(size) + LEVEL_DOUBT**2 * self.burns[:, :, None] * self.burns[:, None]
+        spread = (
+            self.prior.scatter**2 * np.eye(size)
+            + LEVEL_DOUBT**2 * self.burns[:, :, None] * self.burns[:, None]
+        )
         scaled = root * level[:, None, None]
         seen = scaled[:, None]  # (B, 1, L, L)
         covariance = np.eye(size) + seen @ spread @ seen.swapaxes(-1, -2)
@@ -146,6 +150,11 @@ class Decision:
         covariance = np.linalg.inv(information)
         pull = (root.swapaxes(-1, -2) @ right[..., None])[..., 0] + known * mean
         return np.einsum("bi,bi->b", covariance[:, 0], pull), np.sqrt(covariance[:, 0, 0])
+
+    def alone(self, root: Array, right: Array) -> Array:
+        """Strength of the oldest combustion (B,) by the samples alone."""
+        information = root.swapaxes(-1, -2) @ root + 1e-6 * np.eye(self.lag + 1)  # where samples are missing
+        return np.linalg.solve(information, root.swapaxes(-1, -2) @ right[..., None])[:, 0, 0]
 
     def expected(self, level: Array, lost: Array) -> tuple[Array, Array]:
         """Mean and variance of a strength that is lost with this probability."""
@@ -177,7 +186,7 @@ def smooth(plant: Plant, disturbances: Disturbances, prior: Prior, segments: Seg
         smoother.window(k, flat)
         root, right = smoother.strengths()
         if k >= lag:
-            seen.append(np.linalg.solve(root, right[..., None])[:, 0, 0])
+            seen.append(decision.alone(root, right))
     level = np.maximum(np.quantile(np.array(seen), 0.75, axis=0), LEAST_LEVEL)
     smoother = Smoother(plant, disturbances, segments, lag=lag, speed=speed)
     out = Found(np.zeros((records, windows)), *[np.full((records, windows), np.nan) for _ in range(3)])

@@ -26,7 +26,7 @@ FILTER = 0.1  # s, in which the governor sees speed and loads at the engine
 
 @dataclass(frozen=True)
 class Shaking:
-    """Torques that are not combustion [N m]: rough road (rms, corner [Hz]) and impulses on the load, steps at the engine.
+    """Torques that are not combustion [N m]: rough road (rms, corner [Hz]) and jolts on the load, steps at the engine.
 
     impulse, impulse_rate : largest height of half sines of 30 ms, and how many come in a second
     step, step_rate : a load of this size at the engine, and how often in a second it is switched on or off
@@ -79,7 +79,10 @@ def simulate_long(
 
     sweep : the governed speed as a function of time [RPM]; seconds : length of the records, left out that of the cycles
     """
-    shaft, people = two_mass_shaft() if shaft is None else shaft, unequal_cylinders() if cylinders is None else cylinders
+    shaft, people = (
+        two_mass_shaft() if shaft is None else shaft,
+        unequal_cylinders() if cylinders is None else cylinders,
+    )
     shaking = Shaking() if shaking is None else shaking
     random = np.random.default_rng(seed)
     records, _, events = lost.shape
@@ -111,7 +114,11 @@ def simulate_long(
         number = np.clip(event_number(at - TDC[:, None]).astype(int), 0, events - 1) if k % 8 == 0 else event
         fresh = number != event
         if fresh.any():
-            target, later = (state[1], state[1]) if sweep is None else np.pi / 30 * np.array([sweep(k * h), sweep(k * h + 1)])
+            target, later = (
+                (state[1], state[1])
+                if sweep is None
+                else np.pi / 30 * np.array([sweep(k * h), sweep(k * h + 1)])
+            )
             more = (asked + shaft.inertia.sum() * ((target - slow) / RETURN + later - target)) * governed
             more += shaft.absolute_damping.sum() * (target - state[1])
             now = strength * np.clip(1 + more / (usual - motored), 0.1, 3.0)

@@ -76,9 +76,14 @@ def conditions() -> list[Condition]:
                 name = f"{rpm} RPM, {load} N m, {'rough' if rough else 'calm'}"
                 made.append(Condition(name, rpm, load, rough=rough))
     for rpm in (800, 1200, 6000):
-        made += [Condition(f"{rpm} RPM, {load} N m, rough, noise 0.5", rpm, load, sigma=0.5) for load in (57, 5)]
+        made += [
+            Condition(f"{rpm} RPM, {load} N m, rough, noise 0.5", rpm, load, sigma=0.5) for load in (57, 5)
+        ]
     for rpm in (1200, 6000):
-        made += [Condition(f"{rpm} RPM, 57 N m, rough, {word}", rpm, pattern=word) for word in ("paired", "continuous")]
+        made += [
+            Condition(f"{rpm} RPM, 57 N m, rough, {word}", rpm, pattern=word)
+            for word in ("paired", "continuous")
+        ]
     made.append(Condition("run-up 800 to 5000 RPM in 20 s, 57 N m, rough", 800, seconds=20.0, cycles=520))
     for rpm in (1200, 6000):
         for detector in ("crankshaft", "two_mass"):
@@ -86,14 +91,19 @@ def conditions() -> list[Condition]:
             made.append(Condition(name, rpm, shaft="crankshaft", detector=detector))
     for share in (0.01, 0.05):
         name = f"1200 RPM, 57 N m, rough, {100 * share:g} % random"
-        made.append(Condition(name, 1200, lost=share, cycles=505))
+        made.append(Condition(name, 1200, lost=share, cycles=530))
     return made
 
 
 def fits(shaft: str) -> dict[str, Any]:
     """The detectors' engines, fitted to a normal and a misfire record of this shaft."""
     make = getattr(simulator, f"simulate_{shaft}")
-    units = {"theta": "rad", **dict.fromkeys(("p1", "p2", "p3", "p4"), "Pa"), "T_load": "N m", "omega": "rad/s"}
+    units = {
+        "theta": "rad",
+        **dict.fromkeys(("p1", "p2", "p3", "p4"), "Pa"),
+        "T_load": "N m",
+        "omega": "rad/s",
+    }
     data = []
     for name, lost in (("normal", {}), ("misfire", {2: "all"})):
         made = make(1200.0, scatter_seed=len(name), misfire=lost, rtol=1e-9)
@@ -125,7 +135,9 @@ def drawn(one: Condition, random: np.random.Generator) -> np.ndarray:
     return lost
 
 
-def decide(one: Condition, fit: Any, tables: Any, theta: np.ndarray, omega: np.ndarray) -> tuple[Any, Any, Any]:
+def decide(
+    one: Condition, fit: Any, tables: Any, theta: np.ndarray, omega: np.ndarray
+) -> tuple[Any, Any, Any]:
     """What the smoother found in records (B, N), their windows' edges and places."""
     cut = [segments.window_edges(row, tables) for row in theta]
     count = min(len(places) for _, places in cut)
@@ -133,7 +145,9 @@ def decide(one: Condition, fit: Any, tables: Any, theta: np.ndarray, omega: np.n
     pieces = max(1, math.ceil(np.diff(edges).max() / one.rate / 0.007))
     unknown = cores.Disturbances()
     plant = cores.make_plant(fit, "omega", tables.enter, 1 / one.rate, unknown)
-    sigma = max(one.noise, fit.residual_level["omega"] * math.sqrt(one.rate / 14402.0) if one.sigma == 0.1 else 0.0)
+    sigma = max(
+        one.noise, fit.residual_level["omega"] * math.sqrt(one.rate / 14402.0) if one.sigma == 0.1 else 0.0
+    )
     parts = segments.cut_segments(
         theta, omega, np.ones(theta.shape, dtype=bool), edges, min(pieces, 8), plant, tables, sigma
     )
@@ -163,7 +177,9 @@ def run(one: Condition, count: int) -> dict[str, Any]:
     fit = fits(one.shaft)[one.detector]
     tables = torques.learn_torques(fit)
     shaft = crankshaft_shaft() if one.shaft == "crankshaft" else two_mass_shaft()
-    parts: dict[str, list[np.ndarray]] = {key: [] for key in ("lost", "found", "index", "expected", "d", "blocks")}
+    parts: dict[str, list[np.ndarray]] = {
+        key: [] for key in ("lost", "found", "index", "expected", "d", "blocks")
+    }
     seed, spent, done = 0, 0.0, 0
     sweep = (lambda t: 800 + 210 * t) if one.seconds else None
     while done < count:
@@ -185,7 +201,12 @@ def run(one: Condition, count: int) -> dict[str, Any]:
             use = slice(SKIP, len(places) - LAG)
             d = (found.level / np.hypot(found.stderr, SCATTER * found.level))[:, use]
             odds = math.log(1 / PRIOR - 1)
-            rows = {"lost": true[:, use], "found": found.lost[:, use], "index": index(omega[few], edges)[:, use], "d": d}
+            rows = {
+                "lost": true[:, use],
+                "found": found.lost[:, use],
+                "index": index(omega[few], edges)[:, use],
+                "d": d,
+            }
             rows["expected"] = np.stack([ndtr(odds / d - d / 2), ndtr(-odds / d - d / 2)], axis=-1)
             for key, value in rows.items():
                 parts[key].append(value)
@@ -196,7 +217,9 @@ def run(one: Condition, count: int) -> dict[str, Any]:
 
 def summed(one: Condition, parts: dict[str, list[np.ndarray]], cost: float) -> dict[str, Any]:
     width = min(part.shape[1] for part in parts["lost"])
-    whole = {key: np.concatenate([part[:, :width] for part in value]) for key, value in parts.items() if value}
+    whole = {
+        key: np.concatenate([part[:, :width] for part in value]) for key, value in parts.items() if value
+    }
     lost, found = whole["lost"], whole["found"] > 0.5
     missed, false = lost & ~found, found & ~lost
     beside = np.zeros_like(false)
@@ -215,8 +238,15 @@ def summed(one: Condition, parts: dict[str, list[np.ndarray]], cost: float) -> d
         size = 2 * revolutions
         if width >= size:
             cut = (len(lost), width // size, size)
-            true, told = (part[:, : cut[1] * size].reshape(cut).mean(axis=2) for part in (lost, whole["found"]))
-            answer["blocks"][revolutions] = [true.size, float(np.abs(told - true).max()), float(true.min()), float(true.max())]
+            true, told = (
+                part[:, : cut[1] * size].reshape(cut).mean(axis=2) for part in (lost, whole["found"])
+            )
+            answer["blocks"][revolutions] = [
+                true.size,
+                float(np.abs(told - true).max()),
+                float(true.min()),
+                float(true.max()),
+            ]
     return answer
 
 
@@ -243,7 +273,9 @@ def table(answers: list[dict[str, Any]]) -> str:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--count", type=int, default=50_000)
     parser.add_argument("--only", default="")
     asked = parser.parse_args()
