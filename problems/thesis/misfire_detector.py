@@ -81,7 +81,7 @@ def draw(fit, three, both, out):
         )
         for ax, values in zip(axes[1], (index(made, found), found.strength, found.probability), strict=True):
             ax.plot(found.angle / (2 * np.pi), values, "o-", **look)
-    for made, colour, name in zip(both, (shared.MEASURED, shared.THESIS), ("normal", "misfire"), strict=True):
+    for made, colour, name in zip(both[::-1], (shared.THESIS, "0.3"), ("misfire", "normal"), strict=True):
         size = np.abs(np.fft.rfft(made["omega_true"][:14400])) / 7200 * 30 / np.pi
         axes[0, 1].plot(np.arange(1, 200) * RATE / 14400, size[1:200], color=colour, label=name)
     titles = ("Figure 5.2: speed, two misfires [RPM]", "Figure 5.3: amplitudes, continuous misfire [RPM]",
@@ -96,7 +96,8 @@ def draw(fit, three, both, out):
 
 def fitted(model, kind, **more):
     """The model fitted to a normal and a misfire record at 1200 RPM, and these."""
-    both = [shared.record(kind, scatter_seed=1), shared.record(kind, scatter_seed=2, misfire={2: "all"})]
+    options = [{"scatter_seed": 1}, {"scatter_seed": 2, "misfire": {2: "all"}}]
+    both = [shared.record(kind, rtol=1e-8, **one) for one in options]
     data = [shared.experiment(one, name) for one, name in zip(both, ("normal", "misfire"), strict=True)]
     return ce.estimate(model, data, noise=ce.Noise(omega=SIGMA), progress=False, **more), both
 

@@ -7,11 +7,16 @@ the road shakes the load, and loads are switched at the engine.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.linalg import expm
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "data"))
+
 from simulator import simulate
 from simulator.engine import TDC, Engine
 from simulator.geometry import CYCLE, cylinder_torque

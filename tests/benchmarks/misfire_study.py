@@ -23,7 +23,7 @@ from scipy.ndimage import median_filter
 from scipy.special import ndtr
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT / "data"), str(Path(__file__).parent)]
+sys.path.insert(0, str(Path(__file__).parent))
 
 import misfire_plant as plants  # noqa: E402
 import simulator  # noqa: E402
@@ -241,7 +241,7 @@ def summed(one: Condition, parts: dict[str, list[np.ndarray]], cost: float) -> d
             true, told = (
                 part[:, : cut[1] * size].reshape(cut).mean(axis=2) for part in (lost, whole["found"])
             )
-            answer["blocks"][revolutions] = [
+            answer["blocks"][str(revolutions)] = [
                 true.size,
                 float(np.abs(told - true).max()),
                 float(true.min()),
@@ -296,7 +296,49 @@ def main() -> int:
 
 
 def words(answers: list[dict[str, Any]]) -> str:
-    return table(answers)
+    """MISFIRE.md: what was asked, the answer over all conditions, and the table."""
+    honest = [a for a in answers if not a["name"].endswith("by 2 DOF")]
+    allowed = [a for a in honest if a["expected missed"] <= 1e-3 and a["expected false"] <= 1e-4]
+    missed, lost, false, whole = (
+        sum(a[key] for a in allowed) for key in ("missed", "lost", "false", "combustions")
+    )
+    confused, burned = sum(a["wrong cylinder"] for a in allowed), whole - lost
+    beyond = ", ".join(a["name"] for a in honest if a not in allowed) or "none"
+    blocks = [
+        f"- {a['name']}: {count} blocks of {size} revolutions with {100 * low:.2g} to {100 * high:.2g} % lost;"
+        f" the share found is off by {100 * off:.1g} % at most"
+        for a in answers
+        for size, (count, off, low, high) in a["blocks"].items()
+    ]
+    limits = f"{100 * most(missed, lost):.2g} %", f"{100 * most(false, burned):.2g} %"
+    return f"""# Misfires found from crank speed alone, {max(a["date"] for a in answers)}
+
+By `python tests/benchmarks/misfire_study.py`. The engine of a detector is fitted to a normal and a misfire record
+of the simulator at 1200 RPM. The records here come from `misfire_plant.py` (the simulator's engine in fixed steps,
+held against it in `test_misfire_study.py`): cylinders that differ by 3 %, scatter of 2 %, noise of 0.1 rad/s at
+14 402 Hz (or 0.5). Rough: the load shakes by 30 N m RMS below 10 Hz; jolts of up to 100 N m for 30 ms, and loads of
+20 N m switched at the engine, come every second. Every combustion is lost with 10 %, if nothing else is said. The
+detector waits for {LAG} combustions.
+
+- *missed*, *false*: lost ones with a probability below one half, others above; *at most*: 95 % limit;
+  *by theory*: from the smoother's own covariance; *d'*: distance of a lost from a usual combustion in standard
+  deviations.
+- *index*: change of the mean speed from combustion to combustion, times speed, less its running median, at the
+  threshold with the fewest errors in hindsight; where it is useless, that threshold misses all.
+- *wrong cylinder*: missed with a false one beside it. *ms each*: processor time of the detector, {AT_ONCE} records
+  at once (one record alone: the page `misfire_detector.py`).
+
+Theory allows 0.1 % missed and 0.01 % false in {len(allowed)} conditions: missed {missed} of {lost} (at most
+{limits[0]}), false {false} of {burned} (at most {limits[1]}), in the wrong cylinder {confused}.
+Where it does not: {beyond}.
+Two degrees of freedom do not do for a crankshaft at 6000 RPM, whose torsion they lack; seven do.
+
+Rates, within the windows of on-board diagnosis:
+
+{chr(10).join(blocks) or "- no record is as long as a block"}
+
+{table(answers)}
+"""
 
 
 if __name__ == "__main__":

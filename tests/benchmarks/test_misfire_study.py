@@ -1,10 +1,9 @@
 """The plant of the misfire study against the simulator, and the study itself, small."""
 
+import misfire_plant as plants
+import misfire_study
 import numpy as np
 import pytest
-
-misfire_study = pytest.importorskip("misfire_study")
-plants = misfire_study.plants
 
 
 def test_the_fast_plant_is_the_simulators_engine():
@@ -47,3 +46,21 @@ def test_a_small_study_has_no_errors(monkeypatch):
     assert answer["index missed"] > 0
     assert answer["blocks"] == {}
     assert "6000 RPM, 57 N m, rough | " in misfire_study.table([answer])
+
+
+def test_the_page_says_where_theory_does_not_allow_it():
+    one = {
+        "name": "loud", "date": "2026-01-01", "combustions": 1000, "lost": 100, "missed": 9, "false": 0,
+        "wrong cylinder": 0, "index missed": 100, "index false": 0, "d": 5.0,
+        "d low": 4.0, "expected missed": 0.05, "expected false": 1e-5,
+        "ms": 0.2, "blocks": {"200": [2, 0.001, 0.09, 0.11]},
+    }  # fmt: skip
+    text = misfire_study.words(
+        [one, one | {"name": "calm", "missed": 0, "expected missed": 1e-6, "blocks": {}}]
+    )
+    assert "Where it does not: loud." in text
+    assert "in 1 conditions: missed 0 of 100 (at most\n3 %), false 0 of 900" in text
+    assert (
+        "- loud: 2 blocks of 200 revolutions with 9 to 11 % lost; the share found is off by 0.1 % at most"
+        in text
+    )
