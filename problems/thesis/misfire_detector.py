@@ -61,9 +61,10 @@ def decide(fit, cases, kind="two_mass"):
 
 def rough_cases(quick):
     """Speeds through the resonance, loads and patterns on a rough road: (name, RPM, options)."""
-    some = [("random", RANDOM, 57.0), ("single", SINGLE, 20.0)]
+    some = [("random", RANDOM, 57.0)]
     if not quick:
-        some += [("paired", PAIRED, 57.0), ("continuous", {3: "all"}, 57.0), ("random", RANDOM, 5.0)]
+        some += [("single", SINGLE, 20.0), ("paired", PAIRED, 57.0), ("continuous", {3: "all"}, 57.0)]
+        some += [("random", RANDOM, 5.0)]
     for rpm in (1200.0, 6000.0) if quick else (800.0, 1000.0, 1200.0, 1400.0, 2000.0, 3000.0, 4500.0, 6000.0):
         for name, lost, load in some:
             road = Road(load, rough=min(30.0, load), jolt=100.0, at=0.2)
@@ -82,7 +83,7 @@ def draw(fit, three, both, out):
         for ax, values in zip(axes[1], (index(made, found), found.strength, found.probability), strict=True):
             ax.plot(found.angle / (2 * np.pi), values, "o-", **look)
     for made, colour, name in zip(both[::-1], (shared.THESIS, "0.3"), ("misfire", "normal"), strict=True):
-        size = np.abs(np.fft.rfft(made["omega_true"][:14400])) / 7200 * 30 / np.pi
+        size = np.abs(np.fft.rfft(made["omega"].values[:14400])) / 7200 * 30 / np.pi
         axes[0, 1].plot(np.arange(1, 200) * RATE / 14400, size[1:200], color=colour, label=name)
     titles = ("Figure 5.2: speed, two misfires [RPM]", "Figure 5.3: amplitudes, continuous misfire [RPM]",
               "Figure 5.4: speed, other disturbances [RPM]", "the usual index [rad²/s²]",
@@ -94,18 +95,17 @@ def draw(fit, three, both, out):
     figure.savefig(out / "misfire_detector.png", dpi=110)
 
 
-def fitted(model, kind, **more):
-    """The model fitted to a normal and a misfire record at 1200 RPM, and these."""
-    options = [{"scatter_seed": 1}, {"scatter_seed": 2, "misfire": {2: "all"}}]
-    both = [shared.record(kind, rtol=1e-8, **one) for one in options]
-    data = [shared.experiment(one, name) for one, name in zip(both, ("normal", "misfire"), strict=True)]
-    return ce.estimate(model, data, noise=ce.Noise(omega=SIGMA), progress=False, **more), both
+def fitted(model, folder, **more):
+    """The model fitted to the simulator's normal and misfire records at 1200 RPM, and these."""
+    paths = [shared.ROOT / "data" / folder / f"{kind}_1200rpm.csv.gz" for kind in ("normal", "misfire")]
+    data = [ce.read_experiment(path, optional=("omega_load",)) for path in paths]
+    return ce.estimate(model, data, noise=ce.Noise(omega=SIGMA), progress=False, **more), data
 
 
 def page(quick, out):
     two, seven = ce.two_mass(reciprocating_speed="measured"), ce.crankshaft(reciprocating_speed="measured")
-    fit, both = fitted(two, "two_mass")
-    more = {"scatter_seed": 31, "noise_seed": 32, "rtol": 1e-8, "cycles": 12}
+    fit, both = fitted(two, ".")
+    more = {"scatter_seed": 31, "noise_seed": 32, "rtol": 1e-7, "cycles": 12}
     three = {"misfire": shared.record(misfire={2: [4, 8]}, **more),
              "auxiliary load": shared.record(extra=Switched(30.0, 0.5, 9.0), **more),
              "road impulse": shared.record(load=Road(jolt=150.0, at=0.5), **more)}  # fmt: skip
