@@ -25,7 +25,6 @@ from simulator.run import Plant, warm_up
 from simulator.shaft import Shaft, two_mass_shaft
 
 CELLS = 7200
-RETURN = 2.0  # s, in which the governor brings back the speed
 FILTER = 0.1  # s, in which the governor sees speed and loads at the engine
 
 
@@ -75,13 +74,14 @@ def simulate_long(
     sigma: float = 0.1,
     scatter: float = 0.02,
     shaking: Shaking | None = None,
-    governed: bool = True,
+    governor: float | None = 2.0,
     cylinders: Cylinders | None = None,
     sweep: Callable[[float], float] | None = None,
     seconds: float | None = None,
 ):
     """theta and omega (records, N) of an engine whose combustions `lost` (records, 4, cycles + 2) do not burn.
 
+    governor : seconds in which it brings back the speed, None for none
     sweep : the governed speed as a function of time [RPM]; seconds : length of the records, left out that of the cycles
     """
     shaft, people = (
@@ -94,7 +94,7 @@ def simulate_long(
     factors = people.strength[:, None] * (1 + scatter * random.standard_normal(lost.shape)) * ~lost
     one = Engine(people, np.ones((4, 3)) * people.strength[:, None])
     engine, state = warm_up(Plant(shaft, one, lambda _t: load), rpm * np.pi / 30)
-    strength = engine.strength / (1 - lost.mean(axis=(1, 2)) if governed else 1.0)
+    strength = engine.strength / (1 - lost.mean(axis=(1, 2)) if governor else 1.0)
     h, n = 1 / rate, shaft.size
     count = round(rate * ((events - 2) * 120 / rpm if seconds is None else seconds))
     outside = shaking.torques(count, h, records, random)
@@ -124,7 +124,8 @@ def simulate_long(
                 if sweep is None
                 else np.pi / 30 * np.array([sweep(k * h), sweep(k * h + 1)])
             )
-            more = (asked + shaft.inertia.sum() * ((target - slow) / RETURN + later - target)) * governed
+            back = (target - slow) / governor if governor else 0.0
+            more = (asked + shaft.inertia.sum() * (back + later - target)) * bool(governor)
             more += shaft.absolute_damping.sum() * (target - state[1])
             now = strength * np.clip(1 + more / (usual - motored), 0.1, 3.0)
             drawn = factors[every, np.arange(4)[:, None], number]

@@ -12,7 +12,7 @@ def test_the_fast_plant_is_the_simulators_engine():
     lost = np.zeros((1, 4, 7), dtype=bool)
     lost[0, 2, 3] = True
     exact = simulate_two_mass(1200.0, cycles=5, misfire={3: [3]}, scatter=0.0, sigma=0.0, rtol=1e-9)
-    theta, omega = plants.simulate_long(1200.0, 57.0, lost, seed=0, scatter=0.0, sigma=0.0, governed=False)
+    theta, omega = plants.simulate_long(1200.0, 57.0, lost, seed=0, scatter=0.0, sigma=0.0, governor=None)
     count = min(omega.shape[1], len(exact["time"]))
     assert np.ptp(exact["omega_true"]) > 5
     assert np.abs(omega[0, :count] - exact["omega_true"][:count]).max() < 5e-4
