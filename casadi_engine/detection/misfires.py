@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 SEGMENT = 0.007  # s: what is unknown at crank and load may change this often, or more
 MOST_SEGMENTS = 8  # of a combustion
 FIRST_LOOK = 2  # engine cycles from which the usual strength is taken at first
+POOR = 2.0  # misfit from which a model is not trusted
 FEWEST = 8  # samples of a combustion
 LONGEST_LAG = 6
 
@@ -40,6 +41,7 @@ class Misfires:
     strength, stderr : (K,) its size, 1 for a usual one, and standard error; NaN for the last ``lag`` combustions
     level : (K,) size of the usual combustion, of that in the fit's records
     separation : (K,) d', the distance of a lost from a usual combustion in standard deviations; NaN as ``strength``
+    misfit : how much the samples differ from what the model foretells, over its noise: 1 if both are right
     lag : combustions that were waited for before one was decided
     """
 
@@ -52,6 +54,7 @@ class Misfires:
     stderr: Array
     level: Array
     separation: Array
+    misfit: float
     lag: int
 
     @property
@@ -97,7 +100,7 @@ class Misfires:
         arrays = {
             name: [None if one != one else one for one in getattr(self, name).tolist()] for name in names
         }
-        return {"record": self.record, "lag": self.lag, **arrays}
+        return {"record": self.record, "lag": self.lag, "misfit": self.misfit, **arrays}
 
     def __str__(self) -> str:
         rows = [
@@ -113,6 +116,11 @@ class Misfires:
         rows.append(f"separation of lost from usual: {middle:.1f} standard deviations, {low:.1f} at least")
         if ndtr(-middle / 2) > 1e-3:
             rows.append("that is too little to decide each combustion: look at the rates, or at more load")
+        if self.misfit > POOR:
+            rows.append(
+                f"not to be trusted: the speed differs from the model by {self.misfit:.1f} times its noise; "
+                "give the true sigma, or a model with the crankshaft's torsion"
+            )
         return "\n".join(rows)
 
 
@@ -162,7 +170,8 @@ def misfires(
     Notes
     -----
     When the throttle closes until hardly anything burns, a combustion and a lost one are alike, and the probability
-    stays between 0 and 1; ``separation`` says so.
+    stays between 0 and 1; ``separation`` says so. A model without the crankshaft's torsion misses lost combustions at
+    high speed; ``misfit`` says so.
 
     Examples
     --------
@@ -214,6 +223,7 @@ def misfires(
         stderr=stderr,
         level=found.level[0],
         separation=1 / np.hypot(stderr, scatter),
+        misfit=math.sqrt(float(np.median(found.misfit[0]))),
         lag=lag,
     )
 

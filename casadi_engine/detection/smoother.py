@@ -35,7 +35,8 @@ class Smoother:
     """Filter of B records at once, window by window.
 
     ``root`` is (B, size, size + 1), upper triangular: [state, motored gas torque, strengths of the last lag + 1
-    combustions, oldest first | right side], rows in standard deviations.
+    combustions, oldest first | right side], rows in standard deviations. ``squares`` (B,) are those of the last
+    window's innovations, in standard deviations.
     """
 
     def __init__(
@@ -58,16 +59,16 @@ class Smoother:
 
     def window(self, k: int, oldest: tuple[Array, Array]) -> None:
         """Take up the samples of window k. oldest : mean and variance (B,) of the strength that leaves the lag."""
-        self._segment(k, 0, oldest)
+        self.squares = self._segment(k, 0, oldest)
         for m in range(1, self.segments.rows.shape[2]):
-            self._segment(k, m, None)
+            self.squares = self.squares + self._segment(k, m, None)
 
     def strengths(self) -> tuple[Array, Array]:
         """What the samples tell of the last strengths s: |R s - r|² of R (B, lag + 1, lag + 1) and r (B, lag + 1)."""
         return self.root[:, self.nz :, self.nz : -1], self.root[:, self.nz :, -1]
 
-    def _segment(self, k: int, m: int, oldest: tuple[Array, Array] | None) -> None:
-        """One QR: columns [strength that leaves, noises, state, strengths | right side]."""
+    def _segment(self, k: int, m: int, oldest: tuple[Array, Array] | None) -> Array:
+        """One QR: columns [strength that leaves, noises, state, strengths | right side]; squared remainder (B,)."""
         nz, size, gone = self.nz, self.root.shape[1], int(oldest is not None)
         rows, add = self.segments.rows[:, k, m], self.segments.add[:, k, m]
         r, left = rows.shape[1], gone + NOISES
@@ -108,6 +109,7 @@ class Smoother:
         stack[:, total + each, gone + each] = 1 / noise
         triangle: Array = np.asarray(np.linalg.qr(stack, mode="r"))
         self.root = triangle[:, left : left + size, left:]
+        return triangle[:, left + size, -1] ** 2
 
 
 class Decision:
@@ -165,12 +167,16 @@ class Decision:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """For every window, (B, K): probability to be lost, strength with standard error, usual strength [1]."""
+    """For every window, (B, K): probability to be lost, strength with standard error, usual strength [1].
+
+    misfit : mean square of the innovations, 1 where the model and its noise are right
+    """
 
     lost: Array
     strength: Array
     stderr: Array
     level: Array
+    misfit: Array
 
 
 def smooth(plant: Plant, disturbances: Disturbances, prior: Prior, segments: Segments, speed: Array, *, lag: int,
@@ -190,11 +196,12 @@ def smooth(plant: Plant, disturbances: Disturbances, prior: Prior, segments: Seg
             seen.append(decision.alone(root, right))
     level = np.maximum(np.quantile(np.array(seen), 0.75, axis=0), LEAST_LEVEL)
     smoother = Smoother(plant, disturbances, segments, lag=lag, speed=speed)
-    out = Found(np.zeros((records, windows)), *[np.full((records, windows), np.nan) for _ in range(3)])
+    out = Found(np.zeros((records, windows)), *[np.full((records, windows), np.nan) for _ in range(4)])
     oldest = flat
     for k in range(windows):
         smoother.window(k, oldest)
         root, right = smoother.strengths()
+        out.misfit[:, k] = smoother.squares / np.maximum(segments.samples[:, k].sum(axis=-1), 1)
         lost = decision.probabilities(root, right, level)
         strength, stderr = decision.oldest(root, right, level, lost)
         oldest = decision.expected(level, lost[:, 0]) if k >= lag else flat

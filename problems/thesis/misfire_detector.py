@@ -23,7 +23,7 @@ from casadi_engine.model import thesis_ties
 
 SINGLE, PAIRED = {1: [4], 2: [17], 3: [9], 4: [22]}, {1: [6, 12, 20], 2: [6, 20], 3: [25], 4: [12]}
 RANDOM = {c: [k for k in range(4, 30) if (7 * k + 3 * c) % 19 == 0] for c in TDC}
-HEAD = ["case", "RPM", "all", "lost", "missed", "false", "index missed", "index false", "d'"]
+HEAD = ["case", "RPM", "all", "lost", "missed", "false", "index missed", "index false", "d'", "misfit"]
 
 
 def truth(found, lost):
@@ -53,8 +53,9 @@ def decide(fit, cases, kind="two_mass"):
         errors = [(((values >= at) & lost).sum(), ((values < at) & ~lost).sum()) for at in values]
         numbers = [lost.size, lost.sum(), (lost & ~said).sum(), (said & ~lost).sum(), *min(errors, key=sum)]
         total += numbers
-        rows.append([name, f"{rpm:g}", *map(str, numbers), f"{np.nanmedian(found.separation):.1f}"])
-    rows.append(["all", "", *map(str, total), ""])
+        rows.append([name, f"{rpm:g}", *map(str, numbers)])
+        rows[-1] += [f"{np.nanmedian(found.separation):.1f}", f"{found.misfit:.1f}"]
+    rows.append(["all", "", *map(str, total), "", ""])
     shared.print_table(f"Ours and the index, {fit.model.name}", HEAD, rows)
     return total
 

@@ -90,6 +90,14 @@ def test_more_noise_is_less_separation(fit, record, found):
     assert np.nanmedian(ce.misfires(fit, record, sigma=1.0).separation) < 0.7 * np.nanmedian(found.separation)
 
 
+def test_a_model_or_noise_that_does_not_fit_the_record_is_told(fit, record, found):
+    assert 0.9 < found.misfit < 1.3
+    assert "not to be trusted" not in str(found)
+    poor = ce.misfires(fit, record, sigma=0.02)
+    assert poor.misfit > 3
+    assert "not to be trusted: the speed differs from the model by" in str(poor)
+
+
 @pytest.mark.parametrize("lag", [0, 1, 5])
 def test_any_lag(fit, record, lost, lag):
     found = ce.misfires(fit, record, lag=lag)
