@@ -1,5 +1,5 @@
 """Cascaded tanks (Schoukens, Mattsson, Wigren and Noël 2016; ../shared/data/tanks): a pump fills the upper tank, which
-empties into the lower one, by the square root of the level; the lower level is measured. Every second sample (8 s).
+empties into the lower one, by the square root of the level; the lower level is measured.
 
 The model lacks the overflow at 10 V: what leaves the upper tank over its edge comes partly into the lower one. No
 effect of the library at one port is that; "unnamed" is right, and so is an effect between the two tanks.
@@ -78,7 +78,7 @@ def records():
     )
 
 
-def _record(name, u, y, every=2):
+def _record(name, u, y, every=1):
     time = 4.0 * every * np.arange(len(y[::every]))
     # the pump's voltage holds from sample to sample
     mean = u[: len(time) * every].reshape(-1, every).mean(axis=1)

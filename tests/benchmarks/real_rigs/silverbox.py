@@ -108,7 +108,7 @@ def _structures():
     def made(more=lambda x, p: 0.0, fixed=None, **starts):
         def rhs(x, u, p):
             # time in ms, so that both states are of one size
-            offset = p["offset"] if "offset" in p else 0.0
+            offset = p.get("offset", 0.0)
             force = u[0] + offset - p["k1"] * x[0] + more(x[0], p)
             return 1e3 * np.array([x[1], (force - p["d"] * x[1]) / p["m"]])
 
