@@ -104,6 +104,8 @@ def outcome(verdict: str | None, classes: list[list[str]], truth: Iterable[set[s
     ('right', 'in class')
     >>> outcome("named", [["a.x"], ["b.y"]], [{"a.x"}]), outcome("named", [["a.x"]], [{"a.x", "b.y"}])
     ('right and more', 'in part')
+    >>> outcome("class", [["a.y", "a.x"], ["a.x"]], [{"a.x"}])
+    'in class and more'
     >>> outcome("unnamed", [], [{"a.x"}]), outcome("named", [["b.z"]], [{"a.x"}]), outcome("unnamed", [], [set()])
     ('unnamed', 'wrong', 'right')
     """
@@ -116,7 +118,8 @@ def outcome(verdict: str | None, classes: list[list[str]], truth: Iterable[set[s
     leads = frozenset(one[0] for one in classes)
     if leads in right:
         return "right"
-    answers = {frozenset(one) for one in itertools.islice(itertools.product(*classes), 10_000)}
+    every = itertools.islice(itertools.product(*classes), 10_000)
+    answers = {frozenset(one) for one in every if len(set(one)) == len(one)}
     if any(one in answers for one in right):
         return "in class"
     if any(one < leads for one in right):

@@ -103,7 +103,7 @@ def _structures():
         return -p["Fc"] * np.tanh(x / 1e-3)
 
     def directed(x, p):
-        return dry(x, p) - p["asymmetry"] * np.tanh(x / 1e-3) ** 2 - p["Fv_asymmetry"] * np.abs(x)
+        return dry(x, p) - p["Fv_difference"] * np.abs(x)
 
     def fading(x, p):
         return dry(x, p) - p["Fs"] * np.tanh(x / 1e-3) * np.exp(-((x / p["vs"]) ** 2))
@@ -111,8 +111,7 @@ def _structures():
     return {
         "nothing added": made(lambda x, p: 0.0),
         "dry friction": made(dry, Fc=[10.0, 20.0]),
-        "dry friction by direction": made(
-            directed, Fc=[10.0, 20.0], asymmetry=[0.0, 1.0], Fv_asymmetry=[0.0, 1.0]
-        ),
+        # never at rest: a dry friction that differs by direction is the offset
+        "dry friction, viscous by direction": made(directed, Fc=[10.0, 20.0], Fv_difference=[0.0, 1.0]),
         "dry and fading friction": made(fading, Fc=[10.0, 20.0], Fs=[1.0, 1.0], vs=[0.02, 0.1]),
     }

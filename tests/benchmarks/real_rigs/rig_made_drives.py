@@ -122,11 +122,11 @@ def by_hand():
         for part in records()
     )
 
-    def made(dry, **starts):
+    def made(friction, **starts):
         def rhs(x, u, p):
             rate = x[0] - x[2]
             belt = p["w0"] ** 2 * x[1] + 2 * p["zeta"] * p["w0"] * rate
-            return np.array([(p["gain"] * u[0] - x[0]) / p["lag"], rate, belt - dry(x[2], p)])
+            return np.array([(p["gain"] * u[0] - x[0]) / p["lag"], rate, belt - friction(x[2], p)])
 
         whole = {"lag": [0.2, 0.1], "gain": [10.0, 14.0], "w0": [10.0, 13.0], "zeta": [0.1, 0.05], **starts}
         return Structure(

@@ -92,9 +92,9 @@ def by_hand():
         [Record(one["angle"].time, None, one["angle"].values) for one in part] for part in records()
     )
 
-    def made(dry, **starts):
+    def made(friction, **starts):
         def rhs(x, u, p):
-            return np.array([x[1], -p["w2"] * np.sin(x[0]) - p["decay"] * x[1] - dry(x[1], p)])
+            return np.array([x[1], -p["w2"] * np.sin(x[0]) - p["decay"] * x[1] - friction(x[1], p)])
 
         whole = {"w2": [24.5, 25.0, 24.0], "decay": [0.1, 0.05, 0.2], **starts}
         return Structure(

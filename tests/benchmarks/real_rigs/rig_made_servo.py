@@ -96,10 +96,10 @@ def by_hand():
         for part in records()
     )
 
-    def made(dry, **starts):
+    def made(friction, **starts):
         def rhs(x, u, p):
             # as stiff as the steps allow, so that it nearly sticks
-            return (u - p["c"] * x + dry(np.tanh(x / 0.1), p)) / p["J"]
+            return (u - p["c"] * x + friction(np.tanh(x / 0.02), p)) / p["J"]
 
         return Structure(
             rhs,

@@ -92,7 +92,8 @@ def _record(name, span, every):
 
 def by_hand(spans=SPANS, every=EVERY):
     estimation, fresh = (
-        [Record(one["angle"].time, None, one["angle"].values) for one in part] for part in records(spans, every)
+        [Record(one["angle"].time, None, one["angle"].values) for one in part]
+        for part in records(spans, every)
     )
     return {name: fit(one, estimation, fresh) for name, one in structures().items()}
 

@@ -96,33 +96,34 @@ def by_hand():
 
 
 def _structures():
-    def made(over, **starts):
+    def made(*, over=False, **starts):
         def rhs(x, u, p):
+            # 10 s as the unit of time
             upper, lower = (np.sqrt(np.maximum(one, 1e-3)) for one in x)
-            lost, gained = over(x, p)
-            return 0.1 * np.array(
-                [
-                    p["pump"] * u[0] - p["first"] * upper - lost,
-                    p["first"] * upper - p["second"] * lower + gained,
-                ]
+            filled = (
+                p["pump"] * u[0] + p.get("into_upper", 0) - p["first"] * upper - p.get("drag", 0) * x[0] ** 2
             )
+            moved = p["first"] * upper - p["second"] * lower + p.get("into_lower", 0)
+            if over:
+                spilled = np.where(x[0] >= SPAN, np.maximum(filled, 0), 0)
+                filled, moved = filled - spilled, moved + p.get("share", 0) * spilled
+                moved = np.where((x[1] >= SPAN) & (moved > 0), 0, moved)
+            return 0.1 * np.array([filled, moved])
 
-        whole = {"first": [0.5, 0.8], "second": [0.5, 0.8], "pump": [0.5, 0.8], **starts}
-        return Structure(
-            rhs,
-            lambda x, u, p: np.minimum(x[1], 10.0),
-            whole,
-            lambda one: np.repeat(one.output[0], 2),
-            state_scale=1.0,
-        )
+        def level(x, u, p):
+            return np.minimum(x[1], SPAN) if over else x[1]
 
-    def spilled(x, p):
-        return p["rate"] * np.maximum(x[0] - p["edge"], 0)
+        whole = {"first": [0.5, 0.4, 0.6], "second": [0.45, 0.4, 0.8], "pump": [0.4, 0.35, 0.7], **starts}
+        return Structure(rhs, level, whole, lambda one: np.repeat(one.output[0], 2), state_scale=1.0)
 
-    edge = {"rate": [1.0, 3.0], "edge": [10.0, 8.0]}
+    none, share = [0.0] * 3, [0.3, 0.5, 0.8]
     return {
-        "nothing added": made(lambda x, p: (0.0, 0.0)),
-        "overflow that is lost": made(lambda x, p: (spilled(x, p), 0.0), **edge),
-        "overflow": made(lambda x, p: (spilled(x, p), p["share"] * spilled(x, p)), **edge, share=[0.3, 0.3]),
-        "drag of the upper level": made(lambda x, p: (p["drag"] * x[0] ** 2, 0.0), drag=[0.01, 0.01]),
+        "nothing added": made(),
+        "overflow that is lost": made(over=True),
+        "overflow": made(over=True, share=share),
+        "constant inflow": made(into_upper=none),
+        "constant inflows": made(into_upper=none, into_lower=none),
+        "drag of the upper level": made(drag=[0.0, 0.001, 0.01]),
+        "overflow, constant inflow": made(over=True, share=share, into_upper=none),
+        "overflow, constant inflows": made(over=True, share=share, into_upper=none, into_lower=none),
     }
