@@ -105,7 +105,7 @@ def outcome(verdict: str | None, classes: list[list[str]], truth: Iterable[set[s
     >>> outcome("named", [["a.x"], ["b.y"]], [{"a.x"}]), outcome("named", [["a.x"]], [{"a.x", "b.y"}])
     ('right and more', 'in part')
     >>> outcome("class", [["a.y", "a.x"], ["a.x"]], [{"a.x"}])
-    'in class and more'
+    'right and more'
     >>> outcome("unnamed", [], [{"a.x"}]), outcome("named", [["b.z"]], [{"a.x"}]), outcome("unnamed", [], [set()])
     ('unnamed', 'wrong', 'right')
     """
