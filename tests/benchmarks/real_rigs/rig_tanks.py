@@ -19,6 +19,7 @@ writings = (
 )
 truth = (set(), {"upper_to_lower.overflow"})
 same = "overflow"
+NULL = {"first": [0.54], "second": [0.9], "pump": [0.75]}  # of the fit by hand, 10 s as the unit of time
 FIRST, SECOND, PUMP, SPAN = 0.05, 0.05, 0.05, 10.0  # start values; V
 
 
@@ -113,17 +114,19 @@ def _structures():
         def level(x, u, p):
             return np.minimum(x[1], SPAN) if over else x[1]
 
-        whole = {"first": [0.5, 0.4, 0.6], "second": [0.45, 0.4, 0.8], "pump": [0.4, 0.35, 0.7], **starts}
+        # where three starts had ended
+        ended = {"first": [0.47], "second": [0.46], "pump": [0.39]} if over else NULL
+        whole = {**ended, **starts}
         return Structure(rhs, level, whole, lambda one: np.repeat(one.output[0], 2), state_scale=1.0)
 
-    none, share = [0.0] * 3, [0.3, 0.5, 0.8]
+    none, share = [0.0], [0.9]
     return {
         "nothing added": made(),
         "overflow that is lost": made(over=True),
         "overflow": made(over=True, share=share),
         "constant inflow": made(into_upper=none),
         "constant inflows": made(into_upper=none, into_lower=none),
-        "drag of the upper level": made(drag=[0.0, 0.001, 0.01]),
+        "drag of the upper level": made(drag=[0.001]),
         "overflow, constant inflow": made(over=True, share=share, into_upper=none),
         "overflow, constant inflows": made(over=True, share=share, into_upper=none, into_lower=none),
     }

@@ -112,7 +112,8 @@ def _structures():
             force = u[0] + offset - p["k1"] * x[0] + more(x[0], p)
             return 1e3 * np.array([x[1], (force - p["d"] * x[1]) / p["m"]])
 
-        whole = {"m": [5.3, 5.0], "d": [0.22, 0.3], "k1": [1.0, 0.9], "offset": [-0.005, 0.0]} | starts
+        # where two starts had ended
+        whole = {"m": [5.3], "d": [0.22], "k1": [1.0], "offset": [-0.005]} | starts
         whole = {name: values for name, values in whole.items() if name != fixed}
         return Structure(
             rhs,
@@ -131,8 +132,8 @@ def _structures():
     return {
         "nothing added": made(),
         "nothing added, no offset": made(fixed="offset"),
-        "cubic stiffness": made(cubic, k3=[4.0, 0.0]),
-        "cubic stiffness, no offset": made(cubic, fixed="offset", k3=[4.0, 0.0]),
-        "cubic stiffness, offset of the output": made(cubic, k3=[4.0, 4.0], zero=[0.001, 0.003]),
-        "cubic and quadratic stiffness": made(square, k3=[4.0, 0.0], k2=[0.0, 0.1]),
+        "cubic stiffness": made(cubic, k3=[4.0]),
+        "cubic stiffness, no offset": made(cubic, fixed="offset", k3=[4.0]),
+        "cubic stiffness, offset of the output": made(cubic, k3=[4.0], zero=[0.002]),
+        "cubic and quadratic stiffness": made(square, k3=[4.0], k2=[0.0]),
     }
