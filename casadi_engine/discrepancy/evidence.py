@@ -29,6 +29,8 @@ from casadi_engine.discrepancy.selection import effective_samples
 # Prior standard deviation of a first state, in the state's scale.
 _STATE = 10.0
 _TINY = 1e-300
+# log of the height of a normal law over Cauchy's of the same width.
+_HEAVY = 0.5 * math.log(math.pi / 2)
 
 Columns = Mapping[str, Mapping[str, Array]]
 
@@ -200,11 +202,12 @@ def _errors(root: Array, turn: Array) -> Array:
 
 
 def _amplitudes(null: NullModel, priors: Mapping[str, Prior]) -> float:
-    """log of the amplitudes' prior at their values over its height at zero: Cauchy's, one half where one-sided."""
+    """log of the amplitudes' prior, Cauchy's or the half of it where one-sided, at their values, over the height of
+    the normal law that Occam's factor counts with."""
     found = 0.0
     for name, value in zip(null.parameters, null.values, strict=True):
         own = priors[name]
         if own.amplitude:
-            found -= math.log1p((value / own.deviation) ** 2)
+            found -= math.log1p((value / own.deviation) ** 2) + _HEAVY
             found += math.log(2) if own.one_sided else 0.0
     return found

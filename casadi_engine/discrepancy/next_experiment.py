@@ -10,13 +10,12 @@ import casadi as ca
 import numpy as np
 
 from casadi_engine.discrepancy.candidate import Candidate
-from casadi_engine.discrepancy.classes import separation
 from casadi_engine.discrepancy.compression import compress
 from casadi_engine.discrepancy.library_candidates import direction_of
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import null_at
 from casadi_engine.discrepancy.repaired import Member, NextExperiment
-from casadi_engine.discrepancy.score import Scores, score
+from casadi_engine.discrepancy.score import Scores, score, separation
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.effects import candidate as candidate_of
 from casadi_engine.experiment import Channel, Experiment
@@ -26,7 +25,6 @@ from casadi_engine.model.declarations import Variable
 
 # Right in 95 % of records.
 _WANTED = 3.3
-_SPLIT = 3.3
 
 
 def next_experiment(before: Station, after: Station) -> NextExperiment | None:
@@ -82,7 +80,7 @@ def _split(
     return tuple(
         f"{member.name} at {member.at}"
         for k, member in zip(numbers[1:], members[1:], strict=True)
-        if separation(mu, scores.correlation[numbers[0], k]) >= _SPLIT
+        if separation(mu, scores.correlation[numbers[0], k]) >= _WANTED
     )
 
 

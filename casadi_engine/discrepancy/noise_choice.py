@@ -17,7 +17,7 @@ from casadi_engine.discrepancy.combustion_scatter import Scatter, assumed_cylind
 from casadi_engine.discrepancy.compression import Compressed, compress, scatter_columns, white_levels
 from casadi_engine.discrepancy.linear_algebra import Array, basis
 from casadi_engine.discrepancy.noise_model import NoiseModel, estimated_noise, left_over
-from casadi_engine.discrepancy.null_model import Index, NullModel
+from casadi_engine.discrepancy.null_model import Index, NullModel, above_rounding
 from casadi_engine.discrepancy.score import score
 from casadi_engine.discrepancy.wander import spectrum, wander_of
 from casadi_engine.distributions import chi2_sf
@@ -112,7 +112,7 @@ def choose_noise(
     else:
         white = white.relevelled(rough, scatter)
     noise, messages = _white_noise(null, columns, white, levels, random)
-    noise = replace(noise, sigma=_above_rounding(null, noise.sigma))
+    noise = replace(noise, sigma=above_rounding(null, noise.sigma))
     _check_levels(noise.sigma)
     white = white.relevelled(noise, scatter)
     if colour is False or (colour == "auto" and is_white(null, noise, beside(null, columns, ()), random)):
@@ -186,16 +186,6 @@ def check_choice(model: Model, cylinders: Any, colour: Any) -> None:
             allowed=f'"assumed", None, or a sequence of cylinder ports ({", ".join(ports) or "the model has none"})',
             cure='leave it out: "assumed" takes the cylinders whose pressure was assumed',
         )
-
-
-def _above_rounding(null: NullModel, sigma: Mapping[str, float]) -> dict[str, float]:
-    """Levels no lower than the rounding of the measured numbers: an effect may explain a record to the last digit."""
-    found = dict(sigma)
-    for record in null.records:
-        for output in record.outputs:
-            size = float(np.abs(record.path.grid.measured[output].values).max(initial=0.0))
-            found[output] = max(found[output], np.finfo(float).eps * size)
-    return found
 
 
 def _check_levels(sigma: Mapping[str, float]) -> None:

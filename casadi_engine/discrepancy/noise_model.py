@@ -18,7 +18,7 @@ from scipy.linalg import block_diag
 
 from casadi_engine.discrepancy.combustion_scatter import scatter_level
 from casadi_engine.discrepancy.linear_algebra import REPEATED, Array, basis, triangle, without
-from casadi_engine.discrepancy.null_model import Index, NullModel, RecordNull
+from casadi_engine.discrepancy.null_model import Index, NullModel, RecordNull, above_rounding
 from casadi_engine.discrepancy.wander import Spectrum, Wander, information, spectrum, wander_of
 from casadi_engine.validation.autoregression import autoregression
 from casadi_engine.validation.whitening import Whitener
@@ -198,7 +198,7 @@ def estimated_noise(
     """
     names = sorted({name for record in null.records for name in record.outputs})
     if start is None:
-        levels = dict(sigma) if sigma is not None else {n: _first_level(null, explained, n) for n in names}
+        levels = above_rounding(null, sigma or {n: _first_level(null, explained, n) for n in names})
         start = NoiseModel(levels, {}, {kind: 0.0} if scatter else {}, "estimated")
     noise, levels = start, dict(start.sigma)
     for _ in range(_COLOUR_ROUNDS if colour else _ROUNDS if scatter else 1):
@@ -397,4 +397,4 @@ def _levels(null: NullModel, noise: NoiseModel, left: _Left) -> tuple[dict[str, 
             count[output] = count.get(output, 0) + len(e)
     total = sum(count.values())
     freedom = {name: max(number * (1 - left.freedom / total), 1.0) for name, number in count.items()}
-    return {name: math.sqrt(square[name] / freedom[name]) for name in square}, freedom
+    return above_rounding(null, {name: math.sqrt(square[name] / freedom[name]) for name in square}), freedom

@@ -312,3 +312,13 @@ def cycle_numbers(model: Model, grid: Grid, time: Array) -> Index:
         return np.asarray(number, dtype=np.intp)
     number = np.floor((time - grid.start) / grid.span * _PIECES).astype(int)
     return np.asarray(np.clip(number, 0, _PIECES - 1), dtype=np.intp)
+
+
+def above_rounding(null: NullModel, sigma: Mapping[str, float]) -> dict[str, float]:
+    """Levels no lower than the rounding of the measured numbers: an effect may explain a record to the last digit."""
+    found = dict(sigma)
+    for record in null.records:
+        for output in record.outputs:
+            size = float(np.abs(record.path.grid.measured[output].values).max(initial=0.0))
+            found[output] = max(found[output], np.finfo(float).eps * size)
+    return found

@@ -8,14 +8,13 @@ holds in any units and any way of writing the model.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from casadi_engine.discrepancy.evidence import Prior
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.refit import Addition
-from casadi_engine.experiment import Experiment
 from casadi_engine.parameters import Parameters
 
 # Share of an output's variation that a physical effect, and that an error of a sensor, may well make; share of itself
@@ -65,9 +64,7 @@ def _amplitude(null: NullModel, k: int, one: Addition) -> float:
     return size if 0 < size < math.inf else max(value, 1e-12)
 
 
-def _range_of(
-    one: Addition, name: str, null: NullModel, parameters: Parameters, stem: str
-) -> float:
+def _range_of(one: Addition, name: str, null: NullModel, parameters: Parameters, stem: str) -> float:
     """Standard deviation of a number that may be anywhere on its grid, or in the record."""
     grid = one.nuisance[name]
     if grid.over == "time":
@@ -79,14 +76,8 @@ def _range_of(
 
 
 def _base(parameters: Parameters, name: str, value: float) -> float:
-    if name not in parameters:
-        return _OPEN * max(abs(value), 1e-12)
     own = parameters[name]
     if math.isfinite(own.max - own.min) and own.max > own.min:
         return float(own.max - own.min) / math.sqrt(12)
-    return _OPEN * max(abs(float(own.value)), 1e-12)
-
-
-def spans(data: Sequence[Experiment]) -> Mapping[str, tuple[float, float]]:
-    """Record -> its first and last time."""
-    return {record.name: record.span for record in data}
+    # a declared value of 0 says nothing of the size
+    return _OPEN * max(abs(float(own.value) or value), 1e-12)

@@ -147,6 +147,12 @@ def scores_of(
     )
 
 
+def separation(mu: Array | float, rho: Array | float) -> Array:
+    """d = |mu| sqrt(1 - rho^2): of two effects that correlate by rho the true one, of mu standard errors, scores
+    higher with probability about Phi(d/2)."""
+    return np.asarray(np.abs(mu) * np.sqrt(np.maximum(1 - np.square(rho), 0.0)), dtype=np.float64)
+
+
 def saturated_variance(reduced: Reduced) -> tuple[float, float]:
     """Variance of the whitened residual that parameters and all candidates together leave, and its degrees of
     freedom: 1 if the noise level is right, whatever effect of the library is there."""

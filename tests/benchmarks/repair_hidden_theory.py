@@ -23,11 +23,10 @@ from simulator.hidden_runs import Case
 from single_shooting import settle
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.classes import clusters, separation, theoretical_class
 from casadi_engine.discrepancy.compression import compress
 from casadi_engine.discrepancy.library_candidates import library_candidates
 from casadi_engine.discrepancy.refit import Refitter, addition
-from casadi_engine.discrepancy.score import score
+from casadi_engine.discrepancy.score import score, separation
 from casadi_engine.discrepancy.screening import screen
 from casadi_engine.errors import CasadiEngineError
 
@@ -35,6 +34,8 @@ RATE = 1440.2
 # Rivals that are refitted: those nearer than AWAY by slopes here or there, one at least and the nearest RIVALS of each,
 # and further ones while none of those refitted can be told from the truth.
 SEPARABLE, SEPARATED, AWAY, RIVALS, ITERATIONS = 5.0, 3.3, 12.0, 4, 80
+# Rows that correlate more are one row with several names.
+SAME_ROW = 0.9999
 
 
 def theory_of(folder, place, sensors, times, size):
@@ -146,11 +147,11 @@ def _nearest(scores, truth, mu):
 def _refit(refitter, fit, candidate, amplitude, *, warm=False, interval="auto"):
     """Chi-squared of the model with a candidate, from the optimum without it or from the page's values; never more
     than without it."""
-    one = addition(candidate, amplitude, 0.0)
+    one = addition(candidate, amplitude)
     model = refitter.extended([one])
     options = {"noise": refitter.noise, "progress": False, "max_iterations": ITERATIONS, "interval": interval}
     with contextlib.suppress(CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
-        pars = refitter._parameters(model, [one])
+        pars = refitter.parameters_of(model, [one])
         made = ce.estimate(model, refitter.data, parameters=pars, warm=fit if warm else None, **options)
         return min(made.cost, fit.cost)
     return fit.cost
@@ -165,7 +166,7 @@ def told(scores, place, size, mu=None):
     if mu is None:
         mu = slope
     others = [k for k, c in enumerate(candidates) if scores.testable[k] and c.key != candidates[truth].key]
-    same = next((row for row in clusters(scores) if truth in row), [truth])
+    same = same_row(scores, truth)
     names = theoretical_class(scores, truth, mu / unit) if unit > 0 else [truth]
     return {
         "mu by slopes": slope,
@@ -176,6 +177,22 @@ def told(scores, place, size, mu=None):
         "z": float(scores.z[truth]),
         "first": candidates[int(np.argmax(np.where(scores.testable, scores.statistic, -1)))].label,
     }
+
+
+def same_row(scores, truth):
+    """The testable candidates that are one row with the true one, under other names."""
+    return np.flatnonzero(scores.testable & (np.abs(scores.correlation[truth]) > SAME_ROW)).tolist()
+
+
+def theoretical_class(scores, truth, size):
+    """One candidate of every effect that data of this kind cannot tell from a true one of the given size: those with
+    d < SEPARATED (wrong in 5 % of records), the truth first."""
+    d = separation(size * np.sqrt(scores.information[truth]), scores.correlation[truth])
+    found = {scores.candidates[truth].key: truth}
+    for k in np.argsort(d, kind="stable"):
+        if scores.testable[k] and d[k] < SEPARATED:
+            found.setdefault(scores.candidates[k].key, int(k))
+    return list(found.values())
 
 
 _AT_THE_TRUTH = {}

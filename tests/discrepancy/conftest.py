@@ -1,15 +1,18 @@
-"""A small shaft with ports, its exact records, and its null model, for the tests of the discrepancy room."""
+"""A small shaft with ports and a pendulum, their records, and null models, for the tests of the discrepancy room."""
 
 from dataclasses import replace
 from types import SimpleNamespace
 
+import casadi as ca
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import casadi_engine as ce
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.null_model import null_at
+from casadi_engine.discrepancy.refit import Refitter
 from casadi_engine.simulation.candidate_sensitivities import Direction, torque_direction
 
 TRUTH = {"J_eng": 0.4, "J_load": 0.18, "K_el": 120.0, "C_el": 0.2, "C_eng": 0.15}
@@ -81,8 +84,6 @@ def shaft_data(name="shaft", *, n=400, step=4e-3, seed=0, noise=True, two=True, 
 
 def shaft_candidates(model):
     """Named terms of several kinds; the last is a combination of parameters and cannot be tested."""
-    import casadi as ca
-
     coupling = model.ports["coupling"].signals
     engine, load = model.ports["engine"].signals["speed"], model.ports["load"].signals["speed"]
     rate, twist = coupling["twist_rate"], coupling["twist"]
@@ -125,6 +126,46 @@ def shaft():
         model=model, truth=TRUTH, start=START, sigma=SIGMA, data=shaft_data, candidates=shaft_candidates,
         null=null, make=shaft_model,
     )  # fmt: skip
+
+
+LEVEL = 0.002
+
+
+def pendulum_model():
+    b = ce.Blueprint("pendulum")
+    stiff = b.parameter("w2", 40.0, unit="rad2/s2", min=1, max=200)
+    damping = b.parameter("c", 0.05, unit="1/s", min=0, max=5)
+    angle, rate = b.state("angle", unit="rad"), b.state("rate", unit="rad/s", scale=5)
+    pivot = b.port("pivot", "inertia", {"speed": rate, "angle": angle})
+    b.ode("angle", rate)
+    b.ode("rate", pivot - damping * rate - stiff * ca.sin(angle))
+    b.output("y", angle, unit="rad")
+    return b.model()
+
+
+def decay(hidden=None, *, name="decay", seed=0, samples=500, begun=1.5, w2=41.3, c=0.05):
+    """A free decay of a pendulum by SciPy, sampled at 100 Hz; hidden(t, angle, rate) -> torque over inertia."""
+    time = np.arange(samples) * 0.01
+
+    def rates(t, x):
+        extra = 0.0 if hidden is None else hidden(t, *x)
+        return [x[1], extra - c * x[1] - w2 * np.sin(x[0])]
+
+    run = solve_ivp(rates, (0, time[-1]), [begun, 0.0], t_eval=time, rtol=1e-8, atol=1e-10, max_step=0.01)
+    y = run.y[0] + LEVEL * np.random.default_rng(seed).standard_normal(samples)
+    return ce.Experiment.from_arrays(name, time=time, units={"y": "rad"}, y=y)
+
+
+@pytest.fixture(scope="session")
+def pendulum():
+    """model, level; decay(hidden, ...): a record; refitter(*data): of records whose level is known."""
+    model = pendulum_model()
+
+    def refitter(*data, parameters=None):
+        pars = model.parameters() if parameters is None else parameters
+        return Refitter(model, pars, data, ce.Noise(y=LEVEL), {"max_iterations": 100})
+
+    return SimpleNamespace(model=model, level=LEVEL, decay=decay, refitter=refitter)
 
 
 @pytest.fixture(scope="session")

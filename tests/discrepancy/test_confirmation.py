@@ -1,9 +1,18 @@
 """Confirmation on fresh cycles."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from casadi_engine.discrepancy.confirmation import Residuals, gap, hold_out, paired_gain, share_explained
+from casadi_engine.discrepancy.confirmation import (
+    Residuals,
+    gains,
+    gap,
+    hold_out,
+    paired_gain,
+    share_explained,
+)
 
 
 def residuals(shift, *, cycles=8, seed=0, sigma=0.1, n=100, record="fresh"):
@@ -15,22 +24,64 @@ def residuals(shift, *, cycles=8, seed=0, sigma=0.1, n=100, record="fresh"):
 
 
 def test_a_real_gain_is_confirmed():
+    """Twice the gain of log likelihood at the level that each model leaves: 100 samples of a variance halved."""
     before, after = residuals(0.1), residuals(0.0)
     found = paired_gain([before], [after])
     assert found.confirmed is True
+    assert found.refused is False
     assert found.cycles == 8
-    assert found.mean == pytest.approx(100, rel=0.3)
-    gains = [
-        ((before.e[100 * k : 100 * k + 100] ** 2 - after.e[100 * k : 100 * k + 100] ** 2).sum()) / 0.01
-        for k in range(8)
-    ]
-    assert found.mean == pytest.approx(np.mean(gains))
-    assert found.se == pytest.approx(np.std(gains, ddof=1) / np.sqrt(8))
+    assert found.mean == pytest.approx(100 * np.log(2), rel=0.1)
+    power = [[(one.e[100 * k : 100 * k + 100] ** 2).sum() for k in range(8)] for one in (before, after)]
+    wanted = 100 * np.log(np.array(power[0]) / power[1])
+    np.testing.assert_allclose(gains([before], [after]), wanted, rtol=1e-6)
+    assert found.mean == pytest.approx(np.mean(wanted))
+    assert found.se == pytest.approx(np.std(wanted, ddof=1) / np.sqrt(8))
 
 
-def test_no_gain_and_a_loss_are_not():
-    assert paired_gain([residuals(0.0)], [residuals(0.0, seed=1)]).confirmed is False
-    assert paired_gain([residuals(0.0)], [residuals(0.1)]).confirmed is False
+def test_a_loss_is_refused_and_chance_is_neither():
+    chance = paired_gain([residuals(0.0)], [residuals(0.0, seed=1)])
+    assert chance.confirmed is False
+    assert chance.refused is False
+    loss = paired_gain([residuals(0.0)], [residuals(0.1)])
+    assert loss.confirmed is False
+    assert loss.refused is True
+
+
+@pytest.mark.parametrize("cycles", [3, 20])
+def test_models_that_are_as_good_are_confirmed_and_refused_as_rarely_as_stated(cycles):
+    """2.3 % each, whatever the number of cycles: Student's t."""
+    runs, sure, gone = 1000, 0, 0
+    for seed in range(runs):
+        first, then = (residuals(0.0, cycles=cycles, seed=(k, seed, cycles), n=40) for k in (0, 1))
+        found = paired_gain([first], [then])
+        sure += found.confirmed
+        gone += found.refused
+    spread = 3.3 * np.sqrt(0.02275 * 0.97725 / runs)
+    assert sure / runs == pytest.approx(0.02275, abs=spread)
+    assert gone / runs == pytest.approx(0.02275, abs=spread)
+
+
+def test_one_cycle_in_which_the_first_model_is_lost_does_not_outweigh_the_others():
+    before, after = residuals(0.0, seed=1), residuals(0.2)
+    before.e[:100] += 100.0
+    found = paired_gain([before], [after])
+    assert found.confirmed is False
+    assert gains([before], [after])[0] > 500
+    assert (gains([before], [after])[1:] < 0).all()
+
+
+def test_outputs_of_a_cycle_are_counted_together():
+    speed, torque = residuals(0.1), replace(residuals(0.0, seed=2), output="torque")
+    then = residuals(0.0), residuals(0.0, seed=3)
+    both = gains([speed, torque], [then[0], replace(then[1], output="torque")])
+    alone = gains([speed], [then[0]]) + gains([torque], [replace(then[1], output="torque")])
+    np.testing.assert_allclose(both, alone)
+
+
+def test_models_without_any_residual_are_as_good():
+    exact = replace(residuals(0.0), e=np.zeros(800))
+    found = paired_gain([exact], [exact])
+    assert (found.mean, found.confirmed, found.refused) == (0.0, False, False)
 
 
 def test_cycles_of_several_records_and_outputs_are_paired():
@@ -42,6 +93,7 @@ def test_cycles_of_several_records_and_outputs_are_paired():
 def test_too_few_cycles_say_so():
     found = paired_gain([residuals(0.1, cycles=2)], [residuals(0.0, cycles=2)])
     assert found.confirmed is None
+    assert found.refused is False
     assert found.why == "2 cycles of fresh data: at least 3 are needed to tell a gain from chance"
     nothing = paired_gain([], [])
     assert nothing.confirmed is None

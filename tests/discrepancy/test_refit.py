@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 import casadi_engine as ce
+from casadi_engine.discrepancy import path as refits
+from casadi_engine.discrepancy import refit as refit_module
 from casadi_engine.discrepancy.refit import Refitter, addition
 from casadi_engine.discrepancy.screening import screen
+from casadi_engine.discrepancy.start import Start
 
 DATA = Path(__file__).resolve().parents[2] / "data"
 if str(DATA) not in sys.path:
@@ -77,8 +80,12 @@ def refit_of(model, data, noise, effect, port, *, parameters=None, starts=1):
     k = screened.order[0]
     scores = screened.scores
     refitter = Refitter(model, pars, (data,), noise, OPTIONS)
-    one = addition(screened.candidates[k], float(scores.amplitude[k]), float(scores.drop[k]))
-    return fit, refitter(fit, [one]), refitter
+    one = addition(screened.candidates[k], float(scores.amplitude[k]))
+    path = refits.Path(refitter, {name: sigma for name, (sigma, _) in fit.noise.items()})
+    ends = [path.from_point([one], Start.of(fit)), path.from_windows([one])]
+    best = min((end for end in ends if end is not None), key=lambda end: end.cost)
+    start = Start(best.values, best.initial, {}, best.settled)
+    return fit, refitter(fit, [one], start=start), refitter
 
 
 def coverage(fits, name, truth):
@@ -162,7 +169,7 @@ def added(screened, effect, at, size, **nuisance):
     found = [
         c for c in screened.candidates if c.key == (effect, at) and nuisance.items() <= c.nuisance.items()
     ]
-    return addition(found[0], size, 500.0)
+    return addition(found[0], size)
 
 
 def test_models_with_more_effects_share_the_symbols_of_those_with_fewer(motored):
@@ -180,24 +187,51 @@ def test_models_with_more_effects_share_the_symbols_of_those_with_fewer(motored)
     assert other is not one
 
 
-def test_a_start_that_leads_down_is_followed_beyond_its_first_iterations(motored, monkeypatch):
-    """The start with a small amplitude gets fewer iterations, but goes on where it has come below the base."""
-    fit, screened, refitter = motored
-    lost = added(screened, "misfire", "cylinder_2", 1.0, first=4.0, last=4.0)
-    real, calls = Refitter._try, []
+@pytest.fixture(scope="module")
+def loss(motored):
+    """A lost combustion to be added, and a start from which it is found."""
+    fit, screened, _ = motored
+    one = added(screened, "misfire", "cylinder_2", 1.0, first=4.0, last=4.0)
+    return one, Start(fit.values | {one.amplitude: 1.0}, Start.of(fit).initial, {}, True)
+
+
+def test_a_start_that_does_not_converge_is_left_for_its_values_alone(motored, loss, monkeypatch):
+    """The first states and what is known of the noise may be what held it."""
+    fit, _, refitter = motored
+    one, start = loss
+    real, starts = Refitter._try, []
 
     def tried(self, model, pars, warm, **options):
-        calls.append((pars[lost.amplitude].value, options.get("most")))
-        if len(calls) < 3:
-            return None  # neither the predicted amplitude nor the parameters' own values lead anywhere
-        if len(calls) == 3:
-            near = real(self, model, self._parameters(model, [lost]), None)
-            return replace(near, status="not converged: the iterations ran out")
-        return real(self, model, pars, warm, **options)
+        starts.append(warm)
+        made = real(self, model, pars, warm, **options)
+        return replace(made, status="not converged: the iterations ran out") if len(starts) == 1 else made
 
     monkeypatch.setattr(Refitter, "_try", tried)
-    found = refitter(fit, [lost])
+    found = refitter(fit, [one], start=start)
     assert found.converged
-    assert found.estimates[lost.amplitude].value == pytest.approx(1.0, abs=0.1)
-    assert [most for _, most in calls[:4]] == [None, None, 30, None]
-    assert calls[2][0] == pytest.approx(0.02)
+    assert found.estimates[one.amplitude].value == pytest.approx(1.0, abs=0.1)
+    assert starts[0] is start
+    assert (starts[1].values, starts[1].initial, starts[1].converged) == (start.values, {}, False)
+
+
+def test_a_model_that_fails_at_every_start_has_no_fit(motored, loss, monkeypatch):
+    fit, _, refitter = motored
+    one, start = loss
+
+    def fails(*args, **options):
+        raise FloatingPointError("the states are not finite")
+
+    monkeypatch.setattr(refit_module, "estimate", fails)
+    assert refitter(fit, [one], start=start) is None
+
+
+def test_amplitudes_start_inside_their_bounds_and_at_the_size_of_a_bent_law(motored):
+    _, screened, _ = motored
+    (candidate, *_) = (c for c in screened.candidates if c.key == ("misfire", "cylinder_2"))
+    assert candidate.size is None
+    assert candidate.source.effect.amplitude.min == 0
+    assert addition(candidate, 0.3).start == 0.3
+    assert addition(candidate, -0.5).start == 0
+    bent = replace(candidate, size=0.7)
+    assert addition(bent, 0.1).start == 0.7
+    assert addition(bent, 0.1).choices == 1

@@ -134,7 +134,8 @@ def test_a_fit_that_does_not_converge_stops_the_search(shaft, friction):
 def test_progress_is_told_in_words(alone):
     _, said, _ = alone
     assert said[0] == "fit without effects, 1 starts"
-    assert "refit with coulomb_friction at coupling" in said
+    assert "refit 1 of 3: coulomb_friction at coupling" in said
+    assert "fit with coulomb_friction at coupling" in said
 
 
 def test_screening_alone_scores_without_refits(shaft, friction):

@@ -10,7 +10,7 @@ from casadi_engine.discrepancy.combustion_scatter import Scatter
 from casadi_engine.discrepancy.compression import candidate_columns, compress, scatter_columns
 from casadi_engine.discrepancy.noise_model import Colour, NoiseModel
 from casadi_engine.discrepancy.null_model import null_model
-from casadi_engine.discrepancy.score import saturated_variance, score
+from casadi_engine.discrepancy.score import saturated_variance, score, separation
 from casadi_engine.effects import library
 from casadi_engine.simulation.candidate_sensitivities import torque_direction
 
@@ -257,3 +257,17 @@ def test_the_variance_beside_the_whole_library_is_blind_to_its_effects(shaft, pl
     assert other == pytest.approx(own, rel=1e-6)
     assert own == pytest.approx(1, abs=5 * np.sqrt(2 / freedom))
     assert freedom == 800 - 5 - 10 - 3  # two of the twelve candidates are not told from parameters
+
+
+@pytest.mark.parametrize(("d", "right"), [(3.3, 0.95), (4.65, 0.99)])
+@pytest.mark.parametrize("rho", [0.99, -0.99])
+def test_a_separation_says_how_often_the_true_effect_scores_higher(d, right, rho):
+    """3.3 is right in 95 %, 4.65 in 99 %: against draws of both scores."""
+    mu = d / np.sqrt(1 - rho**2)
+    assert separation(mu, rho) == pytest.approx(d)
+    noise = np.random.default_rng(0).standard_normal((2, 200_000))
+    true = mu + noise[0]
+    other = rho * true + np.sqrt(1 - rho**2) * noise[1]
+    share = np.mean(np.abs(true) > np.abs(other))
+    assert share == pytest.approx(right, abs=4 * np.sqrt(right * (1 - right) / 200_000) + 1e-3)
+    assert right == pytest.approx(stats.norm.cdf(d / 2), abs=1e-3)

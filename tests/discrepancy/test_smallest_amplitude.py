@@ -40,9 +40,9 @@ def case(shaft):
 
 def test_what_is_bounded_from_below_alone_is_as_small_as_the_data_are_content_with(case):
     fit, refitter, screened = case
-    one = addition(screened.candidates[0], 3.0, 10.0)
+    one = addition(screened.candidates[0], 3.0)
     model = refitter.extended([one])
-    pars = refitter._parameters(model, [one])
+    pars = refitter.parameters_of(model, [one])
     pars[one.amplitude].set(3.0)
     large = refitter._try(model, pars, Start.of(fit))
     assert large.values[one.amplitude] > 1
@@ -68,9 +68,9 @@ def test_twice_as_much_that_explains_as_well_leaves_an_amplitude_open_above(case
     fit, refitter, screened = case
     bent = screen(fit, [Bent()], at="load", colour=False)
     for own, is_open in ((bent, True), (screened, False)):  # a law that says nothing of its bend is not asked
-        one = addition(own.candidates[0], 0.2, 10.0)
+        one = addition(own.candidates[0], 0.2)
         model = refitter.extended([one])
-        held = refitter._parameters(model, [one])
+        held = refitter.parameters_of(model, [one])
         held.fix(one.amplitude, 0.2)
         found = refitter._try(model, held, Start.of(fit))
         assert refitter._open_above(found, [one], one) is is_open
@@ -79,18 +79,18 @@ def test_twice_as_much_that_explains_as_well_leaves_an_amplitude_open_above(case
 def test_an_amplitude_with_an_error_stays(case):
     fit, refitter, _ = case
     torque = screen(fit, ["constant_torque"], at="load", colour=False)
-    one = addition(torque.candidates[0], -1.0, 10.0)
-    whole = refitter(fit, [one])
+    one = addition(torque.candidates[0], -1.0)
+    whole = refitter(fit, [one], start=Start.of(fit))
     assert whole.estimates[one.amplitude].stderr > 0
     assert refitter._smallest(whole, [one], [one]) is whole
 
 
 def test_ctrl_c_in_a_refit_ends_the_search(case, monkeypatch):
     fit, refitter, screened = case
-    one = addition(screened.candidates[0], 0.1, 10.0)
+    one = addition(screened.candidates[0], 0.1)
     monkeypatch.setattr(refit_module, "estimate", lambda *a, **k: replace(fit, status="interrupted"))
     with pytest.raises(KeyboardInterrupt):
-        refitter(fit, [one])
+        refitter(fit, [one], start=Start.of(fit))
 
 
 def test_states_that_no_output_shows_start_as_in_the_records_of_the_fit(case):

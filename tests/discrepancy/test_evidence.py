@@ -1,0 +1,358 @@
+"""Log evidence against Bayesian linear regression with dense matrices, and what must not change it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import integrate, stats
+from scipy.signal import lfilter
+
+from casadi_engine.discrepancy.evidence import Levels, Prior, digest, evidence, levels_left
+from casadi_engine.discrepancy.null_model import NullModel, RecordNull
+
+SCALES = st.floats(-6, 6).map(lambda power: 10.0**power)
+SIGMA = {"speed": 0.3, "angle": 2.0}
+
+
+def linear(columns=2, *, states=1, records=("a", "b"), seed=0, n=30, moved=0.2):
+    """A linear model at its least-squares optimum, as a refit leaves it: two outputs, first states of every record."""
+    rng = np.random.default_rng(seed)
+    names = tuple(f"p{k}" for k in range(columns))
+    made = []
+    for name in records:
+        slopes = {out: rng.standard_normal((n, columns + states)) for out in SIGMA}
+        noise = {out: (1 + moved) * s * rng.standard_normal(n) for out, s in SIGMA.items()}
+        made.append(record(name, noise, slopes, states))
+    null = model(names, made, 1 + rng.random(columns))
+    return replace(null, records=tuple(at_optimum(null)))
+
+
+def record(name, residual, slopes, states):
+    return RecordNull(
+        name=name,
+        path=None,
+        residual=residual,
+        time={},
+        index={},
+        length={},
+        cycle={},
+        slopes=slopes,
+        starts=tuple(f"x{k}" for k in range(states)),
+    )
+
+
+def model(names, records, values):
+    size = len(names)
+    units = ("1",) * size
+    return NullModel(
+        None, names, units, np.asarray(values), np.eye(size), np.zeros((0, size + 1)), tuple(records)
+    )
+
+
+def stacked(null, levels=SIGMA):
+    """Whitened columns [parameters | first states by record] and residual."""
+    n_theta = null.turn.shape[1]
+    wide = n_theta + sum(len(r.starts) for r in null.records)
+    rows, first = [], n_theta
+    for r in null.records:
+        for out in r.outputs:
+            own = np.zeros((len(r.residual[out]), wide + 1))
+            own[:, :n_theta] = r.slopes[out][:, :n_theta]
+            own[:, first : first + len(r.starts)] = r.slopes[out][:, n_theta:]
+            own[:, -1] = r.residual[out]
+            rows.append(own / levels[out])
+        first += len(r.starts)
+    rows = np.concatenate(rows)
+    return rows[:, :-1], rows[:, -1]
+
+
+def at_optimum(null):
+    """The records with what their columns explain taken out of the residuals."""
+    x, e = stacked(null)
+    rest, start = e - x @ np.linalg.lstsq(x, e, rcond=None)[0], 0
+    for r in null.records:
+        residual = {}
+        for out in r.outputs:
+            count = len(r.residual[out])
+            residual[out] = rest[start : start + count] * SIGMA[out]
+            start += count
+        yield replace(r, residual=residual)
+
+
+def dense(x, e, variances):
+    """log N(e; 0, 1 + x V x') but for the constant of all models."""
+    law = stats.multivariate_normal(np.zeros(len(e)), np.eye(len(e)) + x * variances @ x.T)
+    return law.logpdf(e) + 0.5 * len(e) * np.log(2 * np.pi)
+
+
+def wide(null, deviation=3.0):
+    return {name: Prior(deviation) for name in null.parameters}
+
+
+def log_of(null, priors=None, levels=None, **options):
+    priors = wide(null) if priors is None else priors
+    return evidence(digest(null, priors, **options), Levels(SIGMA) if levels is None else levels).log
+
+
+def test_the_evidence_is_that_of_bayesian_linear_regression():
+    """Priors about the optimum, first states with ten times their scale."""
+    null = linear()
+    x, e = stacked(null)
+    found = evidence(digest(null, wide(null)), Levels(SIGMA))
+    assert found.log == pytest.approx(dense(x, e, np.array([9, 9, 100, 100])), abs=1e-9)
+    assert found.cost == pytest.approx(e @ e)
+    errors = np.sqrt(np.diag(np.linalg.inv(x.T @ x + np.diag([1 / 9, 1 / 9, 1e-2, 1e-2]))))
+    np.testing.assert_allclose([found.error["p0"], found.error["p1"]], errors[:2])
+
+
+@given(seed=st.integers(0, 10_000), columns=st.integers(0, 3), states=st.integers(0, 2))
+@settings(max_examples=15, deadline=None)
+def test_any_linear_model_has_its_closed_form(seed, columns, states):
+    null = linear(columns, states=states, seed=seed)
+    x, e = stacked(null)
+    variances = np.array([9.0] * columns + [100.0] * 2 * states)
+    wanted = dense(x, e, variances) if len(variances) else -0.5 * e @ e
+    assert log_of(null) == pytest.approx(wanted, abs=1e-8)
+
+
+def test_a_prior_of_the_user_counts_beside_the_weak_one():
+    """Much tighter than the weak one it is the only one: known mean and error of a parameter."""
+    null, mean, spread = linear(1, states=0), 0.4, 0.05
+    x, e = stacked(null)
+    # the optimum of data and prior, and the data as it is seen from there
+    about = mean - null.values[0]
+    step = np.linalg.solve(x.T @ x + 1 / spread**2, x.T @ e + about / spread**2)
+    records, start = [], 0
+    for r in null.records:
+        residual = {}
+        for out in r.outputs:
+            rows = slice(start, start + len(r.residual[out]))
+            residual[out] = (e - x @ step)[rows] * SIGMA[out]
+            start = rows.stop
+        records.append(replace(r, residual=residual))
+    prior = np.array([[1 / spread, (about - step[0]) / spread]])
+    there = replace(null, values=null.values + step, records=tuple(records), prior=prior)
+    wanted = dense(x, e - x @ [about], np.array([spread**2]))
+    assert log_of(there, {"p0": Prior(1e4)}) == pytest.approx(wanted, abs=1e-6)
+
+
+def test_random_amplitudes_are_part_of_the_covariance():
+    null = linear()
+    rng = np.random.default_rng(5)
+    random = {r.name: {out: rng.standard_normal((30, 4)) for out in r.outputs} for r in null.records}
+    x, e = stacked(null)
+    drawn = np.zeros((len(e), 8))
+    for k, r in enumerate(null.records):
+        for j, out in enumerate(r.outputs):
+            rows = slice(60 * k + 30 * j, 60 * k + 30 * j + 30)
+            drawn[rows, 4 * k : 4 * k + 4] = random[r.name][out] / SIGMA[out]
+    known = np.array([9.0, 9, 100, 100])
+    for scatter in (0.2, 3.0):
+        wanted = dense(np.hstack([x, drawn]), e, np.concatenate([known, np.full(8, scatter**2)]))
+        assert log_of(null, levels=Levels(SIGMA, {}, scatter), random=random) == pytest.approx(
+            wanted, abs=1e-8
+        )
+    assert log_of(null, random=random) == pytest.approx(log_of(null))
+
+
+def test_samples_that_remember_count_for_as_many_independent_ones():
+    null = linear()
+    by_memory = log_of(null, levels=Levels(SIGMA, {"speed": 4.0, "angle": 9.0}))
+    by_level = log_of(null, levels=Levels({"speed": 2 * SIGMA["speed"], "angle": 3 * SIGMA["angle"]}))
+    assert by_memory == pytest.approx(by_level)
+
+
+# ---- what each free number costs
+
+
+def with_column(null, name, column, value=1.0):
+    """The model with one more parameter; column : one for all records and outputs, in levels."""
+    records, start = [], 0
+    for r in null.records:
+        slopes = {}
+        for out, own in r.slopes.items():
+            rows = slice(start, start + len(own))
+            start = rows.stop
+            slopes[out] = np.insert(own, null.turn.shape[1], column[rows] * SIGMA[out], axis=1)
+        records.append(replace(r, slopes=slopes))
+    return model((*null.parameters, name), records, [*null.values, value])
+
+
+def test_a_number_that_the_data_say_nothing_of_costs_nothing():
+    null = linear()
+    more = with_column(null, "phase", np.zeros(120))
+    found = evidence(digest(more, wide(more)), Levels(SIGMA))
+    assert found.log == pytest.approx(log_of(null))
+    assert found.error["phase"] == pytest.approx(3.0)
+
+
+def test_a_number_costs_how_much_better_it_is_known_than_before():
+    """log(prior deviation / error), where the data tell it and nothing else moves as it does."""
+    null = linear()
+    other = np.column_stack(stacked(null))  # neither what is known nor the noise looks like it
+    column = np.random.default_rng(8).standard_normal(120)
+    column -= other @ np.linalg.lstsq(other, column, rcond=None)[0]
+    more = with_column(null, "k", column)
+    for deviation in (1.0, 30.0):
+        priors = wide(null) | {"k": Prior(deviation)}
+        found = evidence(digest(more, priors), Levels(SIGMA))
+        price = np.log(deviation / found.error["k"])
+        assert log_of(null) - found.log == pytest.approx(price, rel=1e-6)
+
+
+@pytest.mark.parametrize("sided", [False, True])
+@pytest.mark.parametrize("size", [0.3, 2.0, 40.0])
+def test_an_amplitude_has_a_prior_with_heavy_tails_about_zero(size, sided):
+    """Against the integral over Cauchy's law, or over its half."""
+    null, deviation = linear(1, states=0), 2.0
+    null = replace(null, values=np.array([size]))
+    x, e = stacked(null)
+    error = 1 / np.linalg.norm(x)
+    law = stats.halfcauchy(scale=deviation) if sided else stats.cauchy(scale=deviation)
+
+    def density(value):
+        return np.exp(-0.5 * ((value - size) / error) ** 2) * law.pdf(value)
+
+    area, _ = integrate.quad(density, size - 10 * error, size + 10 * error, points=[size])
+    found = log_of(null, {"p0": Prior(deviation, True, sided)})
+    assert found == pytest.approx(-0.5 * e @ e + np.log(area), abs=0.02)
+
+
+def test_a_parameter_at_its_bound_is_not_free():
+    null = linear(3)
+    held = log_of(null, held=frozenset({"p1"}))
+    fewer = replace(
+        null,
+        parameters=("p0", "p2"),
+        values=null.values[[0, 2]],
+        turn=np.eye(2),
+        prior=np.zeros((0, 3)),
+        records=tuple(
+            replace(r, slopes={out: np.delete(own, 1, axis=1) for out, own in r.slopes.items()})
+            for r in null.records
+        ),
+    )
+    assert held == pytest.approx(log_of(fewer))
+    assert held != pytest.approx(log_of(null), abs=0.1)
+    assert evidence(digest(null, wide(null), held=frozenset({"p1"})), Levels(SIGMA)).error["p1"] == np.inf
+
+
+def test_the_choice_among_whole_numbers_is_paid_for():
+    null = linear()
+    assert log_of(null) - log_of(null, choices=12.0) == pytest.approx(np.log(12))
+
+
+def test_records_without_parameters_or_states_have_their_likelihood_alone():
+    null = linear(0, states=0)
+    _, e = stacked(null)
+    found = evidence(digest(null, {}), Levels(SIGMA))
+    assert found.log == pytest.approx(-0.5 * e @ e)
+    assert not found.error
+
+
+# ---- units
+
+
+@given(first=SCALES, second=SCALES, turned=st.booleans())
+@settings(max_examples=20, deadline=None)
+def test_units_of_parameters_do_not_count(first, second, turned):
+    """Neither where the slopes are in the new unit, nor where only the way from directions to parameters is."""
+    null, size = linear(), np.array([first, second])
+    priors = {"p0": Prior(3.0, True), "p1": Prior(0.5)}
+    scaled = {
+        name: replace(one, deviation=one.deviation * s)
+        for (name, one), s in zip(priors.items(), size, strict=True)
+    }
+    if turned:
+        other = replace(null, values=null.values * size, turn=np.diag(size))
+    else:
+        slim = np.append(size, 1.0)  # the last column is that of the first state
+        other = replace(
+            null,
+            values=null.values * size,
+            records=tuple(
+                replace(r, slopes={out: own / slim for out, own in r.slopes.items()}) for r in null.records
+            ),
+        )
+    before, after = (evidence(digest(one, p), Levels(SIGMA)) for one, p in ((null, priors), (other, scaled)))
+    assert after.log == pytest.approx(before.log, abs=1e-6)
+    for name, s in zip(priors, size, strict=True):
+        assert after.error[name] == pytest.approx(before.error[name] * s)
+
+
+@given(scale=SCALES)
+@settings(max_examples=15, deadline=None)
+def test_units_of_outputs_do_not_count(scale):
+    null = linear()
+    records = tuple(
+        replace(
+            r,
+            residual=r.residual | {"speed": r.residual["speed"] * scale},
+            slopes=r.slopes | {"speed": r.slopes["speed"] * scale},
+        )
+        for r in null.records
+    )
+    levels = Levels(SIGMA | {"speed": SIGMA["speed"] * scale}, {"speed": 2.0})
+    found = log_of(replace(null, records=records), levels=levels)
+    assert found == pytest.approx(log_of(null, levels=Levels(SIGMA, {"speed": 2.0})), abs=1e-6)
+
+
+@given(scale=st.floats(-2, 2).map(lambda power: 10.0**power))
+@settings(max_examples=15, deadline=None)
+def test_scales_of_states_do_not_count_between_models(scale):
+    """They move the evidence of all models by the same."""
+    null = linear()
+    more = with_column(null, "k", np.random.default_rng(8).standard_normal(120))
+
+    def gain(factor):
+        def written(one):
+            slim = np.append(np.ones(one.turn.shape[1]), factor)
+            return replace(
+                one,
+                records=tuple(
+                    replace(r, slopes={out: own * slim for out, own in r.slopes.items()}) for r in one.records
+                ),
+            )
+
+        return log_of(written(more)) - log_of(written(null))
+
+    assert gain(scale) == pytest.approx(gain(1.0), abs=1e-2)
+
+
+# ---- the noise that a model leaves
+
+
+def drawn(shaft, with_residual, sigma, *, phi=0.0, seed=2):
+    """A null model with residuals of given noise, its slopes' part left in."""
+    null = shaft.null(shaft.data(seed=seed, n=600))
+    rng = np.random.default_rng(seed)
+
+    def noise(out, count):
+        white = rng.standard_normal(count + 200)
+        return sigma[out] * lfilter([np.sqrt(1 - phi**2)], [1, -phi], white)[200:]
+
+    residuals = {r.name: {out: noise(out, len(e)) for out, e in r.residual.items()} for r in null.records}
+    return with_residual(null, residuals)
+
+
+def test_white_noise_has_its_level_and_no_memory(shaft, with_residual):
+    found = levels_left(drawn(shaft, with_residual, shaft.sigma), {}, 0.1, None)
+    for out, sigma in shaft.sigma.items():
+        assert found.sigma[out] == pytest.approx(sigma, rel=0.1)
+    assert not found.memory
+    assert found.scatter == 0.1
+
+
+def test_the_level_is_no_lower_than_what_was_stated(shaft, with_residual):
+    found = levels_left(drawn(shaft, with_residual, shaft.sigma), {"omega": 0.4}, 0.0, None)
+    assert found.sigma["omega"] == 0.4
+    assert found.sigma["omega_load"] == pytest.approx(shaft.sigma["omega_load"], rel=0.1)
+
+
+def test_coloured_noise_has_the_memory_of_its_autoregression(shaft, with_residual):
+    found = levels_left(drawn(shaft, with_residual, shaft.sigma, phi=0.8), {}, 0.0, None)
+    for out in shaft.sigma:
+        assert found.memory[out] == pytest.approx(1.8 / 0.2, rel=0.4)
+        assert found.weight(out) == pytest.approx(1 / (found.sigma[out] * np.sqrt(found.memory[out])))

@@ -1,0 +1,201 @@
+"""The path of refits: the optimum of ``estimate``, from points and from windows, and what comes with it."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import casadi_engine as ce
+from casadi_engine.discrepancy.path import Path, first_states_on
+from casadi_engine.discrepancy.refit import addition
+from casadi_engine.discrepancy.screening import screen
+from casadi_engine.discrepancy.start import Start
+from casadi_engine.effects import Amplitude, Effect
+
+
+class Broken(Effect):
+    """A law that is a number at an amplitude of zero alone."""
+
+    name, attaches, kin = "broken", ("inertia",), ()
+    sentence = "nonsense on {port}"
+    amplitude = Amplitude("size", unit="N m")
+
+    def law(self, port, p, math):
+        return p.size * (port.speed + math.sqrt(1e-9 - p.size**2))
+
+
+@pytest.fixture(scope="module")
+def rubbing(pendulum):
+    """Two decays with dry friction and a drag, fitted without them; the effect to add."""
+    hidden = lambda t, angle, rate: -0.3 * np.tanh(rate / 0.05)  # noqa: E731
+    data = (pendulum.decay(hidden), pendulum.decay(hidden, name="again", begun=0.7, seed=1, samples=300))
+    refitter = pendulum.refitter(*data)
+    noise = ce.Noise(y=pendulum.level)
+    fit = ce.estimate(pendulum.model, data, noise=noise, progress=False)
+    screened = screen(fit, ["coulomb_friction", Broken()], colour=False)
+    named = {c.effect: c for c in screened.candidates}
+    one = addition(named["coulomb_friction"], 0.2)
+    return SimpleNamespace(
+        fit=fit, data=data, noise=noise, refitter=refitter, one=one, broken=addition(named["broken"], 3.0)
+    )
+
+
+@pytest.fixture(scope="module")
+def path(rubbing, pendulum):
+    return Path(rubbing.refitter, {"y": pendulum.level})
+
+
+@pytest.fixture(scope="module")
+def arrived(path, rubbing):
+    return path.from_point([rubbing.one], Start.of(rubbing.fit))
+
+
+def test_a_refit_arrives_where_estimate_does(rubbing, arrived):
+    """Values within a hundredth of their errors, and chi-squared."""
+    model = rubbing.refitter.extended([rubbing.one])
+    pars = rubbing.refitter.parameters_of(model, [rubbing.one])
+    fit = ce.estimate(model, rubbing.data, parameters=pars, noise=rubbing.noise, progress=False)
+    assert fit.converged
+    assert arrived.settled
+    assert not arrived.held
+    assert arrived.cost == pytest.approx(fit.cost, abs=0.01)
+    assert arrived.cost < 0.2 * rubbing.fit.cost
+    for name in fit.free:
+        assert abs(arrived.values[name] - fit.values[name]) < 0.01 * fit.stderr[name]
+    for record, states in fit.initial.items():
+        for name, one in states.items():
+            assert abs(arrived.initial[record][name] - one.value) < 0.01 * one.stderr
+
+
+def test_windows_end_where_the_whole_record_does(path, rubbing, arrived):
+    found = path.from_windows([rubbing.one])
+    assert found.settled
+    assert found.cost == pytest.approx(arrived.cost, abs=0.01)
+
+
+def test_residuals_and_slopes_are_those_of_the_null_model(path, rubbing):
+    """Of one without corners, at the end of its refit."""
+    end = path.from_point((), Start.of(rubbing.fit))
+    here, there = path.residuals((), end), path.null_at((), end)
+    assert here.parameters == there.parameters == ("w2", "c")
+    np.testing.assert_allclose(here.values, there.values)
+    np.testing.assert_allclose(here.turn, there.turn)
+    assert here.prior.shape == there.prior.shape
+    for own, other in zip(here.records, there.records, strict=True):
+        assert (own.name, own.outputs, own.starts) == (other.name, other.outputs, other.starts)
+        assert own.length == other.length
+        for part in ("time", "index", "cycle"):
+            np.testing.assert_array_equal(getattr(own, part)["y"], getattr(other, part)["y"])
+        np.testing.assert_allclose(own.residual["y"], other.residual["y"], atol=1e-2 * 0.002)
+        size = np.linalg.norm(other.slopes["y"], axis=0)
+        off = np.linalg.norm(own.slopes["y"] - other.slopes["y"], axis=0)
+        np.testing.assert_array_less(off, 1e-4 * size)
+    chi2 = sum(float(r.residual["y"] @ r.residual["y"]) for r in here.records) / 0.002**2
+    assert chi2 == pytest.approx(end.cost)
+
+
+def test_slopes_past_a_sharp_corner_are_those_of_simulations(path, rubbing, arrived):
+    """The record's longest by finite differences."""
+    here = path.residuals([rubbing.one], arrived)
+    pars = path.parameters([rubbing.one]).copy()
+    data, initial = rubbing.data[0], arrived.initial["decay"]
+
+    def simulated(name, value):
+        for other, known in arrived.values.items():
+            pars[other].set(value if other == name else known)
+        run = ce.simulate(rubbing.refitter.extended([rubbing.one]), data, parameters=pars, initial=initial)
+        return run["y"].values
+
+    measured = data["y"].values
+    for k, (name, value) in enumerate(zip(here.parameters, here.values, strict=True)):
+        step = 1e-4 * value
+        slope = (simulated(name, value + step) - simulated(name, value - step)) / (2 * step) * here.turn[k, k]
+        off = np.linalg.norm(here.records[0].slopes["y"][:, k] - slope)
+        assert off < 1e-3 * np.linalg.norm(slope)
+    rest = measured - simulated("", 0.0)
+    np.testing.assert_allclose(here.records[0].residual["y"], rest, atol=1e-2 * 0.002)
+
+
+@pytest.mark.parametrize("far", [15.0, 60.0, 110.0])
+def test_windows_find_the_optimum_from_starts_that_are_turns_away(pendulum, far):
+    """With w2 = 60 in place of 41.3 a simulation is a whole turn ahead after five seconds."""
+    pars = pendulum.model.parameters()
+    pars["w2"].set(far)
+    path = Path(pendulum.refitter(pendulum.decay(), parameters=pars), {"y": pendulum.level})
+    found = path.from_windows(())
+    assert found.settled
+    assert found.cost == pytest.approx(500, abs=4 * np.sqrt(2 * 500))
+    assert found.values["w2"] == pytest.approx(41.3, rel=2e-3)
+
+
+def test_windows_begin_at_the_values_of_a_start(path, rubbing):
+    far = Start({"w2": 39.0, "c": 0.2, rubbing.one.amplitude: 0.05})
+    found = path.from_windows([rubbing.one], far)
+    assert found.values["w2"] == pytest.approx(41.3, rel=2e-3)
+
+
+def test_a_model_that_fails_has_no_refit(path, rubbing):
+    assert path.from_point([rubbing.broken], Start.of(rubbing.fit)) is None
+    assert path.from_windows([rubbing.broken]) is None
+
+
+def test_a_known_point_stays_but_for_what_is_left_of_a_step(path, rubbing):
+    initial = {r: {n: e.value for n, e in own.items()} for r, own in rubbing.fit.initial.items()}
+    found = path.at(rubbing.fit.values, initial)
+    assert found.cost == pytest.approx(rubbing.fit.cost, rel=1e-4)
+    for name, value in rubbing.fit.values.items():
+        assert found.values[name] == pytest.approx(value, rel=1e-3)
+
+
+def test_first_states_are_those_of_the_measurement(path, rubbing):
+    found = path.first_states()
+    assert set(found) == {"decay", "again"}
+    assert found["decay"][0] == pytest.approx(1.5, abs=0.1)
+    assert found["again"][0] == pytest.approx(0.7, abs=0.1)
+
+
+def test_a_parameter_that_ends_at_a_bound_is_held(pendulum):
+    pars = pendulum.model.parameters()
+    pars["w2"].set(39.0, max=40.0)
+    path = Path(pendulum.refitter(pendulum.decay(samples=100), parameters=pars), {"y": pendulum.level})
+    assert path.from_point((), None).held == {"w2"}
+
+
+def test_other_levels_weigh_all_further_refits(pendulum):
+    path = Path(pendulum.refitter(pendulum.decay(samples=200)), {"y": pendulum.level})
+    before = path.from_windows(())
+    path.relevel({"y": 2 * pendulum.level})
+    after = path.from_point((), before)
+    assert after.cost == pytest.approx(before.cost / 4, rel=1e-3)
+    null = path.residuals((), after)
+    assert float(np.std(null.records[0].residual["y"])) == pytest.approx(pendulum.level, rel=0.2)
+
+
+def test_a_model_is_set_up_once(path, rubbing):
+    assert path.parameters([rubbing.one]) is path.parameters([rubbing.one])
+    assert rubbing.one.amplitude in path.parameters([rubbing.one])
+
+
+def test_equations_that_are_linear_in_the_states_say_so(path, shaft):
+    assert not path.linear
+    refitter = type(path.refitter)(shaft.model, shaft.model.parameters(), (shaft.data(),), None)
+    assert Path(refitter, shaft.sigma).linear
+
+
+def test_first_states_of_a_fresh_record_are_found_whatever_they_are(pendulum):
+    """With the parameters held, from windows: a swing that goes over the top in the end is none by its first sample."""
+    fresh = pendulum.decay(begun=2.6, samples=300)
+    pars = pendulum.model.parameters()
+    pars.fix("w2", 41.3)
+    pars.fix("c", 0.05)
+    found = first_states_on(pendulum.model, fresh, pars, {"y": pendulum.level})
+    assert found.converged
+    assert found.initial["decay"]["angle"] == pytest.approx(2.6, abs=3 * pendulum.level)
+    assert found.initial["decay"]["rate"] == pytest.approx(0.0, abs=0.05)
+
+
+def test_a_fresh_record_that_the_model_cannot_follow_has_no_start(pendulum, rubbing):
+    model = rubbing.refitter.extended([rubbing.broken])
+    pars = model.parameters()
+    pars.fix(rubbing.broken.amplitude, 3.0)
+    assert first_states_on(model, pendulum.decay(samples=50), pars, {"y": pendulum.level}) is None
