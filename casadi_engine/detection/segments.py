@@ -56,7 +56,7 @@ def cut_segments(
     inside = index >= begin[..., None]
     index = np.maximum(index, 0)
     record = np.arange(len(theta))[:, None, None, None]
-    pushes = _pushes(theta, omega, tables)  # (kinds, columns, B, N)
+    pushes = cylinder_pushes(theta, omega, tables)  # (kinds, columns, B, N)
     powers = plant.powers(most)
     # Response of the output at a sample to a push in an earlier one: a Toeplitz matrix for each column.
     seen = np.einsum("i,kij,jc->kc", plant.c, powers[:-1], plant.push)
@@ -81,7 +81,7 @@ def cut_segments(
     return Segments(rows, powers[length], np.stack(ends, axis=-1), length * plant.h, counted.sum(axis=-1))
 
 
-def _pushes(theta: Array, omega: Array, tables: TorqueTables) -> list[list[Array]]:
+def cylinder_pushes(theta: Array, omega: Array, tables: TorqueTables) -> list[list[Array]]:
     """Rates that the cylinders push with over each sample: known, motored gas, combustions of each span."""
     place = (theta % CYCLE) * (CELLS / CYCLE)
     cell = place.astype(np.int64)
