@@ -5,7 +5,7 @@ Arrays lead with (records, windows, segments of a window). Segments are padded i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,8 @@ from casadi_engine.detection.plant import Plant
 from casadi_engine.detection.torques import CELLS, CYCLE, TorqueTables
 
 Array = NDArray[np.float64]
+
+AT_ONCE = 512  # windows whose samples are held at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +43,21 @@ def window_edges(theta: Array, tables: TorqueTables) -> tuple[NDArray[np.int64],
     places = np.tile(np.arange(count), len(turns))
     inside = (edges >= theta[0]) & (edges <= theta[-1])
     return np.searchsorted(theta, edges[inside]), places[inside][:-1]
+
+
+def cut_record(
+    theta: Array, omega: Array, valid: NDArray[np.bool_], edges: NDArray[np.int64], pieces: int,
+    plant: Plant, tables: TorqueTables, sigma: float,
+) -> Segments:  # fmt: skip
+    """Segments of one record (N,) with windows at edges (K + 1,), some windows at a time to save memory."""
+    parts = []
+    for first in range(0, len(edges) - 1, AT_ONCE):
+        few = edges[first : first + AT_ONCE + 1]
+        inside = slice(few[0], few[-1] + 1)  # one sample more: torques are means over a step
+        samples = theta[None, inside], omega[None, inside], valid[None, inside]
+        parts.append(cut_segments(*samples, few[None] - few[0], pieces, plant, tables, sigma))
+    joined = (np.concatenate([getattr(part, one.name) for part in parts], axis=1) for one in fields(Segments))
+    return Segments(*joined)
 
 
 def cut_segments(
@@ -77,7 +94,8 @@ def cut_segments(
     )
     counted = inside & valid[record, index]
     raw *= (counted / sigma)[..., None]
-    rows: Array = np.asarray(np.linalg.qr(raw, mode="r"))
+    few = max(raw.shape[-1] - most, 0)  # QR gives as many rows as there are columns, or samples
+    rows: Array = np.asarray(np.linalg.qr(np.pad(raw, (*[(0, 0)] * 3, (0, few), (0, 0))), mode="r"))
     return Segments(rows, powers[length], np.stack(ends, axis=-1), length * plant.h, counted.sum(axis=-1))
 
 

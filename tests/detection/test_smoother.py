@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from casadi_engine.detection import segments
 from casadi_engine.detection.plant import Disturbances, make_plant
 from casadi_engine.detection.segments import cut_segments, cylinder_pushes, window_edges
 from casadi_engine.detection.smoother import LEVEL_DOUBT, WIDE, Decision, Prior, Smoother
@@ -31,9 +32,9 @@ def dense(case):
     plant, unknown, _, tables, theta, omega, valid, edges = case
     pushes = cylinder_pushes(theta, omega, tables)
     known, gas, burning = ([row[0] for row in kind] for kind in pushes)
-    nz, segments = plant.size, WINDOWS * PIECES
+    nz = plant.size
     # unknowns: strengths, start (nz + gas), noises (4 for each segment)
-    count = WINDOWS + nz + 1 + 4 * segments
+    count = WINDOWS + nz + 1 + 4 * WINDOWS * PIECES
     state = np.zeros((nz, count + 1))
     state[:, WINDOWS : WINDOWS + nz] = np.eye(nz)
     amount = np.zeros(count + 1)
@@ -112,3 +113,14 @@ def test_probabilities_are_bayes_rule_over_all_ways():
     expected = [sum(w for way, w in weights.items() if way[k]) / total for k in range(lag + 1)]
     found = Decision(prior, lag).probabilities(root[None], right[None], np.array([level]))
     np.testing.assert_allclose(found[0], expected, rtol=1e-9)
+
+
+def test_a_record_in_blocks_is_the_same_record(case, monkeypatch):
+    plant, _, whole, tables, theta, omega, valid, edges = case
+    monkeypatch.setattr(segments, "AT_ONCE", 3)
+    parts = segments.cut_record(theta[0], omega[0], valid, edges, PIECES, plant, tables, 0.1)
+    assert parts.samples.tolist() == whole.samples.tolist()
+    for one, other in ((parts.move, whole.move), (parts.add, whole.add)):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)
+    products = [rows.swapaxes(-1, -2) @ rows for rows in (parts.rows, whole.rows)]
+    np.testing.assert_allclose(*products, rtol=1e-6, atol=1e-6 * np.abs(products[0]).max())
