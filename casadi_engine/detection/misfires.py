@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from casadi_engine.detection.plant import Disturbances, make_plant
-from casadi_engine.detection.segments import cut_segments, window_edges
+from casadi_engine.detection.segments import cut_record, window_edges
 from casadi_engine.detection.smoother import Prior, smooth
 from casadi_engine.detection.torques import CYCLE, TorqueTables, learn_torques
 from casadi_engine.errors import EstimationError, ExperimentError
@@ -140,8 +140,9 @@ def misfires(
 
     The fit gives the engine; the pressures of its records give the torque of a motored cylinder and of a combustion
     over the crank angle. The torque on the load, one on the engine, and the size of each combustion are estimated along
-    the record by a smoother that waits for ``lag`` further combustions, and runs forwards only. A load step or a jolt
-    of the road is not taken for a misfire, because neither has its shape.
+    the record by a smoother that waits for ``lag`` further combustions. It runs forwards only, but for the usual size
+    of a combustion, first taken from two engine cycles. A load step or a jolt of the road is not taken for a misfire,
+    because neither has its shape.
 
     Parameters
     ----------
@@ -207,7 +208,7 @@ def misfires(
     disturbances = Disturbances(float(step), float(road))
     plant = make_plant(fit, output, tables.enter, h, disturbances)
     pieces = min(MOST_SEGMENTS, max(1, math.ceil(float(np.diff(edges).max()) * h / SEGMENT)))
-    segments = cut_segments(theta[None], omega[None], valid[None], edges[None], pieces, plant, tables, noise)
+    segments = cut_record(theta, omega, valid, edges, pieces, plant, tables, noise)
     found = smooth(
         plant, disturbances, Prior(lost, scatter), segments, omega[valid][:1],
         lag=lag, first_look=FIRST_LOOK * len(tables.order),

@@ -5,7 +5,7 @@ Arrays lead with (records, windows, segments of a window). Segments are padded i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,8 @@ from casadi_engine.detection.plant import Plant
 from casadi_engine.detection.torques import CELLS, CYCLE, TorqueTables
 
 Array = NDArray[np.float64]
+
+AT_ONCE = 512  # windows whose samples are held at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +45,21 @@ def window_edges(theta: Array, tables: TorqueTables) -> tuple[NDArray[np.int64],
     return np.searchsorted(theta, edges[inside]), places[inside][:-1]
 
 
+def cut_record(
+    theta: Array, omega: Array, valid: NDArray[np.bool_], edges: NDArray[np.int64], pieces: int,
+    plant: Plant, tables: TorqueTables, sigma: float,
+) -> Segments:  # fmt: skip
+    """Segments of one record (N,) with windows at edges (K + 1,), some windows at a time to save memory."""
+    parts = []
+    for first in range(0, len(edges) - 1, AT_ONCE):
+        few = edges[first : first + AT_ONCE + 1]
+        inside = slice(few[0], few[-1] + 1)  # one sample more: torques are means over a step
+        samples = theta[None, inside], omega[None, inside], valid[None, inside]
+        parts.append(cut_segments(*samples, few[None] - few[0], pieces, plant, tables, sigma))
+    joined = (np.concatenate([getattr(part, one.name) for part in parts], axis=1) for one in fields(Segments))
+    return Segments(*joined)
+
+
 def cut_segments(
     theta: Array, omega: Array, valid: NDArray[np.bool_], edges: NDArray[np.int64], pieces: int,
     plant: Plant, tables: TorqueTables, sigma: float,
@@ -56,7 +73,7 @@ def cut_segments(
     inside = index >= begin[..., None]
     index = np.maximum(index, 0)
     record = np.arange(len(theta))[:, None, None, None]
-    pushes = _pushes(theta, omega, tables)  # (kinds, columns, B, N)
+    pushes = cylinder_pushes(theta, omega, tables)  # (kinds, columns, B, N)
     powers = plant.powers(most)
     # Response of the output at a sample to a push in an earlier one: a Toeplitz matrix for each column.
     seen = np.einsum("i,kij,jc->kc", plant.c, powers[:-1], plant.push)
@@ -77,11 +94,12 @@ def cut_segments(
     )
     counted = inside & valid[record, index]
     raw *= (counted / sigma)[..., None]
-    rows: Array = np.asarray(np.linalg.qr(raw, mode="r"))
+    few = max(raw.shape[-1] - most, 0)  # QR gives as many rows as there are columns, or samples
+    rows: Array = np.asarray(np.linalg.qr(np.pad(raw, (*[(0, 0)] * 3, (0, few), (0, 0))), mode="r"))
     return Segments(rows, powers[length], np.stack(ends, axis=-1), length * plant.h, counted.sum(axis=-1))
 
 
-def _pushes(theta: Array, omega: Array, tables: TorqueTables) -> list[list[Array]]:
+def cylinder_pushes(theta: Array, omega: Array, tables: TorqueTables) -> list[list[Array]]:
     """Rates that the cylinders push with over each sample: known, motored gas, combustions of each span."""
     place = (theta % CYCLE) * (CELLS / CYCLE)
     cell = place.astype(np.int64)

@@ -156,8 +156,8 @@ class Decision:
     def alone(self, root: Array, right: Array) -> Array:
         """Strength of the oldest combustion (B,) by the samples alone."""
         information = root.swapaxes(-1, -2) @ root + 1e-6 * np.eye(self.lag + 1)  # where samples are missing
-        found: Array = np.linalg.solve(information, root.swapaxes(-1, -2) @ right[..., None])
-        return found[:, 0, 0]
+        found = np.linalg.solve(information, root.swapaxes(-1, -2) @ right[..., None])
+        return np.asarray(found[:, 0, 0], dtype=np.float64)
 
     def expected(self, level: Array, lost: Array) -> tuple[Array, Array]:
         """Mean and variance of a strength that is lost with this probability."""

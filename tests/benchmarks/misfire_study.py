@@ -308,7 +308,9 @@ def words(answers: list[dict[str, Any]]) -> str:
         sum(a[key] for a in allowed) for key in ("missed", "lost", "false", "combustions")
     )
     confused, burned = sum(a["wrong cylinder"] for a in allowed), whole - lost
-    beyond = ", ".join(a["name"] for a in honest if a not in allowed) or "none"
+    beyond = "; ".join(a["name"] for a in honest if a not in allowed) or "none"
+    done = {a["name"] for a in answers}
+    left = "; ".join(one.name for one in conditions() if one.name not in done) or "none"
     blocks = [
         f"- {a['name']}: {count} blocks of {size} revolutions with {100 * low:.2g} to {100 * high:.2g} % lost;"
         f" the share found is off by {100 * off:.1g} % at most"
@@ -337,6 +339,7 @@ combustions.
 Theory allows 0.1 % missed and 0.01 % false in {len(allowed)} conditions: missed {missed} of {lost} (at most
 {limits[0]}), false {false} of {burned} (at most {limits[1]}), in the wrong cylinder {confused}.
 Where it does not: {beyond}.
+Not run yet: {left}.
 Two degrees of freedom do not do for a crankshaft at 6000 RPM, whose torsion they lack; seven do.
 
 Rates, within the windows of on-board diagnosis:

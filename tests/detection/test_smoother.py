@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from casadi_engine.detection import segments
 from casadi_engine.detection.plant import Disturbances, make_plant
-from casadi_engine.detection.segments import _pushes, cut_segments, window_edges
+from casadi_engine.detection.segments import cut_segments, cylinder_pushes, window_edges
 from casadi_engine.detection.smoother import LEVEL_DOUBT, WIDE, Decision, Prior, Smoother
 from casadi_engine.detection.torques import learn_torques
 
@@ -29,11 +30,11 @@ def case(fit, made):
 def dense(case):
     """Normal equations of the strengths of all windows, everything else eliminated."""
     plant, unknown, _, tables, theta, omega, valid, edges = case
-    pushes = _pushes(theta, omega, tables)
+    pushes = cylinder_pushes(theta, omega, tables)
     known, gas, burning = ([row[0] for row in kind] for kind in pushes)
-    nz, segments = plant.size, WINDOWS * PIECES
+    nz = plant.size
     # unknowns: strengths, start (nz + gas), noises (4 for each segment)
-    count = WINDOWS + nz + 1 + 4 * segments
+    count = WINDOWS + nz + 1 + 4 * WINDOWS * PIECES
     state = np.zeros((nz, count + 1))
     state[:, WINDOWS : WINDOWS + nz] = np.eye(nz)
     amount = np.zeros(count + 1)
@@ -114,25 +115,12 @@ def test_probabilities_are_bayes_rule_over_all_ways():
     np.testing.assert_allclose(found[0], expected, rtol=1e-9)
 
 
-def test_motored_cylinders_and_combustions_have_the_simulators_torque(fit):
-    from simulator.geometry import cylinder_torque
-    from simulator.pressure import pressure, unequal_cylinders
-
-    tables = learn_torques(fit)
-    assert tables.order.tolist() == [1, 3, 4, 2]
-    assert tables.spans == 1
-    inertia = fit.values["J_eng"]
-    angle = np.arange(tables.known.shape[1]) * 4 * np.pi / tables.known.shape[1]
-    one = unequal_cylinders()
-    still = np.zeros_like(angle)
-    turned = [angle - at for at in (0, 3 * np.pi, np.pi, 2 * np.pi)]
-    known = sum(
-        cylinder_torque(a, still, pressure(a, 0.0, i)) for a, i in zip(turned, one.intake, strict=True)
-    )
-    assert np.abs(inertia * tables.known[0] - known).max() < 0.04 * np.abs(known).max()
-    motored, burning = (pressure(angle, size, one.intake[0], one.delay[0]) for size in (0.0, 1e6))
-    true = cylinder_torque(angle, 0 * angle, burning) - cylinder_torque(angle, 0 * angle, motored)
-    near = (angle > 0.1) & (angle < 2.6)
-    shape = inertia * tables.combustion[0, 0, near]
-    scale = shape @ true[near] / (true[near] @ true[near])
-    assert np.abs(shape - scale * true[near]).max() < 0.03 * shape.max()
+def test_a_record_in_blocks_is_the_same_record(case, monkeypatch):
+    plant, _, whole, tables, theta, omega, valid, edges = case
+    monkeypatch.setattr(segments, "AT_ONCE", 3)
+    parts = segments.cut_record(theta[0], omega[0], valid, edges, PIECES, plant, tables, 0.1)
+    assert parts.samples.tolist() == whole.samples.tolist()
+    for one, other in ((parts.move, whole.move), (parts.add, whole.add)):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)
+    products = [rows.swapaxes(-1, -2) @ rows for rows in (parts.rows, whole.rows)]
+    np.testing.assert_allclose(*products, rtol=1e-6, atol=1e-6 * np.abs(products[0]).max())
