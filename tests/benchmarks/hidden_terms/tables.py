@@ -126,4 +126,4 @@ def _coverage(tasks: Sequence[Row]) -> str:
 
 
 def line(cells: Iterable[Any]) -> str:
-    return "| " + " | ".join(str(cell) for cell in cells) + " |"
+    return "| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |"
