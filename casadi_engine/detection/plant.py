@@ -31,10 +31,11 @@ class Disturbances:
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """z = states, torque on the first inertia, torque on the last, its road part [N m]; y = c z.
+    """z = states, torque on the first inertia, on the last, and the road's on the last [N m]; y = c z.
 
-    step : (nz, nz) from a sample to the next; push : (nz, columns) of rates that last for a sample
-    noise : (3,) standard deviations of the noise of the last three, per sqrt of a combustion, the road's of itself
+    step : (nz, nz) from a sample to the next; push : (nz, columns) of rates that last for a sample of h seconds
+    start : (nz,) standard deviations at first; turning : (nz,) 1 where the state is a speed
+    road_decay : of the road's torque [1/s]
     """
 
     step: Array
@@ -70,7 +71,8 @@ def make_plant(fit: Fit, output: str, enter: Array, h: float, disturbances: Dist
     assert core is not None
     vector = ca.DM(vector_of(fit))
     a, g, c = (
-        np.array(ca.Function("f", [model.p], [ca.densify(part)])(vector).full()) for part in (core.A, core.G, core.C)
+        np.array(ca.Function("f", [model.p], [ca.densify(part)])(vector).full())
+        for part in (core.A, core.G, core.C)
     )
     n, slots = len(a), model.ports.with_slot
     bodies = [k for k, port in enumerate(slots) if port.kind == "inertia"]

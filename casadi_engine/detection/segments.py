@@ -23,13 +23,14 @@ class Segments:
     rows : (B, K, M, r, r) upper triangular, [unknown amplitudes and state | measured], in standard deviations
     move : (B, K, M, nz, nz) of the state; add : (B, K, M, nz, 1 + 1 + spans) what is added by the known torque, one
         motored gas torque more, and the combustions of this window, the one before, ...
-    seconds : (B, K, M) length
+    seconds : (B, K, M) length; samples : (B, K, M) number of valid ones
     """
 
     rows: Array
     move: Array
     add: Array
     seconds: Array
+    samples: NDArray[np.int64]
 
 
 def window_edges(theta: Array, tables: TorqueTables) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -65,17 +66,19 @@ def cut_segments(
     responses, ends = [], []
     for kind in pushes:
         held = [np.where(inside, one[record, index], 0.0) for one in kind]
-        responses.append(sum(h @ respond[:, :, c].T for c, h in enumerate(held)))
-        ends.append(sum(h @ reach[:, :, c] for c, h in enumerate(held)))
+        responses.append(np.sum([h @ respond[:, :, c].T for c, h in enumerate(held)], axis=0))
+        ends.append(np.sum([h @ reach[:, :, c] for c, h in enumerate(held)], axis=0))
     measured = omega[record, index] - responses[0]
     looks = np.einsum("i,kij->kj", plant.c, powers[:-1])
     first = np.arange(most) - (most - length)[..., None]
     raw = np.concatenate(
-        [looks[np.clip(first, 0, most - 1)], *[one[..., None] for one in responses[1:]], measured[..., None]], axis=-1
+        [looks[np.clip(first, 0, most - 1)], *[one[..., None] for one in responses[1:]], measured[..., None]],
+        axis=-1,
     )
-    raw *= ((inside & valid[record, index]) / sigma)[..., None]
-    rows = np.linalg.qr(raw, mode="r")
-    return Segments(rows, powers[length], np.stack(ends, axis=-1), length * plant.h)
+    counted = inside & valid[record, index]
+    raw *= (counted / sigma)[..., None]
+    rows: Array = np.asarray(np.linalg.qr(raw, mode="r"))
+    return Segments(rows, powers[length], np.stack(ends, axis=-1), length * plant.h, counted.sum(axis=-1))
 
 
 def _pushes(theta: Array, omega: Array, tables: TorqueTables) -> list[list[Array]]:

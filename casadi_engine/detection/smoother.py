@@ -35,10 +35,13 @@ class Smoother:
     """Filter of B records at once, window by window.
 
     ``root`` is (B, size, size + 1), upper triangular: [state, motored gas torque, strengths of the last lag + 1
-    combustions, oldest first | right side], rows in standard deviations.
+    combustions, oldest first | right side], rows in standard deviations. ``squares`` (B,) are those of the last
+    window's innovations, in standard deviations.
     """
 
-    def __init__(self, plant: Plant, disturbances: Disturbances, segments: Segments, *, lag: int, speed: Array) -> None:
+    def __init__(
+        self, plant: Plant, disturbances: Disturbances, segments: Segments, *, lag: int, speed: Array
+    ) -> None:
         self.plant, self.disturbances, self.segments, self.lag = plant, disturbances, segments, lag
         self.spans = segments.add.shape[-1] - 2
         self.nz = plant.size + 1
@@ -56,16 +59,16 @@ class Smoother:
 
     def window(self, k: int, oldest: tuple[Array, Array]) -> None:
         """Take up the samples of window k. oldest : mean and variance (B,) of the strength that leaves the lag."""
-        self._segment(k, 0, oldest)
+        self.squares = self._segment(k, 0, oldest)
         for m in range(1, self.segments.rows.shape[2]):
-            self._segment(k, m, None)
+            self.squares = self.squares + self._segment(k, m, None)
 
     def strengths(self) -> tuple[Array, Array]:
         """What the samples tell of the last strengths s: |R s - r|² of R (B, lag + 1, lag + 1) and r (B, lag + 1)."""
         return self.root[:, self.nz :, self.nz : -1], self.root[:, self.nz :, -1]
 
-    def _segment(self, k: int, m: int, oldest: tuple[Array, Array] | None) -> None:
-        """One QR: columns [strength that leaves, noises, state, strengths | right side]."""
+    def _segment(self, k: int, m: int, oldest: tuple[Array, Array] | None) -> Array:
+        """One QR: columns [strength that leaves, noises, state, strengths | right side]; squared remainder (B,)."""
         nz, size, gone = self.nz, self.root.shape[1], int(oldest is not None)
         rows, add = self.segments.rows[:, k, m], self.segments.add[:, k, m]
         r, left = rows.shape[1], gone + NOISES
@@ -82,8 +85,6 @@ class Smoother:
             stack[:, :size, -1] = self.root[:, :, -1]
             stack[:, size, 0] = 1 / np.sqrt(variance)
             stack[:, size, -1] = mean / np.sqrt(variance)
-            # The new strength has no prior but one so wide that it says nothing; it keeps the triangle regular.
-            stack[:, size - 1 : size, newest] += 0.0
         taken = stack[:, size + gone : total]
         taken[:, :, state] = rows[:, :, :nz]
         for span in range(self.spans):
@@ -106,7 +107,9 @@ class Smoother:
         noise[:, 2] = self.disturbances.road * np.sqrt(-np.expm1(-2 * self.plant.road_decay * seconds))
         each = np.arange(NOISES)
         stack[:, total + each, gone + each] = 1 / noise
-        self.root = np.linalg.qr(stack, mode="r")[:, left : left + size, left:]
+        triangle: Array = np.asarray(np.linalg.qr(stack, mode="r"))
+        self.root = triangle[:, left : left + size, left:]
+        return triangle[:, left + size, -1] ** 2
 
 
 class Decision:
@@ -122,7 +125,10 @@ class Decision:
     def probabilities(self, root: Array, right: Array, level: Array) -> Array:
         """(B, lag + 1) that each of the last combustions was lost, oldest first; level (B,) the usual strength."""
         size = self.lag + 1
-        spread = self.prior.scatter**2 * np.eye(size) + LEVEL_DOUBT**2 * self.burns[:, :, None] * self.burns[:, None]
+        spread = (
+            self.prior.scatter**2 * np.eye(size)
+            + LEVEL_DOUBT**2 * self.burns[:, :, None] * self.burns[:, None]
+        )
         scaled = root * level[:, None, None]
         seen = scaled[:, None]  # (B, 1, L, L)
         covariance = np.eye(size) + seen @ spread @ seen.swapaxes(-1, -2)
@@ -147,6 +153,12 @@ class Decision:
         pull = (root.swapaxes(-1, -2) @ right[..., None])[..., 0] + known * mean
         return np.einsum("bi,bi->b", covariance[:, 0], pull), np.sqrt(covariance[:, 0, 0])
 
+    def alone(self, root: Array, right: Array) -> Array:
+        """Strength of the oldest combustion (B,) by the samples alone."""
+        information = root.swapaxes(-1, -2) @ root + 1e-6 * np.eye(self.lag + 1)  # where samples are missing
+        found: Array = np.linalg.solve(information, root.swapaxes(-1, -2) @ right[..., None])
+        return found[:, 0, 0]
+
     def expected(self, level: Array, lost: Array) -> tuple[Array, Array]:
         """Mean and variance of a strength that is lost with this probability."""
         spread = self.prior.scatter**2 + (1 - lost) * LEVEL_DOUBT**2 + lost * (1 - lost)
@@ -155,12 +167,16 @@ class Decision:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """For every window, (B, K): probability to be lost, strength with standard error, usual strength [1]."""
+    """For every window, (B, K): probability to be lost, strength with standard error, usual strength [1].
+
+    misfit : mean square of the innovations, 1 where the model and its noise are right
+    """
 
     lost: Array
     strength: Array
     stderr: Array
     level: Array
+    misfit: Array
 
 
 def smooth(plant: Plant, disturbances: Disturbances, prior: Prior, segments: Segments, speed: Array, *, lag: int,
@@ -177,14 +193,15 @@ def smooth(plant: Plant, disturbances: Disturbances, prior: Prior, segments: Seg
         smoother.window(k, flat)
         root, right = smoother.strengths()
         if k >= lag:
-            seen.append(np.linalg.solve(root, right[..., None])[:, 0, 0])
+            seen.append(decision.alone(root, right))
     level = np.maximum(np.quantile(np.array(seen), 0.75, axis=0), LEAST_LEVEL)
     smoother = Smoother(plant, disturbances, segments, lag=lag, speed=speed)
-    out = Found(np.zeros((records, windows)), *[np.full((records, windows), np.nan) for _ in range(3)])
+    out = Found(np.zeros((records, windows)), *[np.full((records, windows), np.nan) for _ in range(4)])
     oldest = flat
     for k in range(windows):
         smoother.window(k, oldest)
         root, right = smoother.strengths()
+        out.misfit[:, k] = smoother.squares / np.maximum(segments.samples[:, k].sum(axis=-1), 1)
         lost = decision.probabilities(root, right, level)
         strength, stderr = decision.oldest(root, right, level, lost)
         oldest = decision.expected(level, lost[:, 0]) if k >= lag else flat

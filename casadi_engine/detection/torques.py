@@ -27,13 +27,13 @@ LEFT_OUT = 0.01
 
 @dataclass(frozen=True, eq=False)
 class TorqueTables:
-    """Torques over a cycle of 4 pi, each (columns, CELLS) [N m], on the columns of ``enter``.
+    """What the cylinders do over a cycle of 4 pi, each (columns, CELLS): rates of states, torque over inertia [rad/s²].
 
-    enter : (n, columns) what a torque adds to the rates of the states
-    known : of gas in motored cylinders; squared : of the reciprocating masses, per speed squared; combustion :
-        (spans, columns, CELLS), row i of a combustion in the i-th window after its own began
-    order : (cylinders,) numbers of the cylinders as they fire; start : (cylinders,) rising crank angles where their
-        windows begin [rad], the first in [0, 4 pi)
+    enter : (n, columns) the states whose rates they change
+    known : by the gas in motored cylinders; squared : by the reciprocating masses, per speed squared; combustion :
+        (spans, columns, CELLS), row i by a combustion in the i-th window after its own began
+    order : (cylinders,) numbers of the cylinders as they fire; start : (cylinders,) crank angles where their windows
+        begin [rad], rising within a cycle
     """
 
     enter: Array
@@ -73,7 +73,9 @@ def learn_torques(fit: Fit) -> TorqueTables:
     squared = torque(grid, motored, 1.0) - known
     if not np.allclose(torque(grid, motored, 2.0) - known, 4 * squared, rtol=1e-6, atol=1e-6):
         raise _unsuited(model, "torques that are not quadratic in speed", "use a fit without such effects")
-    each = np.array([torque(grid, motored + np.eye(len(ports))[[c]].T * burned, 0.0) - known for c in range(len(ports))])
+    each = np.array(
+        [torque(grid, motored + np.eye(len(ports))[[c]].T * burned, 0.0) - known for c in range(len(ports))]
+    )
     order = np.argsort(offsets, kind="stable")
     start, spans = _windows(each, offsets, order, grid)
     combustion = np.zeros((spans, *known.shape))
@@ -88,8 +90,10 @@ def learn_torques(fit: Fit) -> TorqueTables:
 def _cylinder_ports(model: Model) -> list[Any]:
     ports = [port for port in model.ports if port.kind == "cylinder" and "firing_offset" in port.signals]
     if not ports or model.linear is None or "theta" not in [one.name for one in model.inputs]:
-        seen = "no cylinders" if not ports else "no linear core" if model.linear is None else "no channel theta"
-        raise _unsuited(model, seen, "use two_mass or crankshaft with reciprocating_inertia=\"mean\"")
+        seen = (
+            "no cylinders" if not ports else "no linear core" if model.linear is None else "no channel theta"
+        )
+        raise _unsuited(model, seen, 'use two_mass or crankshaft with reciprocating_inertia="mean"')
     own = {port.name for port in ports}
     laws = [ca.SX(law) for law in ca.vertsplit(model.laws)] if model.laws.numel() else []
     for port, law in zip(model.ports.with_slot, laws, strict=True):
@@ -122,8 +126,15 @@ class _Torque:
         speed, gas = ca.SX.sym("speed"), ca.SX.sym("p", len(pressures))
         put = []
         for one in model.inputs:
-            put.append(theta if one.name == "theta" else speed if one.unit == "rad/s" else
-                       gas[pressures.index(one.name)] if one.name in pressures else ca.SX(0))
+            put.append(
+                theta
+                if one.name == "theta"
+                else speed
+                if one.unit == "rad/s"
+                else gas[pressures.index(one.name)]
+                if one.name in pressures
+                else ca.SX(0)
+            )
         put += [ca.SX(0)] * (model.u.numel() - len(put))
         turning = ca.vertcat(*[speed if one.unit == "rad/s" else ca.SX(0) for one in model.states])
         push = ca.substitute(push, ca.vertcat(model.u, model.x), ca.vertcat(*put, turning))
@@ -149,9 +160,14 @@ def _mean_pressures(fit: Fit, name: str, offset: float, grid: Array) -> tuple[Ar
         channel, angle = record[name], record["theta"]
         turned = np.interp(channel.time, angle.time[angle.mask], angle.values[angle.mask]) - offset
         good = channel.mask
-        first, last = math.ceil((turned[0] + CYCLE / 2) / CYCLE - 0.02), math.floor((turned[-1] + CYCLE / 2) / CYCLE + 0.02)
+        first, last = (
+            math.ceil((turned[0] + CYCLE / 2) / CYCLE - 0.02),
+            math.floor((turned[-1] + CYCLE / 2) / CYCLE + 0.02),
+        )
         for number in range(first, last):
             cycles.append(np.interp(grid - CYCLE / 2 + number * CYCLE, turned[good], channel.values[good]))
+    if not cycles:
+        raise _unsuited(fit.model, f"no whole cycle of {name} in the fit's records", "fit longer records")
     traces = np.array(cycles)
     # At the cell k of a trace the cylinder's own angle is grid[k] - 2 pi, TDC of combustion in the middle.
     middle, late = CELLS // 2, np.arange(1, CELLS // 4)
@@ -161,6 +177,8 @@ def _mean_pressures(fit: Fit, name: str, offset: float, grid: Array) -> tuple[Ar
     rise = traces - mirrored
     work = np.sum(rise[:, middle + late] * np.sin(grid[late]), axis=1)
     burns = work >= BURNED * np.quantile(work, 0.75)
+    if not work.max() > 0:
+        raise _unsuited(fit.model, f"no combustion in {name}", "fit a record of the running engine as well")
     fade = np.clip((np.arange(CELLS) - middle - 0.22 * CELLS) / (0.03 * CELLS), 0, 1)
     lift = rise[burns].mean(axis=0) * (1 - fade)
     base = traces[burns].mean(axis=0) - lift
@@ -170,8 +188,10 @@ def _mean_pressures(fit: Fit, name: str, offset: float, grid: Array) -> tuple[Ar
 
 def _windows(each: Array, offsets: Array, order: NDArray[np.int64], grid: Array) -> tuple[Array, int]:
     """Angles where the windows begin, (cylinders,), and how many windows a combustion spans."""
-    size = sum(np.interp((grid + offset) % CYCLE, np.append(grid, CYCLE), np.append(row, row[0]))
-               for row, offset in zip(np.abs(each).sum(axis=1), offsets, strict=True))
+    size = sum(
+        np.interp((grid + offset) % CYCLE, np.append(grid, CYCLE), np.append(row, row[0]))
+        for row, offset in zip(np.abs(each).sum(axis=1), offsets, strict=True)
+    )
     size = np.roll(size, CELLS // 2)  # TDC in the middle
     inside = np.cumsum(size) / size.sum()
     begin = int(np.searchsorted(inside, LEFT_OUT / 10)) - CELLS // 2

@@ -26,6 +26,7 @@ from casadi_engine.discrepancy.path import FAILURES, Arrived, Path
 from casadi_engine.discrepancy.priors import priors_of
 from casadi_engine.discrepancy.refit import Addition, Refitter, addition
 from casadi_engine.discrepancy.repaired import Round
+from casadi_engine.discrepancy.score import score
 from casadi_engine.discrepancy.screening import Screened
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.discrepancy.station import Station
@@ -43,6 +44,9 @@ _EXCHANGED, _AGAIN = 6, 3
 _NESTED, _SMALL = 1.0, 0.02
 # Log likelihood that a further effect has to promise to be refitted.
 _NOTHING = 1.0
+# Effects that are refitted first in a linear model; others if one step takes away all but this share of what the best
+# one does.
+_FIRST, _PART = 6, 0.3
 # Levels that fall by this share are new ones, at which refits go on.
 _RELEVELLED = 0.7
 
@@ -180,32 +184,68 @@ class Choice:
         return max(found, key=lambda one: one.log, default=None)
 
     def _added(self, here: Tried, screened: Screened) -> list[Tried]:
-        """Every effect at every port beside ``here``, refitted."""
+        """Every effect at every port beside ``here``, refitted.
+
+        Of a linear model those are left out that explain far less than the best one by one step from either side: from
+        ``here``, and in the place of the best one.
+        """
         families = _families(screened)
-        at_here = OneStep(-screened.scores.drop, screened.scores.amplitude, screened.scores.error)
-        own = self._own_step(here, screened)
+        white = screened.choice.white or screened.compressed
+        scores = score(white)
+        at_here = OneStep(here.arrived.cost - scores.drop, scores.amplitude, scores.error, here.arrived.cost)
         order = sorted(families, key=lambda key: min(at_here.cost[k] for k in families[key]))
         if here.effects:
             # beside what was found the model is near the truth, and one step tells what has nothing to give
-            least = -2 * _NOTHING * max(self.levels.memory.values(), default=1.0)
+            least = here.arrived.cost - 2 * _NOTHING * max(self.levels.memory.values(), default=1.0)
             order = [key for key in order if min(at_here.cost[k] for k in families[key]) < least]
-        for number, key in enumerate(order):
-            if self._late():
-                self.failed |= {f"{name} at {port}": "the time was up" for name, port in order[number:]}
-                break
-            self.tell(f"refit {number + 1} of {len(order)}: {key[0]} at {key[1]}")
-            self._try(here, _chosen(screened, at_here, families[key]), Start(here.arrived.values, here.arrived.initial))
-            if own is not None:
-                one = _chosen(screened, own, families[key])
-                if not self.path.linear:
-                    self._try(here, one, None, windows=True)
-                elif here.arrived.held:
-                    self._try(here, one, None)
-            self._arrive(here, key, lambda key=key: _chosen(screened, at_here, families[key]))
-        keys = [self._key(here, key) for key in order]
+        own = self._own_step(here, screened)
+        todo, done = (order[:_FIRST] if self.path.linear else order), list[tuple[str, str]]()
+        while todo and not self._late():
+            for key in todo:
+                if self._late():
+                    self.failed[f"{key[0]} at {key[1]}"] = "the time was up"
+                    continue
+                self.tell(f"refit {len(done) + 1} of {len(order)}: {key[0]} at {key[1]}")
+                self._from_all_sides(here, screened, families[key], at_here, own)
+                done.append(key)
+            rest = [key for key in order if key not in done]
+            todo = self._promising(here, screened, families, at_here, rest) if rest else []
+        keys = [self._key(here, key) for key in done]
         self._relevel([self.pool[key] for key in keys if key in self.pool])
         self._around(here, screened, families)
         return [self.pool[key] for key in keys if key in self.pool]
+
+    def _from_all_sides(
+        self, here: Tried, screened: Screened, members: list[int], at_here: OneStep, own: OneStep | None
+    ) -> None:
+        """Refits of one effect: from ``here``, and in windows from the parameters' own values."""
+        start = Start(here.arrived.values, here.arrived.initial)
+        self._try(here, _chosen(screened, at_here, members), start)
+        if own is not None and not self.path.linear:
+            self._try(here, _chosen(screened, own, members), None, windows=True)
+        elif own is not None and here.arrived.held:
+            self._try(here, _chosen(screened, own, members), None)
+        self._arrive(here, screened.candidates[members[0]].key, lambda: _chosen(screened, at_here, members))
+
+    def _promising(
+        self,
+        here: Tried,
+        screened: Screened,
+        families: dict[tuple[str, str], list[int]],
+        at_here: OneStep,
+        rest: list[tuple[str, str]],
+    ) -> list[tuple[str, str]]:
+        """Those of the rest that may explain about as much as the best one so far, by one step."""
+        found = [self.pool[k] for key in families if (k := self._key(here, key)) in self.pool]
+        best = min(found, key=lambda one: one.arrived.cost, default=None)
+        null = None if best is None else self._null(best)
+        gone = None if null is None else without_effect(null, best.effects[-1], len(self.null_fit.model.states))
+        step = None if gone is None else one_step(gone, screened.candidates, self.path.levels)
+        if best is None or step is None:
+            return rest
+        most = self._rival(best.arrived.cost, here.arrived.cost, screened)
+        lower = np.minimum(at_here.cost, step.cost)
+        return [key for key in rest if min(lower[k] for k in families[key]) < most]
 
     def _arrive(self, here: Tried, key: tuple[str, str], chosen: Callable[[], Addition]) -> None:
         """Another refit of an effect that has not come below the model without it, of which that is a special case,
@@ -218,6 +258,11 @@ class Choice:
             known = self.pool.get(self._key(here, key))
         if known is None or known.arrived.cost > here.arrived.cost + _NESTED:
             self.failed[f"{key[0]} at {key[1]}"] = "no refit of it arrives"
+
+    def _rival(self, least: float, none: float, screened: Screened) -> float:
+        """Chi-squared by one step up to which an effect may well be a rival of one with chi-squared ``least``."""
+        chance = 2 * math.log(FACTOR * len(screened.candidates)) * max(self.levels.memory.values(), default=1.0)
+        return least + _PART * max(none - least, 0.0) + chance
 
     def _around(self, here: Tried, screened: Screened, families: dict[tuple[str, str], list[int]]) -> None:
         """Refits from the parameters of the most probable one, in its place; again where that finds a better one."""
@@ -245,8 +290,9 @@ class Choice:
         if step is None:
             return []
         best = {key: min(own, key=lambda k: step.cost[k]) for key, own in families.items() if key != member.candidate.key}
-        order = sorted(best, key=lambda key: step.cost[best[key]])[:_EXCHANGED]
-        return [_chosen(screened, step, families[key]) for key in order]
+        most = self._rival(tried.arrived.cost, step.none, screened)
+        order = [key for key in sorted(best, key=lambda key: step.cost[best[key]]) if step.cost[best[key]] < most]
+        return [_chosen(screened, step, families[key]) for key in order[:_EXCHANGED]]
 
     def _exchanged(self, best: Tried, here: Tried) -> Tried:
         """The structure after its members were exchanged one by one, and each was left out."""

@@ -19,11 +19,12 @@ from casadi_engine.errors import CasadiEngineError
 
 @dataclass(frozen=True, eq=False)
 class OneStep:
-    """Chi-squared (k,) with each candidate, its amplitude (k,) and the amplitude's error (k,)."""
+    """Chi-squared (k,) with each candidate, its amplitude (k,) and the amplitude's error (k,); none : without any."""
 
     cost: Array
     amplitude: Array
     error: Array
+    none: float
 
 
 def one_step(
@@ -40,7 +41,8 @@ def one_step(
     reduced = compress(null, candidates, NoiseModel(dict(levels)), columns=columns).reduced()
     scores = scores_of(reduced, candidates, null.turn)
     left = without(basis(reduced.rows[:, : reduced.parameters]), reduced.rows[:, -1:])
-    return OneStep(float((left**2).sum()) - scores.drop, scores.amplitude, scores.error)
+    none = float((left**2).sum())
+    return OneStep(none - scores.drop, scores.amplitude, scores.error, none)
 
 
 def without_effect(null: NullModel, one: Addition, states: int) -> NullModel | None:

@@ -32,7 +32,7 @@ from casadi_engine.estimation.refit_entry import Refit, RefitProblem
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
-from casadi_engine.simulation.propagator import LinearPropagator
+from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 
 FAILURES = (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError)
 _AT_BOUND = 1e-8
@@ -75,9 +75,9 @@ class Path:
 
     @property
     def linear(self) -> bool:
-        """True if the equations without effects are linear in the states: then windows have nothing to tell."""
+        """True if the equations without effects have a linear core: then windows have nothing to tell."""
         _, _, problem = self._problem(())
-        return all(isinstance(record.propagator, LinearPropagator) for record in problem.records)
+        return not any(isinstance(record.propagator, RungeKuttaPropagator) for record in problem.records)
 
     def at(self, values: Mapping[str, float], initial: Mapping[str, Mapping[str, float]]) -> Arrived | None:
         """The model without effects at known parameters and first states."""

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from casadi_engine.effects.stiffness import Backlash, CubicStiffness
     from casadi_engine.effects.table import table
     from casadi_engine.effects.torque import ConstantTorque, Impulse, LoadStep
-    from casadi_engine.effects.transfer import Transfer
+    from casadi_engine.effects.transfer import Overflow, Transfer
     from casadi_engine.model.combustion import Motored, fit_motored
     from casadi_engine.model.port_view import port_view
     from casadi_engine.model.term import ports_for
@@ -49,6 +49,7 @@ __all__ = [
     "LoadStep",
     "Misfire",
     "Motored",
+    "Overflow",
     "QuadraticDrag",
     "SensorDelay",
     "SensorOffset",
@@ -88,7 +89,7 @@ import_at_first_use(
         "casadi_engine.effects.stiffness": ("Backlash", "CubicStiffness"),
         "casadi_engine.effects.table": ("table",),
         "casadi_engine.effects.torque": ("ConstantTorque", "Impulse", "LoadStep"),
-        "casadi_engine.effects.transfer": ("Transfer",),
+        "casadi_engine.effects.transfer": ("Overflow", "Transfer"),
         "casadi_engine.model.combustion": ("Motored", "fit_motored"),
         "casadi_engine.effects.protocol": ("Amplitude", "Effect", "Grid", "Law"),
         "casadi_engine.effects.functions": ("Sharp", "Smooth"),

@@ -156,7 +156,7 @@ def _without_amplitude(effect: Effect, values: Mapping[str, float]) -> dict[str,
 def _made(model: Model, term: Term, size: float | None) -> Candidate:
     """The candidate of a term, at the values of its declarations."""
     numbers = {one.name.rpartition(".")[2]: one.value for one in term.declarations[1:]}
-    value = _per_amplitude(term, size)
+    value = ca.vertcat(*(_per_amplitude(term, part, size) for part in (term.value, term.arrives)))
     if numbers:
         value = ca.substitute(value, ca.vertcat(*term.symbols[1:]), ca.SX(ca.DM(list(numbers.values()))))
     states = _own_states(term, list(numbers.values()))
@@ -202,19 +202,17 @@ def candidates(
             if (port.name, effect.name) in there or (effect.fixed_only and port.parameter in free):
                 continue
             try:
-                made = _at_port(model, effect, port, record, numbers, courses, sharp, known)
+                view = PortView(model, port, courses, effect=effect.name, free=free)
+                made, words = _at_port(model, effect, port, view, record, numbers, sharp, known)
             except EffectError as fault:
                 if skipped is None:
                     raise
                 _note(not_applicable_because(effect, port, fault), skipped)
                 continue
-            if not made:
-                words = f"no value of {' and '.join(effect.nuisance)} is within reach of the motion on the records"
-                _note(NotApplicable(effect.name, port.name, (), tuple(port.signals), words), skipped)
             if port.parameter and not all(_has_lever(one, vector) for one in made):
-                words = f"no equation depends on {port.parameter} at these values"
+                made, words = [], f"no equation depends on {port.parameter} at these values"
+            if words:
                 _note(NotApplicable(effect.name, port.name, (), tuple(port.signals), words), skipped)
-                continue
             found += made
     return tuple(found)
 
@@ -241,18 +239,20 @@ def _at_port(
     model: Model,
     effect: Effect,
     port: Port,
+    view: PortView,
     record: Experiment,
     numbers: Mapping[str, float],
-    courses: Courses | None,
     sharp: bool,
     known: Known | None,
-) -> list[Candidate]:
-    """The candidates of one effect at one port; EffectError where a method of the effect fails."""
-    view = PortView(model, port, courses, effect=effect.name)
+) -> tuple[list[Candidate], str]:
+    """The candidates of one effect at one port, or why there are none; EffectError where a method of it fails."""
     try:
+        words = effect.idle(view)
+        if words:
+            return [], words
         own = effect.fitted(view, record, numbers)
         # corners as sharp as the motion passes them; the candidate keeps the effect whose widths are still open
-        sharper = own if courses is None else own.narrowed(view)
+        sharper = own.narrowed(view) if view.has_courses else own
         points = own.choices(view, grid_values(own, view, record, numbers))
         sizes = (None, *own.sizes(view, numbers))
     except CasadiEngineError:
@@ -261,9 +261,11 @@ def _at_port(
         raise EffectError(
             f"a method of {effect.name} fails at {port.name}",
             seen=f"{type(fault).__name__}: {fault}",
-            allowed="fitted, narrowed, choices and sizes as ce.Effect describes them",
+            allowed="idle, fitted, narrowed, choices and sizes as ce.Effect describes them",
             cure="correct that method of the effect, or leave it out",
         ) from fault
+    if not points:
+        return [], f"no value of {' and '.join(own.nuisance)} is within reach of the motion on the records"
     places = tuple(_without_amplitude(sharper, values) for values in points)
     law = (port, sharper, tuple(tuple(one.items()) for one in places), sharp)
     key = (model, *law, sizes)
@@ -271,10 +273,10 @@ def _at_port(
     if known is None or not _is_value(sharper):
         known = {}
     if key not in known:
-        if law not in known and places:
+        if law not in known:
             known[law] = read_terms(model, sharper, port, places, sharp=sharp)
-        known[key] = [_made(model, term, size) for term in known.get(law, ()) for size in sizes]
-    return [one if one.effect is own else replace(one, effect=own) for one in known[key]]
+        known[key] = [_made(model, term, size) for term in known[law] for size in sizes]
+    return [one if one.effect is own else replace(one, effect=own) for one in known[key]], ""
 
 
 def _is_value(effect: Effect) -> bool:
@@ -311,9 +313,9 @@ def cycles_of(view: PortView, record: Experiment, numbers: Mapping[str, float]) 
     return tuple(number + 1 for number in range(first, last + 1))
 
 
-def _per_amplitude(term: Term, size: float | None) -> Any:
-    """The slope of the law at amplitude 0, or its secant to `size`."""
-    psi, value = term.amplitude, term.value
+def _per_amplitude(term: Term, value: Any, size: float | None) -> Any:
+    """The slope of a value of the law at amplitude 0, or its secant to `size`."""
+    psi = term.amplitude
     if size is not None:
         if not np.isfinite(size) or size == 0:
             raise EffectError(
@@ -339,15 +341,20 @@ def _own_states(term: Term, numbers: list[float]) -> tuple[OwnState, ...]:
 
 
 def _responses(model: Model, term: Term, value: Any) -> tuple[Any, Any, Any, Any]:
-    """Slots, drives, outputs per unit of amplitude, and the ode's own share (of a parameter), or None."""
+    """Slots, drives, outputs per unit of amplitude, and the ode's own share (of a parameter), or None.
+
+    value : (2, 1), what the law adds, and what arrives at the second end of a link
+    """
     slots = ca.SX.zeros(model.w.numel(), 1)
     drives = ca.SX.zeros(model.d.numel(), 1)
     outputs = ca.SX.zeros(len(model.outputs), 1)
     port = term.port
+    value, arrives = ca.vertsplit(value)
     if takes_torque(port) or port.ends:
         rows = [made.name for made in model.ports.with_slot]
-        for name, share in zip(port.ends or (port.name,), (-1, 1) if port.ends else (1,), strict=True):
-            slots[rows.index(name)] = share * value
+        parts = (-value, arrives) if port.ends else (value,)
+        for name, part in zip(port.ends or (port.name,), parts, strict=True):
+            slots[rows.index(name)] = part
         return slots, drives, outputs, None
     if port.kind == "sensor":
         sensors = [made.name for made in model.ports if made.kind == "sensor"]

@@ -80,9 +80,8 @@ class AsymmetricFriction(_Rounded):
     """Dry friction that differs by direction: T (1 + a) against a positive motion, T (1 − a) against a negative one.
 
     T is the mean of both levels, the asymmetry a between −1 and 1. It is dry friction and a constant torque −T a
-    together. So it is not looked for on a motion in one direction alone, where dry friction does all, nor at a
-    coupling, where a constant torque is a twist that no speed shows. Where a parameter of the model is a constant
-    torque already, the data do not tell it from dry friction either.
+    together. So it is not looked for on a motion in one direction alone or where the model has a free constant torque:
+    there dry friction does all; nor at a coupling, where a constant torque is a twist that no speed shows.
 
     width : as in `CoulombFriction`
 
@@ -107,11 +106,12 @@ class AsymmetricFriction(_Rounded):
         sign = math.sign(port.speed, width=rounding(port, self.width))
         return -p.torque * sign * (1 + p.asymmetry * sign)
 
-    def choices(self, port: Any, grids: Mapping[str, tuple[float, ...]]) -> tuple[dict[str, float], ...]:
-        """All asymmetries, if the records move in both directions; none else."""
+    def idle(self, port: Any) -> str:
+        """It is dry friction alone on a motion in one direction, and beside a constant torque that is estimated."""
         courses = port.courses("speed")
-        both = not courses or (min(c.min() for c in courses) < 0 < max(c.max() for c in courses))
-        return super().choices(port, grids) if both else ()
+        if courses and not min(c.min() for c in courses) < 0 < max(c.max() for c in courses):
+            return "the records move in one direction alone"
+        return "a constant torque there is estimated already" if port.has_free_constant else ""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from casadi_engine.effects.protocol import Effect
 from casadi_engine.effects.sensor import SensorDelay, SensorOffset
 from casadi_engine.effects.stiffness import Backlash, CubicStiffness
 from casadi_engine.effects.torque import ConstantTorque, Impulse, LoadStep
-from casadi_engine.effects.transfer import Transfer
+from casadi_engine.effects.transfer import Overflow, Transfer
 from casadi_engine.errors import EffectError
 from casadi_engine.parameters import near_matches
 
@@ -45,6 +45,7 @@ def library(*names: str) -> tuple[Effect, ...]:
         SensorOffset(),
         SensorDelay(),
         Transfer(),
+        Overflow(),
         WrongValue(),
     )
     if not names:

@@ -25,6 +25,7 @@ PORT_KINDS: Mapping[str, bool] = MappingProxyType(
         "sensor": False,
         "parameter": False,
         "link": False,
+        "pipe": False,
     }
 )
 # The kinds of ports that effects may attach to.
@@ -138,22 +139,25 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """What an effect adds, when it has states of its own.
+    """What an effect adds, when it has states of its own, or loses something between the ends of a link.
 
     value : SX scalar, torque [N m] at an inertia, coupling or cylinder; else the change of the port's value
+    arrives : SX scalar, what of `value` enters the second end of a link; None for all of it
     states : name -> (start, rate); start a number, rate an SX scalar. The law reads the state's symbol by
         ``port.state(name)``
     """
 
     value: Any
     states: Mapping[str, tuple[float, Any]] = field(default_factory=dict)
+    arrives: Any = None
 
 
 class Effect:
     """Base class of effects; a subclass says what these attributes are and writes `law`.
 
     name : identifier; parameters are called ``port.name.parameter``
-    attaches : kinds of ports: inertia, coupling, cylinder, input, sensor, parameter, link
+    attaches : kinds of ports: inertia, coupling, cylinder, input, sensor, parameter, link (between two shafts
+        or masses), pipe (between two of anything else)
     kin : names of effects that look alike, for the reader of a class
     limit : name of the simpler effect that this one becomes at an end or in the middle of its
         grid; "" for none
@@ -214,6 +218,14 @@ class Effect:
         """The effect as it is at a port before there is a record; by default itself."""
         del port
         return self
+
+    def idle(self, port: Any) -> str:
+        """Why records cannot show the effect at a port, one clause; "" where they may, which is the default.
+
+        port : with its courses, and ``port.has_free_constant``: whether a torque there that is constant is estimated
+        """
+        del port
+        return ""
 
     def fitted(self, port: Any, record: Any, values: Mapping[str, float]) -> Effect:
         """The effect with constants that are read off a record (an Experiment); by default itself.

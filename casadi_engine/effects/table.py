@@ -71,7 +71,8 @@ def _row(effect: Effect, kind: str) -> Row:
     try:
         law = effect.law(port, Values(effect.name, values), _Words)
         law = law if isinstance(law, Law) else Law(law)
-        parts = {"": law.value, **{f"d({name})/dt = ": rate for name, (_, rate) in law.states.items()}}
+        parts = {"": law.value} | ({} if law.arrives is None else {"arriving ": law.arrives})
+        parts |= {f"d({name})/dt = ": rate for name, (_, rate) in law.states.items()}
         written = write_expressions([ca.SX(part) for part in parts.values()], shared_operations=10**6).texts
         formula = "; ".join(name + text for name, text in zip(parts, written, strict=True))
     except Exception as fault:  # noqa: BLE001 (a law of the user's own may do anything)

@@ -20,13 +20,16 @@ from numpy.typing import NDArray
 
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation.fit import Fit
+from casadi_engine.estimation.refit_answer import Refit
+from casadi_engine.estimation.refit_problem import RefitProblem
 from casadi_engine.model import Model
 from casadi_engine.model.port_view import PortView
 from casadi_engine.parameters import Parameters, compile
 from casadi_engine.simulation.candidate_sensitivities import at_measurements
-from casadi_engine.simulation.exponential_runge_kutta import MOST_SUBSTEPS
+from casadi_engine.simulation.exponential_runge_kutta import MOST_SUBSTEPS, ExponentialPropagator
 from casadi_engine.simulation.grid import lay_grid
 from casadi_engine.simulation.null_path import NullPath, null_path
+from casadi_engine.simulation.observed import ObservedPropagator
 
 Array = NDArray[np.float64]
 
@@ -52,27 +55,85 @@ def follow_motion(fit: Fit, parameters: Parameters, again: Callable[[Parameters,
     if not widths or not fit.converged or fit.gain is not None:
         return fit
     wide = {name: parameters[name].value for name in widths}
-    first = _by_motion(fit, widths, paths_of(fit))
-    found: Fit | None = fit if first == wide else _refitted(fit, parameters, first, again)
+    try:
+        with np.errstate(all="ignore"):
+            return _followed(fit, parameters, widths, wide, again)
+    except (FloatingPointError, np.linalg.LinAlgError):
+        return fit  # nothing can be said of a motion that is not simulated
+
+
+def _followed(
+    fit: Fit,
+    parameters: Parameters,
+    widths: Mapping[str, Any],
+    wide: dict[str, float],
+    again: Callable[[Parameters, Fit, Any], Fit],
+) -> Fit:
+    begun = Motion(fit, wide)
+    first = _by_motion(fit.model, fit.parameters, widths, begun.paths())
+    found = begun if first == wide else _refitted(begun, parameters, first, again)
     for _ in range(SHARPER):
-        if found is None or not found.converged:
+        if found is None:
             break
         finer = _sharper(found, first)
         if finer == first:
-            return found
+            return found.fit
         if finer is None:
             break
         sharper = _refitted(found, parameters, finer, again)
-        if sharper is None or not sharper.converged:
+        if sharper is None:
             break
         found, first = sharper, finer
-    return _told(found, first) if found is not None and found.converged else _told(fit, wide)
+    return _told(found, first) if found is not None else _told(begun, wide)
 
 
-def _told(fit: Fit, widths: Mapping[str, float]) -> Fit:
+class Motion:
+    """The simulation of a fit at other widths of its corners, parameters and initial states as they are.
+
+    The shooting intervals run side by side, with short steps where a corner is passed, and the gaps between them close
+    in a few steps. ``whole`` : the exponential integrator, whose steps are short everywhere, runs through at once.
+    """
+
+    def __init__(self, fit: Fit, widths: Mapping[str, float]) -> None:
+        self.fit, self.widths = fit, dict(widths)
+        pars = fit.parameters.copy()
+        for name, width in widths.items():
+            pars[name].set(width, min=0.0, vary=True)
+        levels = {name: sigma for name, (sigma, _) in fit.noise.items()}
+        self._problem = RefitProblem(fit.model, fit.data, pars, levels=levels)
+        linear = (ExponentialPropagator, ObservedPropagator)
+        self.whole = any(isinstance(record.propagator, linear) for record in self._problem.records)
+        self._values = dict(zip(fit.free, fit.z.tolist(), strict=True))
+        self._nodes = [] if self.whole else self._problem.simulated(self._values | self.widths, fit.initial)
+
+    @property
+    def samples(self) -> list[int]:
+        """Samples of each record's grid."""
+        return [record.grid.samples for record in self._problem.records]
+
+    @property
+    def steps(self) -> int:
+        """Most integration steps to a sample."""
+        return max((one.substeps for one in self.fit.integration.values()), default=0)
+
+    def cost(self, widths: Mapping[str, float]) -> float:
+        """Chi-squared at these widths, in units of what the fit leaves."""
+        if self.whole:
+            return cost_along(self.fit, paths_of(self.fit, moved=widths))
+        cost = self._problem.cost_from(self._values | dict(widths), self._nodes)
+        return cost / max(self.fit.cost / self.fit.n, 1.0)
+
+    def paths(self) -> list[NullPath]:
+        """The records' simulations at the fit's own widths."""
+        if self.whole:
+            return paths_of(self.fit)
+        return self._problem.paths(self._values | self.widths, self._nodes)
+
+
+def _told(motion: Motion, widths: Mapping[str, float]) -> Fit:
     """The fit, with a message if twice its widths change chi-squared: as much may be left by what they are."""
-    twice = {name: 2 * width for name, width in widths.items()}
-    change = abs(cost_along(fit, paths_of(fit, moved=twice)) - cost_along(fit, paths_of(fit)))
+    fit = motion.fit
+    change = abs(motion.cost({name: 2 * width for name, width in widths.items()}) - motion.cost(widths))
     if change < FELT:
         return fit
     names = ", ".join(f"{name} = {width:.2g}" for name, width in widths.items())
@@ -99,47 +160,67 @@ def _untouched(parameter: Any, value: float) -> bool:
     return not own and bool(parameter.value == value)
 
 
-def _by_motion(fit: Fit, widths: Mapping[str, Any], paths: Sequence[NullPath]) -> dict[str, float]:
+def narrowed(problem: RefitProblem, parameters: Parameters, found: Refit) -> dict[str, float]:
+    """The widths of the corners that the motion of a refit asks to be sharper than the set has them."""
+    widths = _open_widths(problem.model, parameters)
+    if not widths:
+        return {}
+    try:
+        with np.errstate(all="ignore"):
+            paths = problem.paths(found.values, found.nodes)
+            by_motion = _by_motion(problem.model, parameters, widths, paths)
+    except (FloatingPointError, np.linalg.LinAlgError):
+        return {}
+    return {name: width for name, width in by_motion.items() if width < parameters[name].value}
+
+
+def with_widths(parameters: Parameters, widths: Mapping[str, float]) -> Parameters:
+    """A copy of a set with other widths of corners."""
+    pars = parameters.copy()
+    for name, width in widths.items():
+        pars[name].set(width, min=min(width, pars[name].min))
+    return pars
+
+
+def _by_motion(
+    model: Model, parameters: Parameters, widths: Mapping[str, Any], paths: Sequence[NullPath]
+) -> dict[str, float]:
     """The width of each corner by the motion along these simulations."""
     found = {}
     for name, one in widths.items():
-        port = fit.model.ports[one.at]
-        view = PortView(fit.model, port, partial(courses, paths), effect=one.effect.name)
+        view = PortView(model, model.ports[one.at], partial(courses, paths), effect=one.effect.name)
         width = getattr(one.effect.narrowed(view), "width", None)
-        found[name] = fit.parameters[name].value if width is None else min(width, fit.parameters[name].value)
+        found[name] = parameters[name].value if width is None else min(width, parameters[name].value)
     return found
 
 
 def _refitted(
-    fit: Fit,
+    motion: Motion,
     parameters: Parameters,
     widths: Mapping[str, float],
     again: Callable[[Parameters, Fit, Any], Fit],
-) -> Fit | None:
-    pars = parameters.copy()
-    for name, width in widths.items():
-        pars[name].set(width, min=min(width, pars[name].min))
-    longest = max(path.grid.samples for path in paths_of(fit))
+) -> Motion | None:
+    """The simulation of a converged fit with these widths; None where there is none."""
+    pars = with_widths(parameters, widths)
     try:
-        with np.errstate(all="ignore"):
-            return again(pars, fit, max(2, longest // _INTERVALS))
+        fit = again(pars, motion.fit, max(2, max(motion.samples) // _INTERVALS))
+        return Motion(fit, widths) if fit.converged else None
     except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
         return None  # too sharp for the integrator
 
 
-def _sharper(fit: Fit, widths: Mapping[str, float]) -> dict[str, float] | None:
+def _sharper(motion: Motion, widths: Mapping[str, float]) -> dict[str, float] | None:
     """The widest widths that the data do not tell from sharper ones; None where the integrator can follow none."""
-    steps = max((one.substeps for one in fit.integration.values()), default=0)
-    samples = sum(len(record[record.names[0]].time) for record in fit.data)
-    allowed = min(MOST_SUBSTEPS, _STEPS / samples)
-    limit = allowed / max(steps, 1)
+    allowed = min(MOST_SUBSTEPS, _STEPS / sum(motion.samples))
+    limit = allowed / max(motion.steps, 1)
     if limit < _WORTH:
         return None
     # by factors, and at last as sharp as the integrator can follow
     shares = [FACTOR**k for k in range(SHARPER + 1) if FACTOR**k < limit / _WORTH] + [limit]
     levels = [{name: float(f"{width / share:.2g}") for name, width in widths.items()} for share in shares]
-    sharpest = cost_along(fit, paths_of(fit, moved=levels[-1]))
-    felt = (abs(cost_along(fit, paths_of(fit, moved=level)) - sharpest) >= FELT for level in levels[:-1])
+    # the sharpest first: it asks for the finest steps, which the others then share
+    sharpest = motion.cost(levels[-1])
+    felt = (abs(motion.cost(level) - sharpest) >= FELT for level in levels[:-1])
     return next((level for level, more in zip(levels, felt, strict=False) if not more), levels[-1])
 
 

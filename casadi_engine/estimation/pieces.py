@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.errors import ModelError
 from casadi_engine.estimation.coordinates import Coordinates
+from casadi_engine.estimation.levenberg_marquardt import Squares, minimise
 from casadi_engine.estimation.options import interval_length
 from casadi_engine.estimation.record import RecordPoint, RecordTerm
 from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
@@ -29,6 +30,8 @@ Array = NDArray[np.float64]
 SCREENED, REACH, FOLLOWED = 63, 20.0, 9
 # Steps of a start that is followed, and of the best one for each length; fall that ends them.
 _STEPS, _MORE, _FALL = 25, 40, 1e-4
+# Share of the cost where a search began from which it goes on with what a fall is there.
+_LOWER = 0.5
 # Growth of a piece from one length to the next; a piece has at least so many samples for each state.
 _GROWTH, _LEAST = 4, 4
 # Longest step of a logarithm, or of a number in units of its size.
@@ -38,8 +41,6 @@ _LONGEST = 1.5
 _SLOWER = 4
 # Share of the largest slope in a state below which nothing is known of the state.
 _FLAT = 1e-6
-# Damping at first, its change after a step that helps or does not, and where the search gives up.
-_DAMPING, _EASE, _HINDER, _STUCK = 1e-2, 0.2, 6.0, 1e8
 
 
 @dataclass(frozen=True)
@@ -115,31 +116,45 @@ class Pieces:
         steps: int,
         stop: Callable[[], bool] = lambda: False,
     ) -> tuple[Array, float]:
-        """Levenberg-Marquardt steps (Levenberg 1944) from v within bounds; where they end, and the cost there."""
+        """Levenberg-Marquardt steps from v within bounds; where they end, and the cost there."""
+        best: tuple[Array, Sequence[Array], Projected] | None = None
+
+        def evaluate(at: Array) -> Squares | None:
+            """The problem at a point, with the states that the best one so far foretells there."""
+            nonlocal best
+            nodes: Sequence[Array] = self.starts
+            if best is not None:
+                before, known, here = best
+                if np.array_equal(before, at):
+                    return Squares(here.cost, here.gradient, here.matrix)
+                nodes = [
+                    n + c[0] + np.tensordot(at - before, c[1:], axes=1)
+                    for n, c in zip(known, here.nodes, strict=True)
+                ]
+            found = self.project(at, nodes)
+            if found is None:
+                return None
+            if best is None or found.cost < best[2].cost:
+                best = (at.copy(), nodes, found)
+            return Squares(found.cost, found.gradient, found.matrix)
+
+        def longest(at: Array) -> Array:
+            return np.asarray(_LONGEST * np.where(log, 1.0, np.maximum(1.0, np.abs(at))))
+
         low, high = bounds
-        at, nodes = np.clip(v, low, high), self.starts
-        here = self.project(at, nodes)
-        damping = _DAMPING
-        for _ in range(steps):
-            if here is None or stop() or damping > _STUCK:
-                break
-            step = _step(here, at, bounds, log, damping)
-            if step is None:
-                break
-            trial = np.clip(at + step, low, high)
-            moved = [
-                n + c[0] + np.tensordot(trial - at, c[1:], axes=1)
-                for n, c in zip(nodes, here.nodes, strict=True)
-            ]
-            there = self.project(trial, moved)
-            if there is None or not there.cost < here.cost:
-                damping = max(_HINDER * damping, 1e-3)
-                continue
-            fall = here.cost - there.cost
-            at, nodes, here, damping = trial, moved, there, max(_EASE * damping, 1e-9)
-            if fall < _FALL * here.cost:
-                break
-        return at, np.inf if here is None else here.cost
+        at = np.clip(v, low, high)
+        begun = None if stop() else evaluate(at)
+        if begun is None or best is None:
+            return at, np.inf
+        before = np.inf
+        while (
+            best[2].cost < _LOWER * before
+        ):  # the fall that ends a search is a share of the cost where it ends
+            before, fall = best[2].cost, _FALL * best[2].cost
+            minimise(
+                evaluate, best[0], low, high, fall=fall, steps=steps, longest=longest, stop=lambda _: stop()
+            )
+        return best[0], best[2].cost
 
 
 def _steps_kept(record: RecordTerm) -> AbstractContextManager[None]:
@@ -173,33 +188,19 @@ def _without_states(record: RecordTerm, point: RecordPoint) -> tuple[Array, Arra
     return rest.transpose(2, 1, 0), change.transpose(2, 0, 1)
 
 
-def _step(
-    here: Projected, at: Array, bounds: tuple[Array, Array], log: NDArray[np.bool_], damping: float
-) -> Array | None:
-    """The damped Gauss-Newton step (nv,), shortened; None where nothing is free."""
-    low, high = bounds
-    free = ~(((at <= low) & (here.gradient > 0)) | ((at >= high) & (here.gradient < 0)))
-    own = here.matrix[np.ix_(free, free)]
-    if not free.any() or not np.diag(own).any():
-        return None
-    scale = np.maximum(np.diag(own), 1e-12 * np.diag(own).max())
-    try:
-        found = -np.linalg.solve(own + damping * np.diag(scale), here.gradient[free])
-    except np.linalg.LinAlgError:
-        return None
-    size = np.where(log[free], 1.0, np.maximum(1.0, np.abs(at[free])))
-    found *= min(1.0, _LONGEST / max(float(np.abs(found / size).max()), 1e-300))
-    step = np.zeros(len(at))
-    step[free] = found
-    return step
-
-
 def lengths(record: RecordTerm) -> list[int]:
     """The lengths of a record's pieces [samples]: from a hundredth of it, growing to a quarter."""
     length = max(interval_length("auto", record.grid) or 1, _LEAST * record.n)
     found = [length]
     while _GROWTH * found[-1] < record.grid.samples // 2:
         found.append(_GROWTH * found[-1])
+    return found
+
+
+def _with_entries(v: Array, used: NDArray[np.intp], other: Array) -> Array:
+    """A vector with some entries of another one: predictions do not act on a gain, which stays as it was."""
+    found = v.copy()
+    found[used] = other[used]
     return found
 
 
@@ -223,6 +224,8 @@ def approach(
         Pieces(records, [ladder[min(stage, len(ladder) - 1)] for ladder in ladders], nodes, sigma)
         for stage in range(max(map(len, ladders)))
     ]
+    used = np.unique(np.concatenate([record.active for record in stages[0].records]))
+    candidates = [_with_entries(candidates[0], used, v) for v in candidates]
 
     def climb(stages: Sequence[Pieces]) -> tuple[Array, float]:
         """The best candidate on the first pieces, fitted to these and to all longer ones, and its cost there."""

@@ -8,97 +8,17 @@ then the whole record, are those of ``windows``.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import replace
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from casadi_engine.errors import EstimationError
-from casadi_engine.estimation.constraints import Priors
-from casadi_engine.estimation.coordinates import Coordinates
-from casadi_engine.estimation.integration import shorten_steps
-from casadi_engine.estimation.levenberg_marquardt import minimise
-from casadi_engine.estimation.options import initial_bounds, interval_length
-from casadi_engine.estimation.record import RecordTerm
-from casadi_engine.estimation.starts import chained_nodes, fitted_nodes, nodes_from_measurement
-from casadi_engine.estimation.windows import Place, Windows
+from casadi_engine.estimation.corner_widths import narrowed, with_widths
+from casadi_engine.estimation.refit_answer import Refit, RefitRecord
+from casadi_engine.estimation.refit_problem import RefitProblem
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
-from casadi_engine.parameters import Parameters, compile
-from casadi_engine.parameters.compiled import ParameterMap
-from casadi_engine.simulation.grid import lay_grid
-from casadi_engine.simulation.propagator import fineness_of, switches_with_states
-from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
-from casadi_engine.simulation.shared_core import Cores
+from casadi_engine.parameters import Parameters
 
-Array = NDArray[np.float64]
-
-# A next step that promises less of half chi-squared ends the search; over a window, a share of it or half of one.
-_FALL, _SHARE, _HALF = 5e-5, 1e-3, 0.5
-# Longest step of a logarithm, or of a number in units of its size; a number that starts at 0 has none.
-_LONGEST = 1.5
-# Gaps that count as none, by their effect on chi-squared as a share of that fall, and how often they are closed.
-_CLOSED, _CLOSINGS = 1e-2, 6
-# Rounds of shorter integration steps, each with a few steps from where the last one ended.
-_SHORTENED = 4
-# Growth of a window from one horizon to the next.
-_GROWTH = 8
-
-
-@dataclass(frozen=True)
-class RefitRecord:
-    """One record of a refit.
-
-    time : output -> (N,) s of its valid samples; residual : output -> (N,) (simulated - measured) / level, in order of
-    time; jacobian : output -> (N, nz + n) its derivatives by the free parameters and the record's initial states, in
-    their units; states : (M, n) at the starts of the shooting intervals, over the first horizon, in their units
-    """
-
-    time: Mapping[str, Array]
-    residual: Mapping[str, Array]
-    jacobian: Mapping[str, Array]
-    states: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Refit:
-    """Where a refit ended.
-
-    free : names of the free parameters z (nz); values : name -> value of these; initial : record -> state -> value
-    cost : chi-squared at the given levels, priors included; prior_cost : the priors' part
-    prior_information : (nz, nz) of the priors; status : "converged", or why not; steps : evaluations of the model
-    """
-
-    free: tuple[str, ...]
-    values: Mapping[str, float]
-    initial: Mapping[str, Mapping[str, float]]
-    cost: float
-    prior_cost: float
-    prior_information: Array
-    records: Mapping[str, RefitRecord]
-    status: str
-    steps: int
-    fineness: Mapping[str, Any] = field(default_factory=dict, repr=False)
-
-    @property
-    def converged(self) -> bool:
-        """True at an optimum: one more step would lower chi-squared by 0.001 at most."""
-        return self.status == "converged"
-
-    @cached_property
-    def information(self) -> Array:
-        """(nz + R n, nz + R n) of the free parameters, then of each record's initial states, in their units."""
-        nz, each = len(self.free), [list(one.jacobian.values()) for one in self.records.values()]
-        n = len(next(iter(self.initial.values())))
-        found = np.zeros((nz + n * len(each),) * 2)
-        found[:nz, :nz] = self.prior_information
-        for k, jacobians in enumerate(each):
-            at = np.r_[0:nz, nz + k * n : nz + (k + 1) * n]
-            for jacobian in jacobians:
-                found[np.ix_(at, at)] += jacobian.T @ jacobian
-        return found
+__all__ = ["Refit", "RefitProblem", "RefitRecord", "refit"]
 
 
 def refit(
@@ -111,6 +31,7 @@ def refit(
     initial: Mapping[str, Mapping[str, Any]] | None = None,
     warm: Refit | None = None,
     horizons: Sequence[float | None] | None = None,
+    corners: bool = True,
     most: int = 60,
 ) -> Refit:
     """Minimise chi-squared at known noise levels from a start near by.
@@ -126,11 +47,13 @@ def refit(
         integration are taken from it as far as they are there; ``start`` and ``initial`` go before it
     horizons : lengths of the windows [s], one after the other, None for whole records; (None,) for the simulation
         alone. By default windows of a few shooting intervals, then four times as long, and so on, then None
+    corners : make those of laws (friction, play) as sharp as the motion asks at the end, where the set leaves their
+        widths as they were declared; ``Refit.widths`` says which
     most : steps over each horizon at most
 
     Raises EstimationError for input that cannot be used; a model that cannot be evaluated has the ``status`` for it.
 
-    >>> import casadi_engine as ce
+    >>> import numpy as np, casadi_engine as ce
     >>> t = np.arange(200) * 0.01
     >>> exp = ce.Experiment.from_arrays("run_up", time=t, units={"T": "N m", "omega": "rad/s"}, hold="zero",
     ...     T=np.full(200, 2.0), omega=4 * (1 - np.exp(-t / 0.8)))
@@ -140,237 +63,10 @@ def refit(
     ('converged', {'J_eng': 0.4, 'C_eng': 0.5})
     """
     problem = RefitProblem(model, records, parameters, levels=levels)
-    return problem.run(start=start, initial=initial, warm=warm, horizons=horizons, most=most)
-
-
-class RefitProblem:
-    """What refits of one model have in common; arguments as those of `refit`."""
-
-    def __init__(
-        self,
-        model: Model,
-        records: Sequence[Experiment],
-        parameters: Parameters,
-        *,
-        levels: Mapping[str, float],
-        interval: Any = "auto",
-    ) -> None:
-        self.model = model
-        names = tuple(record.name for record in records)
-        self.pmap: ParameterMap = compile(parameters, model.parameter_names, names)
-        labels = [one.label for one in self.pmap.constraints]
-        labels += [one.label for one in self.pmap.frequency_constraints]
-        if labels:
-            raise EstimationError(
-                "a refit keeps bounds, ties and priors alone",
-                seen=", ".join(labels),
-                allowed="a parameter set without constraints",
-                cure="take estimate(), which keeps constraints",
-            )
-        sigma = np.array([_level(levels, output.name) for output in model.outputs])
-        self.coordinates, cores = Coordinates(self.pmap), Cores()
-        local: dict[int, Any] = {}
-        self.records: list[RecordTerm] = []
-        for record in records:
-            grid, physical = lay_grid(model, record), self.pmap.physical[record.name]
-            own = local.setdefault(id(physical), self.coordinates.substitute(physical))
-            length = interval_length(interval, grid, whole=switches_with_states(model))
-            term = RecordTerm(
-                model, record, self.coordinates.symbol, own,
-                length=length, gain=None, method="exact", grid=grid, cores=cores,
-            )  # fmt: skip
-            term.set_sigma(sigma)
-            self.records.append(term)
-        self.count = sum(record.count for record in self.records)
-        self.priors = Priors(self.pmap, self.coordinates)
-        self.bounds = self.coordinates.of(self.pmap.lower), self.coordinates.of(self.pmap.upper)
-        zero = (self.pmap.start == 0) & ~self.coordinates.log
-        self._endless = np.where(zero, np.inf, 1.0)
-
-    # ---- run
-
-    def run(
-        self,
-        *,
-        start: Mapping[str, float] | None = None,
-        initial: Mapping[str, Mapping[str, Any]] | None = None,
-        warm: Refit | None = None,
-        horizons: Sequence[float | None] | None = None,
-        most: int = 60,
-    ) -> Refit:
-        """The refit from a start; see `refit`."""
-        z = self._values(start, warm)
-        v = self.coordinates.of(z)
-        self._steps = 0
-        with np.errstate(all="ignore"):
-            try:
-                nodes = [self._nodes(record, v, z, initial, warm) for record in self.records]
-                return self._searched(v, nodes, self._counts(horizons), most, warm)
-            except (FloatingPointError, np.linalg.LinAlgError) as fault:
-                return self._failed(z, f"the model cannot be evaluated: {fault}")
-
-    def _searched(
-        self, v: Array, nodes: list[Array], ladder: list[list[int]], most: int, warm: Refit | None
-    ) -> Refit:
-        """The refit over horizons of so many intervals of each record."""
-        states: list[Array] | None = None
-        for counts in ladder[:-1]:
-            place, _ = self._descended(counts, v, nodes, most, last=False)
-            v, nodes = place.v, list(place.nodes)
-            states = states or nodes
-        self._as_fine_as(warm)
-        place, status = self._descended(ladder[-1], v, nodes, most, last=True)
-        for _ in range(_SHORTENED):
-            if not shorten_steps(self.records, place.v, place.nodes):
-                break
-            place, status = self._descended(ladder[-1], place.v, list(place.nodes), most, last=True)
-        return self._answer(place, states or list(place.nodes), status)
-
-    def _as_fine_as(self, warm: Refit | None) -> None:
-        """Integrate as finely as a refit before did in the end, where the integrators are alike."""
-        for record in self.records:
-            known = None if warm is None else warm.fineness.get(record.experiment.name)
-            own: Any = record.propagator
-            if known is not None and isinstance(known, type(fineness_of(own))) and hasattr(own, "refined"):
-                record.propagator = own.refined(known)
-
-    def _descended(
-        self, counts: list[int], v: Array, nodes: list[Array], most: int, *, last: bool
-    ) -> tuple[Place, str]:
-        """Where the search over one horizon ends, and its status; over the last one gaps are closed."""
-        windows = Windows(self.records, self.priors, counts, nodes)
-        if windows(v) is None:
-            raise FloatingPointError("its states or slopes are not finite")
-        converged, (low, high) = False, self.bounds
-        for _ in range(_CLOSINGS if last else 1):
-            before = windows.best.squares.cost
-            unit = max(1.0, 2 * before / self.count)  # of chi-squared, where the model is wrong
-            fall = _FALL * unit if last else max(_HALF, _SHARE * before)
-            found = minimise(windows, v, low, high, fall=fall, steps=most, longest=self._longest)
-            assert found is not None  # it was evaluated above
-            v, converged = windows.best.v, found.converged
-            if not last or (
-                self._closed(windows, fall) and before < 2 * max(windows.best.squares.cost, self.count)
-            ):
-                break
-        self._steps += windows.evaluations
-        return windows.best, "converged" if converged else f"the {most} steps over a horizon ran out"
-
-    def _closed(self, windows: Windows, fall: float) -> bool:
-        """Close the gaps; True if the cost is the one that the search ended at."""
-        begun = windows.best.squares.cost
-        for _ in range(_CLOSINGS):
-            if windows.gaps <= _CLOSED * fall:
-                break
-            windows.closed()
-        return abs(windows.best.squares.cost - begun) <= fall
-
-    def _longest(self, v: Array) -> Array:
-        size = np.where(self.coordinates.log, 1.0, np.maximum(1.0, np.abs(v)))
-        return np.asarray(_LONGEST * size * self._endless)
-
-    # ---- where it starts
-
-    def _values(self, start: Mapping[str, float] | None, warm: Refit | None) -> Array:
-        known = {**(warm.values if warm is not None else {}), **(start or {})}
-        z = np.array(
-            [known.get(name, own) for name, own in zip(self.pmap.free, self.pmap.start, strict=True)]
-        )
-        return np.clip(z.astype(float), self.pmap.lower, self.pmap.upper)
-
-    def _nodes(self, record: RecordTerm, v: Array, z: Array, initial: Any, warm: Refit | None) -> Array:
-        """The states (M, n) of a record's intervals at which the search begins, scaled."""
-        name, states = record.experiment.name, [state.name for state in self.model.states]
-        given = (initial or {}).get(name)
-        if given is not None:
-            return chained_nodes(record, v, initial_bounds(given, self.model, name, [name])[2] / record.scale)
-        measured = nodes_from_measurement(record, self.pmap.unpack(z, name))
-        before = None if warm is None else warm.records.get(name)
-        if before is not None and len(before.states) == len(measured):
-            for k, state in enumerate(warm.initial[name]):  # type: ignore[union-attr]
-                if state in states:
-                    at = states.index(state)
-                    measured[:, at] = before.states[:, k] / record.scale[at]
-            return measured
-        if isinstance(record.propagator, RungeKuttaPropagator):
-            measured = fitted_nodes(record, v, measured)
-        return measured
-
-    def _counts(self, horizons: Sequence[float | None] | None) -> list[list[int]]:
-        """Intervals of the windows of each record, for one horizon after the other."""
-        if horizons is None:
-            most, counts = max(record.plan.m for record in self.records), [2]
-            while _GROWTH * counts[-1] < most // 2:
-                counts.append(_GROWTH * counts[-1])
-            return [[min(c, r.plan.m) for r in self.records] for c in counts] + [self._whole()]
-        found = []
-        for horizon in horizons:
-            own = self._whole()
-            if horizon is not None:
-                own = [
-                    int(np.clip(round(horizon / (r.grid.step * r.plan.length)), 1, r.plan.m))
-                    for r in self.records
-                ]
-            found.append(own)
-        return found or [self._whole()]
-
-    def _whole(self) -> list[int]:
-        return [record.plan.m for record in self.records]
-
-    # ---- the answer
-
-    def _answer(self, place: Place, states: list[Array], status: str) -> Refit:
-        v, z = place.v, self.coordinates.values(place.v)
-        slope = self.coordinates.slope(v)
-        names = [state.name for state in self.model.states]
-        cost, _, _, prior = self.priors.evaluate(v)
-        initial, records = {}, {}
-        for record, own, nodes, before in zip(self.records, place.records, place.nodes, states, strict=True):
-            name = record.experiment.name
-            begun = own.moved(nodes, np.zeros(len(record.active)))[0] * record.scale
-            initial[name] = dict(zip(names, begun.tolist(), strict=True))
-            records[name] = _record(record, own.slopes, slope, before)
-        return Refit(
-            free=self.pmap.free,
-            values=dict(zip(self.pmap.free, z.tolist(), strict=True)),
-            initial=initial,
-            cost=2 * place.squares.cost,
-            prior_cost=2 * float(cost),
-            prior_information=prior / np.outer(slope, slope),
-            records=records,
-            status=status,
-            steps=self._steps,
-            fineness={record.experiment.name: fineness_of(record.propagator) for record in self.records},
-        )
-
-    def _failed(self, z: Array, status: str) -> Refit:
-        nz = len(z)
-        values = dict(zip(self.pmap.free, z.tolist(), strict=True))
-        return Refit(self.pmap.free, values, {}, np.inf, 0.0, np.zeros((nz, nz)), {}, status, self._steps)
-
-
-def _record(record: RecordTerm, slopes: Array, scale: Array, states: Array) -> RefitRecord:
-    """A record's residuals and their derivatives in order of time; slopes : as in ``Condensed`` of one window."""
-    n, nz, observation = record.n, len(scale), record.observation
-    time, residual, jacobian = {}, {}, {}
-    columns = slopes.transpose(2, 1, 0)  # (n + nz + 1, K, M)
-    for name, sample in record.grid.measured.items():
-        rows = np.zeros((len(sample.values), nz + n))
-        for k, entry in enumerate(record.active):
-            rows[:, entry] = observation.series(columns[n + k], name) / scale[entry]
-        for k in range(n):
-            rows[:, nz + k] = observation.series(columns[k], name) / record.scale[k]
-        time[name], residual[name], jacobian[name] = sample.time, observation.series(columns[-1], name), rows
-    return RefitRecord(time, residual, jacobian, states * record.scale)
-
-
-def _level(levels: Mapping[str, float], output: str) -> float:
-    found = levels.get(output)
-    if isinstance(found, (int, float, np.floating)) and 0 < found < np.inf:
-        return float(found)
-    raise EstimationError(
-        f"the noise level of {output} is not acceptable",
-        seen=repr(found),
-        allowed="a standard deviation > 0 in the unit of the output",
-        cure=f"write levels={{{output!r}: 0.1}}, for instance",
-    )
+    found = problem.run(start=start, initial=initial, warm=warm, horizons=horizons, most=most)
+    sharper = narrowed(problem, parameters, found) if corners and found.converged else {}
+    if not sharper:
+        return found
+    finer = RefitProblem(model, records, with_widths(parameters, sharper), levels=levels)
+    last = finer.run(warm=found, horizons=(None,), most=most)
+    return replace(last, widths=sharper, steps=found.steps + last.steps) if last.converged else found

@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 _SPRING = 1e-6
 # Share of the squared residuals that closing the gaps may change for the cost to count, and evaluations to come there.
 _OPEN, _CLOSINGS = 0.1, 4
+# What gaps may add to the squared residuals of a run, and evaluations to come there.
+_NOTHING, _STEPS = 1e-4, 12
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,31 @@ def condense(record: RecordTerm, point: RecordPoint, nodes: Array, count: int) -
     left, total = slopes[:, :, -1] - point.r.T, float(squares[-1, -1])
     gaps = float(np.sum(left**2)) / max(total, 1e-300)
     return Condensed(slopes, chain, -inside / size[:, :, None], starts, squares, gaps)
+
+
+def simulated(
+    records: Sequence[RecordTerm], v: Array, nodes: Sequence[Array]
+) -> tuple[list[Array], list[Array], list[RecordPoint]]:
+    """One run of each record from its first state: weighted residuals (M, K), intervals' starts (M, n) and points.
+
+    nodes : (M, n) near the run; the gaps between the intervals close step by step
+    Raises FloatingPointError where they do not.
+    """
+    residuals, starts, points = [], [], []
+    for record, at in zip(records, nodes, strict=True):
+        for _ in range(_STEPS):
+            point = record.evaluate(v, at)
+            slopes, chain = _chained(record, point, at, np.zeros(1, np.intp))
+            left = slopes[:, :, -1] - point.r.T
+            if float(np.sum(left**2)) <= _NOTHING:
+                break
+            at = at + chain[:, :, -1]
+        else:
+            raise FloatingPointError("the gaps between the intervals do not close")
+        residuals.append(slopes[:, :, -1])
+        starts.append(at)
+        points.append(point)
+    return residuals, starts, points
 
 
 def _chained(

@@ -42,10 +42,10 @@ def attach(
     wider = _with_states(wider, term)
     if takes_torque(term.port):
         wider = _with_torque(wider, term)
-    elif term.port.kind == "link":
+    elif term.port.ends:
         first, second = term.port.ends
         wider = _with_torque(wider, replace(term, port=wider.ports[first], value=-term.value))
-        wider = _with_torque(wider, replace(term, port=wider.ports[second]))
+        wider = _with_torque(wider, replace(term, port=wider.ports[second], value=term.arrives))
     elif term.port.kind == "sensor":
         wider = _with_output(wider, term)
     else:
@@ -59,12 +59,13 @@ def _with_named_states(term: Term) -> Term:
     new = ca.vertcat(ca.SX(0, 1), *[ca.SX.sym(state.name) for state in term.states])
     if not term.states:
         return term
-    value, *rates = (
-        ca.substitute(column, old, new) for column in (term.value, *[state.rate for state in term.states])
+    value, arrives, *rates = (
+        ca.substitute(column, old, new)
+        for column in (term.value, term.arrives, *[state.rate for state in term.states])
     )
     named = zip(term.states, ca.vertsplit(new), rates, strict=True)
     states = tuple(replace(state, symbol=symbol, rate=rate) for state, symbol, rate in named)
-    return replace(term, value=value, states=states)
+    return replace(term, value=value, arrives=arrives, states=states)
 
 
 def _with_states(model: Model, term: Term) -> Model:

@@ -134,7 +134,7 @@ class Blueprint:
         """Declare a port; returns its slot symbol to be put into the ode, or None if it takes none.
 
         kind : inertia, coupling, cylinder or internal; those of input, sensor and parameter are made by `model()`,
-            and links between inertias, ``a_and_b``
+            and links and pipes between inertias, ``a_and_b``
         signals : name -> expression, what is known there. An effect can act where the signals are that its law reads:
             ``speed`` of an inertia, ``twist``, ``twist_rate`` and ``stiffness`` of a coupling serve those of the
             library, which ``print(ce.effects.table())`` lists one by one.

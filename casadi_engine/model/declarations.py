@@ -102,14 +102,15 @@ class Port:
     """A place of a model where something can be attached.
 
     name : identifier, unique in the model
-    kind : one of inertia, coupling, cylinder, internal, input, sensor, parameter, link
+    kind : one of inertia, coupling, cylinder, internal, input, sensor, parameter, link, pipe
     description : one clause for tables
     signals : the quantities known there, as scalar SX expressions of the model's symbols
     slot : scalar SX, the torque [N m] that a law may add there, or None; a force [N] on what moves in metres.
         Positive accelerates an inertia or the crank (kinds inertia, cylinder, internal); at a coupling it acts on the
         first side, and its opposite on the other.
     unit : of the slot
-    ends : names of the two ports that a link joins; what an effect adds there leaves the first and enters the second
+    ends : names of the two ports that a link or pipe joins; what an effect adds there leaves the first and enters the
+        second
     """
 
     name: str
@@ -128,12 +129,12 @@ class Port:
                 allowed=near_matches(self.kind, PORT_KINDS),
                 cure="choose the kind by what is attached there",
             )
-        if self.kind == "link" and len(self.ends) != 2:
+        if self.kind in ("link", "pipe") and len(self.ends) != 2:
             raise ModelError(
-                f"the port {self.name} is a link without ends",
+                f"the port {self.name} is a {self.kind} without ends",
                 seen=f"ends = {self.ends!r}",
-                allowed="links that the model makes of its inertias by itself",
-                cure="declare both inertias; their link is called a_and_b",
+                allowed="links and pipes that the model makes of its inertias by itself",
+                cure="declare both inertias; what joins them is called a_and_b",
             )
         object.__setattr__(self, "signals", MappingProxyType(dict(self.signals)))
 
@@ -182,8 +183,9 @@ class Ports(Sequence[Port]):
     @cached_property
     def links(self) -> tuple[Port, ...]:
         """A link ``a_and_b`` for every two inertias whose slots have the same known unit and that have a signal of one
-        name; its signal ``difference`` is that of the first such signal, a's less b's.
+        name; a pipe, where that unit is neither of a torque nor of a force.
 
+        Its signals ``first`` and ``second`` are the first such signal of a and of b, ``difference`` is a's less b's.
         Links are found by name, ``ports["a_and_b"]``, and are not listed among the ports.
         """
         able = [port for port in self.with_slot if port.kind == "inertia" and port.unit != "-"]
@@ -192,10 +194,12 @@ class Ports(Sequence[Port]):
         for a, b in pairs:
             shared = [name for name in a.signals if name in b.signals and name != "angle"]
             if shared:
-                difference = {"difference": a.signals[shared[0]] - b.signals[shared[0]]}
+                first, second = a.signals[shared[0]], b.signals[shared[0]]
+                signals = {"difference": first - second, "first": first, "second": second}
                 words = f"{shared[0]} of {a.name} less that of {b.name}"
                 ends = (a.name, b.name)
-                found.append(Port("_and_".join(ends), "link", words, difference, None, a.unit, ends))
+                kind = "link" if a.unit in ("N m", "N") else "pipe"
+                found.append(Port("_and_".join(ends), kind, words, signals, None, a.unit, ends))
         return tuple(found)
 
     @overload

@@ -29,6 +29,7 @@ _MAY_USE: Mapping[str, tuple[str, ...]] = {
     "coupling": ("x", "u", "d", "t", "p"),
     "cylinder": ("x", "u", "d", "t", "p"),
     "link": ("x", "u", "d", "t", "p"),
+    "pipe": ("x", "u", "d", "t", "p"),
     "input": ("u", "t", "p"),
     "sensor": ("x", "u", "d", "w", "t", "p"),
     "parameter": ("t", "p"),
@@ -53,7 +54,8 @@ class OwnState:
     rate: Any
 
 
-def read_law(effect: Any, port: Port, view: PortView, law: Any) -> tuple[Any, tuple[OwnState, ...]]:
+def read_law(effect: Any, port: Port, view: PortView, law: Any) -> tuple[Any, tuple[OwnState, ...], Any]:
+    """Value and own states of what a law returned, and at a link what arrives at its second end."""
     given = law if isinstance(law, Law) else Law(law)
     if not isinstance(given.states, Mapping) or not all(map(_is_state, given.states.values())):
         raise EffectError(
@@ -79,7 +81,10 @@ def read_law(effect: Any, port: Port, view: PortView, law: Any) -> tuple[Any, tu
                 _scalar(f"the rate of {name} of {effect.name}", rate),
             )
         )
-    return _scalar(f"the law of {effect.name} at {port.name}", given.value), tuple(states)
+    what = f"the law of {effect.name} at {port.name}"
+    value = _scalar(what, given.value)
+    arrives = value if given.arrives is None else _scalar(f"what arrives by {what}", given.arrives)
+    return value, tuple(states), arrives
 
 
 def _is_state(pair: Any) -> bool:
@@ -127,7 +132,9 @@ def check_symbols(model: Model, terms: Sequence[Term]) -> None:
     own = [s for term in terms for s in (*term.symbols, *(state.symbol for state in term.states))]
     fine = {s.element_hash() for s in own}
     used = [
-        expression for term in terms for expression in (term.value, *(state.rate for state in term.states))
+        expression
+        for term in terms
+        for expression in (term.value, term.arrives, *(state.rate for state in term.states))
     ]
     for symbol in ca.symvar(ca.vertcat(*used)):
         key = symbol.element_hash()
@@ -144,7 +151,7 @@ def check_symbols(model: Model, terms: Sequence[Term]) -> None:
 
 def check_null(terms: Sequence[Term]) -> None:
     """The laws of terms of one effect at one port must vanish at amplitude 0: tried at a few points."""
-    values = ca.vertcat(*[term.value for term in terms])
+    values = ca.vertcat(*[ca.vertcat(term.value, term.arrives) for term in terms])
     amplitudes = {term.amplitude.element_hash(): term.amplitude for term in terms}
     others = [s for s in ca.symvar(values) if s.element_hash() not in amplitudes]
     function = ca.Function("law", [ca.vertcat(*amplitudes.values()), ca.vertcat(*others)], [values])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -44,9 +44,19 @@ class PortView:
     name, kind : of the port        time : SX symbol [s]
     courses : what gives the values (N,) of an SX scalar along the model's simulation of each record, if there is one
     effect : name of the effect that looks at it, for messages and for its states
+    free : names of the parameters that are estimated
     """
 
-    def __init__(self, model: Model, port: Port, courses: Courses | None = None, *, effect: str = ""):
+    def __init__(
+        self,
+        model: Model,
+        port: Port,
+        courses: Courses | None = None,
+        *,
+        effect: str = "",
+        free: Collection[str] = (),
+    ):
+        self._free = free
         self.name, self.kind, self.time = port.name, port.kind, model.t
         self._model, self._port, self._courses, self._effect = model, port, courses, effect
         self.states: dict[str, Any] = {}
@@ -93,6 +103,33 @@ class PortView:
         function = ca.Function("number", [ca.vertcat(*symbols)], [expression])
         return float(function([values[symbol.name()] for symbol in symbols]))
 
+    @property
+    def has_courses(self) -> bool:
+        """True if there is a simulation of the records to look at."""
+        return self._courses is not None
+
+    @property
+    def has_free_constant(self) -> bool:
+        """True if a parameter that is estimated acts as a constant torque in the port's slot does, and nowhere else."""
+        return any(_is_constant(self._model, self._port, name) for name in self._free)
+
+    def response(self, signal: str, values: Mapping[str, float]) -> float:
+        """How fast a signal changes per unit of what is added in the port's slot, or the ends' slots of a pipe: the
+        largest, at these values by name and at the scales of the states.
+
+        >>> from casadi_engine import one_inertia
+        >>> port_view(one_inertia(), "engine").response("speed", {"J_eng": 0.5, "C_eng": 0.1})
+        2.0
+        """
+        model, slots = self._model, [self._model.ports[name].slot for name in self._port.ends or (self.name,)]
+        rate = ca.jtimes(getattr(self, signal), model.x, model.ode)
+        slope = ca.jacobian(rate, ca.vertcat(*slots))
+        x = [variable.scale for variable in model.states]
+        known = [model.x, model.d, model.w, model.t, model.p]
+        p = [values[name] for name in model.parameter_names]
+        found = ca.Function("response", known, [slope])(x, 0, 0, 0.0, p)
+        return float(np.abs(np.array(found)).max())
+
     def courses(self, signal: str) -> tuple[NDArray[np.float64], ...]:
         """The signal along the simulation of each record, (N,) at its samples; empty where nothing was simulated."""
         return () if self._courses is None else tuple(self._courses(getattr(self, signal)))
@@ -110,6 +147,25 @@ class PortView:
                 found = float(np.linalg.norm(np.array(ca.DM(ca.densify(slope))).ravel() * scales))
                 return found if found > 0 else 1.0
         return 1.0
+
+
+def _is_constant(model: Model, port: Port, name: str) -> bool:
+    """True if a parameter's slope of all equations is that of the port's slot times a constant other than 0."""
+    if port.slot is None or name not in model.parameter_names:
+        return False
+    symbol = model.p[model.parameter_names.index(name)]
+    slot = ca.jacobian(ca.vertcat(model.ode, model.output_expressions), port.slot)
+    both = ca.vertcat(model.closed_ode, model.closed_outputs)
+    unknown = [model.x, model.u, model.d, model.w, model.t]
+    values = ca.vertcat(*[one.value for one in model.declarations])
+    function = ca.Function("slopes", [*unknown, model.p], [slot, ca.jacobian(both, symbol)])
+    rng = np.random.default_rng(0)
+    points = [function(*(rng.uniform(0.5, 1.5, one.numel()) for one in unknown), values) for _ in range(3)]
+    unit, own = (np.concatenate([np.array(point[k]).ravel() for point in points]) for k in range(2))
+    if not (np.isfinite(own).all() and np.isfinite(unit).all() and unit.any() and own.any()):
+        return False
+    ratio = float(own @ unit) / float(unit @ unit)
+    return bool(np.abs(own - ratio * unit).max() < 1e-9 * np.abs(own).max())
 
 
 class TrialView(PortView):

@@ -29,6 +29,7 @@ class Term:
 
     value : SX scalar in the model's symbols, the parameters' and the own states'
     declarations, symbols : of the effect's parameters, the amplitude first, the width of its corners last
+    arrives : as `value`, what enters the second end of a link
     constants : whole numbers        width : name of the width among the parameters, "" without one
     """
 
@@ -40,6 +41,7 @@ class Term:
     symbols: tuple[Any, ...]
     constants: Mapping[str, float]
     sharp: bool
+    arrives: Any
     width: str = ""
 
     @property
@@ -129,7 +131,7 @@ def check_side(model: Model, port: Port) -> None:
 
 def ports_of_kind(model: Model, effect: Any) -> tuple[Port, ...]:
     """The ports of the kinds that an effect attaches to, in model order; last the links that no coupling joins."""
-    links = model.ports.links if "link" in effect.attaches else ()
+    links = [link for link in model.ports.links if link.kind in effect.attaches]
     listed = (port for port in model.ports if port.kind in effect.attaches)
     return (*listed, *(link for link in links if not _joined(model, link)))
 
@@ -260,16 +262,16 @@ def _law_read(model: Model, effect: Any, port: Port, given: Mapping[str, float],
             cure="correct the method law of the effect",
         ) from fault
     view.check()
-    value, states = read_law(effect, port, view, law)
+    value, states, arrives = read_law(effect, port, view, law)
     name = ""
-    if view.corner is not None and _uses(view.corner[0], value, states):
+    if view.corner is not None and _uses(view.corner[0], ca.vertcat(value, arrives), states):
         symbol, default, unit = view.corner
         name = symbol.name()
         declarations, symbols = (
             (*declarations, _width(name, default, port.in_its_unit(unit))),
             (*symbols, symbol),
         )
-    return Term(effect, port, value, states, declarations, symbols, constants, sharp, name)
+    return Term(effect, port, value, states, declarations, symbols, constants, sharp, arrives, name)
 
 
 def _tried_values(effect: Any) -> dict[str, float]:

@@ -10,6 +10,7 @@ effect's own state with a nonlinear rate) keeps its linear part in the core and 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -33,6 +34,7 @@ class Split:
     laws: ca.SX
 
 
+@lru_cache(maxsize=64)
 def split(model: Model) -> Split | None:
     """The split of a model, or None for a model without a useful linear core."""
     model = _timed_drives_as_laws(model)

@@ -17,6 +17,8 @@ from casadi_engine.simulation.jets import Array
 
 # Rows of matrices up to which products of many of them are formed entry by entry.
 _FEW = 4
+# A norm that bounds the eigenvalues closely enough, and of how many matrices these are found where norms are larger.
+_SMALL, _WORST = 0.2, 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +116,18 @@ def products(a: Array, b: Array) -> Array:
         for j in range(1, n):
             found[i] += left[i, j] * right[j]
     return np.moveaxis(found, (0, 1), (-2, -1))
+
+
+def growth(by_x: Array) -> float:
+    """The largest |eigenvalue| of h df/dx at the steps' starts (..., n, n), from those with the largest norms; where
+    all norms are small the largest of these."""
+    norms = np.abs(by_x).sum(axis=-1).max(axis=-1).ravel()
+    norms = np.where(np.isfinite(norms), norms, 0.0)
+    largest = float(norms.max(initial=0.0))
+    if largest <= _SMALL:
+        return largest
+    worst = np.argsort(norms)[-_WORST:]
+    return float(np.abs(np.linalg.eigvals(by_x.reshape(-1, *by_x.shape[-2:])[worst])).max())
 
 
 def _empty_like(by_x: Array, wide: int) -> Array:

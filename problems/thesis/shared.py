@@ -61,6 +61,38 @@ BURN = {"p_im": (0.6e5, "Pa", 1e4, 2e5), "p_em": (1e5, "Pa", 5e4, 2e5), "k_c": (
 
 
 @dataclass(frozen=True)
+class Road:
+    """A load [N m] shaken below about 10 Hz, with a half sine of 30 ms at a time [s]."""
+
+    mean: float = 57.0
+    rough: float = 0.0
+    jolt: float = 0.0
+    at: float = 0.0
+
+    def __call__(self, seconds):
+        hz = np.linspace(0.2, 40, 40)
+        size, phase = 1 / np.sqrt(1 + (hz / 10) ** 2), 100 * np.sin(hz * self.mean)
+        shaken = np.sqrt(2 / np.sum(size**2)) * np.sum(size * np.sin(2 * np.pi * hz * seconds + phase))
+        inside = 0 < seconds - self.at < 0.03
+        return (
+            self.mean + self.rough * shaken + self.jolt * inside * np.sin(np.pi * (seconds - self.at) / 0.03)
+        )
+
+
+@dataclass(frozen=True)
+class Switched:
+    """A load [N m] at the engine from one time to another [s]; a dynamometer that holds the speed [RPM]."""
+
+    torque: float
+    on: float
+    off: float
+    rpm: float = 1200.0
+
+    def __call__(self, seconds, state):
+        return np.array([-self.torque * (self.on <= seconds < self.off), self.rpm * np.pi / 30 - state[2]])
+
+
+@dataclass(frozen=True)
 class Line:
     """One result of the thesis beside ours; ``holds`` says whether our numbers bear the conclusion out."""
 

@@ -7,11 +7,16 @@ the road shakes the load, and loads are switched at the engine.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.linalg import expm
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "data"))
+
 from simulator import simulate
 from simulator.engine import TDC, Engine
 from simulator.geometry import CYCLE, cylinder_torque
@@ -20,13 +25,12 @@ from simulator.run import Plant, warm_up
 from simulator.shaft import Shaft, two_mass_shaft
 
 CELLS = 7200
-RETURN = 2.0  # s, in which the governor brings back the speed
 FILTER = 0.1  # s, in which the governor sees speed and loads at the engine
 
 
 @dataclass(frozen=True)
 class Shaking:
-    """Torques that are not combustion [N m]: rough road (rms, corner [Hz]) and impulses on the load, steps at the engine.
+    """Torques that are not combustion [N m]: rough road (rms, corner [Hz]) and jolts on the load, steps at the engine.
 
     impulse, impulse_rate : largest height of half sines of 30 ms, and how many come in a second
     step, step_rate : a load of this size at the engine, and how often in a second it is switched on or off
@@ -70,23 +74,27 @@ def simulate_long(
     sigma: float = 0.1,
     scatter: float = 0.02,
     shaking: Shaking | None = None,
-    governed: bool = True,
+    governor: float | None = 2.0,
     cylinders: Cylinders | None = None,
     sweep: Callable[[float], float] | None = None,
     seconds: float | None = None,
 ):
     """theta and omega (records, N) of an engine whose combustions `lost` (records, 4, cycles + 2) do not burn.
 
+    governor : seconds in which it brings back the speed, None for none
     sweep : the governed speed as a function of time [RPM]; seconds : length of the records, left out that of the cycles
     """
-    shaft, people = two_mass_shaft() if shaft is None else shaft, unequal_cylinders() if cylinders is None else cylinders
+    shaft, people = (
+        two_mass_shaft() if shaft is None else shaft,
+        unequal_cylinders() if cylinders is None else cylinders,
+    )
     shaking = Shaking() if shaking is None else shaking
     random = np.random.default_rng(seed)
     records, _, events = lost.shape
     factors = people.strength[:, None] * (1 + scatter * random.standard_normal(lost.shape)) * ~lost
     one = Engine(people, np.ones((4, 3)) * people.strength[:, None])
     engine, state = warm_up(Plant(shaft, one, lambda _t: load), rpm * np.pi / 30)
-    strength = engine.strength / (1 - lost.mean(axis=(1, 2)) if governed else 1.0)
+    strength = engine.strength / (1 - lost.mean(axis=(1, 2)) if governor else 1.0)
     h, n = 1 / rate, shaft.size
     count = round(rate * ((events - 2) * 120 / rpm if seconds is None else seconds))
     outside = shaking.torques(count, h, records, random)
@@ -111,8 +119,13 @@ def simulate_long(
         number = np.clip(event_number(at - TDC[:, None]).astype(int), 0, events - 1) if k % 8 == 0 else event
         fresh = number != event
         if fresh.any():
-            target, later = (state[1], state[1]) if sweep is None else np.pi / 30 * np.array([sweep(k * h), sweep(k * h + 1)])
-            more = (asked + shaft.inertia.sum() * ((target - slow) / RETURN + later - target)) * governed
+            target, later = (
+                (state[1], state[1])
+                if sweep is None
+                else np.pi / 30 * np.array([sweep(k * h), sweep(k * h + 1)])
+            )
+            back = (target - slow) / governor if governor else 0.0
+            more = (asked + shaft.inertia.sum() * (back + later - target)) * bool(governor)
             more += shaft.absolute_damping.sum() * (target - state[1])
             now = strength * np.clip(1 + more / (usual - motored), 0.1, 3.0)
             drawn = factors[every, np.arange(4)[:, None], number]

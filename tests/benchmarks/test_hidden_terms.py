@@ -1,7 +1,9 @@
 """The benchmark of hidden terms: its simulator against closed forms, its tasks well formed, its judge."""
 
 import itertools
+import sys
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +13,11 @@ from hidden_terms import run
 from hidden_terms.judge import judged
 from hidden_terms.kind import NULLS, TASKS, Manoeuvre, load_kinds, nulls_of, tasks_of, true_values
 from hidden_terms.records import case_of, noisy, with_terms
+from hidden_terms.rivals import answer, by_bic, refit_all, run_rival, table
 from hidden_terms.simulator import Dry, simulate
 from hidden_terms.tables import tables
+
+import casadi_engine as ce
 
 KINDS = load_kinds(sealed=True)
 TIME = 0.01 * np.arange(301)
@@ -262,3 +267,48 @@ def test_a_table_counts_probabilities_and_amplitudes():
     text = tables([row], "0")
     assert "| 0.6 to 0.8 | 1 | 0.70 | 1.00 |" in text
     assert "| drag | 1 | 1 | 1.00 |" in text
+
+
+# ---- rivals
+
+
+@pytest.fixture(scope="module")
+def dragged():
+    """A pendulum with drag that nobody can miss, 30 dB."""
+    kind = KINDS["pendulum"]
+    task = task_with(DRAG)
+    return kind, task, case_of(kind, task)
+
+
+def test_stepwise_regression_names_a_clear_term(dragged):
+    kind, task, case = dragged
+    row = run_rival("stepwise", kind, task, case)
+    assert row["outcome"] in ("right", "in class")
+    assert DRAG in row["names"][0]
+
+
+def test_sindy_is_left_out_with_a_reason_where_it_is_not_installed(dragged, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pysindy", None)
+    assert run_rival("sindy residual", *dragged)["outcome"].startswith("skipped: ")
+
+
+def test_refits_keep_the_candidate_that_is_best_by_bic(dragged):
+    kind, task, case = dragged
+    offered = replace(case, effects=[ce.effects.QuadraticDrag(), ce.effects.ConstantTorque()])
+    classes = refit_all(offered)
+    assert classes[0] == [DRAG]
+    assert judged(kind, task, answer(classes[:1])) == "right"
+
+
+def test_a_class_holds_what_is_within_six_of_the_best():
+    assert by_bic({"a": 10.0, "b": 4.5, "c": 5.0}) == ["b", "c", "a"]
+    assert by_bic({"a": 11.0, "b": 4.5}) == ["b"]
+
+
+def test_the_table_of_rivals_counts_tasks_and_false_alarms():
+    rows = [
+        {"rival": "stepwise", "null": False, "outcome": "right", "seconds": 1.0},
+        {"rival": "stepwise", "null": False, "outcome": "crashed: of no use", "seconds": 1.0},
+        {"rival": "stepwise", "null": True, "outcome": "false alarm", "seconds": 1.0},
+    ]
+    assert "| stepwise | 2 | 1 | 1 | 1 of 1 | 1.0 |" in table(rows)

@@ -28,6 +28,7 @@ ORDER = (
     "engine_orders",
     "friction_map",
     "friction_law",
+    "misfire_detector",
     "pressure_model",
     "speed_alone",
     "dampers",

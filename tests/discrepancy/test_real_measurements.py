@@ -61,9 +61,8 @@ def test_dry_friction_is_what_the_servo_drive_lacks(drive):
     screened = screen(null, colour=False)
     best = best_of_each(screened)
     z = screened.scores.z
-    # friction that fades far above the speeds there are is dry friction, and friction that differs by direction is dry
-    # friction and the offset, which the model has: one class
-    assert set(list(best)[:3]) == {"asymmetric_friction", "coulomb_friction", "stribeck_friction"}
+    # friction that fades far above the speeds there are is dry friction: one class
+    assert set(list(best)[:2]) == {"coulomb_friction", "stribeck_friction"}
     dry, lead = best["coulomb_friction"], next(iter(best.values()))
     assert z[dry] > 0.99 * z[lead]
     assert screened.scores.correlation[dry, lead] > 0.99

@@ -292,6 +292,13 @@ def test_a_search_without_ports_to_act_at_claims_no_physics(make):
     assert asked.verdict == "named"
 
 
+class Idle(ce.effects.ViscousFriction):
+    name = "idle_friction"
+
+    def idle(self, port):
+        return 1 / len(port.courses("speed"))
+
+
 class Hooked(ce.effects.ViscousFriction):
     name = "hooked"
     wrong = "oil"
@@ -307,6 +314,8 @@ def test_other_methods_of_an_effect_that_fail_are_named():
     assert skipped == [NotApplicable("hooked", "body", ("oil",), ("speed",), "the port has no oil")]
     with pytest.raises(EffectError, match="hooked cannot act at the port body, which has no signal oil"):
         ce.effects.candidates(model, [Hooked()], data)
+    with pytest.raises(EffectError, match=r"a method of idle_friction fails at body.*allowed: idle, fitted"):
+        ce.effects.candidates(model, [Idle()], data)
     broken = Hooked()
     broken.wrong = "division"
     with pytest.raises(EffectError, match="a method of hooked fails at body; seen: ZeroDivisionError"):

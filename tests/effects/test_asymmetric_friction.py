@@ -21,11 +21,13 @@ def record(seed=0, way=force):
     return ce.Experiment.from_arrays("run", time=TIME, units=units, F=way(TIME), speed=noisy)
 
 
-def cart():
+def cart(pull=None):
+    """pull : whether a steady force that the model knows is estimated; None without one."""
     b = ce.Blueprint("cart")
+    steady = 0.0 if pull is None else b.parameter("pull", 0.1, unit="N", vary=pull)
     m, c = b.parameter("m", 1.2, unit="kg", min=1e-3), b.parameter("c", 0.3, unit="N s/m", min=0)
     v, push = b.state("v", unit="m/s"), b.input("F", unit="N")
-    b.ode("v", (push + b.port("body", "inertia", {"speed": v}) - c * v) / m)
+    b.ode("v", (push - 2 * steady + b.port("body", "inertia", {"speed": v}) - c * v) / m)
     b.output("speed", v, unit="m/s")
     return b.model()
 
@@ -78,6 +80,15 @@ def test_it_is_not_looked_for_where_the_motion_has_one_direction():
     assert [one.values["asymmetry"] for one in both] == pytest.approx([-1, -0.6, -0.2, 0.2, 0.6, 1])
     skipped = []
     assert candidates(cart(), [AsymmetricFriction()], record(), courses=motion(-1), skipped=skipped) == ()
-    assert str(skipped[0]) == (
-        "asymmetric_friction at body: no value of asymmetry is within reach of the motion on the records"
-    )
+    assert str(skipped[0]) == ("asymmetric_friction at body: the records move in one direction alone")
+
+
+def test_it_is_not_looked_for_beside_a_constant_torque_that_is_estimated():
+    skipped = []
+    assert candidates(cart(pull=True), [AsymmetricFriction()], record(), skipped=skipped) == ()
+    assert [one.why for one in skipped] == ["a constant torque there is estimated already"]
+    assert len(candidates(cart(pull=False), [AsymmetricFriction()], record())) == 6
+    there = cart().with_effect(ce.effects.ConstantTorque(), at="body")
+    assert candidates(there, [AsymmetricFriction()], record()) == ()
+    assert len(candidates(there, [AsymmetricFriction()], record(), free=("m", "c", "gone"))) == 6
+    assert len(candidates(ce.two_mass(), [AsymmetricFriction()], record())) == 12

@@ -283,6 +283,7 @@ def test_the_library_by_name():
         "constant_torque",
         "cubic_stiffness", "backlash", "misfire", "cylinder_imbalance", "load_step", "sensor_offset", "sensor_delay",
         "transfer",
+        "overflow",
         "wrong_value",
     ]  # fmt: skip
     assert [e.name for e in effects.library("misfire", "backlash")] == ["misfire", "backlash"]

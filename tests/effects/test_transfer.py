@@ -6,7 +6,7 @@ from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.discrepancy import screen
-from casadi_engine.effects import Transfer, candidates, ports_for
+from casadi_engine.effects import Overflow, Transfer, candidates, port_view, ports_for
 from casadi_engine.errors import EffectError, ModelError
 
 TIME = 2.0 * np.arange(300)
@@ -77,7 +77,7 @@ def test_what_leaves_one_enters_the_other():
 
 def test_a_torque_of_channels_alone_leaves_and_enters_too():
     class Bypass(ce.Effect):
-        name, attaches, amplitude = "bypass", ("link",), ce.effects.Amplitude("flow", unit="m3/s")
+        name, attaches, amplitude = "bypass", ("pipe",), ce.effects.Amplitude("flow", unit="m3/s")
 
         def law(self, port, p, math):
             return p.flow * math.sin(port.time)
@@ -98,9 +98,91 @@ def test_only_ports_of_one_unit_are_joined():
         tanks().ports["tank_1_and_tank_3"]
 
 
+def spilled(edge=1.1, rate=0.05, share=0.6, seed=0):
+    """Two tanks in series by SciPy; the first runs over its edge, and a share of that falls into the second."""
+
+    def flow(t, h):
+        over = rate * max(h[0] - edge, 0.0)
+        return [(inflow(t) - 2e-3 * h[0] - over) / 0.5, (2e-3 * h[0] - 4e-3 * h[1] + share * over) / 1.0]
+
+    run = solve_ivp(flow, (0, TIME[-1]), [0.8, 0.4], t_eval=TIME, rtol=1e-9, atol=1e-12, max_step=1.0)
+    noise = 2e-3 * np.random.default_rng(seed).standard_normal(run.y.shape)
+    units = {"feed": "m3/s", "level_1": "m", "level_2": "m"}
+    levels = dict(zip(("level_1", "level_2"), run.y + noise, strict=True))
+    return ce.Experiment.from_arrays("run", time=TIME, units=units, feed=inflow(TIME), **levels)
+
+
+def series():
+    b = ce.Blueprint("series")
+    first, second = (b.parameter(f"k_{k}", 3e-3, unit="m2/s", min=1e-4, max=0.1) for k in (1, 2))
+    upper, lower = b.state("h_1", unit="m"), b.state("h_2", unit="m")
+    into = [b.port(f"tank_{k}", "inertia", {"level": h}, unit="m3/s") for k, h in ((1, upper), (2, lower))]
+    b.ode("h_1", (b.input("feed", unit="m3/s") - first * upper + into[0]) / 0.5)
+    b.ode("h_2", first * upper - second * lower + into[1])
+    b.output("level_1", upper, unit="m")
+    b.output("level_2", lower, unit="m")
+    return b.model()
+
+
+def test_an_overflow_is_found_with_its_edge_and_the_share_that_arrives():
+    start = {"edge": 1.0, "share": 0.5, "source": 1, "rate": 0.02}
+    model = series().with_effect(Overflow(span=(0.3, 1.5)), at="tank_1_and_tank_2", values=start)
+    fit = ce.estimate(model, spilled(), noise=NOISE, progress=False)
+    assert fit.converged
+    truths = {"edge": 1.1, "rate": 0.05, "share": 0.6}
+    for name, truth in {f"tank_1_and_tank_2.overflow.{k}": v for k, v in truths.items()}.items():
+        found = fit.estimates[name]
+        assert abs(found.value - truth) < 3 * found.stderr, name
+        assert found.stderr < 0.1 * truth
+
+
+def test_the_candidates_of_an_overflow_lie_within_the_levels():
+    def levels(signal):
+        return [np.linspace(0.2, 1.2, 101) if "h_1" in str(signal) else np.linspace(0.1, 0.3, 101)]
+
+    found = candidates(series(), [Overflow()], spilled(), courses=levels)
+    values = [dict(one.values) for one in found]
+    assert len(values) == 2 * 4 * 3
+    assert {one["edge"] for one in values if one["source"] == 1} == {0.7, 0.9, 1.05, 1.15}
+    assert {one["edge"] for one in values if one["source"] == 2} == {0.2, 0.24, 0.27, 0.29}
+    assert {one["share"] for one in values} == {0.0, 0.5, 1.0}
+    assert found[0].effect.span == (0.1, 1.2)
+    x, rest = [1.45, 0.2], ([0.0], [0.0], 0.0, series().parameter_vector())
+    for one in found:
+        edge, share, source = (one.values[name] for name in ("edge", "share", "source"))
+        over = max((x[0] if source == 1 else x[1]) - edge, 0.0)
+        expected = (-over, share * over) if source == 1 else (share * over, -over)
+        assert one.function(x, *rest)[0].full().ravel() == pytest.approx(expected, abs=3e-3)
+    view = port_view(series(), "tank_1_and_tank_2")
+    values = dict(zip(series().parameter_names, series().parameter_vector(), strict=True))
+    fitted = Overflow().fitted(view, spilled(), values)
+    assert fitted == Overflow(most=1.0)  # samples of 2 s, and 2 m/s per m3/s in the smaller tank
+    assert fitted.amplitude.max == 1.0
+    assert Overflow(span=(0.2, 1.0), most=0.5).fitted(view, spilled(), values) == Overflow((0.2, 1.0), 0.5)
+    assert len(candidates(series(), [Overflow()], spilled())) == 24
+
+
+def test_shafts_do_not_run_over():
+    assert ports_for(ce.crankshaft(), Overflow()) == ()
+    assert [port.kind for port in ports_for(series(), Overflow())] == ["pipe"]
+
+
+def test_what_arrives_is_a_scalar():
+    class Spray(ce.Effect):
+        name, attaches, amplitude = "spray", ("pipe",), ce.effects.Amplitude("flow", unit="m3/s")
+
+        def law(self, port, p, math):
+            return ce.effects.Law(p.flow, arrives="half")
+
+    with pytest.raises(
+        EffectError, match="what arrives by the law of spray at tank_1_and_tank_2 is not a scalar"
+    ):
+        series().with_effect(Spray(), at="tank_1_and_tank_2")
+
+
 def test_links_are_not_declared_by_hand():
     with pytest.raises(
-        ModelError, match=r"the port hose is a link without ends.*their link is called a_and_b"
+        ModelError, match=r"the port hose is a link without ends.*what joins them is called a_and_b"
     ):
         ce.Blueprint("tanks").port("hose", "link")
 

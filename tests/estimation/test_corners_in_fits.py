@@ -5,13 +5,16 @@ sticks at 0 while the torque is below Tf.
 """
 
 import re
+from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
-from casadi_engine.estimation.corner_widths import FELT, cost_along, paths_of
+from casadi_engine.estimation.corner_widths import FELT, Motion, cost_along, follow_motion, paths_of
+from casadi_engine.estimation.integration import SHIFT
 
 J, TF = 0.1, 2.0
 TORQUE, WIDTH = "axis.coulomb_friction.torque", "axis.coulomb_friction.width"
@@ -161,3 +164,52 @@ def test_the_law_as_it_is_holds_the_shaft_and_has_no_bias(rate):
     time = fit.data[0]["speed"].time
     resting = (time > 0.05) & (time < 0.95)
     assert np.abs(fit.traces["run"]["speed"].simulated[resting]).max() < 1e-9
+
+
+@pytest.fixture(scope="module")
+def swung():
+    """A pendulum with friction, and a fit of a short decay by steps that are short where the corner is passed."""
+    b = ce.Blueprint("pendulum")
+    stiff, q, w = (
+        b.parameter("w2", 41.0, min=1),
+        b.state("q", unit="rad"),
+        b.state("w", unit="rad/s", scale=5),
+    )
+    slot = b.port("axis", "inertia", {"speed": w, "angle": q})
+    b.ode("q", w)
+    b.ode("w", slot - stiff * ca.sin(q))
+    b.output("y", q, unit="rad")
+    model = b.model().with_effect(ce.effects.CoulombFriction(), at="axis", values={"torque": 0.6})
+    pars = model.parameters()
+    pars[WIDTH].set(0.005, min=0.005)
+    time = np.arange(300) * 0.01
+    blank = ce.Experiment.from_arrays("swing", time=time, units={"y": "rad"}, y=np.zeros(300))
+    run = ce.simulate(model, blank, parameters=pars, initial={"q": 1.0, "w": 0.0})["y"].values
+    data = ce.Experiment.from_arrays("swing", time=time, units={"y": "rad"}, y=run)
+    pars[WIDTH].set(0.2)
+    return model, ce.estimate(model, data, parameters=pars, noise=ce.Noise(y=1e-3), progress=False)
+
+
+def test_intervals_side_by_side_simulate_other_widths_as_one_run_does(swung):
+    _, fit = swung
+    motion = Motion(fit, {WIDTH: 0.2})
+    assert not motion.whole
+    costs = [motion.cost({WIDTH: width}) for width in (0.01, 0.05, 0.2, 0.4)]
+    whole = [cost_along(fit, paths_of(fit, moved={WIDTH: width})) for width in (0.01, 0.05, 0.2, 0.4)]
+    # steps are as short as 0.02 standard errors ask for
+    assert (np.abs(np.subtract(costs, whole)) < 0.01 + 2 * SHIFT * np.sqrt(whole)).all()
+    assert abs(costs[0] - costs[2]) > FELT
+    (own,), (one,) = motion.paths(), paths_of(fit)
+    np.testing.assert_allclose(own.x[0], np.interp(own.grid.time, one.grid.time, one.x[0]), atol=1e-4)
+
+
+def test_a_fit_whose_motion_cannot_be_simulated_stays(swung, monkeypatch):
+    model, fit = swung
+
+    def fails(self):
+        raise FloatingPointError("not finite")
+
+    pars = model.parameters()
+    fit = replace(fit, parameters=pars)
+    monkeypatch.setattr(Motion, "paths", fails)
+    assert follow_motion(fit, pars, lambda *_: pytest.fail("a refit")) is fit

@@ -11,11 +11,11 @@ from casadi_engine.estimation.refit_entry import RefitProblem, refit
 LEVEL = 0.002
 
 
-def pendulum():
+def pendulum(scale=5):
     b = ce.Blueprint("pendulum")
     stiff = b.parameter("w2", 40.0, unit="rad2/s2", min=1, max=200)
     damping = b.parameter("c", 0.05, unit="1/s", min=0, max=5)
-    angle, rate = b.state("angle", unit="rad"), b.state("rate", unit="rad/s", scale=5)
+    angle, rate = b.state("angle", unit="rad"), b.state("rate", unit="rad/s", scale=scale)
     pivot = b.port("pivot", "inertia", {"speed": rate, "angle": angle})
     b.ode("angle", rate)
     b.ode("rate", pivot - damping * rate - stiff * ca.sin(angle))
@@ -87,6 +87,36 @@ def test_friction_and_a_warm_start_from_the_model_without(rubbing):
     agree(again, fit)
     assert again.steps < 0.7 * cold.steps
     assert again.fineness["decay"].counts.sum() >= cold.fineness["decay"].counts.sum()
+
+
+def test_corners_become_as_sharp_as_the_motion_asks(rubbing, monkeypatch):
+    """A width that was declared for speeds of 100 rad/s is far too wide here, until the motion is known."""
+    width = "pivot.coulomb_friction.width"
+    model = pendulum(scale=100).with_effect(ce.effects.CoulombFriction(), at="pivot", values={"torque": 0.2})
+    pars = model.parameters()
+    wide = refit(model, rubbing[1], pars, levels={"y": LEVEL}, corners=False)
+    found = refit(model, rubbing[1], pars, levels={"y": LEVEL})
+    assert wide.widths == {}
+    assert found.widths[width] < pars[width].value / 2
+    assert found.converged
+    assert found.steps > wide.steps
+    set_by_user = pars.copy()
+    set_by_user[width].set(0.2)
+    assert refit(model, rubbing[1], set_by_user, levels={"y": LEVEL}).widths == {}
+
+    def fails(*_):
+        raise FloatingPointError("not finite")
+
+    monkeypatch.setattr(RefitProblem, "paths", fails)
+    assert refit(model, rubbing[1], pars, levels={"y": LEVEL}).cost == pytest.approx(wide.cost)
+
+
+def test_states_that_are_not_given_come_from_the_measurement(swing):
+    model, data = swing
+    part = {data[0].name: {"angle": 1.5}, data[1].name: {"angle": 0.4, "rate": "free"}}
+    found = refit(model, data, model.parameters(), levels={"y": LEVEL}, initial=part, horizons=(None,))
+    assert found.converged
+    assert found.values["w2"] == pytest.approx(41.3, rel=1e-3)
 
 
 def test_a_linear_model(shaft, shaft_model):

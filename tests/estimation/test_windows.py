@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from casadi_engine.estimation.refit_entry import RefitProblem
+from casadi_engine.estimation.refit_problem import RefitProblem
 from casadi_engine.estimation.windows import Windows
 
 

@@ -131,6 +131,15 @@ def test_the_driveline(quick):
     )
 
 
+def test_the_misfire_detector(quick):
+    lines = quick("misfire_detector")
+    told = lines["Figures 5.2, 5.4", "they look alike"].ours
+    assert told.startswith("two misfires: 1.000, all else: ")
+    assert lines["chapter 5", "no detector"].ours.startswith("missed 0 of 12, false 0 of ")
+    crank = lines["chapter 5", "a not complicated model"].ours
+    assert crank.endswith(", 7 DOF 0")
+
+
 def test_the_gallery_lists_every_page_with_a_picture_that_is_there():
     folder = FOLDER.parent
     text = (folder / "README.md").read_text(encoding="utf-8")

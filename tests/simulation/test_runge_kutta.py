@@ -163,3 +163,21 @@ def test_drives_are_told(made):
     propagator = RungeKuttaPropagator(model, grid, cut(grid, None), model.p, model.p, scale=made.scale(model))
     found = propagator.drives_at(np.array([2.0, 1.0]))
     np.testing.assert_allclose(found, [2 * np.arange(6.0) ** 2 + np.cos(grid.time)], rtol=1e-13)
+
+
+def test_the_same_point_is_not_propagated_twice(made):
+    model = duffing()
+    grid = made.grid(np.sin(np.arange(60.0)), step=0.01)
+    plan, z = cut(grid, 10), ca.SX.sym("z", 1)
+    propagator = RungeKuttaPropagator(model, grid, plan, z, 3 * z, scale=made.scale(model))
+    nodes = np.full((plan.m, 2), 0.3)
+    path = propagator.propagate(np.ones(1), nodes, 1)
+    assert propagator.propagate(np.ones(1), nodes.copy(), 1) is path
+    for at, other in ((np.full(1, 1.1), nodes), (np.ones(1), nodes + 0.1)):
+        moved = propagator.propagate(at, other, 1)
+        assert moved is not path
+        assert np.abs(moved.y - path.y).max() > 1e-6
+    finer = propagator.finer(2).propagate(np.ones(1), nodes, 1)
+    assert finer.begun.shape[1] > path.begun.shape[1]
+    again = propagator.propagate(np.ones(1), nodes, 1)
+    np.testing.assert_array_equal(again.y, path.y)

@@ -8,7 +8,9 @@ import pytest
 from casadi_engine.simulation.tableau import (
     RADAU,
     RUNGE_KUTTA,
+    growth,
     newton_step,
+    products,
     stage_multipliers,
     stage_sensitivities,
     step_sensitivities,
@@ -101,3 +103,23 @@ def test_multipliers_are_the_transpose(scheme):
     added = rng.normal(size=(scheme.stages, 5, 3, 1))
     moved = step_sensitivities(scheme, stage_sensitivities(scheme, by_x, added)[0])[..., 3]
     np.testing.assert_allclose((nu * added[..., 0]).sum(axis=(0, 2)), (mu * moved).sum(axis=1), atol=1e-11)
+
+
+def test_growth_is_the_largest_eigenvalue_or_a_norm_that_is_small_enough():
+    rng = np.random.default_rng(3)
+    by_x = rng.normal(size=(40, 2, 3, 3))
+    by_x[7, 1] *= 50.0
+    whole = np.abs(np.linalg.eigvals(by_x)).max()
+    assert growth(by_x) == pytest.approx(whole)
+    by_x[0, 0, 0, 0] = np.nan
+    assert growth(by_x) == pytest.approx(whole)
+    small = 1e-3 * rng.normal(size=(5, 3, 3))
+    assert np.abs(np.linalg.eigvals(small)).max() <= growth(small) < 0.02
+
+
+def test_products_of_many_small_matrices():
+    rng = np.random.default_rng(4)
+    for n in (1, 2, 4, 5):
+        a, b = rng.normal(size=(6, 7, n, n)), rng.normal(size=(6, 7, n, 3))
+        np.testing.assert_allclose(products(a, b), a @ b, atol=1e-12)
+        np.testing.assert_allclose(products(a.swapaxes(-1, -2), b), a.swapaxes(-1, -2) @ b, atol=1e-12)

@@ -22,6 +22,7 @@ class Case:
 
     model, parameters, data, fresh, effects : for `ce.repair`
     values : true parameters and amplitudes; sigma : of the noise by output; clean : noise-free fresh outputs
+    states : (N, n) noise-free states of `data`, for rivals that are given them
     """
 
     model: Any
@@ -32,6 +33,7 @@ class Case:
     values: Mapping[str, float]
     sigma: Mapping[str, float]
     clean: Mapping[str, np.ndarray]
+    states: np.ndarray
 
 
 def case_of(kind: Kind, task: Task) -> Case:
@@ -57,8 +59,9 @@ def case_of(kind: Kind, task: Task) -> Case:
     for name, value in start_values(kind, task, free).items():
         parameters[name].set(value)
     effects = None if kind.effects is None else list(kind.effects())
+    states = courses[0]["states"][:, : len(model.states)]
     clean = {name: courses[1][name] for name in task.outputs}
-    return Case(model, parameters, records[0], records[1], effects, values, sigma, clean)
+    return Case(model, parameters, records[0], records[1], effects, values, sigma, clean, states)
 
 
 def with_terms(

@@ -25,13 +25,14 @@ def tables(rows: Sequence[Row], version: str) -> str:
         "`python tests/benchmarks/hidden_terms/run.py`; `tests/benchmarks/hidden_terms/README.md` says what the "
         "columns mean.\n"
     )
-    tasks = [row for row in rows if not row["null"]]
+    tasks, nulls = ([row for row in rows if row["null"] == null] for null in (False, True))
     parts = [
         head,
         _section("By kind", "kind", _by(rows, lambda row: row["kind"])),
         _section("By signal-to-noise ratio", "dB", _by(rows, lambda row: row["snr"])),
         _section("By noise", "noise", _by(rows, lambda row: row["noise"])),
         _section("By what is hidden", "task", _by(tasks, lambda row: f"{row['kind']}: {row['label']}")),
+        _section("Nulls, by what is known beside the model", "null", _by(nulls, lambda row: row["label"])),
         "## Stated probabilities of class members\n\n" + _reliability(tasks),
         "## Amplitudes\n\n" + _coverage(tasks),
     ]
@@ -40,7 +41,7 @@ def tables(rows: Sequence[Row], version: str) -> str:
 
 def word_of(row: Row) -> str:
     """The outcome without the words of an exception."""
-    return "crashed" if row["outcome"].startswith("crashed") else row["outcome"]
+    return row["outcome"].partition(":")[0]
 
 
 def _by(rows: Iterable[Row], key: Callable[[Row], Any]) -> dict[Any, list[Row]]:
@@ -56,8 +57,10 @@ def _section(title: str, what: str, groups: Mapping[Any, Sequence[Row]]) -> str:
     seen = {word_of(row) for group in groups.values() for row in group if not row["null"]}
     words = [word for word in OUTCOMES if word in seen]
     nulls = any(row["null"] for group in groups.values() for row in group)
+    if not groups:
+        return f"## {title}\n\nnone\n"
     heads = [what, "tasks", *words, *(["false alarms"] if nulls else []), "CPU s, median", "longest"]
-    lines = [f"## {title}\n", _line(heads), _line(["---"] * len(heads))]
+    lines = [f"## {title}\n", line(heads), line(["---"] * len(heads))]
     for name, group in groups.items():
         tasks = [row for row in group if not row["null"]]
         counted = Counter(word_of(row) for row in tasks)
@@ -65,7 +68,7 @@ def _section(title: str, what: str, groups: Mapping[Any, Sequence[Row]]) -> str:
         if nulls:
             cells.append(_false_alarms([row for row in group if row["null"]]))
         seconds = [row["seconds"] for row in group]
-        lines.append(_line([*cells, f"{median(seconds):.1f}", f"{max(seconds):.0f}"]))
+        lines.append(line([*cells, f"{median(seconds):.1f}", f"{max(seconds):.0f}"]))
     return "\n".join(lines) + "\n"
 
 
@@ -80,12 +83,12 @@ def _false_alarms(nulls: Sequence[Row]) -> str:
 def _reliability(tasks: Sequence[Row]) -> str:
     """How often a member of a class is a true term, by the probability that it was given."""
     pairs = [(p, hit) for row in tasks for p, hit in row.get("members", ())]
-    lines = [_line(["stated", "members", "mean stated", "true"]), _line(["---"] * 4)]
+    lines = [line(["stated", "members", "mean stated", "true"]), line(["---"] * 4)]
     for low, high in pairwise(_BINS):
         own = [(p, hit) for p, hit in pairs if low < p <= high or (low == 0 and p == 0)]
         if own:
             stated, true = (sum(one[k] for one in own) / len(own) for k in (0, 1))
-            lines.append(_line([f"{low:g} to {high:g}", len(own), f"{stated:.2f}", f"{true:.2f}"]))
+            lines.append(line([f"{low:g} to {high:g}", len(own), f"{stated:.2f}", f"{true:.2f}"]))
     return "\n".join(lines) + "\n"
 
 
@@ -100,15 +103,15 @@ def _coverage(tasks: Sequence[Row]) -> str:
                 continue
             off = (one["amplitude"] - one["true"]) / one["stderr"]
             found.setdefault(one["term"].rpartition(".")[2], []).append(off)
-    lines = [_line(["effect", "found", "within 1.96 standard errors", "median of their size"])]
-    lines.append(_line(["---"] * 4))
+    lines = [line(["effect", "found", "within 1.96 standard errors", "median of their size"])]
+    lines.append(line(["---"] * 4))
     everything = [one for own in found.values() for one in own]
     for name, offs in [*sorted(found.items()), ("all", everything)]:
         if offs:
             inside = sum(abs(one) < 1.96 for one in offs)
-            lines.append(_line([name, len(offs), inside, f"{median(abs(one) for one in offs):.2f}"]))
+            lines.append(line([name, len(offs), inside, f"{median(abs(one) for one in offs):.2f}"]))
     return "\n".join(lines) + f"\n\n{without} were found without a standard error.\n"
 
 
-def _line(cells: Iterable[Any]) -> str:
+def line(cells: Iterable[Any]) -> str:
     return "| " + " | ".join(str(cell) for cell in cells) + " |"

@@ -5,6 +5,7 @@ inputs. The model is one inertia with the gas torque, the reciprocating mass and
 """
 
 import math
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -21,21 +22,28 @@ writings = (
 BORE, RADIUS, ROD, MASS = 0.0677, 0.0275, 0.0842, 0.22  # m, kg
 AREA = math.pi * BORE**2 / 4
 RATIO = RADIUS / ROD
-INERTIA, DRY, CRANKCASE = 0.022, 0.8, 1.5e4  # start values: kg m2, N m, Pa
+INERTIA, DRY, CRANKCASE = (
+    0.022,
+    0.8,
+    1.5e4,
+)  # start values: kg m2, N m, Pa above the pressure as compression starts
+INTAKE = 0.9e5  # Pa, at the start of compression
+ESTIMATION, FRESH = ("ENGINEOFF4", "ENGINEOFF"), ("ENGINEOFF3",)
 # the mean of the squared lever that the package takes away from the variable inertia
 MEAN = 1 / (1 + math.sqrt(1 - RATIO**2))
 
 
-def build(writing=0, *, dry=True):
+def build(writing=0, *, dry=True, absolute=False):
+    crankcase = CRANKCASE + INTAKE * absolute
     if writing == 0:
-        return _ours(dry)
+        return _ours(dry, crankcase)
     b = ce.Blueprint("run_down", description="a single-cylinder engine that runs down")
-    (_own, _per_inertia)[writing - 1](b, dry)
+    (_own, _per_inertia)[writing - 1](b, dry, crankcase)
     m = b.model()
     return m, m.parameters()
 
 
-def _ours(dry):
+def _ours(dry, crankcase):
     whole = page("run_down").model()
     if not dry:
         geometry = page("run_down").GEOMETRY
@@ -45,7 +53,7 @@ def _ours(dry):
         )  # fmt: skip
     p = whole.parameters()
     p["J_eng"].set(INERTIA, min=0.002, max=0.2)
-    p["p_crank"].set(CRANKCASE, min=-1e5, max=1e5, vary=True)
+    p["p_crank"].set(crankcase, min=-1e5, max=3e5, vary=True)
     if dry:
         p["T_f"].set(DRY, min=0, max=10)
         p.fix("C_eng", 0)
@@ -66,10 +74,10 @@ def _inputs(b):
     return theta, b.input("p1", unit="Pa", scale=1e5), *lever(theta)
 
 
-def _own(b, dry):
+def _own(b, dry, crankcase):
     inertia = b.parameter("J", INERTIA, unit="kg m2", min=0.002, max=0.2)
     mass = b.parameter("m_eq", MASS, unit="kg", vary=False)
-    crankcase = b.parameter("p_crank", CRANKCASE, unit="Pa", min=-1e5, max=1e5)
+    reference = b.parameter("p_crank", crankcase, unit="Pa", min=-1e5, max=3e5)
     if dry:
         friction = b.parameter("T_f", DRY, unit="N m", min=0, max=10)
     else:
@@ -79,16 +87,16 @@ def _own(b, dry):
     engine = b.port("engine", "inertia", {"speed": omega, "angle": theta})
     lost = friction if dry else damping * omega
     torque = (
-        (pressure - crankcase) * AREA * RADIUS * f - mass * RADIUS**2 * f * slope * omega**2 - lost + engine
+        (pressure - reference) * AREA * RADIUS * f - mass * RADIUS**2 * f * slope * omega**2 - lost + engine
     )
     b.ode("omega_eng", torque / (inertia + mass * RADIUS**2 * (f**2 - MEAN)))
     b.output("omega", omega, unit="rad/s", scale=100)
 
 
-def _per_inertia(b, dry):
+def _per_inertia(b, dry, crankcase):
     shape = b.parameter("volume_per_inertia", AREA * RADIUS / INERTIA, unit="m/kg", min=5e-4, max=0.05)
     share = b.parameter("moved_share", MASS * RADIUS**2 / INERTIA, unit="1", vary=False)
-    crankcase = b.parameter("p_crank", CRANKCASE / 1e5, unit="bar", min=-1, max=1)
+    reference = b.parameter("p_crank", crankcase / 1e5, unit="bar", min=-1, max=3)
     rpm = math.pi / 30
     if dry:
         friction = b.parameter("decay", DRY / INERTIA / rpm, unit="rpm/s", min=0, max=1e4)
@@ -103,7 +111,7 @@ def _per_inertia(b, dry):
     moved = share * f * slope * (rpm * n) ** 2
     b.ode(
         "n",
-        (1e5 * (pressure - crankcase) * shape * f - moved - lost + engine)
+        (1e5 * (pressure - reference) * shape * f - moved - lost + engine)
         / rpm
         / (1 + share * (f**2 - MEAN)),
     )
@@ -114,10 +122,17 @@ def initial(writing=0):
     return {"n": 150 * 30 / math.pi} if writing == 2 else {"omega_eng": 150.0}
 
 
-def records(estimation=("ENGINEOFF4", "ENGINEOFF"), fresh=("ENGINEOFF3",)):
-    """Two run-downs at different speeds tell dry friction from viscous; one does not."""
-    read = page("run_down").read
-    return tuple([read(shared("engine_tue", f"{name}.npz")) for name in part] for part in (estimation, fresh))
+def records(*, absolute=False):
+    """Two run-downs at different speeds tell dry friction from viscous, one does not; a third is fresh.
+
+    The sensor's pressure is relative. absolute : add the pressure that a cylinder has as its compression starts
+    """
+    return tuple([_record(name, absolute) for name in part] for part in (ESTIMATION, FRESH))
+
+
+def _record(name, absolute):
+    exp = page("run_down").read(shared("engine_tue", f"{name}.npz"))
+    return exp.with_channel(replace(exp["p1"], values=exp["p1"].values + INTAKE)) if absolute else exp
 
 
 def plain(exp):
@@ -137,9 +152,9 @@ def structure(*free):
 
     def rhs(x, u, p):
         w = x[0]
-        angle = u[0] + (p["timing"] if "timing" in p else 0.0)
+        angle = u[0] + p.get("timing", 0.0)
         f, slope = lever(angle, np)
-        moved = (p["mass"] if "mass" in p else MASS) * RADIUS**2
+        moved = p.get("mass", MASS) * RADIUS**2
         torque = (u[1] - 1e5 * p["crankcase"]) * AREA * RADIUS * f - moved * f * slope * w**2
         if "dry" in p:
             torque = torque - p["dry"]
@@ -149,7 +164,7 @@ def structure(*free):
             torque = torque - p["drag"] * (w / 100) ** 2
         return (torque / (p["J"] + moved * (f**2 - MEAN)))[None]
 
-    every = {"J": [0.022], "crankcase": [0.15], "dry": [0.8], "viscous": [0.5], "drag": [0.1], "mass": [0.15]}
+    every = {"J": [0.022], "crankcase": [0.5], "dry": [0.8], "viscous": [0.5], "drag": [0.1], "mass": [0.15]}
     every |= {"timing": [0.0]}
     bounds = {"mass": (0.0, 2.0), "viscous": (0.0, 20.0), "dry": (0.0, 20.0)}
     starts = {name: every[name] for name in ("J", "crankcase", *free)}
@@ -157,6 +172,6 @@ def structure(*free):
     return Structure(rhs, lambda x, u, p: x[0], starts, first, steps=1, bounds=bounds, state_scale=10.0)
 
 
-def by_hand(structures):
-    estimation, fresh = ([plain(one) for one in part] for part in records())
+def by_hand(structures, **kind):
+    estimation, fresh = ([plain(one) for one in part] for part in records(**kind))
     return {name: fit(structure(*free), estimation, fresh) for name, free in structures.items()}

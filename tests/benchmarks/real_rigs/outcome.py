@@ -67,7 +67,7 @@ def described(one: ModuleType, model: Any, found: Any) -> dict[str, Any]:
             if side is not None:
                 rmse = {name: value * factor[name] for name, value in side.gap.rmse.items()}
                 row[key] = float(f"{next(iter(rmse.values())):.5g}")
-    row["outcome"] = outcome(found.verdict, [_classes(effect) for effect in found.effects], one.truth)
+    row["outcome"] = judged(row, one.truth)
     row["timing"] = {key: round(value, 2) for key, value in found.timing.items()}
     row["messages"] = list(found.messages)
     return row
@@ -89,10 +89,17 @@ def _number(value: Any) -> float | None:
     return None if value is None or not math.isfinite(value) else float(f"{value:.4g}")
 
 
-def _classes(effect: Any) -> list[str]:
-    """Keys of a class, the lead first."""
-    keys = [(effect.at, effect.name), *((m.at, m.name) for m in effect.members)]
-    return list(dict.fromkeys(at if at.startswith("parameter_") else f"{at}.{name}" for at, name in keys))
+def judged(row: dict[str, Any], truth: Iterable[set[str]]) -> str:
+    """The outcome of a row: that of its effects, or what ended it."""
+    if "verdict" not in row:
+        return str(row["outcome"])
+    return outcome(row["verdict"], [_keys(effect) for effect in row["effects"]], truth)
+
+
+def _keys(effect: dict[str, Any]) -> list[str]:
+    """Keys of a class, the lead first; a parameter that is freed is known by its port."""
+    keys = [effect["key"], *effect["class"]]
+    return list(dict.fromkeys(key.partition(".")[0] if key.startswith("parameter_") else key for key in keys))
 
 
 def outcome(verdict: str | None, classes: list[list[str]], truth: Iterable[set[str]]) -> str:
@@ -104,6 +111,8 @@ def outcome(verdict: str | None, classes: list[list[str]], truth: Iterable[set[s
     ('right', 'in class')
     >>> outcome("named", [["a.x"], ["b.y"]], [{"a.x"}]), outcome("named", [["a.x"]], [{"a.x", "b.y"}])
     ('right and more', 'in part')
+    >>> outcome("class", [["a.y", "a.x"], ["a.x"]], [{"a.x"}])
+    'right and more'
     >>> outcome("unnamed", [], [{"a.x"}]), outcome("named", [["b.z"]], [{"a.x"}]), outcome("unnamed", [], [set()])
     ('unnamed', 'wrong', 'right')
     """
@@ -116,7 +125,8 @@ def outcome(verdict: str | None, classes: list[list[str]], truth: Iterable[set[s
     leads = frozenset(one[0] for one in classes)
     if leads in right:
         return "right"
-    answers = {frozenset(one) for one in itertools.islice(itertools.product(*classes), 10_000)}
+    every = itertools.islice(itertools.product(*classes), 10_000)
+    answers = {frozenset(one) for one in every if len(set(one)) == len(one)}
     if any(one in answers for one in right):
         return "in class"
     if any(one < leads for one in right):

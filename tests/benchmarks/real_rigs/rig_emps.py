@@ -94,7 +94,7 @@ def _structures():
         def rhs(x, u, p):
             return (u - p["Fv"] * x - p["offset"] + friction(x, p)) / p["M"]
 
-        whole = {"M": [95.0, 95.0], "Fv": [200.0, 300.0], "offset": [-3.0, 3.0], **starts}
+        whole = {"M": [95.0], "Fv": [200.0], "offset": [-3.0], **starts}
         return Structure(
             rhs, lambda x, u, p: x[0], whole, lambda one: one.output[:1], steps=4, state_scale=0.01
         )
@@ -103,16 +103,15 @@ def _structures():
         return -p["Fc"] * np.tanh(x / 1e-3)
 
     def directed(x, p):
-        return dry(x, p) - p["asymmetry"] * np.tanh(x / 1e-3) ** 2 - p["Fv_asymmetry"] * np.abs(x)
+        return dry(x, p) - p["Fv_difference"] * np.abs(x)
 
     def fading(x, p):
         return dry(x, p) - p["Fs"] * np.tanh(x / 1e-3) * np.exp(-((x / p["vs"]) ** 2))
 
     return {
         "nothing added": made(lambda x, p: 0.0),
-        "dry friction": made(dry, Fc=[10.0, 20.0]),
-        "dry friction by direction": made(
-            directed, Fc=[10.0, 20.0], asymmetry=[0.0, 1.0], Fv_asymmetry=[0.0, 1.0]
-        ),
-        "dry and fading friction": made(fading, Fc=[10.0, 20.0], Fs=[1.0, 1.0], vs=[0.02, 0.1]),
+        "dry friction": made(dry, Fc=[20.0]),
+        # never at rest: a dry friction that differs by direction is the offset
+        "dry friction, viscous by direction": made(directed, Fc=[20.0], Fv_difference=[0.0]),
+        "dry and fading friction": made(fading, Fc=[20.0], Fs=[1.0], vs=[0.05]),
     }

@@ -77,22 +77,23 @@ def initial(writing=0):
     return {"angle": math.pi / 2, "speed": 0.0}
 
 
-def records():
-    return tuple([_record(f"from_{span[0]:.0f}s", span)] for span in SPANS)
+def records(spans=SPANS, every=EVERY):
+    return tuple([_record(f"from_{span[0]:.0f}s", span, every)] for span in spans)
 
 
-def _record(name, span):
+def _record(name, span, every):
     time, angle, _ = np.loadtxt(shared("pendulum_cart", "test1pend1.csv"), delimiter=",").T
     inside = (time >= span[0]) & (time < span[1])
-    time, angle = time[inside][::EVERY], angle[inside][::EVERY]
+    time, angle = time[inside][::every], angle[inside][::every]
     # the rig's clock is even; its times are rounded to 10 µs
     even = np.linspace(time[0], time[-1], len(time))
     return ce.Experiment.from_arrays(name, time=even, units={"angle": "rad"}, angle=angle)
 
 
-def by_hand():
+def by_hand(spans=SPANS, every=EVERY):
     estimation, fresh = (
-        [Record(one["angle"].time, None, one["angle"].values) for one in part] for part in records()
+        [Record(one["angle"].time, None, one["angle"].values) for one in part]
+        for part in records(spans, every)
     )
     return {name: fit(one, estimation, fresh) for name, one in structures().items()}
 

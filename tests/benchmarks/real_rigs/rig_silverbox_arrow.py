@@ -3,7 +3,8 @@
 import silverbox
 from silverbox import build, initial, writings  # noqa: F401 (a rig's own)
 
-truth = ({"spring.cubic_stiffness"},)
+# the output has a small offset of its own, beside that of the input: by hand it takes another tenth of the rmse away
+truth = ({"spring.cubic_stiffness"}, {"spring.cubic_stiffness", "sensor_y.sensor_offset"})
 same = "cubic stiffness"
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from by_hand import kept
-from outcome import beside_by_hand
+from outcome import beside_by_hand, judged
 from rigs_common import HERE, rig
 
 PAGE = HERE.parent / "REAL_RIGS.md"
@@ -28,6 +28,7 @@ def write(rows: Path) -> str:
     last: dict[tuple[str, int], dict[str, Any]] = {}
     for text in rows.read_text(encoding="utf-8").splitlines():
         row = json.loads(text)
+        row["outcome"] = judged(row, rig(row["rig"]).truth)  # truths may have been mended since
         last[row["rig"], row["writing"]] = row
     ordered = [last[key] for key in sorted(last)]
     versions = ", ".join(sorted({row["version"] for row in ordered}))

@@ -105,17 +105,22 @@ def _plain(exp):
 
 
 def _structures():
-    def made(more=lambda x, p: 0.0, fixed=None, **starts):
+    def made(more=lambda y, p: 0.0, fixed=None, **starts):
         def rhs(x, u, p):
             # time in ms, so that both states are of one size
-            offset = p["offset"] if "offset" in p else 0.0
+            offset = p.get("offset", 0.0)
             force = u[0] + offset - p["k1"] * x[0] + more(x[0], p)
             return 1e3 * np.array([x[1], (force - p["d"] * x[1]) / p["m"]])
 
-        whole = {"m": [5.3, 5.0], "d": [0.22, 0.3], "k1": [1.0, 0.9], "offset": [-0.005, 0.0]} | starts
+        # where two starts had ended
+        whole = {"m": [5.3], "d": [0.22], "k1": [1.0], "offset": [-0.005]} | starts
         whole = {name: values for name, values in whole.items() if name != fixed}
         return Structure(
-            rhs, lambda x, u, p: x[0], whole, lambda one: np.array([one.output[0], 0.0]), state_scale=0.02
+            rhs,
+            lambda x, u, p: x[0] + p.get("zero", 0.0),
+            whole,
+            lambda one: np.array([one.output[0], 0.0]),
+            state_scale=0.02,
         )
 
     def cubic(y, p):
@@ -127,7 +132,8 @@ def _structures():
     return {
         "nothing added": made(),
         "nothing added, no offset": made(fixed="offset"),
-        "cubic stiffness": made(cubic, k3=[4.0, 0.0]),
-        "cubic stiffness, no offset": made(cubic, fixed="offset", k3=[4.0, 0.0]),
-        "cubic and quadratic stiffness": made(square, k3=[4.0, 0.0], k2=[0.0, 0.1]),
+        "cubic stiffness": made(cubic, k3=[4.0]),
+        "cubic stiffness, no offset": made(cubic, fixed="offset", k3=[4.0]),
+        "cubic stiffness, offset of the output": made(cubic, k3=[4.0], zero=[0.002]),
+        "cubic and quadratic stiffness": made(square, k3=[4.0], k2=[0.0]),
     }

@@ -1,0 +1,294 @@
+"""The problem of a refit, set up once: over short windows first, then longer ones, then the whole record."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.errors import EstimationError
+from casadi_engine.estimation.constraints import Priors
+from casadi_engine.estimation.coordinates import Coordinates
+from casadi_engine.estimation.integration import shorten_steps
+from casadi_engine.estimation.levenberg_marquardt import minimise
+from casadi_engine.estimation.options import initial_bounds, interval_length
+from casadi_engine.estimation.record import RecordTerm
+from casadi_engine.estimation.refit_answer import Refit, in_time
+from casadi_engine.estimation.starts import chained_nodes, fitted_nodes, nodes_from_measurement
+from casadi_engine.estimation.windows import Place, Windows, simulated
+from casadi_engine.experiment import Experiment
+from casadi_engine.model import Model
+from casadi_engine.parameters import Parameters, compile
+from casadi_engine.parameters.compiled import ParameterMap
+from casadi_engine.simulation.grid import lay_grid
+from casadi_engine.simulation.null_path import NullPath, with_slope
+from casadi_engine.simulation.propagator import fineness_of, switches_with_states
+from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
+from casadi_engine.simulation.shared_core import Cores
+
+Array = NDArray[np.float64]
+
+# A next step that promises less of half chi-squared ends the search; over a window, a share of it or half of one.
+_FALL, _SHARE, _HALF = 5e-5, 1e-3, 0.5
+# Longest step of a logarithm, or of a number in units of its size; a number that starts at 0 has none.
+_LONGEST = 1.5
+# Gaps that count as none, by their effect on chi-squared as a share of that fall, and how often they are closed.
+_CLOSED, _CLOSINGS = 1e-2, 6
+# Rounds of shorter integration steps, each with a few steps from where the last one ended.
+_SHORTENED = 4
+# Growth of a window from one horizon to the next.
+_GROWTH = 8
+
+
+class RefitProblem:
+    """What refits of one model have in common; arguments as those of ``refit``."""
+
+    def __init__(
+        self,
+        model: Model,
+        records: Sequence[Experiment],
+        parameters: Parameters,
+        *,
+        levels: Mapping[str, float],
+        interval: Any = "auto",
+    ) -> None:
+        self.model = model
+        names = tuple(record.name for record in records)
+        self.pmap: ParameterMap = compile(parameters, model.parameter_names, names)
+        sigma = np.array([_level(levels, output.name) for output in model.outputs])
+        self.coordinates, cores = Coordinates(self.pmap), Cores()
+        local: dict[int, Any] = {}
+        self.records: list[RecordTerm] = []
+        for record in records:
+            grid, physical = lay_grid(model, record), self.pmap.physical[record.name]
+            own = local.setdefault(id(physical), self.coordinates.substitute(physical))
+            length = interval_length(interval, grid, whole=switches_with_states(model))
+            term = RecordTerm(
+                model, record, self.coordinates.symbol, own,
+                length=length, gain=None, method="exact", grid=grid, cores=cores,
+            )  # fmt: skip
+            term.set_sigma(sigma)
+            self.records.append(term)
+        self.count = sum(record.count for record in self.records)
+        self.priors = Priors(self.pmap, self.coordinates)
+        self.bounds = self.coordinates.of(self.pmap.lower), self.coordinates.of(self.pmap.upper)
+        zero = (self.pmap.start == 0) & ~self.coordinates.log
+        self._endless = np.where(zero, np.inf, 1.0)
+
+    # ---- run
+
+    def run(
+        self,
+        *,
+        start: Mapping[str, float] | None = None,
+        initial: Mapping[str, Mapping[str, Any]] | None = None,
+        warm: Refit | None = None,
+        horizons: Sequence[float | None] | None = None,
+        most: int = 60,
+    ) -> Refit:
+        """The refit from a start; see ``refit``."""
+        self._check_constraints()
+        z = self._values(start, warm)
+        v = self.coordinates.of(z)
+        self._steps = 0
+        with np.errstate(all="ignore"):
+            try:
+                nodes = [self._nodes(record, v, z, initial, warm) for record in self.records]
+                return self._searched(v, nodes, self._counts(horizons), most, warm)
+            except (FloatingPointError, np.linalg.LinAlgError) as fault:
+                return self._failed(z, f"the model cannot be evaluated: {fault}")
+
+    def _searched(
+        self, v: Array, nodes: list[Array], ladder: list[list[int]], most: int, warm: Refit | None
+    ) -> Refit:
+        """The refit over horizons of so many intervals of each record."""
+        states: list[Array] | None = None
+        for counts in ladder[:-1]:
+            place, _ = self._descended(counts, v, nodes, most, last=False)
+            v, nodes = place.v, list(place.nodes)
+            states = states or nodes
+        self._as_fine_as(warm)
+        place, status = self._descended(ladder[-1], v, nodes, most, last=True)
+        for _ in range(_SHORTENED):
+            if not shorten_steps(self.records, place.v, place.nodes):
+                break
+            place, status = self._descended(ladder[-1], place.v, list(place.nodes), most, last=True)
+        return self._answer(place, states or list(place.nodes), status)
+
+    def _as_fine_as(self, warm: Refit | None) -> None:
+        """Integrate as finely as a refit before did in the end, where the integrators are alike."""
+        for record in self.records:
+            known = None if warm is None else warm.fineness.get(record.experiment.name)
+            own: Any = record.propagator
+            if known is not None and isinstance(known, type(fineness_of(own))) and hasattr(own, "refined"):
+                record.propagator = own.refined(known)
+
+    def _descended(
+        self, counts: list[int], v: Array, nodes: list[Array], most: int, *, last: bool
+    ) -> tuple[Place, str]:
+        """Where the search over one horizon ends, and its status; over the last one gaps are closed."""
+        windows = Windows(self.records, self.priors, counts, nodes)
+        if windows(v) is None:
+            raise FloatingPointError("its states or slopes are not finite")
+        converged, (low, high) = False, self.bounds
+        for _ in range(_CLOSINGS if last else 1):
+            before = windows.best.squares.cost
+            unit = max(1.0, 2 * before / self.count)  # of chi-squared, where the model is wrong
+            fall = _FALL * unit if last else max(_HALF, _SHARE * before)
+            found = minimise(windows, v, low, high, fall=fall, steps=most, longest=self._longest)
+            assert found is not None  # it was evaluated above
+            v, converged = windows.best.v, found.converged
+            if not last or (
+                self._closed(windows, fall) and before < 2 * max(windows.best.squares.cost, self.count)
+            ):
+                break
+        self._steps += windows.evaluations
+        return windows.best, "converged" if converged else f"the {most} steps over a horizon ran out"
+
+    def _closed(self, windows: Windows, fall: float) -> bool:
+        """Close the gaps; True if the cost is the one that the search ended at."""
+        begun = windows.best.squares.cost
+        for _ in range(_CLOSINGS):
+            if windows.gaps <= _CLOSED * fall:
+                break
+            windows.closed()
+        return abs(windows.best.squares.cost - begun) <= fall
+
+    def _longest(self, v: Array) -> Array:
+        size = np.where(self.coordinates.log, 1.0, np.maximum(1.0, np.abs(v)))
+        return np.asarray(_LONGEST * size * self._endless)
+
+    # ---- simulation alone
+
+    def simulated(self, values: Mapping[str, float], initial: Mapping[str, Any]) -> list[Array]:
+        """The states (M, n) of each record's intervals in a simulation from these values and initial states."""
+        z = self._values(values, None)
+        return [self._nodes(record, self.coordinates.of(z), z, initial, None) for record in self.records]
+
+    def cost_from(self, values: Mapping[str, float], nodes: Sequence[Array]) -> float:
+        """Chi-squared without priors of the run at these values from the first of each record's states, by steps of
+        the integration that move no estimate; nodes : (M, n), near that run."""
+        v = self.coordinates.of(np.array([values[name] for name in self.pmap.free]))
+        for _ in range(1 + _SHORTENED):
+            residuals, nodes, _ = simulated(self.records, v, nodes)
+            if not shorten_steps(self.records, v, nodes):
+                break
+        return float(sum(np.sum(r**2) for r in residuals))
+
+    def paths(self, values: Mapping[str, float], nodes: Sequence[Array]) -> list[NullPath]:
+        """The records' simulations at these values, likewise."""
+        z, found = np.array([values[name] for name in self.pmap.free]), []
+        points = simulated(self.records, self.coordinates.of(z), nodes)[2]
+        for record, point in zip(self.records, points, strict=True):
+            states = point.path.x[: record.plan.length].transpose(1, 2, 0).reshape(record.n, -1)
+            x = states[:, : record.grid.samples] * record.scale[:, None]
+            found.append(with_slope(self.model, record.grid, x, self.pmap.unpack(z, record.experiment.name)))
+        return found
+
+    # ---- where it starts
+
+    def _check_constraints(self) -> None:
+        labels = [one.label for one in self.pmap.constraints]
+        labels += [one.label for one in self.pmap.frequency_constraints]
+        if labels:
+            raise EstimationError(
+                "a refit keeps bounds, ties and priors alone",
+                seen=", ".join(labels),
+                allowed="a parameter set without constraints",
+                cure="take estimate(), which keeps constraints",
+            )
+
+    def _values(self, start: Mapping[str, float] | None, warm: Refit | None) -> Array:
+        known = {**(warm.values if warm is not None else {}), **(start or {})}
+        z = np.array(
+            [known.get(name, own) for name, own in zip(self.pmap.free, self.pmap.start, strict=True)]
+        )
+        return np.clip(z.astype(float), self.pmap.lower, self.pmap.upper)
+
+    def _nodes(self, record: RecordTerm, v: Array, z: Array, initial: Any, warm: Refit | None) -> Array:
+        """The states (M, n) of a record's intervals at which the search begins, scaled."""
+        name, states = record.experiment.name, [state.name for state in self.model.states]
+        given = (initial or {}).get(name)
+        before = None if warm is None else warm.records.get(name)
+        count = record.plan.m
+        if given is None and before is not None and len(before.states) == count:
+            known = dict(zip(warm.initial[name], before.states.T, strict=True))  # type: ignore[union-attr]
+            if all(state in known for state in states):
+                return np.stack([known[state] for state in states], axis=1) / record.scale
+        measured = nodes_from_measurement(record, self.pmap.unpack(z, name))
+        if given is not None:
+            first = initial_bounds(given, self.model, name, [name])[2] / record.scale
+            return chained_nodes(record, v, np.where(np.isfinite(first), first, measured[0]))
+        if before is not None and len(before.states) == count:
+            for state in known.keys() & set(states):  # the others are an effect's own
+                measured[:, states.index(state)] = known[state] / record.scale[states.index(state)]
+        elif isinstance(record.propagator, RungeKuttaPropagator):
+            measured = fitted_nodes(record, v, measured)
+        return measured
+
+    def _counts(self, horizons: Sequence[float | None] | None) -> list[list[int]]:
+        """Intervals of the windows of each record, for one horizon after the other."""
+        if horizons is None:
+            most, counts = max(record.plan.m for record in self.records), [2]
+            while _GROWTH * counts[-1] < most // 2:
+                counts.append(_GROWTH * counts[-1])
+            return [[min(c, r.plan.m) for r in self.records] for c in counts] + [self._whole()]
+        found = []
+        for horizon in horizons:
+            own = self._whole()
+            if horizon is not None:
+                own = [
+                    int(np.clip(round(horizon / (r.grid.step * r.plan.length)), 1, r.plan.m))
+                    for r in self.records
+                ]
+            found.append(own)
+        return found or [self._whole()]
+
+    def _whole(self) -> list[int]:
+        return [record.plan.m for record in self.records]
+
+    # ---- the answer
+
+    def _answer(self, place: Place, states: list[Array], status: str) -> Refit:
+        v, z = place.v, self.coordinates.values(place.v)
+        slope = self.coordinates.slope(v)
+        names = [state.name for state in self.model.states]
+        cost, _, _, prior = self.priors.evaluate(v)
+        initial, records = {}, {}
+        for record, own, nodes, before in zip(self.records, place.records, place.nodes, states, strict=True):
+            name = record.experiment.name
+            begun = own.moved(nodes, np.zeros(len(record.active)))[0] * record.scale
+            initial[name] = dict(zip(names, begun.tolist(), strict=True))
+            records[name] = in_time(record, own.slopes, slope, before)
+        return Refit(
+            free=self.pmap.free,
+            values=dict(zip(self.pmap.free, z.tolist(), strict=True)),
+            initial=initial,
+            cost=2 * place.squares.cost,
+            prior_cost=2 * float(cost),
+            prior_information=prior / np.outer(slope, slope),
+            records=records,
+            status=status,
+            steps=self._steps,
+            fineness={record.experiment.name: fineness_of(record.propagator) for record in self.records},
+            nodes=place.nodes,
+        )
+
+    def _failed(self, z: Array, status: str) -> Refit:
+        nz = len(z)
+        values = dict(zip(self.pmap.free, z.tolist(), strict=True))
+        return Refit(self.pmap.free, values, {}, np.inf, 0.0, np.zeros((nz, nz)), {}, status, self._steps)
+
+
+def _level(levels: Mapping[str, float], output: str) -> float:
+    found = levels.get(output)
+    if isinstance(found, (int, float, np.floating)) and 0 < found < np.inf:
+        return float(found)
+    raise EstimationError(
+        f"the noise level of {output} is not acceptable",
+        seen=repr(found),
+        allowed="a standard deviation > 0 in the unit of the output",
+        cure=f"write levels={{{output!r}: 0.1}}, for instance",
+    )
