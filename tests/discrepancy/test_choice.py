@@ -3,13 +3,14 @@
 import math
 from types import SimpleNamespace
 
+import casadi as ca
 import numpy as np
 import pytest
 
 import casadi_engine as ce
 from casadi_engine.discrepancy import choice as module
 from casadi_engine.discrepancy.choice import Choice, key_of
-from casadi_engine.discrepancy.refit import addition
+from casadi_engine.discrepancy.refit import Refitter, addition
 from casadi_engine.discrepancy.screening import screen
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.effects import Amplitude, Effect
@@ -186,6 +187,51 @@ def test_rivals_in_the_library_do_not_unname_an_effect(prepared, named):
     assert made.choice.best == named.choice.best
     members = made.choice.way(made.choice.best)[-1].members
     assert members[0].name == "coulomb_friction"
+
+
+def by_length():
+    """The pendulum by its length and a viscous torque."""
+    b = ce.Blueprint("pendulum")
+    length = b.parameter("length", 0.25, unit="m", min=0.01, max=3)
+    viscous = b.parameter("d", 1e-3, unit="N m s/rad")
+    angle, rate = b.state("angle", unit="rad"), b.state("rate", unit="rad/s")
+    pivot = b.port("pivot", "inertia", {"speed": rate, "angle": angle})
+    b.ode("angle", rate)
+    b.ode("rate", (pivot - viscous * rate) / (0.3 * length**2) - 9.81 / length * ca.sin(angle))
+    b.output("y", angle, unit="rad")
+    return b.model(), 1.0
+
+
+def in_other_units():
+    """The pendulum by its frequency, with an output in mrad, a torque of a thousandth and other scales."""
+    b = ce.Blueprint("pendulum")
+    own = b.parameter("w", 6.3, unit="rad/s", min=1, max=14)
+    damping = b.parameter("c", 0.05, unit="1/s", min=0, max=5)
+    angle, rate = b.state("angle", unit="rad", scale=0.1), b.state("rate", unit="rad/s", scale=50)
+    pivot = b.port("pivot", "inertia", {"speed": rate, "angle": angle})
+    b.ode("angle", rate)
+    b.ode("rate", 1e-3 * pivot - damping * rate - own**2 * ca.sin(angle))
+    b.output("y", 1e3 * angle, unit="mrad")
+    return b.model(), 1e3
+
+
+@pytest.mark.parametrize("way", [by_length, in_other_units])
+def test_no_verdict_depends_on_how_the_model_is_written(pendulum, named, way):
+    """Evidence too: of the effect against none, and of its best rival against it."""
+    model, unit = way()
+    record = pendulum.decay(rubbing, samples=300)
+    y = {"y": "rad" if unit == 1 else "mrad"}
+    data = ce.Experiment.from_arrays("decay", time=record["y"].time, units=y, y=unit * record["y"].values)
+    noise = ce.Noise(y=unit * pendulum.level)
+    fit = ce.estimate(model, data, noise=noise, progress=False)
+    refitter = Refitter(model, model.parameters(), (data,), noise, {"max_iterations": 100})
+    found = Choice(refitter, lambda fit: screen(fit, FEW), 4, lambda _: None)
+    found.run(fit)
+    assert found.best == named.choice.best
+    for key in (frozenset({DRY}), frozenset({DRAG})):
+        here, there = (one.pool[key].log - one.pool[frozenset()].log for one in (found, named.choice))
+        assert here == pytest.approx(there, abs=0.3)
+    assert found.pool[found.best].beyond == pytest.approx(named.choice.pool[found.best].beyond, rel=0.02)
 
 
 def test_nothing_is_added_where_nothing_is_missing(prepared):
