@@ -143,6 +143,11 @@ class Choice:
         """The model of the best structure so far."""
         return self._stations[self.best]
 
+    @property
+    def fit(self) -> Fit:
+        """The fit of the best structure so far; before any is scored, of the model without effects."""
+        return self._stations[self.best].fit if self._stations else self.null_fit
+
     # ---- one round
 
     def _asks(self, screened: Screened) -> bool:

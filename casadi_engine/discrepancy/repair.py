@@ -150,7 +150,7 @@ def repair(
         timing["total"] = time.perf_counter() - begun
         return made
     except KeyboardInterrupt:
-        best = search.chosen.fit
+        best = search.fit
         timing["total"] = time.perf_counter() - begun
         why = "interrupted before the search was at its end: the best model so far has no verdict"
         return Repair(

@@ -260,13 +260,15 @@ def test_sealed_kinds_are_loaded_only_if_asked_for():
 
 def test_a_table_counts_probabilities_and_amplitudes():
     row = {
-        "null": False, "kind": "a", "label": "b", "snr": 20, "noise": "white", "outcome": "in class", "seconds": 2.0,
-        "members": [[0.7, True], [0.3, False]],
+        "null": False, "kind": "a", "label": "b|c", "snr": 20, "noise": "white", "outcome": "in class", "seconds": 2.0,
+        "members": [[0.7, True], [0.3, False]], "answer": {"gap": {"before": 4.0, "after": 0.5}},
         "amplitudes": [{"term": "x.drag", "true": 1.0, "amplitude": 1.2, "stderr": 0.2}],
     }  # fmt: skip
     text = tables([row], "0")
     assert "| 0.6 to 0.8 | 1 | 0.70 | 1.00 |" in text
     assert "| drag | 1 | 1 | 1.00 |" in text
+    assert "| a | 1 | 4.00 | 0.50 |" in text
+    assert "| a: b\\|c | 1 | 1 | 2.0 | 2 |" in text
 
 
 # ---- rivals

@@ -69,7 +69,9 @@ KIND = Kind(
     truth={"J_eng": 0.391, "J_load": 0.177, "K_el": 1992.0, "C_el": 2.5, "C_eng": 0.1541, **GEOMETRY},
     terms={
         "coupling.coulomb_friction": Hidden(15.0, ce.effects.CoulombFriction(), "coupling"),
-        "coupling.backlash": Hidden(0.01, ce.effects.Backlash(), "coupling", needs=("omega", "omega_load")),
+        "coupling.cubic_stiffness": Hidden(
+            1.5e6, ce.effects.CubicStiffness(), "coupling", needs=("omega", "omega_load")
+        ),
         "load.load_step": Hidden(4.0, ce.effects.LoadStep(), "load", {"time": "event"}),
         "cylinder_2.cylinder_imbalance": Hidden(0.25, ce.effects.CylinderImbalance(), "cylinder_2"),
         "cylinder_3.misfire": Hidden(
@@ -81,7 +83,7 @@ KIND = Kind(
         "coupling.coulomb_friction",
         "cylinder_2.cylinder_imbalance",
         "load.load_step",
-        "coupling.backlash",
+        "coupling.cubic_stiffness",
         "coupling.coulomb_friction+cylinder_2.cylinder_imbalance",
         "cylinder_3.misfire",
         "sensor_omega.sensor_delay",

@@ -89,8 +89,8 @@ KIND = Kind(
     sentence="a heated block and the body it warms",
     truth={"C1": 200.0, "C2": 400.0, "G12": 4.0, "G1": 0.6, "G2": 0.5},
     terms={
-        "block.radiation": Hidden(3e-9, Radiation(), "block"),
-        "body.constant_torque": Hidden(8.0, ce.effects.ConstantTorque(), "body"),
+        "block.radiation": Hidden(6e-9, Radiation(), "block"),
+        "body.constant_torque": Hidden(14.0, ce.effects.ConstantTorque(), "body"),
         "body.load_step": Hidden(12.0, ce.effects.LoadStep(), "body", {"time": "event"}),
         "sensor_Ts.sensor_offset": Hidden(4.0, ce.effects.SensorOffset(), "sensor_Ts"),
         "sensor_Ts.sensor_delay": Hidden(25.0, ce.effects.SensorDelay(), "sensor_Ts"),

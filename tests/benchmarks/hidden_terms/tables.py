@@ -33,6 +33,7 @@ def tables(rows: Sequence[Row], version: str) -> str:
         _section("By noise", "noise", _by(rows, lambda row: row["noise"])),
         _section("By what is hidden", "task", _by(tasks, lambda row: f"{row['kind']}: {row['label']}")),
         _section("Nulls, by what is known beside the model", "null", _by(nulls, lambda row: row["label"])),
+        "## Gap on fresh data, in standard deviations of the noise\n\n" + _gaps(tasks),
         "## Stated probabilities of class members\n\n" + _reliability(tasks),
         "## Amplitudes\n\n" + _coverage(tasks),
     ]
@@ -80,6 +81,17 @@ def _false_alarms(nulls: Sequence[Row]) -> str:
     return f"{counted['false alarm']} of {len(nulls)}" + (f" ({others} without an answer)" if others else "")
 
 
+def _gaps(tasks: Sequence[Row]) -> str:
+    """Simulation less noise-free truth, before and after, medians of the tasks that were answered."""
+    lines = [line(["kind", "answered", "before", "after"]), line(["---"] * 4)]
+    for name, group in _by(tasks, lambda row: row["kind"]).items():
+        gaps = [row["answer"]["gap"] for row in group if row.get("answer", {}).get("gap")]
+        if gaps:
+            before, after = (median(one[word] for one in gaps) for word in ("before", "after"))
+            lines.append(line([name, len(gaps), f"{before:.2f}", f"{after:.2f}"]))
+    return "\n".join(lines) + "\n"
+
+
 def _reliability(tasks: Sequence[Row]) -> str:
     """How often a member of a class is a true term, by the probability that it was given."""
     pairs = [(p, hit) for row in tasks for p, hit in row.get("members", ())]
@@ -114,4 +126,4 @@ def _coverage(tasks: Sequence[Row]) -> str:
 
 
 def line(cells: Iterable[Any]) -> str:
-    return "| " + " | ".join(str(cell) for cell in cells) + " |"
+    return "| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |"

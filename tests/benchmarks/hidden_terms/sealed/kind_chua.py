@@ -50,7 +50,7 @@ def course(v, run):
 
     def rate(t, x, u):
         v1, v2, i = x
-        into = (v2 - v1) / v["R"] - v["g"] * v1 - cubic * v1**3 + bias
+        into = (v2 - v1) / v["R"] - v["g"] * v1 - cubic * np.clip(v1, -100, 100) ** 3 + bias
         into -= diode * (np.exp(np.clip(v1, -20, 20) / 2.5) - 1)
         around = u["U"] - v2 - v["RL"] * i + offset - lamp * i * abs(i)
         return into / (1e-6 * v["C1"]), ((v1 - v2) / v["R"] + i) / (1e-6 * v["C2"]), around / v["L"]
@@ -81,7 +81,7 @@ KIND = Kind(
     sentence="a circuit with a nonlinear resistor",
     truth={"C1": 10.0, "C2": 47.0, "L": 0.05, "R": 100.0, "RL": 10.0, "g": 2e-3},
     terms={
-        "node.cubic_conductance": Hidden(1.2e-4, CubicConductance(), "node"),
+        "node.cubic_conductance": Hidden(8e-5, CubicConductance(), "node"),
         "node.constant_torque": Hidden(0.015, ce.effects.ConstantTorque(), "node"),
         "branch.coulomb_friction": Hidden(1.0, ce.effects.CoulombFriction(), "branch"),
         "branch.quadratic_drag": Hidden(60.0, ce.effects.QuadraticDrag(), "branch"),

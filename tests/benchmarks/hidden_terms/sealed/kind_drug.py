@@ -80,10 +80,10 @@ KIND = Kind(
     sentence="a drug in two compartments",
     truth={"V": 10.0, "CL": 3.0, "Q": 4.0, "V2": 20.0},
     terms={
-        "blood.saturable_elimination": Hidden(12.0, Saturable(), "blood", {"half": 2.0}),
-        "blood.constant_torque": Hidden(6.0, ce.effects.ConstantTorque(), "blood"),
+        "blood.saturable_elimination": Hidden(20.0, Saturable(), "blood", {"half": 2.0}),
+        "blood.constant_torque": Hidden(8.0, ce.effects.ConstantTorque(), "blood"),
         "blood.load_step": Hidden(8.0, ce.effects.LoadStep(), "blood", {"time": "event"}),
-        "sensor_blood.sensor_offset": Hidden(0.6, ce.effects.SensorOffset(), "sensor_blood"),
+        "sensor_blood.sensor_offset": Hidden(1.2, ce.effects.SensorOffset(), "sensor_blood"),
         "sensor_blood.sensor_delay": Hidden(0.25 * HOUR, ce.effects.SensorDelay(), "sensor_blood"),
         "blood.induction": Hidden(1.2),
     },

@@ -86,7 +86,7 @@ KIND = Kind(
     terms={
         "piston.coulomb_friction": Hidden(150.0, ce.effects.CoulombFriction(), "piston"),
         "piston.constant_torque": Hidden(-250.0, ce.effects.ConstantTorque(), "piston"),
-        "piston.quadratic_drag": Hidden(2500.0, ce.effects.QuadraticDrag(), "piston"),
+        "piston.quadratic_drag": Hidden(5000.0, ce.effects.QuadraticDrag(), "piston"),
         "sensor_pressure.sensor_offset": Hidden(1.2e5, ce.effects.SensorOffset(), "sensor_pressure"),
         "parameter_m.wrong_value": Hidden(0.5, wrong="m", needs=("speed", "pressure")),
         "valve.overlap": Hidden(0.12),

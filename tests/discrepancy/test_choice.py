@@ -1,0 +1,337 @@
+"""Rounds of the choice on small records: what is named, added, exchanged, dropped, and what ends them."""
+
+import math
+from types import SimpleNamespace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import casadi_engine as ce
+from casadi_engine.discrepancy import choice as module
+from casadi_engine.discrepancy.choice import Choice, key_of
+from casadi_engine.discrepancy.refit import Refitter, addition
+from casadi_engine.discrepancy.screening import screen
+from casadi_engine.discrepancy.start import Start
+from casadi_engine.effects import Amplitude, Effect
+from casadi_engine.errors import EstimationError
+
+FEW = ["coulomb_friction", "quadratic_drag", "viscous_friction", "constant_torque"]
+DRY, DRAG, CONSTANT = ((name, "pivot") for name in ("coulomb_friction", "quadratic_drag", "constant_torque"))
+
+
+def rubbing(t, angle, rate):
+    return -0.6 * np.tanh(rate / 0.02)
+
+
+def rubbing_and_pushed(t, angle, rate):
+    return 0.8 + rubbing(t, angle, rate)
+
+
+@pytest.fixture(scope="module")
+def prepared(pendulum):
+    """hidden, effects, most, ... -> a choice, its null fit, and what it told; it has not run."""
+    fits = {}
+
+    def of(hidden, effects=FEW, *, most=4, samples=300, **options):
+        if (hidden, samples) not in fits:
+            data = pendulum.decay(hidden, samples=samples)
+            noise = ce.Noise(y=pendulum.level)
+            fits[hidden, samples] = data, ce.estimate(pendulum.model, data, noise=noise, progress=False)
+        data, fit = fits[hidden, samples]
+        said = []
+        made = Choice(pendulum.refitter(data), lambda fit: screen(fit, effects), most, said.append, **options)
+        return SimpleNamespace(choice=made, fit=fit, said=said)
+
+    return of
+
+
+@pytest.fixture(scope="module")
+def named(prepared):
+    """A choice among a few effects for hidden dry friction, at its end."""
+    made = prepared(rubbing)
+    made.choice.run(made.fit)
+    return made
+
+
+def test_dry_friction_of_a_pendulum_is_named_and_confirmed(pendulum):
+    """A model by Blueprint, two decays, another one to confirm on."""
+    data = pendulum.decay(rubbing, samples=300)
+    fresh = pendulum.decay(rubbing, samples=300, begun=1.1, seed=5, name="fresh")
+    noise = ce.Noise(y=pendulum.level)
+    found = ce.repair(pendulum.model, data, fresh=fresh, effects=FEW, noise=noise, starts=1, progress=False)
+    assert found.verdict == "named"
+    assert found.confirmed is True
+    (one,) = found.effects
+    assert one.key == "pivot.coulomb_friction"
+    assert abs(one.amplitude.value - 0.6) < 4 * one.amplitude.stderr
+    assert found.unknown is None
+
+
+def test_the_best_structure_is_the_truth_beyond_all_rivals(named):
+    found = named.choice
+    assert found.best == {DRY}
+    best = found.pool[found.best]
+    assert best.label == "coulomb_friction at pivot"
+    assert best.beyond > 3 * module.BEYOND
+    others = [one.log for key, one in found.pool.items() if key and DRY not in key]
+    assert max(others) < best.log - math.log(module.FACTOR)
+    assert found.chosen.fit.converged
+    assert found.null.effects == ()
+    assert not found.failed
+
+
+def test_rounds_tell_what_was_tried_and_kept(named):
+    first = named.choice.rounds[0]
+    assert first.kept == "coulomb_friction at pivot"
+    # a viscous friction more is one with the model's own damping, and cannot be tested
+    assert {label.partition(" at")[0] for label, _ in first.proposals} == {*FEW} - {"viscous_friction"}
+    assert first.proposals[0][0] == first.refits[0][0] == "coulomb_friction at pivot"
+    assert first.dropped == ()
+    assert named.said[0] == "scores of all effects at all ports"
+    assert "fit with coulomb_friction at pivot" in named.said
+
+
+def test_the_way_to_a_structure_has_its_class(named):
+    none, last = named.choice.way(named.choice.best)
+    assert none.effects == ()
+    assert [one.label for one in last.effects] == ["coulomb_friction at pivot"]
+    assert [(m.name, m.at, m.probability) for m in last.members] == [(*DRY, 1.0)]
+    assert last.drop > 3 * module.BEYOND**2
+    assert none.screened.candidates[last.lead].key == DRY
+
+
+def test_structures_are_asked_in_the_order_of_their_evidence(named):
+    assert list(named.choice.ranked()) == [named.choice.best, frozenset()]
+
+
+def test_two_effects_are_added_one_after_the_other(prepared):
+    made = prepared(rubbing_and_pushed)
+    made.choice.run(made.fit)
+    assert made.choice.best == {DRY, CONSTANT}
+    values = made.choice.chosen.fit.estimates
+    for name, truth in (("pivot.coulomb_friction.torque", 0.6), ("pivot.constant_torque.torque", 0.8)):
+        assert abs(values[name].value) == pytest.approx(truth, abs=4 * values[name].stderr)
+    stations = made.choice.way(made.choice.best)
+    assert [len(one.effects) for one in stations] == [0, 1, 2]
+    # the parts come after what is chosen, and the model without effects last
+    order = list(made.choice.ranked())
+    assert order[0] == made.choice.best
+    assert order[-1] == frozenset()
+
+
+def structure(made, *names):
+    """The refit of the effects of these names, made before any round."""
+    candidates = {c.effect: c for c in made.choice.null.screened.candidates}
+    effects = tuple(addition(candidates[name], 0.1) for name in names)
+    (found,) = made.choice._tried(effects, Start.of(made.fit))
+    return found
+
+
+@pytest.fixture(scope="module")
+def begun(prepared):
+    """hidden -> a choice that has scored, and has had no round."""
+
+    def of(hidden):
+        made = prepared(hidden, most=0)
+        made.choice.run(made.fit)
+        return made
+
+    return of
+
+
+def test_an_effect_that_is_not_worth_a_factor_of_twenty_is_left_out(begun):
+    made = begun(rubbing)
+    both = structure(made, "quadratic_drag", "coulomb_friction")
+    none = made.choice.pool[frozenset()]
+    assert made.choice._exchanged(both, none).key == {DRY}
+
+
+def test_an_effect_that_stands_for_another_is_exchanged(begun):
+    made = begun(rubbing_and_pushed)
+    wrong = structure(made, "constant_torque", "quadratic_drag")
+    assert made.choice._exchanged(wrong, made.choice.pool[frozenset()]).key == {DRY, CONSTANT}
+
+
+class Alike(Effect):
+    """The dry friction's law by another name."""
+
+    name, attaches, kin = "brake", ("inertia",), ()
+    sentence = "a brake on {port}"
+    amplitude = Amplitude("torque", unit="N m", min=0)
+
+    def law(self, port, p, math):
+        return -p.torque * math.tanh(port.speed / 0.05)
+
+
+class Second(Alike):
+    name, sentence = "clutch", "a clutch on {port}"
+
+
+def test_effects_that_are_the_same_law_share_a_class_in_equal_parts(pendulum):
+    data = pendulum.decay(rubbing, samples=300)
+    effects = [Alike(), Second(), "quadratic_drag"]
+    found = ce.repair(
+        pendulum.model, data, effects=effects, noise=ce.Noise(y=pendulum.level), starts=1, holdout=0.0, progress=False
+    )  # fmt: skip
+    assert found.verdict == "class"
+    (one,) = found.effects
+    assert {m.name for m in one.members} == {"brake", "clutch"}
+    assert [m.probability for m in one.members] == pytest.approx([0.5, 0.5], abs=0.01)
+    assert [abs(m.rho) for m in one.members] == pytest.approx([1, 1], abs=1e-3)
+
+
+def test_rivals_in_the_library_do_not_unname_an_effect(prepared, named):
+    made = prepared(rubbing, [*FEW, "asymmetric_friction", "sensor_offset"])
+    made.choice.run(made.fit)
+    assert made.choice.best == named.choice.best
+    members = made.choice.way(made.choice.best)[-1].members
+    assert members[0].name == "coulomb_friction"
+
+
+def by_length():
+    """The pendulum by its length and a viscous torque."""
+    b = ce.Blueprint("pendulum")
+    length = b.parameter("length", 0.25, unit="m", min=0.01, max=3)
+    viscous = b.parameter("d", 1e-3, unit="N m s/rad")
+    angle, rate = b.state("angle", unit="rad"), b.state("rate", unit="rad/s")
+    pivot = b.port("pivot", "inertia", {"speed": rate, "angle": angle})
+    b.ode("angle", rate)
+    b.ode("rate", (pivot - viscous * rate) / (0.3 * length**2) - 9.81 / length * ca.sin(angle))
+    b.output("y", angle, unit="rad")
+    return b.model(), 1.0
+
+
+def in_other_units():
+    """The pendulum by its frequency, with an output in mrad, a torque of a thousandth and other scales."""
+    b = ce.Blueprint("pendulum")
+    own = b.parameter("w", 6.3, unit="rad/s", min=1, max=14)
+    damping = b.parameter("c", 0.05, unit="1/s", min=0, max=5)
+    angle, rate = b.state("angle", unit="rad", scale=0.1), b.state("rate", unit="rad/s", scale=50)
+    pivot = b.port("pivot", "inertia", {"speed": rate, "angle": angle})
+    b.ode("angle", rate)
+    b.ode("rate", 1e-3 * pivot - damping * rate - own**2 * ca.sin(angle))
+    b.output("y", 1e3 * angle, unit="mrad")
+    return b.model(), 1e3
+
+
+@pytest.mark.parametrize("way", [by_length, in_other_units])
+def test_no_verdict_depends_on_how_the_model_is_written(pendulum, named, way):
+    """Evidence too: of the effect against none, and of its best rival against it."""
+    model, unit = way()
+    record = pendulum.decay(rubbing, samples=300)
+    y = {"y": "rad" if unit == 1 else "mrad"}
+    data = ce.Experiment.from_arrays("decay", time=record["y"].time, units=y, y=unit * record["y"].values)
+    noise = ce.Noise(y=unit * pendulum.level)
+    fit = ce.estimate(model, data, noise=noise, progress=False)
+    refitter = Refitter(model, model.parameters(), (data,), noise, {"max_iterations": 100})
+    found = Choice(refitter, lambda fit: screen(fit, FEW), 4, lambda _: None)
+    found.run(fit)
+    assert found.best == named.choice.best
+    for key in (frozenset({DRY}), frozenset({DRAG})):
+        here, there = (one.pool[key].log - one.pool[frozenset()].log for one in (found, named.choice))
+        assert here == pytest.approx(there, abs=0.3)
+    assert found.pool[found.best].beyond == pytest.approx(named.choice.pool[found.best].beyond, rel=0.02)
+
+
+def test_nothing_is_added_where_nothing_is_missing(prepared):
+    made = prepared(None)
+    made.choice.run(made.fit)
+    assert made.choice.best == frozenset()
+    assert made.choice.rounds == []
+    assert made.choice.way(frozenset()) == [made.choice.null]
+
+
+# ---- what ends a choice
+
+
+def test_an_interrupted_choice_has_the_best_fit_so_far(prepared, named):
+    assert named.choice.fit is named.choice.chosen.fit
+    made = prepared(rubbing)
+
+    def interrupted(fit):
+        raise KeyboardInterrupt
+
+    made.choice.screen = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        made.choice.run(made.fit)
+    assert made.choice.fit is made.fit
+
+
+def test_without_time_there_is_no_round(prepared):
+    made = prepared(rubbing, budget=0.0)
+    made.choice.run(made.fit)
+    assert made.choice.best == frozenset()
+    assert made.choice.rounds == []
+    assert not any(text.startswith("refit") for text in made.said)
+
+
+def test_what_the_time_did_not_allow_is_listed(prepared, monkeypatch):
+    """The best of what was refitted is kept all the same."""
+    made = prepared(rubbing)
+    refits = []
+    monkeypatch.setattr(Choice, "_late", lambda self: len(refits) > 0)
+    real = Choice._arrive
+
+    def arrive(self, *args):
+        refits.append(args)
+        return real(self, *args)
+
+    monkeypatch.setattr(Choice, "_arrive", arrive)
+    made.choice.run(made.fit)
+    assert len(made.choice.rounds) == 1
+    late = "the time was up"
+    assert made.choice.failed == {"quadratic_drag at pivot": late, "constant_torque at pivot": late}
+    assert made.choice.best == {DRY}
+
+
+def test_a_structure_whose_whole_fit_fails_gives_way_to_the_next(prepared, monkeypatch):
+    """And is said to have failed."""
+    made = prepared(rubbing, ["coulomb_friction", Alike()], most=1)
+    real, asked = Choice._station, []
+
+    def station(self, tried):
+        asked.append(tried.key)
+        return None if tried.key == asked[0] else real(self, tried)
+
+    monkeypatch.setattr(Choice, "_station", station)
+    made.choice.run(made.fit)
+    first, then = made.choice.pool[asked[0]], made.choice.best
+    assert made.choice.failed == {first.label: "its fit of all data does not converge"}
+    assert first.log == -math.inf
+    assert {first.key, then} == {frozenset({DRY}), frozenset({("brake", "pivot")})}
+
+
+def test_no_more_effects_than_asked_for(prepared):
+    made = prepared(rubbing_and_pushed, most=1)
+    made.choice.run(made.fit)
+    assert len(made.choice.best) == 1
+    assert len(made.choice.rounds) == 1
+
+
+def test_an_effect_whose_refits_do_not_arrive_is_said_to_have_no_answer(prepared, monkeypatch):
+    made = prepared(rubbing)
+    for name in ("from_point", "from_windows"):
+        real = getattr(module.Path, name)
+        lost = lambda self, effects, start, real=real: (  # noqa: E731
+            None if DRAG in key_of(effects) else real(self, effects, start)
+        )
+        monkeypatch.setattr(module.Path, name, lost)
+    made.choice.run(made.fit)
+    assert made.choice.failed == {"quadratic_drag at pivot": "no refit of it arrives"}
+    assert made.choice.best == {DRY}
+
+
+def test_a_model_that_cannot_be_simulated_at_its_optimum_is_refused(prepared, monkeypatch):
+    made = prepared(rubbing)
+    monkeypatch.setattr(module.Path, "at", lambda *args: None)
+    with pytest.raises(
+        EstimationError, match=r"the model without effects cannot be simulated at its own optimum"
+    ) as caught:
+        made.choice.run(made.fit)
+    assert "give other start values, bounds, or a shorter record" in str(caught.value)
+
+
+def test_a_key_has_no_order():
+    first, second = (SimpleNamespace(candidate=SimpleNamespace(key=key)) for key in (DRY, DRAG))
+    assert key_of([first, second]) == key_of([second, first]) == {DRY, DRAG}

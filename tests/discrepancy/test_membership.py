@@ -1,0 +1,94 @@
+"""The way to a structure and its classes, from evidences that are known."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from casadi_engine.discrepancy.membership import class_of, number_of, ordered
+
+DRY, DRAG, STEP, OFFSET = ("dry", "load"), ("drag", "load"), ("step", "load"), ("offset", "sensor")
+
+
+def effect(key):
+    return SimpleNamespace(candidate=SimpleNamespace(key=key), label=key[0])
+
+
+def pool_of(**logs):
+    """dry_drag=3.0 -> the structure of both and its log evidence."""
+    known = {"dry": DRY, "drag": DRAG, "step": STEP, "offset": OFFSET, "none": None}
+    return {
+        frozenset(known[part] for part in name.split("_") if known[part]): SimpleNamespace(log=log)
+        for name, log in logs.items()
+    }
+
+
+def names(members):
+    return [member.name for member in members]
+
+
+def test_the_way_goes_over_the_most_probable_structures():
+    pool = pool_of(none=0.0, dry=5.0, drag=9.0, step=1.0, dry_drag=20.0, drag_step=18.0, dry_drag_step=40.0)
+    found = ordered([effect(DRY), effect(DRAG), effect(STEP)], pool)
+    assert [one.label for one in found] == ["drag", "dry", "step"]
+
+
+def test_what_was_never_tried_comes_last_on_the_way():
+    found = ordered([effect(STEP), effect(DRY)], pool_of(none=0.0, dry=-3.0, dry_step=2.0))
+    assert [one.label for one in found] == ["dry", "step"]
+    assert ordered([], {}) == ()
+
+
+def test_effects_that_are_as_probable_share_their_class():
+    found = class_of(pool_of(dry=7.0, drag=7.0, step=-50.0), frozenset({DRY}), effect(DRY), 20.0)
+    assert [(m.name, m.at) for m in found] == [DRY, DRAG]
+    assert [m.probability for m in found] == pytest.approx([0.5, 0.5])
+
+
+@pytest.mark.parametrize(("times", "inside"), [(19.0, True), (21.0, False)])
+def test_an_effect_that_is_a_factor_less_probable_is_excluded(times, inside):
+    pool = pool_of(dry=7.0, drag=7.0 - math.log(times))
+    found = class_of(pool, frozenset({DRY}), effect(DRY), 20.0)
+    assert names(found) == (["dry", "drag"] if inside else ["dry"])
+    share = times / (1 + times) if inside else 1.0
+    assert found[0].probability == pytest.approx(share)
+    assert sum(m.probability for m in found) == pytest.approx(1)
+
+
+def test_probabilities_follow_the_evidence_and_the_rest_their_order():
+    pool = pool_of(dry=0.0, step=-math.log(4), drag=-math.log(2))
+    found = class_of(pool, frozenset({DRY}), effect(DRY), 20.0)
+    assert names(found) == ["dry", "drag", "step"]
+    assert [m.probability for m in found] == pytest.approx([4 / 7, 2 / 7, 1 / 7])
+
+
+def test_the_effect_itself_comes_first_even_where_another_is_more_probable():
+    """The structure is chosen by more than the evidence: fresh data may have refused the other."""
+    found = class_of(pool_of(dry=0.0, drag=math.log(9)), frozenset({DRY}), effect(DRY), 20.0)
+    assert names(found) == ["dry", "drag"]
+    assert [m.probability for m in found] == pytest.approx([0.1, 0.9])
+
+
+def test_rivals_stand_beside_the_same_other_effects():
+    pool = pool_of(dry=30.0, drag=30.0, dry_step=50.0, drag_step=50.0, dry_offset=50.0, dry_drag=49.5)
+    found = class_of(pool, frozenset({DRY, STEP}), effect(STEP), 20.0)
+    assert set(names(found)) == {"step", "offset", "drag"}
+    assert names(found)[0] == "step"
+    own = class_of(pool, frozenset({DRY, STEP}), effect(DRY), 20.0)
+    assert names(own) == ["dry", "drag"]
+
+
+def test_a_structure_whose_fit_failed_is_no_rival():
+    found = class_of(pool_of(dry=1.0, drag=-math.inf), frozenset({DRY}), effect(DRY), 20.0)
+    assert names(found) == ["dry"]
+
+
+def test_an_effect_has_the_candidate_of_its_label_or_else_the_best_one():
+    candidates = [SimpleNamespace(key=k, label=label) for k, label in ((DRY, "a"), (STEP, "b"), (STEP, "c"))]
+    screened = SimpleNamespace(
+        candidates=candidates, scores=SimpleNamespace(statistic=np.array([9.0, 1.0, 2.0]))
+    )
+    assert number_of(screened, STEP, "b") == 1
+    assert number_of(screened, STEP, "another") == 2
+    assert number_of(screened, DRY) == 0
