@@ -226,9 +226,7 @@ class Choice:
         """Refits of one effect: from ``here``, and in windows from the parameters' own values."""
         start = Start(here.arrived.values, here.arrived.initial)
         self._try(here, _chosen(screened, at_here, members), start)
-        if own is not None and not self.path.linear:
-            self._try(here, _chosen(screened, own, members), None, windows=True)
-        elif own is not None and here.arrived.held:
+        if own is not None and (here.arrived.held or not self.path.linear):
             self._try(here, _chosen(screened, own, members), None)
         self._arrive(here, screened.candidates[members[0]].key, lambda: _chosen(screened, at_here, members))
 
@@ -328,13 +326,13 @@ class Choice:
     def _key(self, here: Tried, key: tuple[str, str]) -> Key:
         return here.key | {key}
 
-    def _try(self, here: Tried, one: Addition, start: Start | None, *, windows: bool = False) -> None:
-        self._tried((*here.effects, one), start, windows=windows)
+    def _try(self, here: Tried, one: Addition, start: Start | None) -> None:
+        self._tried((*here.effects, one), start)
 
-    def _tried(self, effects: tuple[Addition, ...], start: Start | None, *, windows: bool = False) -> list[Tried]:
+    def _tried(self, effects: tuple[Addition, ...], start: Start | None) -> list[Tried]:
         """The structure in the pool, after another refit of it from a start; empty where none has arrived."""
         key = key_of(effects)
-        go = self.path.from_windows if windows else self.path.from_point
+        go = self.path.from_point if self.path.linear else self.path.from_windows
         arrived = go(effects, start)
         known = self.pool.get(key)
         if arrived is None or not math.isfinite(arrived.cost):

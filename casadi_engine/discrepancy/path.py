@@ -122,7 +122,8 @@ class Path:
         try:
             _, _, problem = self._problem(effects)
             values = None if start is None else start.values
-            initial = (None if start is None else start.initial) or None
+            # windows begin at the measured states, which a wrong simulation has lost
+            initial = (None if start is None or horizons is None else start.initial) or None
             return _arrived(problem, problem.run(start=values, initial=initial, horizons=horizons))
         except FAILURES:
             return None

@@ -36,6 +36,8 @@ _FALL, _SHARE, _HALF = 5e-5, 1e-3, 0.5
 _LONGEST = 1.5
 # Gaps that count as none, by their effect on chi-squared as a share of that fall, and how often they are closed.
 _CLOSED, _CLOSINGS = 1e-2, 6
+# Evaluations over one horizon, in multiples of its steps, at which a search ends.
+_ENOUGH = 3
 # Rounds of shorter integration steps, each with a few steps from where the last one ended.
 _SHORTENED = 4
 # Growth of a window from one horizon to the next.
@@ -112,7 +114,7 @@ class RefitProblem:
         self._as_fine_as(warm)
         place, status = self._descended(ladder[-1], v, nodes, most, last=True)
         for _ in range(_SHORTENED):
-            if not shorten_steps(self.records, place.v, place.nodes):
+            if status != "converged" or not shorten_steps(self.records, place.v, place.nodes):
                 break
             place, status = self._descended(ladder[-1], place.v, list(place.nodes), most, last=True)
         return self._answer(place, states or list(place.nodes), status)
@@ -140,6 +142,9 @@ class RefitProblem:
             found = minimise(windows, v, low, high, fall=fall, steps=most, longest=self._longest)
             assert found is not None  # it was evaluated above
             v, converged = windows.best.v, found.converged
+            if windows.evaluations > _ENOUGH * most:  # gaps that open again as often as they are closed
+                converged = False
+                break
             if not last or (
                 self._closed(windows, fall) and before < 2 * max(windows.best.squares.cost, self.count)
             ):
