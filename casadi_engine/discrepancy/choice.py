@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from casadi_engine.discrepancy.assumed_pressure import settle_scatter
 from casadi_engine.discrepancy.compression import scatter_columns
 from casadi_engine.discrepancy.evidence import Digest, Evidence, Levels, digest, evidence, levels_left
 from casadi_engine.discrepancy.linear_algebra import Array
@@ -477,6 +478,9 @@ class Choice:
             fit = self._timed("fit", lambda: self.refitter(self.null_fit, tried.effects, start=start))
             if fit is None or not fit.converged:
                 return None
+            # before, the scatter of assumed pressures had to stand for the effect
+            settled = {"noise": self.refitter.noise, "options": self.refitter.options}
+            fit, _ = self._timed("fit", lambda: settle_scatter(fit, fit.parameters, **settled))
             screened = self._timed("score", lambda: self._screened(fit))
             self._stations[tried.key] = Station(fit, tried.effects, screened)
         return self._stations[tried.key]
