@@ -63,9 +63,10 @@ def repair(
 ) -> Repair:
     """Find the physical effects that a model lacks, name them, refit with them, and test them on fresh data.
 
-    The model is fitted (multi-start); every effect at every port is scored with all parameters free, at one false-alarm
-    rate for the whole library; the best are added, refitted and kept by the extended BIC until nothing is significant;
-    fresh data, on which initial states alone are found, have the last word.
+    The model is fitted (multi-start); scores with all parameters free tell, at one false-alarm rate for the whole
+    library, whether anything is missing; every effect at every port is refitted in a complete model, and the most
+    probable one is kept, dropped or exchanged until no change gains a factor of 20; fresh data, on which initial states
+    alone are found, rank the structures.
 
     Parameters
     ----------
@@ -86,7 +87,7 @@ def repair(
 
     Returns a Repair; its ``verdict`` is "named", "class", "unnamed", "nothing missing", or None with ``status`` saying
     why (the first fit did not converge). Raises EffectError, EstimationError, ExperimentError, ParameterError for input
-    that cannot be used. Sources: score tests (Rao 1948), extended BIC (Chen & Chen 2008).
+    that cannot be used. Sources: score tests (Rao 1948), evidence (Laplace 1774, MacKay 1992).
 
     >>> import numpy as np, casadi_engine as ce
     >>> t = np.arange(1000) * 0.01

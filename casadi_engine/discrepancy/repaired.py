@@ -24,8 +24,8 @@ Verdict = Literal["named", "class", "unnamed", "nothing missing"]
 
 @dataclass(frozen=True)
 class Member:
-    """One effect of a class: rho, its correlation with the lead; probability among the members, with equal chances
-    before the data."""
+    """One effect of a class: rho, its correlation with the lead; probability of the model with it in the lead's place,
+    given the data, among the members."""
 
     name: str
     at: str
@@ -222,8 +222,8 @@ class NoiseFound:
 
 @dataclass(frozen=True)
 class Round:
-    """One round of the search: best proposals (label, pooled p-value), refits (label, chi-squared, converged), the
-    label kept or None, and the labels dropped."""
+    """One round of the search: structures (label, gain of log evidence over the one before), their refits (label,
+    chi-squared, converged), the label kept or None, and the labels dropped."""
 
     proposals: tuple[tuple[str, float], ...]
     refits: tuple[tuple[str, float, bool], ...]

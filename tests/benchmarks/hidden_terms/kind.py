@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 
+import casadi_engine as ce
+
 HERE = Path(__file__).parent
 TASKS, NULLS = 20, 140
 SNRS = (20, 30, 40, 20, 10)
@@ -218,3 +220,9 @@ def load_kinds(*, sealed: bool = False) -> dict[str, Kind]:
         spec.loader.exec_module(module)
         found[module.KIND.name] = module.KIND
     return found
+
+
+def with_own(*effects: Any) -> list[Any]:
+    """The library and a kind's own effects, which come before those of the library with their names."""
+    names = [one.name for one in effects]
+    return [*(one for one in ce.effects.library() if one.name not in names), *effects]

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 import casadi_engine as ce
-from hidden_terms.kind import Hidden, Kind, Manoeuvre
+from hidden_terms.kind import Hidden, Kind, Manoeuvre, with_own
 from hidden_terms.records import levels, sines
 from hidden_terms.simulator import simulate
 
@@ -118,5 +118,5 @@ KIND = Kind(
     manoeuvres={"steps": steps, "waves": waves},
     pairs=(("steps", "waves"), ("waves", "steps")),
     units={"u": "V", "y1": "m", "y2": "m"},
-    effects=lambda: [*ce.effects.library(), Overflow(), Leak()],
+    effects=lambda: with_own(Overflow(), Leak()),
 )

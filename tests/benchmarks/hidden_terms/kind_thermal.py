@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import casadi_engine as ce
-from hidden_terms.kind import Hidden, Kind, Manoeuvre
+from hidden_terms.kind import Hidden, Kind, Manoeuvre, with_own
 from hidden_terms.records import levels, sines
 from hidden_terms.simulator import delayed, simulate
 
@@ -111,5 +111,5 @@ KIND = Kind(
     manoeuvres={"stepped": stepped, "waved": waved, "cooling": cooling},
     pairs=(("stepped", "cooling"), ("waved", "stepped"), ("cooling", "waved")),
     units={"P": "W", "Ta": "K", "Tb": "K", "Ts": "K"},
-    effects=lambda: [*ce.effects.library(), Radiation()],
+    effects=lambda: with_own(Radiation()),
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hidden_terms.kind import Hidden, Kind, Manoeuvre
+from hidden_terms.kind import Hidden, Kind, Manoeuvre, with_own
 from hidden_terms.records import levels, sines
 from hidden_terms.simulator import Dry, simulate
 
@@ -103,6 +103,6 @@ KIND = Kind(
     manoeuvres={"switched": switched, "swept": swept, "rung": rung},
     pairs=(("switched", "swept"), ("swept", "rung"), ("rung", "switched")),
     units={"U": "V", "V1": "V", "V2": "V"},
-    effects=lambda: [*ce.effects.library(), CubicConductance()],
+    effects=lambda: with_own(CubicConductance()),
     absent=("g",),
 )

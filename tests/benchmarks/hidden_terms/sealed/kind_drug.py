@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hidden_terms.kind import Hidden, Kind, Manoeuvre
+from hidden_terms.kind import Hidden, Kind, Manoeuvre, with_own
 from hidden_terms.records import levels
 from hidden_terms.simulator import delayed, simulate
 
@@ -102,5 +102,5 @@ KIND = Kind(
     manoeuvres={"infused": infused, "pulsed": pulsed, "washed": washed},
     pairs=(("infused", "pulsed"), ("washed", "infused"), ("pulsed", "washed")),
     units={"dose": "mg/h", "blood": "mg/L"},
-    effects=lambda: [*ce.effects.library(), Saturable()],
+    effects=lambda: with_own(Saturable()),
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hidden_terms.kind import Hidden, Kind, Manoeuvre
+from hidden_terms.kind import Hidden, Kind, Manoeuvre, with_own
 from hidden_terms.records import levels, sines
 from hidden_terms.simulator import simulate
 
@@ -111,5 +111,5 @@ KIND = Kind(
     manoeuvres={"stocked": stocked, "cycled": cycled},
     pairs=(("stocked", "cycled"), ("cycled", "stocked")),
     units={"u": "1", "X": "1", "Y": "1"},
-    effects=lambda: [*ce.effects.library(), Satiety(), Crowding()],
+    effects=lambda: with_own(Satiety(), Crowding()),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
-from hidden_terms.kind import Hidden, Kind, Manoeuvre
+from hidden_terms.kind import Hidden, Kind, Manoeuvre, with_own
 from hidden_terms.records import levels, sines
 from hidden_terms.simulator import delayed, simulate
 
@@ -105,5 +105,5 @@ KIND = Kind(
     manoeuvres={"stepped": stepped, "waved": waved},
     pairs=(("stepped", "waved"), ("waved", "stepped")),
     units={"cf": "1", "Tj": "K", "temperature": "K", "analyser": "1"},
-    effects=lambda: [*ce.effects.library(), SecondOrder()],
+    effects=lambda: with_own(SecondOrder()),
 )
