@@ -37,6 +37,18 @@ HoldOut = Annotated[
         help="Share of the cycles kept for confirmation where no fresh file is given.",
     ),
 ]
+Effects = Annotated[
+    list[str] | None,
+    typer.Option("--effects", metavar="NAME", help="Look for this effect alone; repeat for several."),
+]
+Without = Annotated[
+    list[str] | None,
+    typer.Option("--without", metavar="NAME", help="Do not look for this effect; repeatable."),
+]
+Budget = Annotated[
+    float | None,
+    typer.Option("--budget", metavar="SECONDS", help="Time after which no further effect is tried."),
+]
 Check = Annotated[bool, typer.Option("--check", help="End with exit code 1 if something is missing.")]
 
 # A wrong optimum of the model without effects looks like missing physics: so many starts at least.
@@ -57,6 +69,9 @@ def repair(
     debug: Debug = False,
     alpha: Alpha = 0.01,
     holdout: HoldOut = 0.3,
+    effects: Effects = None,
+    without: Without = None,
+    budget: Budget = None,
     check: Check = False,
 ) -> None:
     """Find where simulation and records disagree, name the missing effect, add it, and test it on fresh records.
@@ -64,7 +79,12 @@ def repair(
     The fresh records are the problem's validation records, or those of --validate; without any the last cycles of each
     record are held out.
     """
-    run(Options.collect("repair", locals(), extra=("alpha", "holdout", "check")), _work)
+    run(
+        Options.collect(
+            "repair", locals(), extra=("alpha", "holdout", "effects", "without", "budget", "check")
+        ),
+        _work,
+    )
 
 
 def _work(job: Job) -> int:
@@ -95,6 +115,9 @@ def _found(job: Job) -> Any:
             noise=problem.noise,
             alpha=job.options.extra["alpha"],
             holdout=job.options.extra["holdout"],
+            effects=job.options.extra["effects"] or None,
+            without=job.options.extra["without"] or (),
+            budget=job.options.extra["budget"],
             starts=max(STARTS, problem.starts),
             seed=job.options.seed,
             jobs=job.options.jobs,

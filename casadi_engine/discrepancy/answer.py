@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -45,6 +46,8 @@ _BLIND = (
     "were tested; declare ports where the model is written (Blueprint.port), or ask for errors of sensors by name, "
     'effects=["sensor_offset", "sensor_delay"]'
 )
+# A change of a gap that a person would see.
+SEEN = 0.1
 Pairs = list[tuple[Fit, NullModel]]
 
 
@@ -86,6 +89,11 @@ class Answer:
             way = self.search.way(self.search.best)
             if way is not None and len(way) > 1:
                 unknown = _behind_a_sensor(null, way[1])
+        if found and not (proof.judgement and proof.judgement.confirmed) and not _visible(found):
+            unknown = _too_small(found)
+            found, withdrawn = (), (*found, *withdrawn)
+            proof = replace(proof, kept=proof.kept[:1], after=proof.before)
+            last = null
         verdict = _verdict(found, unknown)
         self._say(null, last, proof)
         blank = Repair(
@@ -194,20 +202,28 @@ class Answer:
         last, base = stations[-1], stations[-2]
         after = self._on_fresh(last)
         if after is None:
-            return Judgement(None, False, True, "the repaired model cannot be simulated on the fresh data"), []
+            return Judgement(
+                None, False, True, "the repaired model cannot be simulated on the fresh data"
+            ), []
         if base.effects:
             part = self._on_fresh(base)
-            judged = self._judged(part, after, base, last)
+            judged = self._judged(part, after, last)
             if judged.refused:
                 return judged, after
-        return self._judged(before, after, stations[0], last), after
+        return self._judged(before, after, last), after
 
-    def _judged(self, old: Pairs | None, new: Pairs | None, base: Station, here: Station) -> Judgement:
+    def _judged(self, old: Pairs | None, new: Pairs | None, here: Station) -> Judgement:
         if not old or not new:
             why = "the repaired model cannot be simulated on the fresh data"
             return Judgement(None, False, True, why)
         event = here.effects[-1].placed and self.portion.source == "records"
-        judged = judge([n for _, n in old], [n for _, n in new], here.screened.noise)
+        noise = here.screened.noise
+        judged = judge([n for _, n in old], [n for _, n in new], noise)
+        if not judged.confirmed and not judged.refused and not event:
+            first, then = (_rmse(pairs, noise) for pairs in (old, new))
+            if then > (1 + SEEN) * first:
+                why = f"fresh data refuse it: the gap there grows by {100 * (then / first - 1):.0f} %"
+                judged = replace(judged, confirmed=False, refused=True, why=why)
         if event and not judged.confirmed and not judged.refused:
             why = "it is an event of one record, which no other record can confirm"
             return replace(judged, confirmed=None, why=f"{here.effects[-1].label}: {why}")
@@ -232,7 +248,7 @@ class Answer:
         return tuple(latent_torques(null.screened.null, _noise_of_place(last)))
 
     def _say(self, null: Station, last: Station, proof: Confirmation) -> None:
-        self.messages += [*last.screened.choice.messages]
+        self.messages += [*last.screened.choice.messages, *_without_answer(self.search.failed)]
         own = {
             record.name: {int(c) for n in record.cycle.values() for c in n}
             for record in null.screened.null.records
@@ -263,6 +279,20 @@ class Answer:
             self.messages += _at_bounds(late, inside)
 
 
+def _without_answer(failed: Mapping[str, str]) -> list[str]:
+    """What to say of effects that were looked for in vain: nothing excludes them."""
+    found = []
+    for why in dict.fromkeys(failed.values()):
+        names = [name for name, own in failed.items() if own == why]
+        found.append(f"no answer for {', '.join(names)}: {why}; nothing excludes what was not tried")
+    return found
+
+
+def _rmse(pairs: Pairs, noise: NoiseModel) -> float:
+    """The gap of all outputs, in standard deviations of the noise."""
+    return math.sqrt(gap_of([null for _, null in pairs], noise).chi2_per_sample)
+
+
 def _at_bounds(names: Sequence[str], least: Sequence[str]) -> list[str]:
     """What to say of estimates at a bound that the fit without effects did not have.
 
@@ -287,6 +317,21 @@ def _effects(proof: Confirmation) -> tuple[tuple[FoundEffect, ...], tuple[FoundE
     known = {one.key for one in found}
     everything = found_effects((proof.kept[0], *proof.refused))
     return found, tuple(one for one in everything if one.key not in known)
+
+
+def _visible(found: Sequence[FoundEffect]) -> bool:
+    """True if the effects together close a part of the gap that a person would see."""
+    left = math.prod(1 - min(max(one.share_explained, 0.0), 1.0) for one in found)
+    return 1 - left >= 1 - (1 - SEEN) ** 2
+
+
+def _too_small(found: Sequence[FoundEffect]) -> Unknown:
+    """What is said of effects that are beyond chance and close next to nothing of the gap."""
+    names = " and ".join(f"{one.name} at {one.at}" for one in found)
+    words = (
+        f"{names} is beyond chance, but closes next to nothing of the gap, and fresh data do not confirm it"
+    )
+    return Unknown(words, {one.key: one.p_value for one in found})
 
 
 def _unknown(

@@ -164,7 +164,7 @@ class Choice:
         self._timed("evidence", self._weigh)
         known = int(screened.scores.testable.sum())
         while True:
-            best = self._most_probable(here, tried)
+            best = self._most_probable(tried)
             gain = -math.inf if best is None else best.log - here.log
             calibrated = bool(screened.significant) and not screened.noise.colour and not self.levels.memory
             if best is None or not (calibrated or gain > math.log(FACTOR * max(known, 1))):
@@ -185,7 +185,7 @@ class Choice:
         gone = tuple(one.label for one in here.effects if kept and one.candidate.key not in kept.key)
         self.rounds.append(Round(library, refits, None if kept is None else kept.label, gone))
 
-    def _most_probable(self, here: Tried, tried: Sequence[Tried]) -> Tried | None:
+    def _most_probable(self, tried: Sequence[Tried]) -> Tried | None:
         found = [one for one in tried if one.beyond > BEYOND and math.isfinite(one.log)]
         return max(found, key=lambda one: one.log, default=None)
 
@@ -242,10 +242,12 @@ class Choice:
         """Those of the rest that may explain about as much as the best one so far, by one step."""
         found = [self.pool[k] for key in families if (k := self._key(here, key)) in self.pool]
         best = min(found, key=lambda one: one.arrived.cost, default=None)
-        null = None if best is None else self._null(best)
-        gone = None if null is None else without_effect(null, best.effects[-1], len(self.null_fit.model.states))
+        if best is None:
+            return rest
+        null, states = self._null(best), len(self.null_fit.model.states)
+        gone = None if null is None else without_effect(null, best.effects[-1], states)
         step = None if gone is None else one_step(gone, screened.candidates, self.path.levels)
-        if best is None or step is None:
+        if step is None:
             return rest
         most = self._rival(best.arrived.cost, here.arrived.cost, screened)
         lower = np.minimum(at_here.cost, step.cost)
@@ -265,7 +267,9 @@ class Choice:
 
     def _rival(self, least: float, none: float, screened: Screened) -> float:
         """Chi-squared by one step up to which an effect may well be a rival of one with chi-squared ``least``."""
-        chance = 2 * math.log(FACTOR * len(screened.candidates)) * max(self.levels.memory.values(), default=1.0)
+        chance = (
+            2 * math.log(FACTOR * len(screened.candidates)) * max(self.levels.memory.values(), default=1.0)
+        )
         return least + _PART * max(none - least, 0.0) + chance
 
     def _around(self, here: Tried, screened: Screened, families: dict[tuple[str, str], list[int]]) -> None:
@@ -277,11 +281,33 @@ class Choice:
                 return
             for one in self._instead(best, best.effects[-1], screened, families):
                 self.tell(f"refit {one.label} from the parameters of {best.effects[-1].label}")
-                start = {n: v for n, v in best.arrived.values.items() if not n.startswith(f"{best.effects[-1].key}.")}
+                start = {
+                    n: v
+                    for n, v in best.arrived.values.items()
+                    if not n.startswith(f"{best.effects[-1].key}.")
+                }
                 self._try(here, one, Start(start, best.arrived.initial))
-            now = max((self.pool[k].log for key in families if (k := self._key(here, key)) in self.pool))
+            self._containing(here, screened, families)
+            now = max(self.pool[k].log for key in families if (k := self._key(here, key)) in self.pool)
             if now <= best.log:
                 return
+
+    def _containing(
+        self, here: Tried, screened: Screened, families: dict[tuple[str, str], list[int]]
+    ) -> None:
+        """Refits of effects that ended above a special case of theirs, from where that ended."""
+        for key, members in families.items():
+            effect = screened.candidates[members[0]].source.effect
+            known, simple = (self.pool.get(self._key(here, k)) for k in (key, (effect.limit, key[1])))
+            if simple is None or (known is not None and known.arrived.cost <= simple.arrived.cost + _NESTED):
+                continue
+            case = simple.effects[-1]
+            number = next(k for k in families[case.candidate.key])
+            alike = np.abs(screened.scores.correlation[number, members])
+            candidate = screened.candidates[members[int(np.argmax(alike))]]
+            own = {n: v for n, v in simple.arrived.values.items() if not n.startswith(f"{case.key}.")}
+            size = next(v for n, v in simple.arrived.values.items() if n.partition("@")[0] == case.amplitude)
+            self._try(here, addition(candidate, size), Start(own, simple.arrived.initial))
 
     def _instead(
         self, tried: Tried, member: Addition, screened: Screened, families: dict[tuple[str, str], list[int]]
@@ -293,9 +319,15 @@ class Choice:
         step = None if rest is None else one_step(rest, screened.candidates, self.path.levels)
         if step is None:
             return []
-        best = {key: min(own, key=lambda k: step.cost[k]) for key, own in families.items() if key != member.candidate.key}
+        best = {
+            key: min(own, key=lambda k: step.cost[k])
+            for key, own in families.items()
+            if key != member.candidate.key
+        }
         most = self._rival(tried.arrived.cost, step.none, screened)
-        order = [key for key in sorted(best, key=lambda key: step.cost[best[key]]) if step.cost[best[key]] < most]
+        order = [
+            key for key in sorted(best, key=lambda key: step.cost[best[key]]) if step.cost[best[key]] < most
+        ]
         return [_chosen(screened, step, families[key]) for key in order[:_EXCHANGED]]
 
     def _exchanged(self, best: Tried, here: Tried) -> Tried:

@@ -358,4 +358,6 @@ def judge(before: Sequence[NullModel], after: Sequence[NullModel], noise: NoiseM
     size = f"{gain.mean:.3g} ± {gain.se:.2g} per cycle"
     if gain.refused:
         return Judgement(gain, False, True, f"fresh data refuse it: the gap grows, the gain is {size}")
-    return Judgement(gain, False, False, f"fresh data do not confirm it: the gain is {size}, which chance may make")
+    return Judgement(
+        gain, False, False, f"fresh data do not confirm it: the gain is {size}, which chance may make"
+    )

@@ -27,9 +27,7 @@ class OneStep:
     none: float
 
 
-def one_step(
-    null: NullModel, candidates: Sequence[Candidate], levels: Mapping[str, float]
-) -> OneStep | None:
+def one_step(null: NullModel, candidates: Sequence[Candidate], levels: Mapping[str, float]) -> OneStep | None:
     """All candidates linearised along a model, at white levels; None where that fails."""
     try:
         with np.errstate(all="ignore"):

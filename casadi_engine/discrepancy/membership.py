@@ -18,6 +18,7 @@ def ordered(effects: Sequence[Addition], pool: Mapping[Any, Any]) -> tuple[Addit
     """Effects so that each beginning is the most probable one of its length."""
     left, done = list(effects), list[Addition]()
     while left:
+
         def log(one: Addition) -> float:
             found = pool.get(frozenset(e.candidate.key for e in (*done, one)))
             return -math.inf if found is None else float(found.log)
@@ -28,7 +29,9 @@ def ordered(effects: Sequence[Addition], pool: Mapping[Any, Any]) -> tuple[Addit
     return tuple(done)
 
 
-def reached(before: Station, station: Station, effects: tuple[Addition, ...], members: tuple[Member, ...]) -> Station:
+def reached(
+    before: Station, station: Station, effects: tuple[Addition, ...], members: tuple[Member, ...]
+) -> Station:
     """A station with how it was reached from the one before; effects : its own, in order."""
     screened, one = before.screened, effects[-1]
     lead = number_of(screened, one.candidate.key, one.label)
@@ -40,7 +43,9 @@ def reached(before: Station, station: Station, effects: tuple[Addition, ...], me
     )
 
 
-def class_of(pool: Mapping[Any, Any], key: frozenset[tuple[str, str]], one: Addition, factor: float) -> tuple[Member, ...]:
+def class_of(
+    pool: Mapping[Any, Any], key: frozenset[tuple[str, str]], one: Addition, factor: float
+) -> tuple[Member, ...]:
     """The effects that are not excluded in the place of one of a structure, with their probabilities, itself first."""
     rest = key - {one.candidate.key}
     logs = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Sequence
@@ -17,7 +18,7 @@ from casadi_engine.discrepancy.noise_choice import ColourChoice, check_choice
 from casadi_engine.discrepancy.null_model import refuse_jumps
 from casadi_engine.discrepancy.refit import Refitter
 from casadi_engine.discrepancy.repaired import Repair
-from casadi_engine.discrepancy.requests import check_alpha, read_request
+from casadi_engine.discrepancy.requests import check_alpha, left_out, read_request
 from casadi_engine.discrepancy.screening import Screened, screen_in_turn
 from casadi_engine.effects.candidate import Known
 from casadi_engine.errors import EstimationError, ExperimentError
@@ -48,6 +49,8 @@ def repair(
     colour: ColourChoice = "auto",
     scatter: Any = "assumed",
     most: int = _MOST,
+    without: Sequence[str] | str = (),
+    budget: float | None = None,
     starts: int = _STARTS,
     neighbours: int = 0,
     seed: int = 0,
@@ -75,6 +78,9 @@ def repair(
     scatter : cylinder ports whose combustion is not what their pressure channel says, but scatters about it from cycle
         to cycle and differs a little in strength, timing and charge: these are estimated with priors. "assumed" for the
         cylinders with an assumed pressure, or None
+    without : names of effects that are not to be looked for
+    budget : seconds after which no further effect is tried; the best answer so far is given, and what was not tried
+    is listed. None for no limit
     most : effects at most; starts, neighbours, seed, jobs : of the fit without effects, as in ``estimate``
     progress : None for lines on a terminal, False for none, or a function of a text
 
@@ -98,8 +104,10 @@ def repair(
     pars = _own(model, parameters)
     records = _records(data, model)
     others = () if fresh is None else _records(fresh, model)
+    effects = left_out(effects, without)
     read_request(model, effects, at)
     refuse_jumps(model)
+    seconds = _seconds(budget)
     _check(noise, alpha, holdout)
     check_choice(model, scatter, colour)
     for record in others:
@@ -135,7 +143,9 @@ def repair(
 
     lower = at_lower_rate(null_fit, pars, portion, noise, options)
     searched, own_noise = (portion, noise) if lower is None else (lower.portion, lower.noise)
-    search = Choice(Refitter(model, pars, searched.data, own_noise, options), scores, most, tell, cylinders=scatter)
+    search = Choice(
+        Refitter(model, pars, searched.data, own_noise, options), scores, most, tell, seconds, scatter
+    )
     try:
         search.run(null_fit if lower is None else lower.fit)
         timing |= search.timing
@@ -157,6 +167,21 @@ def repair(
             "interrupted", None, None, null_fit, best, alpha, data=portion.data, fresh=portion.fresh, timing=timing,
             options=asked, messages=(why,),
         )  # fmt: skip
+
+
+def _seconds(budget: Any) -> float:
+    """The time budget [s]; EstimationError for one that is none."""
+    if budget is None:
+        return math.inf
+    number = as_number(budget)
+    if number is None or not number > 0:
+        raise EstimationError(
+            "budget is not acceptable",
+            seen=repr(budget),
+            allowed="seconds > 0, or None",
+            cure="give budget=60 for a minute, or leave it out",
+        )
+    return number
 
 
 def _check(noise: Noise | None, alpha: Any, holdout: Any) -> None:

@@ -13,6 +13,7 @@ from casadi_engine.errors import EffectError, EstimationError
 from casadi_engine.estimation.options import as_number
 from casadi_engine.model import Model
 from casadi_engine.model.term import NotApplicable, find_port, not_applicable, ports_of_kind
+from casadi_engine.parameters import near_matches
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +92,27 @@ def read_request(model: Model, effects: Any, at: Sequence[str] | str | None = No
         )
     inside = any(model.ports[port].slot is not None for ports in fits.values() for port in ports)
     return Request(tuple(found.values()), fits, tuple(skipped), effects is None and at is None and not inside)
+
+
+def left_out(effects: Any, names: Any) -> Any:
+    """What is to be looked for less the effects of these names; EffectError for a name that is not among them."""
+    names = (names,) if isinstance(names, str) else tuple(names)
+    if not names:
+        return effects
+    given = (
+        library() if effects is None else (effects,) if isinstance(effects, (Effect, str)) else tuple(effects)
+    )
+    known = [one[0] if isinstance(one, tuple) else one for one in given]
+    called = [one if isinstance(one, str) else getattr(one, "name", "") for one in known]
+    for name in names:
+        if name not in called:
+            raise EffectError(
+                "an effect that is to be left out is not looked for",
+                seen=repr(name),
+                allowed=near_matches(str(name), called),
+                cure="print(casadi_engine.effects.table()) lists the library",
+            )
+    return [one for one, name in zip(given, called, strict=True) if name not in names]
 
 
 def _tried(

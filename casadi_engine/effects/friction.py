@@ -96,6 +96,7 @@ class AsymmetricFriction(_Rounded):
     attaches = ("inertia",)
     kin = ("coulomb_friction", "constant_torque", "stribeck_friction")
     limit = "coulomb_friction"
+    limit = "coulomb_friction"
     sentence = "dry friction at {port} that differs by direction"
     amplitude = Amplitude("torque", unit="N m", min=0)
     # an even number of values: without asymmetry it is dry friction
