@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from casadi_engine.report import load_result, plot, report
     from casadi_engine.validation import validate
 
-__version__ = "0.9.0"
+__version__ = "0.10.0"
 
 __all__ = [
     "Blueprint",
