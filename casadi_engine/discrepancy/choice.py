@@ -479,8 +479,8 @@ class Choice:
             if fit is None or not fit.converged:
                 return None
             # before, the scatter of assumed pressures had to stand for the effect
-            settled = {"noise": self.refitter.noise, "options": self.refitter.options}
-            fit, _ = self._timed("fit", lambda: settle_scatter(fit, fit.parameters, **settled))
+            own, options = self.refitter.noise, self.refitter.options
+            fit, _ = self._timed("fit", lambda: settle_scatter(fit, fit.parameters, noise=own, options=options))
             screened = self._timed("score", lambda: self._screened(fit))
             self._stations[tried.key] = Station(fit, tried.effects, screened)
         return self._stations[tried.key]

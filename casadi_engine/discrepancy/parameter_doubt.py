@@ -83,8 +83,11 @@ def _prior(fit: Fit, null: NullModel) -> tuple[Array, Array]:
         centre = np.array(
             [fit.values.get(name, value) for name, value in zip(null.parameters, null.values, strict=True)]
         )
-        rows, offset = whole @ null.turn, whole @ (null.values - centre) - shift
-        # A parameter without error on fresh data is moved by none of the columns; its rows hold nothing.
+        # of a parameter without error on fresh data, an event's size that is 0 there, nothing is known through others
+        gone = np.flatnonzero(~null.turn.any(axis=1) & whole.any(axis=0))
+        both = np.column_stack([whole[:, gone], whole @ null.turn, whole @ (null.values - centre) - shift])
+        left = np.asarray(np.linalg.qr(both, mode="r"))[len(gone) :, len(gone) :]
+        rows, offset = left[:, :-1], left[:, -1]
         acts = np.linalg.norm(rows, axis=1) > 0
         rows, offset = rows[acts], offset[acts]
     new = np.array([name not in known for name in null.parameters], dtype=bool)

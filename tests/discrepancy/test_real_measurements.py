@@ -127,14 +127,7 @@ def engine():
     return lost, assumed, null
 
 
-# Since the noise may hold slow wanders the loss is held beside it (p 2e-18), but a sensor's offset is held too, and
-# beside an autoregression of order 23 the first cycle comes out as the third: a step back in how well it is dated.
-_DATED_WORSE = pytest.mark.xfail(
-    reason="an offset is held beside the noise with the loss, which is dated worse then", strict=False
-)
-
-
-@pytest.mark.parametrize("colour", [False, pytest.param("auto", marks=_DATED_WORSE)])
+@pytest.mark.parametrize("colour", [False, "auto"])
 def test_lost_combustion_is_found_and_dated_from_crank_speed_alone(engine, colour):
     lost, assumed, null = engine
     screened = screen(null, colour=colour)

@@ -1,0 +1,160 @@
+"""The last word of fresh data: what is kept, withdrawn, taken in its place, and what is said of it."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import casadi_engine as ce
+from casadi_engine.discrepancy import answer as module
+from casadi_engine.discrepancy.answer import Answer
+from casadi_engine.discrepancy.fresh import Judgement
+from casadi_engine.effects import Amplitude, Effect
+
+
+class Brake(Effect):
+    """Dry friction by another name."""
+
+    name, attaches, kin = "brake", ("inertia",), ()
+    sentence = "a brake on {port}"
+    amplitude = Amplitude("torque", unit="N m", min=0)
+
+    def law(self, port, p, math):
+        return -p.torque * math.tanh(port.speed / 0.05)
+
+
+def rubbing(t, angle, rate):
+    return -0.6 * np.tanh(rate / 0.02)
+
+
+@pytest.fixture(scope="module")
+def repaired(pendulum):
+    """The repair of a decay with dry friction (or what else is hidden), on another decay with what is hidden there."""
+
+    def of(fresh=rubbing, *, hidden=rubbing, effects=("coulomb_friction", "quadratic_drag")):
+        record = pendulum.decay(hidden, samples=300)
+        other = pendulum.decay(fresh, samples=300, begun=1.1, seed=5, name="fresh")
+        noise = ce.Noise(y=pendulum.level)
+        return ce.repair(
+            pendulum.model, record, fresh=other, effects=list(effects), noise=noise, starts=1, progress=False
+        )
+
+    return of
+
+
+def test_an_effect_that_fresh_data_refuse_is_withdrawn(repaired):
+    """There is none in the fresh record."""
+    found = repaired(None)
+    assert found.verdict == "unnamed"
+    assert found.effects == ()
+    assert found.confirmed is None
+    assert [one.key for one in found.withdrawn] == ["pivot.coulomb_friction"]
+    assert found.unknown.sentence == "an unknown torque at pivot that depends on its speed"
+    assert any("fresh data refuse it: the gap grows, the gain is -" in text for text in found.messages)
+    assert found.fit is found.null_fit
+
+
+def test_the_next_structure_by_evidence_stands_where_the_first_is_refused(repaired, monkeypatch):
+    real, asked = Answer._of_structure, []
+
+    def of_structure(self, stations, before):
+        asked.append(stations[-1].effects[-1].label)
+        judged, after = real(self, stations, before)
+        return (Judgement(None, False, True, "refused by hand") if len(asked) == 1 else judged), after
+
+    monkeypatch.setattr(Answer, "_of_structure", of_structure)
+    found = repaired(effects=["coulomb_friction", Brake(), "quadratic_drag"])
+    assert sorted(asked) == ["brake at pivot", "coulomb_friction at pivot"]
+    (one,) = found.effects
+    assert f"{one.name} at {one.at}" == asked[1]
+    assert found.confirmed is True
+    assert [f"{e.name} at {e.at}" for e in found.withdrawn] == [asked[0]]
+    assert f"{asked[0]}: refused by hand" in found.messages
+
+
+def test_a_repaired_model_that_cannot_follow_the_fresh_data_is_refused(repaired, monkeypatch):
+    real = module.fresh_sides
+    monkeypatch.setattr(
+        module, "fresh_sides", lambda fit, effects, *rest: None if effects else real(fit, effects, *rest)
+    )
+    found = repaired()
+    assert found.effects == ()
+    assert (
+        "coulomb_friction at pivot: the repaired model cannot be simulated on the fresh data"
+        in found.messages
+    )
+
+
+def test_without_the_first_model_on_fresh_data_nothing_is_confirmed(repaired, monkeypatch):
+    monkeypatch.setattr(module, "fresh_sides", lambda *_: None)
+    found = repaired()
+    assert [one.key for one in found.effects] == ["pivot.coulomb_friction"]
+    assert found.confirmed is None
+    assert found.gaps.validation_before is None
+    assert "the model without effects cannot be simulated on the fresh data" in found.messages
+
+
+def test_an_event_of_one_record_waits_for_no_confirmation(repaired, monkeypatch):
+    """A torque that comes on in the middle of the first record, and not in the fresh one."""
+
+    def pushed(t, angle, rate):
+        return 2.0 * (t > 1.5)
+
+    chance = Judgement(None, False, False, "chance")
+    monkeypatch.setattr(module, "judge", lambda *_: chance)
+    found = repaired(None, hidden=pushed, effects=["load_step"])
+    (one,) = found.effects
+    assert one.name == "load_step"
+    assert found.confirmed is None
+    words = "it is an event of one record, which no other record can confirm"
+    assert found.messages == (f"load_step at pivot (time {one.values['time']:.4g}): {words}",)
+
+
+def test_an_event_that_is_not_in_the_fresh_data_does_not_spoil_them(repaired):
+    """Its size is 0 there, hundreds of standard errors off: that says nothing of the other parameters."""
+    found = repaired(None, hidden=lambda t, angle, rate: 2.0 * (t > 1.5), effects=["load_step"])
+    after = found.gaps.validation_after
+    assert after.gap.chi2_per_sample == pytest.approx(1, abs=0.3)
+    assert after.within_errors <= after.gap.chi2_per_sample
+    assert after.parameters_p > 1e-3
+    assert found.messages == ()
+
+
+def test_a_structure_without_a_fit_on_its_way_is_passed_over(repaired, monkeypatch):
+    real = module.Choice.way
+    lost = lambda self, key: real(self, key) if not key else None  # noqa: E731
+    monkeypatch.setattr(module.Choice, "way", lost)
+    found = repaired()
+    assert found.effects == ()
+    assert "coulomb_friction at pivot: its fit of all data does not converge" in found.messages
+
+
+def stub(**known):
+    """An effect, a station or a screen with what ``_unknown`` reads."""
+    return SimpleNamespace(**known)
+
+
+@pytest.mark.parametrize(
+    ("withdrawn", "significant", "words"),
+    [
+        (
+            [stub(name="drag", at="load")],
+            [],
+            "drag at load explains these data best, but fresh data refuse it",
+        ),
+        ([], [0], "drag at load scores beyond chance, but no refit with it is better than none"),
+        ([], [], None),
+    ],
+)
+def test_what_is_missing_where_nothing_else_tells(monkeypatch, withdrawn, significant, words):
+    monkeypatch.setattr(module, "unknown_of", lambda _: None)
+    screened = stub(
+        significant=significant,
+        candidates=[stub(label="drag at load")],
+        pooled=lambda k: 0.001,
+        leftover=None,
+    )
+    station = stub(screened=screened)
+    found = module._unknown(station, station, (), withdrawn)
+    assert (found and found.sentence) == words
+    assert module._unknown(station, station, [stub()], withdrawn) is None
