@@ -480,7 +480,9 @@ class Choice:
                 return None
             # before, the scatter of assumed pressures had to stand for the effect
             own, options = self.refitter.noise, self.refitter.options
-            fit, _ = self._timed("fit", lambda: settle_scatter(fit, fit.parameters, noise=own, options=options))
+            fit, _ = self._timed(
+                "fit", lambda: settle_scatter(fit, fit.parameters, noise=own, options=options)
+            )
             screened = self._timed("score", lambda: self._screened(fit))
             self._stations[tried.key] = Station(fit, tried.effects, screened)
         return self._stations[tried.key]
