@@ -16,6 +16,7 @@ from casadi_engine.experiment.units import NOT_STATED
 from casadi_engine.model.declarations import ParameterDeclaration, Port, Ports, Variable
 from casadi_engine.model.declared_units import (
     check_crank_angle,
+    check_output_units,
     check_shared_units,
     refuse_other_clocks,
     seconds_in,
@@ -205,12 +206,14 @@ class Blueprint:
         """Check everything and return the Model.
 
         Raises ModelError for a model without states or outputs, a state without ode, an undeclared symbol, a
-        symbol where it may not be used, laws that depend on each other in a circle, one name declared in two units,
+        symbol where it may not be used, laws that depend on each other in a circle, one name declared in two units, an
+        output that is a state as it stands in another unit than the state's,
         or units per hour in equations of which nobody said whether they are per hour.
         """
         self._check_complete()
         inputs, outputs = ([made[0] for made in group.values()] for group in (self._inputs, self._outputs))
         check_shared_units(inputs, outputs)
+        check_output_units(list(self._outputs.values()), list(self._states.values()))
         check_crank_angle(inputs)
         if self._time_unit is None:
             others = [made[0] for group in (self._parameters, self._states) for made in group.values()]

@@ -312,3 +312,21 @@ def test_a_unit_of_another_kind(given):
 def test_a_kind_of_port_of_another_kind(given):
     with pytest.raises(ModelError, match="the kind of port x is not known"):
         Blueprint("m").port("x", given)
+
+
+@pytest.mark.parametrize(("unit", "cure"), [("mm", r"write 1000\*x"), ("s", 'give unit="m"')])
+def test_an_output_that_is_a_state_in_another_unit_is_refused(unit, cure):
+    b = ce.Blueprint("slide")
+    x = b.state("x", unit="m")
+    b.ode("x", -x)
+    b.output("seen", x, unit=unit)
+    with pytest.raises(ce.ModelError, match=rf"the output seen is the state x as it stands.*{cure}"):
+        b.model()
+
+
+def test_an_output_that_is_a_state_may_name_its_unit_otherwise():
+    b = ce.Blueprint("slide")
+    v = b.state("v", unit="m/s")
+    b.ode("v", -v)
+    b.output("seen", v, unit="m s-1")
+    assert b.model().outputs[0].name == "seen"
