@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+import casadi_engine as ce
 from casadi_engine.errors import ModelError, ParameterError
 from casadi_engine.model import Blueprint
 
