@@ -321,7 +321,7 @@ def test_an_output_that_is_a_state_in_another_unit_is_refused(unit, cure):
     x = b.state("x", unit="m")
     b.ode("x", -x)
     b.output("seen", x, unit=unit)
-    with pytest.raises(ce.ModelError, match=rf"the output seen is the state x as it stands.*{cure}"):
+    with pytest.raises(ModelError, match=rf"the output seen is the state x as it stands.*{cure}"):
         b.model()
 
 
