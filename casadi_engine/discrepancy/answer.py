@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -34,6 +34,7 @@ from casadi_engine.discrepancy.next_experiment import next_experiment
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.repaired import FoundEffect, Gaps, NextExperiment, Repair, Unknown, Verdict
+from casadi_engine.discrepancy.selection import effective_samples
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.estimation import Fit
 
@@ -42,10 +43,13 @@ _MAY_HIDE = (
     "that is stated, ce.Noise(...), or colour=False has it judged"
 )
 _BLIND = (
-    "no physical effect could be looked for: the model has no port at which one can act, and errors of sensors alone "
-    "were tested; declare ports where the model is written (Blueprint.port), or ask for errors of sensors by name, "
+    "no physical effect could be looked for: the model has no port at which one can act; fixed parameters and errors of "
+    "sensors alone were tested; declare ports where the model is written (Blueprint.port), or ask for errors of sensors by name, "
     'effects=["sensor_offset", "sensor_delay"]'
 )
+_NO_RUN = "the repaired model cannot be simulated on the fresh data, which neither confirms nor refuses it"
+# Independent samples that a coloured residual has to be worth to be called noise.
+_SWINGS = 6.0
 # A change of a gap that a person would see.
 SEEN = 0.1
 Pairs = list[tuple[Fit, NullModel]]
@@ -86,6 +90,7 @@ class Answer:
         unknown = self._timed("leftover", lambda: _unknown(last, null, found, withdrawn))
         if null.screened.request.blind:
             self.messages.append(_BLIND)
+        if null.screened.request.blind and not found:
             way = self.search.way(self.search.best)
             if way is not None and len(way) > 1:
                 unknown = _behind_a_sensor(null, way[1])
@@ -156,7 +161,7 @@ class Answer:
         """The first structure, in order of evidence, that fresh data do not refuse."""
         search = self.search
         null = search.null
-        if null.screened.request.blind:
+        if null.screened.request.blind and not _of_parameters(search):
             # none of these structures adds physics: what they found is told, and not claimed
             return Confirmation((null,), (), None)
         before = self._on_fresh(null) if self.portion.fresh else None
@@ -214,8 +219,7 @@ class Answer:
 
     def _judged(self, old: Pairs | None, new: Pairs | None, here: Station) -> Judgement:
         if not old or not new:
-            why = "the repaired model cannot be simulated on the fresh data"
-            return Judgement(None, False, True, why)
+            return Judgement(None, None, False, _NO_RUN)
         event = here.effects[-1].placed and self.portion.source == "records"
         noise = here.screened.noise
         judged = judge([n for _, n in old], [n for _, n in new], noise)
@@ -248,7 +252,7 @@ class Answer:
         return tuple(latent_torques(null.screened.null, _noise_of_place(last)))
 
     def _say(self, null: Station, last: Station, proof: Confirmation) -> None:
-        self.messages += [*last.screened.choice.messages, *_without_answer(self.search.failed)]
+        self.messages += [*last.screened.choice.messages, *_without_answer(self.search)]
         own = {
             record.name: {int(c) for n in record.cycle.values() for c in n}
             for record in null.screened.null.records
@@ -279,8 +283,16 @@ class Answer:
             self.messages += _at_bounds(late, inside)
 
 
-def _without_answer(failed: Mapping[str, str]) -> list[str]:
+def _of_parameters(search: Choice) -> bool:
+    """True if the chosen structure says that stated numbers are wrong, and nothing else."""
+    effects = search.pool[search.best].effects
+    return bool(effects) and all(one.kind == "parameter" for one in effects)
+
+
+def _without_answer(search: Choice) -> list[str]:
     """What to say of effects that were looked for in vain: nothing excludes them."""
+    chosen = {f"{one.candidate.effect} at {one.candidate.port}" for one in search.pool[search.best].effects}
+    failed = {name: why for name, why in search.failed.items() if name not in chosen}
     found = []
     for why in dict.fromkeys(failed.values()):
         names = [name for name, own in failed.items() if own == why]
@@ -350,6 +362,21 @@ def _unknown(
         label = screened.candidates[best].label
         words = f"{label} scores beyond chance, but no refit with it is better than none"
         return Unknown(words, {label: screened.pooled(best)})
+    return _no_noise(null)
+
+
+def _no_noise(null: Station) -> Unknown | None:
+    """A residual that swings a few times in its whole record may be called no noise, whatever its colour."""
+    screened = null.screened
+    for record in screened.null.records:
+        for output, e in record.residual.items():
+            swings = effective_samples(e)
+            if (record.name, output) in screened.noise.colour and swings < _SWINGS:
+                words = (
+                    f"what the model leaves of {output} in {record.name} changes as slowly as if the record held "
+                    f"{swings:.0f} independent samples: no noise of that kind can be told from a missing effect"
+                )
+                return Unknown(words, {})
     return None
 
 

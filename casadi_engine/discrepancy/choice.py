@@ -126,7 +126,11 @@ class Choice:
         here = self._none(null_fit)
         for _ in range(self.most):
             station = self._stations[here.key]
-            if not self._asks(station.screened) or self._late():
+            if not self._asks(station.screened):
+                break
+            if self._late():
+                beside = f" beside {here.label}" if here.effects else ""
+                self.failed[f"any effect{beside}"] = "the time was up"
                 break
             made = self._round(here, station)
             if made is None:
@@ -365,7 +369,7 @@ class Choice:
     def _tried(self, effects: tuple[Addition, ...], start: Start | None) -> list[Tried]:
         """The structure in the pool, after another refit of it from a start; empty where none has arrived."""
         key = key_of(effects)
-        go = self.path.from_point if self.path.linear else self.path.from_windows
+        go = self.path.from_windows
         arrived = go(effects, start)
         known = self.pool.get(key)
         if arrived is None or not math.isfinite(arrived.cost):
@@ -423,8 +427,9 @@ class Choice:
         if all(levels[n] > _RELEVELLED * s for n, s in self.path.levels.items()):
             return
         self.path.relevel(levels)
+        near = best.log - 0.5 * _PART * max(self.pool[frozenset()].evidence.cost - best.evidence.cost, 0.0)
         for one in sorted(tried, key=lambda one: -one.log):
-            if not self._late():
+            if not self._late() and one.log > near - math.log(FACTOR * len(tried)):
                 self.tell(f"go on with {one.label}")
                 again = self.path.from_point(one.effects, one.arrived)
                 made = None if again is None else self._counted(one.effects, again)

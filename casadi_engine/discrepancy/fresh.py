@@ -42,7 +42,7 @@ _PIECES = 10
 # Fresh data whose chi-squared per sample is so many times that of the fit are tried from other initial states too.
 _POOR = 1.1
 # Iterations for first states from which no path led to rest: a model that is far off has none that fit.
-_LOST = 20
+_LOST, _MOST = 20, 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,23 +146,31 @@ def held_fit(
     }
     method = str(fit.options.get("method", "exact"))
 
-    starts = [first_states_on(model, record, held, levels)]
-    found = None
-    for start in starts:
-        most = 200 if start is not None and start.converged else _LOST
-        made = estimate(
-            model, record, parameters=held, noise=Noise(**levels), method=method, warm=start, progress=False,
-            max_iterations=most,
-        )  # fmt: skip
+    found, fault = None, None
+    starts: list[Start | None] = [first_states_on(model, record, held, levels), None]
+    for number in range(3):
+        if number == 2:
+            if found is None:
+                break
+            # a state that no output shows may rest elsewhere: on a side of a play, which short intervals lose
+            starts.append(_unseen_from(fit, found))
+        most = _LOST if number == 0 and (starts[0] is None or not starts[0].converged) else _MOST
+        try:
+            made = estimate(
+                model, record, parameters=held, noise=Noise(**levels), method=method, warm=starts[number],
+                progress=False, max_iterations=most,
+            )  # fmt: skip
+        except (CasadiEngineError, FloatingPointError) as error:
+            fault = error
+            continue
         if made.status == "interrupted":
             raise KeyboardInterrupt
         found = made if found is None else min(found, made, key=lambda one: (not one.converged, one.cost))
         if found.cost / found.n <= _POOR * _misfit(fit, noise):
             break
-        if start is starts[0]:
-            # a state that no output shows may rest elsewhere: on a side of a play, which short intervals lose
-            starts.append(_unseen_from(fit, found))
-    assert found is not None
+    if found is None:
+        assert fault is not None
+        raise fault
     return found
 
 

@@ -26,6 +26,7 @@ from casadi_engine.simulation.candidate_sensitivities import (
     initial_direction,
     parameter_direction,
 )
+from casadi_engine.simulation.exponential_runge_kutta import MOST_SUBSTEPS
 from casadi_engine.simulation.grid import Grid, lay_grid
 from casadi_engine.simulation.intervals import Observation, cut
 from casadi_engine.simulation.null_path import NullPath, null_path
@@ -134,7 +135,12 @@ def _null_of(fit: Fit) -> NullModel:
     }
     first = {name: np.array([e.value for e in starts[name].values()]) for name in names}
     at_bound = tuple(name for name in fit.free if fit.estimates[name].at_bound is not False)
-    steps = {name: about.substeps for name, about in fit.integration.items() if about.substeps > 0}
+    # steps that a fit took in places are more than an integrator of whole samples may take
+    steps = {
+        name: min(about.substeps, MOST_SUBSTEPS)
+        for name, about in fit.integration.items()
+        if about.substeps > 0
+    }
     return null_at(
         fit.model,
         fit.data,

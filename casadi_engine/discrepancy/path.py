@@ -36,6 +36,8 @@ from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 
 FAILURES = (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError)
 _AT_BOUND = 1e-8
+# Steps over one horizon: a model that explains the data takes ten, one that does not has not arrived after a hundred.
+_STEPS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +126,9 @@ class Path:
             values = None if start is None else start.values
             # windows begin at the measured states, which a wrong simulation has lost
             initial = (None if start is None or horizons is None else start.initial) or None
-            return _arrived(problem, problem.run(start=values, initial=initial, horizons=horizons))
+            return _arrived(
+                problem, problem.run(start=values, initial=initial, horizons=horizons, most=_STEPS)
+            )
         except FAILURES:
             return None
 

@@ -46,7 +46,8 @@ def headline(repair: Repair) -> str:
         misfit = (
             f", which the repaired model does not fit: chi2/N {gaps.validation_after.gap.chi2_per_sample:.3g}"
         )
-    return f"{names} is missing{doubt}, {sure[repair.confirmed]}{misfit}"
+    verb = "is" if len(repair.effects) == 1 else "are"
+    return f"{names} {verb} missing{doubt}, {sure[repair.confirmed]}{misfit}"
 
 
 def _tested(repair: Repair) -> list[str]:
@@ -105,7 +106,7 @@ def _where(repair: Repair) -> list[str]:
     if where is None:
         return []
     words = [] if where.location is None else [f"a torque at {where.location} explains most"]
-    words += [f"{where.record} at {where.time[0]:.3f} to {where.time[1]:.3f} s"]
+    words += [f"record {where.record} from {where.time[0]:.3f} to {where.time[1]:.3f} s"]
     words += [] if where.cycles is None else [f"cycles {', '.join(map(str, where.cycles[:8]))}"]
     if where.crank_angle is not None:
         low, high = (math.degrees(a) for a in where.crank_angle)
@@ -134,9 +135,10 @@ def _gap(repair: Repair) -> list[str]:
         lines += _gap_rows("fresh", gaps.validation_before, gaps.validation_after)
     gain = gaps.gain_per_cycle
     if gain is not None and gain.mean is not None:
-        lines += [
-            f"  gain of chi2 per fresh cycle {with_error(gain.mean, gain.se)} over {gain.cycles} cycles"
-        ]
+        turns = any(variable.name == "theta" for variable in repair.model.inputs)
+        part = "cycle" if turns else "piece"
+        size = with_error(gain.mean, gain.se)
+        lines += [f"  twice the gain of log likelihood per fresh {part} {size} over {gain.cycles} {part}s"]
     return lines
 
 
