@@ -43,9 +43,9 @@ _MAY_HIDE = (
     "that is stated, ce.Noise(...), or colour=False has it judged"
 )
 _BLIND = (
-    "no physical effect could be looked for: the model has no port at which one can act; fixed parameters and errors of "
-    "sensors alone were tested; declare ports where the model is written (Blueprint.port), or ask for errors of sensors by name, "
-    'effects=["sensor_offset", "sensor_delay"]'
+    "no physical effect could be looked for: the model has no port at which one can act; fixed parameters and errors "
+    "of sensors alone were tested; declare ports where the model is written (Blueprint.port), or ask for errors of "
+    'sensors by name, effects=["sensor_offset", "sensor_delay"]'
 )
 _NO_RUN = "the repaired model cannot be simulated on the fresh data, which neither confirms nor refuses it"
 # Independent samples that a coloured residual has to be worth to be called noise.

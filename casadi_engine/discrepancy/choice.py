@@ -72,6 +72,10 @@ class Tried:
         """Effects and ports."""
         return key_of(self.effects)
 
+    def newest(self, here: Tried) -> Addition:
+        """The effect that another structure lacks."""
+        return next(one for one in self.effects if one.candidate.key not in here.key)
+
     @property
     def label(self) -> str:
         """The effects' labels."""
@@ -121,7 +125,7 @@ class Choice:
         self.null_fit = null_fit
         first = self._timed("score", lambda: self._screened(null_fit))
         self._stations[frozenset()] = Station(null_fit, (), first)
-        self.path = Path(self.refitter, dict(first.noise.sigma))
+        self.path = Path(self.refitter, dict(first.noise.sigma), self._begun + self.budget)
         self.levels = Levels(dict(first.noise.sigma), {}, max(first.noise.scatter.values(), default=0.0))
         here = self._none(null_fit)
         for _ in range(self.most):
@@ -249,7 +253,7 @@ class Choice:
         if best is None:
             return rest
         null, states = self._null(best), len(self.null_fit.model.states)
-        gone = None if null is None else without_effect(null, best.effects[-1], states)
+        gone = None if null is None else without_effect(null, best.newest(here), states)
         step = None if gone is None else one_step(gone, screened.candidates, self.path.levels)
         if step is None:
             return rest
@@ -283,13 +287,10 @@ class Choice:
             best = max(tried, key=lambda one: one.log, default=None)
             if best is None or self._late():
                 return
-            for one in self._instead(best, best.effects[-1], screened, families):
-                self.tell(f"refit {one.label} from the parameters of {best.effects[-1].label}")
-                start = {
-                    n: v
-                    for n, v in best.arrived.values.items()
-                    if not n.startswith(f"{best.effects[-1].key}.")
-                }
+            last = best.newest(here)
+            for one in self._instead(best, last, screened, families):
+                self.tell(f"refit {one.label} from the parameters of {last.label}")
+                start = {n: v for n, v in best.arrived.values.items() if not n.startswith(f"{last.key}.")}
                 self._try(here, one, Start(start, best.arrived.initial))
             self._containing(here, screened, families)
             now = max(self.pool[k].log for key in families if (k := self._key(here, key)) in self.pool)
@@ -305,7 +306,9 @@ class Choice:
             known, simple = (self.pool.get(self._key(here, k)) for k in (key, (effect.limit, key[1])))
             if simple is None or (known is not None and known.arrived.cost <= simple.arrived.cost + _NESTED):
                 continue
-            case = simple.effects[-1]
+            case = next(one for one in simple.effects if one.candidate.key == (effect.limit, key[1]))
+            if case.candidate.key not in families:
+                continue
             number = next(k for k in families[case.candidate.key])
             alike = np.abs(screened.scores.correlation[number, members])
             candidate = screened.candidates[members[int(np.argmax(alike))]]

@@ -8,6 +8,7 @@ what one step predicts. The better end counts.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import SimpleNamespace
@@ -59,11 +60,11 @@ class Arrived:
 class Path:
     """Refits of one set of records at held noise levels; a model with its effects is set up once.
 
-    levels : output -> standard deviation of the noise
+    levels : output -> standard deviation of the noise; deadline : of time.perf_counter(), at which refits end
     """
 
-    def __init__(self, refitter: Refitter, levels: Mapping[str, float]) -> None:
-        self.refitter, self.levels = refitter, dict(levels)
+    def __init__(self, refitter: Refitter, levels: Mapping[str, float], deadline: float = math.inf) -> None:
+        self.refitter, self.levels, self.deadline = refitter, dict(levels), deadline
         self._made: dict[tuple[int, ...], tuple[Model, Parameters, RefitProblem]] = {}
         self._kept: list[Addition] = []
 
@@ -141,6 +142,7 @@ class Path:
             pars = refitter.parameters_of(model, effects).unconstrained()
             interval = refitter.options.get("interval", "auto")
             problem = RefitProblem(model, refitter.data, pars, levels=self.levels, interval=interval)
+            problem.deadline = self.deadline
             self._made[key] = model, pars, problem
         return self._made[key]
 

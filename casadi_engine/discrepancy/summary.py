@@ -168,7 +168,7 @@ def _shifts(repair: Repair) -> list[str]:
     for name in sorted(names, key=lambda n: -size[n])[:_SHIFTS]:
         old, new = repair.null_fit.estimates[name], repair.fit.estimates[name]
         lines.append(
-            f"  {name:<18}{with_error(old.value, old.stderr):>22}{with_error(new.value, new.stderr):>22}"
+            f"  {name:<18} {with_error(old.value, old.stderr):>21} {with_error(new.value, new.stderr):>21}"
             f"{predicted[name]:>+18.3g} {units[name]}"
         )
     return lines

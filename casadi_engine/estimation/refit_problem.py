@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -77,6 +79,7 @@ class RefitProblem:
         self.priors = Priors(self.pmap, self.coordinates)
         self.bounds = self.coordinates.of(self.pmap.lower), self.coordinates.of(self.pmap.upper)
         zero = (self.pmap.start == 0) & ~self.coordinates.log
+        self.deadline = math.inf  # of time.perf_counter(), at which searches end
         self._endless = np.where(zero, np.inf, 1.0)
 
     # ---- run
@@ -139,10 +142,14 @@ class RefitProblem:
             before = windows.best.squares.cost
             unit = max(1.0, 2 * before / self.count)  # of chi-squared, where the model is wrong
             fall = _FALL * unit if last else max(_HALF, _SHARE * before)
-            found = minimise(windows, v, low, high, fall=fall, steps=most, longest=self._longest)
+            found = minimise(
+                windows, v, low, high, fall=fall, steps=most, longest=self._longest, stop=self._late
+            )
             assert found is not None  # it was evaluated above
             v, converged = windows.best.v, found.converged
-            if windows.evaluations > _ENOUGH * most:  # gaps that open again as often as they are closed
+            if (
+                windows.evaluations > _ENOUGH * most or self._late()
+            ):  # gaps that open again as often as they are closed
                 converged = False
                 break
             if not last or (
@@ -151,6 +158,9 @@ class RefitProblem:
                 break
         self._steps += windows.evaluations
         return windows.best, "converged" if converged else f"the {most} steps over a horizon ran out"
+
+    def _late(self, _: float = 0.0) -> bool:
+        return time.perf_counter() > self.deadline
 
     def _closed(self, windows: Windows, fall: float) -> bool:
         """Close the gaps; True if the cost is the one that the search ended at."""

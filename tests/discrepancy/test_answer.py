@@ -153,8 +153,28 @@ def test_what_is_missing_where_nothing_else_tells(monkeypatch, withdrawn, signif
         candidates=[stub(label="drag at load")],
         pooled=lambda k: 0.001,
         leftover=None,
+        null=stub(records=()),
     )
     station = stub(screened=screened)
     found = module._unknown(station, station, (), withdrawn)
     assert (found and found.sentence) == words
     assert module._unknown(station, station, [stub()], withdrawn) is None
+
+
+@pytest.mark.parametrize(("turns", "said"), [(1, True), (200, False)])
+def test_a_coloured_residual_of_few_swings_is_not_called_noise(turns, said):
+    residual = np.sign(np.sin(2 * np.pi * turns * np.arange(2000) / 2000 + 0.3))
+    record = stub(name="run", residual={"y": residual})
+    noise = stub(colour={("run", "y"): object()})
+    found = module._no_noise(stub(screened=stub(null=stub(records=(record,)), noise=noise)))
+    assert (found is not None) == said
+    assert not said or "y in run changes as slowly as if" in found.sentence
+
+
+def test_what_was_not_tried_is_told_but_not_of_what_was_chosen():
+    chosen = stub(candidate=stub(effect="drag", port="load"))
+    failed = {"drag at load": "no refit of it arrives", "play at belt": "the time was up"}
+    search = stub(failed=failed, best="best", pool={"best": stub(effects=(chosen,))})
+    assert module._without_answer(search) == [
+        "no answer for play at belt: the time was up; nothing excludes what was not tried"
+    ]

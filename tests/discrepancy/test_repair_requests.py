@@ -206,6 +206,12 @@ MESSAGES = [
         "alpha is not acceptable; seen: 1.5; allowed: a number between 0 and 1",
     ),
     ({"holdout": 1}, EstimationError, "holdout is not acceptable; seen: 1; allowed: a share of the cycles"),
+    ({"budget": 0}, EstimationError, "budget is not acceptable; seen: 0; allowed: seconds > 0, or None"),
+    (
+        {"without": "coulomb"},
+        EffectError,
+        "an effect that is to be left out is not looked for; seen: 'coulomb'; ",
+    ),
     ({"most": 0}, EstimationError, "most is not acceptable; seen: 0; allowed: a whole number >= 1"),
     ({"colour": "red"}, EstimationError, "colour is not acceptable; seen: 'red'; allowed: True, False or"),
     (
@@ -365,3 +371,13 @@ def test_a_record_that_an_effect_explains_to_the_last_digit_is_searched_to_the_e
     )
     found = ce.repair(ce.one_inertia(), data, progress=False)
     assert found.status == "answered"
+
+
+def test_effects_are_left_out_by_name():
+    from casadi_engine.discrepancy.requests import left_out
+
+    names = [one.name for one in left_out(None, ["load_step"])]
+    assert "coulomb_friction" in names
+    assert "load_step" not in names
+    assert left_out(["coulomb_friction", "load_step"], "load_step") == ["coulomb_friction"]
+    assert left_out(None, ()) is None
