@@ -28,7 +28,7 @@ from casadi_engine.discrepancy.priors import priors_of
 from casadi_engine.discrepancy.refit import Addition, Refitter, addition
 from casadi_engine.discrepancy.repaired import Round
 from casadi_engine.discrepancy.score import score
-from casadi_engine.discrepancy.screening import Screened
+from casadi_engine.discrepancy.screening import Screened, coloured
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.errors import EstimationError
@@ -141,6 +141,15 @@ class Choice:
                 break
             here = made
             self.best = here.key
+        self._with_colour()
+
+    def _with_colour(self) -> None:
+        """Score beside the chosen structure with the colour that its residual has, where that waited."""
+        last = self.chosen
+        if last.screened.choice.waits:
+            self.tell("the colour of the noise")
+            screened = self._timed("score", lambda: coloured(last.screened, last.fit))
+            self._stations[self.best] = replace(last, screened=screened)
 
     @property
     def null(self) -> Station:

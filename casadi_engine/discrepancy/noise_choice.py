@@ -129,34 +129,6 @@ def choose_noise(
     return NoiseChoice(found, scatter, cylinders, (_COLOURED,), None, larger, stated, white=white)
 
 
-def noise_left(
-    null: NullModel, levels: Mapping[str, tuple[float, bool]], estimated: int
-) -> NoiseModel | None:
-    """White noise of the levels of a fit, if its residuals are that: white, and no larger than what was stated.
-
-    levels : output -> (sigma, estimated) of the fit; estimated : how many numbers it estimated
-    """
-    squares, counts = dict.fromkeys(levels, 0.0), dict.fromkeys(levels, 0)
-    for record in null.records:
-        for output, e in record.residual.items():
-            squares[output] += float(e @ e)
-            counts[output] += len(e)
-    share = 1 - estimated / max(sum(counts.values()), 1)
-    freedom = {name: max(count * share, 1.0) for name, count in counts.items()}
-    for name, (sigma, own) in levels.items():
-        if not own and chi2_sf(squares[name] / sigma**2, freedom[name]) < _SURE:
-            return None
-    left = {
-        name: math.sqrt(squares[name] / freedom[name]) if own else sigma
-        for name, (sigma, own) in levels.items()
-    }
-    count = {name: freedom[name] for name, (_, own) in levels.items() if own}
-    noise = NoiseModel(left, {}, {}, "estimated" if count else "known", count)
-    if not all(level > 0 for level in left.values()):
-        return None
-    return noise if is_white(null, noise, {r.name: dict(r.slopes) for r in null.records}, None) else None
-
-
 def _is_long(null: NullModel, data: Sequence[Experiment]) -> bool:
     factors = [1 if one.decimation is None else one.decimation.factor for one in data]
     return all(

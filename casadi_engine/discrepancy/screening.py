@@ -258,20 +258,6 @@ def _check(fit: Any, noise: Any, alpha: Any) -> None:
     check_alpha(alpha)
 
 
-def rescored(screened: Screened, choice: NoiseChoice) -> Screened:
-    """The same scores with another noise."""
-    one = screened
-    white = None if choice.noise.colour else one.choice.white
-    compressed = None if white is None else white.relevelled(choice.noise, choice.scatter)
-    choice = replace(choice, compressed=compressed)
-    return _scored(one.null, one.candidates, one.columns, choice, one.alpha, one.seed, one.request)
-
-
-def whitely(screened: Screened, fit: Fit) -> Screened:
-    """The same scores with noise counted as white, however it is coloured; fit : the one that was screened."""
-    return _chosen_again(screened, fit, False)
-
-
 def coloured(screened: Screened, fit: Fit) -> Screened:
     """The same scores with the colour that the residual asks for, where that waited; fit : the one screened."""
     return _chosen_again(screened, fit, "auto")

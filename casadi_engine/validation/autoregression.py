@@ -71,7 +71,7 @@ def _products(noise: Array, run: NDArray[np.intp], order: int) -> Array:
             window = sliding_window_view(column, order + 1)[now - order]
             out[min(k, 1)] += np.roll((window.T @ window)[::-1, ::-1], -1, axis=(0, 1))
     # a column that predicts itself perfectly, or is zero, has no factor
-    out[0][np.diag_indices(order + 1)] += 1e-12 * float(noise[:, 0] @ noise[:, 0]) + np.finfo(float).tiny
+    out[0][np.diag_indices(order + 1)] += 1e-12 * float(np.vdot(noise, noise)) + np.finfo(float).tiny
     return out
 
 
