@@ -50,7 +50,7 @@ def check_shared_units(inputs: Sequence[Variable], outputs: Sequence[Variable]) 
 def check_output_units(
     outputs: Sequence[tuple[Variable, Any]], states: Sequence[tuple[Variable, Any]]
 ) -> None:
-    """Raise ModelError for an output that is a state as it stands, in another unit than the state's.
+    """Raise ModelError for an output that is a state as it stands, in another scale than the state's unit.
 
     Pairs of what was declared and its SX scalar.
     """
@@ -60,14 +60,14 @@ def check_output_units(
         if state is None or NOT_STATED in (out.unit, state.unit):
             continue
         there, here = read_unit(out.unit), read_unit(state.unit)
-        if there.dimension == here.dimension and here.steps_to(there) == (1.0, 1.0, 0.0):
+        if there.dimension != here.dimension or here.steps_to(there) == (1.0, 1.0, 0.0):
             continue
-        times, over, _ = here.steps_to(there) if there.dimension == here.dimension else (0.0, 1.0, 0.0)
+        times, over, _ = here.steps_to(there)
         raise ModelError(
             f"the output {out.name} is the state {state.name} as it stands, in another unit",
             seen=f"{out.name} in {out.unit}, {state.name} in {state.unit}",
             allowed="an expression that is in the unit of the output",
-            cure=f"write {times / over:.12g}*{state.name}" if times else f'give unit="{state.unit}"',
+            cure=f"write {times / over:.12g}*{state.name}",
         )
 
 
