@@ -381,8 +381,7 @@ class Choice:
     def _tried(self, effects: tuple[Addition, ...], start: Start | None) -> list[Tried]:
         """The structure in the pool, after another refit of it from a start; empty where none has arrived."""
         key = key_of(effects)
-        go = self.path.from_windows
-        arrived = go(effects, start)
+        arrived = self.path.from_windows(effects, start)
         known = self.pool.get(key)
         if arrived is None or not math.isfinite(arrived.cost):
             return [] if known is None else [known]
@@ -439,6 +438,9 @@ class Choice:
         if all(levels[n] > _RELEVELLED * s for n, s in self.path.levels.items()):
             return
         self.path.relevel(levels)
+        plain = Levels(levels, {}, self.levels.scatter)
+        for one in self.pool.values():  # costs compare at the same levels alone
+            one.arrived = replace(one.arrived, cost=evidence(one.digest, plain).cost)
         near = best.log - 0.5 * _PART * max(self.pool[frozenset()].evidence.cost - best.evidence.cost, 0.0)
         for one in sorted(tried, key=lambda one: -one.log):
             if not self._late() and one.log > near - math.log(FACTOR * len(tried)):
