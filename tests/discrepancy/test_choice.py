@@ -124,7 +124,7 @@ def structure(made, *names):
     """The refit of the effects of these names, made before any round."""
     candidates = {c.effect: c for c in made.choice.null.screened.candidates}
     effects = tuple(addition(candidates[name], 0.1) for name in names)
-    (found,) = made.choice._tried(effects, Start.of(made.fit))
+    (found,) = made.choice.refits.tried(effects, Start.of(made.fit))
     return found
 
 
