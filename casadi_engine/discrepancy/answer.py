@@ -23,11 +23,11 @@ from casadi_engine.discrepancy.confirmation import PairedGain
 from casadi_engine.discrepancy.fresh import (
     Judgement,
     Portions,
-    fresh_sides,
     gap_of,
     judge,
     side,
 )
+from casadi_engine.discrepancy.fresh_fits import fresh_sides
 from casadi_engine.discrepancy.fresh_misfit import held_to_fresh_data
 from casadi_engine.discrepancy.latent_torque import LatentTorque, latent_torques
 from casadi_engine.discrepancy.next_experiment import next_experiment
@@ -168,20 +168,31 @@ class Answer:
         if self.portion.fresh and before is None:
             self.messages.append("the model without effects cannot be simulated on the fresh data")
         first: list[Station] | None = None
+        blind: list[Station] | None = None  # the first one of which fresh data can say nothing
         for key in search.ranked():
             stations = search.way(key)
             if stations is None:
                 self.messages.append(f"{search.pool[key].label}: its fit of all data does not converge")
                 continue
             first = stations if first is None else first
+            if blind is not None and len(stations) == 1:
+                break
             if before is None or len(stations) == 1:
                 return self._kept(stations, first, before)
             judged, after = self._of_structure(stations, before)
+            if after is None:
+                blind = stations if blind is None else blind
+                continue
+            if blind is not None and not judged.confirmed:
+                break
             if not judged.refused:
                 if not judged.confirmed and judged.why:
                     self.messages.append(judged.why)
                 return self._kept(stations, first, before, judged, after)
             self.messages.append(f"{search.pool[key].label}: {judged.why}")
+        if blind is not None:
+            self.messages.append(_NO_RUN)
+            return self._kept(blind, first or blind, before, Judgement(None, None, False, _NO_RUN))
         return self._kept([null], first or [null], before)
 
     @staticmethod
@@ -193,23 +204,24 @@ class Answer:
         after: Pairs | None = None,
     ) -> Confirmation:
         refused = tuple(first[1:]) if stations[-1] is not first[-1] else ()
+        same = len(stations) == 1
         if judged is None and before is not None:
             judged = Judgement(None, None)
-        return Confirmation(tuple(stations), refused, judged, before or [], after or before or [])
+        return Confirmation(
+            tuple(stations), refused, judged, before or [], after or (before if same else []) or []
+        )
 
     def _on_fresh(self, station: Station) -> Pairs | None:
         self.tell("fresh data")
         noise = station.screened.noise
         return fresh_sides(station.fit, station.effects, self.portion, noise, self.search.refitter)
 
-    def _of_structure(self, stations: list[Station], before: Pairs) -> tuple[Judgement, Pairs]:
-        """What fresh data say of a structure, against none and against its parts."""
+    def _of_structure(self, stations: list[Station], before: Pairs) -> tuple[Judgement, Pairs | None]:
+        """What fresh data say of a structure, against none and against its parts; None where it cannot be simulated."""
         last, base = stations[-1], stations[-2]
         after = self._on_fresh(last)
         if after is None:
-            return Judgement(
-                None, False, True, "the repaired model cannot be simulated on the fresh data"
-            ), []
+            return Judgement(None, None, False, _NO_RUN), None
         if base.effects:
             part = self._on_fresh(base)
             judged = self._judged(part, after, last)
@@ -252,7 +264,7 @@ class Answer:
         return tuple(latent_torques(null.screened.null, _noise_of_place(last)))
 
     def _say(self, null: Station, last: Station, proof: Confirmation) -> None:
-        self.messages += [*last.screened.choice.messages, *_without_answer(self.search)]
+        self.messages += [*last.screened.choice.messages, *_without_answer(self.search), *_elsewhere(last)]
         own = {
             record.name: {int(c) for n in record.cycle.values() for c in n}
             for record in null.screened.null.records
@@ -297,6 +309,17 @@ def _without_answer(search: Choice) -> list[str]:
     for why in dict.fromkeys(failed.values()):
         names = [name for name, own in failed.items() if own == why]
         found.append(f"no answer for {', '.join(names)}: {why}; nothing excludes what was not tried")
+    return found
+
+
+def _elsewhere(last: Station) -> list[str]:
+    """In which records an event that others show does not happen: its time is not known from their ends."""
+    found = []
+    for one in (e for e in last.effects if e.times):
+        for record in last.fit.data:
+            times = [last.fit.estimates.get(f"{one.key}.{name}@{record.name}") for name in one.times]
+            if any(t is not None and t.value + 2 * (t.stderr or 0.0) >= record.span[1] for t in times):
+                found.append(f"record {record.name} shows no {one.candidate.effect} at {one.candidate.port}")
     return found
 
 

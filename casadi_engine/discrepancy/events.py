@@ -49,10 +49,14 @@ def by_one_step(candidates: Sequence[Candidate], step: OneStep, members: Sequenc
     return best
 
 
-def time_of(candidates: Sequence[Candidate], step: OneStep, amplitude: float) -> Candidate | None:
-    """The candidate of an event of known amplitude that explains most; None where none explains anything."""
-    _, chosen = _in_record(step, range(len(candidates)), amplitude)
-    return None if chosen is None else candidates[chosen]
+def place_of_event(step: OneStep, amplitude: float | None) -> tuple[int, float] | None:
+    """The candidate of an event that explains most, and its amplitude, None for one that is not known; None where no
+    candidate explains anything."""
+    if amplitude is None:
+        best = int(np.argmin(step.cost))
+        return (best, float(step.amplitude[best])) if np.isfinite(step.error[best]) else None
+    _, chosen = _in_record(step, range(len(step.cost)), amplitude)
+    return None if chosen is None else (chosen, amplitude)
 
 
 def _in_record(step: OneStep, own: Sequence[int], amplitude: float) -> tuple[float, int | None]:

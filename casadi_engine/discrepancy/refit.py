@@ -102,6 +102,12 @@ class Addition:
         return any(grid.over in ("time", "cycle") for grid in nuisance.values())
 
     @property
+    def moves(self) -> bool:
+        """True for an event that may happen at another time in another record."""
+        grids = self.candidate.source.effect.nuisance.values()
+        return bool(grids) and all(grid.over == "time" and not grid.whole for grid in grids)
+
+    @property
     def record(self) -> str | None:
         """The record of an event that happens in one alone, None for an effect of all records."""
         if not self.placed or self.times or not isinstance(self.candidate.direction, Mapping):

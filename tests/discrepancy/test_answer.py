@@ -72,17 +72,19 @@ def test_the_next_structure_by_evidence_stands_where_the_first_is_refused(repair
     assert f"{asked[0]}: refused by hand" in found.messages
 
 
-def test_a_repaired_model_that_cannot_follow_the_fresh_data_is_refused(repaired, monkeypatch):
+def test_fresh_data_that_the_repaired_model_cannot_be_simulated_on_judge_nothing(repaired, monkeypatch):
+    """They neither confirm nor refuse it, and the gap there is told of the model without effects alone."""
     real = module.fresh_sides
     monkeypatch.setattr(
         module, "fresh_sides", lambda fit, effects, *rest: None if effects else real(fit, effects, *rest)
     )
     found = repaired()
-    assert found.effects == ()
-    assert (
-        "coulomb_friction at pivot: the repaired model cannot be simulated on the fresh data"
-        in found.messages
-    )
+    assert [one.key for one in found.effects] == ["pivot.coulomb_friction"]
+    assert found.confirmed is None
+    assert found.gaps.validation_before is not None
+    assert found.gaps.validation_after is None
+    assert module._NO_RUN in found.messages
+    assert "neither confirms nor refuses" in str(found)
 
 
 def test_without_the_first_model_on_fresh_data_nothing_is_confirmed(repaired, monkeypatch):
