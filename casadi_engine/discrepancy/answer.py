@@ -32,6 +32,7 @@ from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.repaired import FoundEffect, Gaps, NextExperiment, Repair, Unknown, Verdict
 from casadi_engine.discrepancy.selection import effective_samples
 from casadi_engine.discrepancy.station import Station
+from casadi_engine.discrepancy.vanishing import may_vanish
 
 _MAY_HIDE = (
     "what the noise is taken to be is coloured: an effect that the library lacks may hide in it; a level of the noise "
@@ -178,6 +179,7 @@ class Answer:
             name for name, e in last.fit.estimates.items() if e.at_bound is not False and name not in bound
         ]
         if len(proof.kept) > 1:
+            self.messages += may_vanish(last.fit)
             inside = [
                 name for one in last.effects for name in late
                 if name.partition("@")[0] == one.amplitude
