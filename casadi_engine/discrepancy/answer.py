@@ -205,7 +205,7 @@ def _elsewhere(last: Station) -> list[str]:
     for one in (e for e in last.effects if e.times):
         for record in last.fit.data:
             times = [last.fit.estimates.get(f"{one.key}.{name}@{record.name}") for name in one.times]
-            if any(t is not None and t.value + 2 * (t.stderr or 0.0) >= record.span[1] for t in times):
+            if any(t is not None and t.value >= record.span[1] for t in times):
                 found.append(f"record {record.name} shows no {one.candidate.effect} at {one.candidate.port}")
     return found
 

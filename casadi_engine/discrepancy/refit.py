@@ -267,7 +267,7 @@ class Refitter:
                 if grid.over != "time" or grid.whole:
                     continue
                 if name in one.times:
-                    values = {r: (min(v, spans[r][1]), *spans[r]) for r, v in one.times[name].items()}
+                    values = {r: _time(v, spans[r]) for r, v in one.times[name].items()}
                     pars.vary_by_experiment(f"{one.key}.{name}", values=values)
                     continue
                 own = [span for r, span in spans.items() if r == one.record] or list(spans.values())
@@ -299,6 +299,13 @@ class Refitter:
         if fit.status == "interrupted":
             raise KeyboardInterrupt
         return fit
+
+
+def _time(start: float, span: tuple[float, float]) -> tuple[float, float, float]:
+    """Start and bounds of an event's time in a record; of one that does not happen there, behind its end."""
+    low, high = span
+    behind = 0.01 * (high - low)
+    return (start, low, high) if start <= high else (high + behind, high, high + 2 * behind)
 
 
 def _independent(fit: Fit) -> float:

@@ -32,12 +32,9 @@ class ConstantTorque(Effect):
 class LoadStep(Effect):
     """A load that is switched on (positive) or off (negative) within the record; it brakes.
 
-    ``effects.by_record`` gives it a time of its own in each of several records.
-
-    width : the switch is rounded over it in fits [s]
+    ``effects.by_record`` gives it a time of its own in each of several records. The switch is sharp, in fits too. At
+    zero torque nothing depends on its time: start a fit at a torque near the right one.
     """
-
-    width: float = 1e-3
 
     name = "load_step"
     attaches = ("inertia",)
@@ -48,7 +45,7 @@ class LoadStep(Effect):
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
         """−T for t > t_0."""
-        return -p.torque * math.step(port.time - p.time, width=self.width)
+        return -p.torque * math.step(port.time - p.time, width=0.0)
 
 
 # Width of an impulse in samples, and where no record is known [s].
