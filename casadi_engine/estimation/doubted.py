@@ -1,4 +1,4 @@
-"""Estimates whose errors are doubted: without a standard error, with an interval by profile where one is quickly found."""
+"""Estimates whose errors are doubted have no standard error, and an interval by profile where one is quickly found."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 # Processor time that intervals by profile may take where the quadratic fails [s].
 _SECONDS = 3.0
-_UNKNOWN, _UNEVEN = "not known, see the note", "not symmetric"
+_UNKNOWN, _UNEVEN = "not known (see note)", "not symmetric (see note)"
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def judged(
             ends = Profiles(search, best, errors, seconds=_SECONDS).intervals(free)
         except LowerOptimumError:
             doubts = (_lower(doubts),)
-            about = {name: doubts[0] for name in about}
+            about = dict.fromkeys(about, doubts[0])
     for name, doubt in about.items():
         if doubt is not None:
             interval = _through_ties(search, errors, name, slopes[name], ends)
@@ -78,7 +78,7 @@ def _of(doubts: Sequence[Doubt], slope: Array, matrix: Array) -> Doubt | None:
 
 def _lower(doubts: Sequence[Doubt]) -> Doubt:
     """What is doubted where a profile came below the optimum."""
-    text = f"the errors are not known: the profile likelihood has a lower optimum near by; start again with starts=10, {CALL}"
+    text = f"the errors are not known: a profile met a lower optimum near by; search again with starts=10, or {CALL}"
     return Doubt("rugged", text, doubts[0].move)
 
 

@@ -158,7 +158,7 @@ class _Around:
         if curvature > _RUGGED:
             text = (
                 f"the errors are not known: within them the model is far from linear along {names} (curvature "
-                f"{curvature:.2g}, flat below 0.5), and noise makes optima of its own; {CALL}"
+                f"{curvature:.2g}, flat below 0.5), so that noise decides which optimum is the lowest; {CALL}"
             )
             return [Doubt("rugged", text, move, curvature)]
         if curvature > _FLAT or not all(_RISES[0] < rise < _RISES[1] for rise in (low, high)):
@@ -190,8 +190,12 @@ class _Around:
         inside, moved = float(gradient @ matrix @ gradient), matrix[:nv] @ gradient
         outside = max(size - inside, 0.0)
         # where initial states are at their best already, a profile lowers the rise by the parameters alone
-        beside = (float(moved @ self._inverse @ moved) if self._free else inside) - float(gradient @ move) ** 2
-        return (rise - max(beside, 0.0)) / far**2, self._radius * 2 * float(np.sqrt(outside)) / far**2
+        beside = (float(moved @ self._inverse @ moved) if self._free else inside) - float(
+            gradient @ move
+        ) ** 2
+        # whitened innovations change with the noise levels too, which is no bend of the model
+        bent = 0.0 if search.predictor.kind == "process" else float(np.sqrt(outside))
+        return (rise - max(beside, 0.0)) / far**2, self._radius * 2 * bent / far**2
 
     def _residuals(self, v: Array, step: Array) -> list[Array]:
         """The weighted residual (K, M) of each record after a step (N,) to v."""
@@ -200,9 +204,13 @@ class _Around:
         for record, point, lay in zip(search.records, points, search.problem.layouts, strict=True):
             own = np.concatenate([step[record.active], step[at : at + record.n]])
             if not isinstance(point.parts, list):  # a long record
-                found.append(residual(record, response(record, v, lay.take(self.errors.x)[0] + own[-record.n :])[0]))
+                found.append(
+                    residual(record, response(record, v, lay.take(self.errors.x)[0] + own[-record.n :])[0])
+                )
             elif record.linear:
-                found.append(_linear(record, v, None if self._free else lay.take(self.errors.x)[0] + own[-record.n :]))
+                found.append(
+                    _linear(record, v, None if self._free else lay.take(self.errors.x)[0] + own[-record.n :])
+                )
             else:
                 found.append(_followed(record, point, lay.take(self.best.solution.x), v, own))
             at += record.n

@@ -26,8 +26,8 @@ class Estimate:
     value, stderr : in ``unit``; stderr is None where there is none, and ``why`` says why
     at_bound : False, "min" or "max"; at a bound there is no symmetric error
     time : of an initial state, the instant that it holds at [s]
-    interval : low, high of the 95 % interval by profile likelihood where the error is not symmetric and that was quickly
-        found. quadratic : the standard error that the curvature at the optimum would give, where the fit found that it
+    interval : low, high of the 95 % interval by profile likelihood, where the error is not symmetric and that was
+        quickly found. quadratic : the standard error that the curvature at the optimum would give, where the fit found that it
         does not describe the likelihood; stderr is None then
     """
 
@@ -207,6 +207,13 @@ class Fit:
     def stderr(self) -> dict[str, float | None]:
         """Name -> standard error; None where there is none (``estimates[name].why`` says why)."""
         return {name: estimate.stderr for name, estimate in self.estimates.items()}
+
+    @property
+    def doubted(self) -> tuple[str, ...]:
+        """Free parameters whose errors are not known: the likelihood is not that of the quadratic, nor was an interval
+        found quickly."""
+        found = {name: self.estimates[name] for name in self.free if name in self.estimates}
+        return tuple(name for name, one in found.items() if one.quadratic and one.interval is None)
 
     @property
     def correlation(self) -> Array:

@@ -39,6 +39,7 @@ class Profiles:
 
     def __init__(self, search: Search, best: Attempt, errors: Uncertainty, *, seconds: float) -> None:
         self.search, self.best, self.errors = search, best, errors
+        search.mute()
         self.base = self._cost(best.solution.x)
         freedom = search.problem.samples - errors.covariance.rank
         estimated = any(search.levels.estimated) and freedom > 0
@@ -133,7 +134,9 @@ class Profiles:
         found[k], at = value, nv
         for record, lay in zip(search.records, layouts, strict=True):
             start = lay.take(x)[0] + move[at : at + record.n]
-            start = np.clip(start, search.lower[lay.at : lay.at + lay.n], search.upper[lay.at : lay.at + lay.n])
+            start = np.clip(
+                start, search.lower[lay.at : lay.at + lay.n], search.upper[lay.at : lay.at + lay.n]
+            )
             nodes = chained_nodes(record, found[:nv], start)
             found[lay.at : lay.at + nodes.size] = nodes.ravel()
             at += record.n
