@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 # Processor time that intervals by profile may take where the quadratic fails [s].
 _SECONDS = 3.0
+# An interval by profile whose ends are within this share of where ± has them.
+_ALIKE = 0.1
 _UNKNOWN, _UNEVEN = "not known (see note)", "not symmetric (see note)"
 
 
@@ -45,15 +47,21 @@ def judged(
     if not doubts:
         return Judged(estimates, initial)
     matrix, slopes = errors.covariance.matrix, errors.slopes()
-    about = {name: _of(doubts, slope, matrix) for name, slope in slopes.items() if estimates[name].stderr}
-    free = [name for name in search.pmap.free if about.get(name)]
+    with_error = [name for name, one in estimates.items() if one.stderr]
+    free = [name for name in search.pmap.free if name in with_error and _of(doubts, slopes[name], matrix)]
     ends: dict[str, tuple[float, float]] = {}
+    alike: set[str] = set()
     if all(doubt.profiles for doubt in doubts):
+        profiles = Profiles(search, best, errors, seconds=_SECONDS)
         try:
-            ends = Profiles(search, best, errors, seconds=_SECONDS).intervals(free)
+            ends = profiles.intervals(free)
         except LowerOptimumError:
             doubts = (_lower(doubts),)
-            about = dict.fromkeys(about, doubts[0])
+        alike = {name for name, one in ends.items() if _alike(estimates[name], one, profiles.root)}
+    about = {}
+    for name in with_error:
+        on = _only(search, slopes[name])
+        about[name] = _of(doubts, slopes[name], matrix, but_shape=on in alike)
     for name, doubt in about.items():
         if doubt is not None:
             interval = _through_ties(search, errors, name, slopes[name], ends)
@@ -61,19 +69,32 @@ def judged(
     at = search.problem.nv
     for record, states in zip(search.records, initial.values(), strict=True):
         for k, (state, one) in enumerate(states.items()):
-            doubt = _of(doubts, np.eye(len(matrix))[at + k], matrix)
+            doubt = _of(doubts, np.eye(len(matrix))[at + k], matrix, but_shape=bool(alike))
             if doubt is not None and one.stderr is not None:
                 states[state] = _without_error(one, doubt, None)
         at += record.n
-    missing = [name for name in free if name not in ends]
-    return Judged(estimates, initial, tuple(words_of(doubts, missing)))
+    left = [name for name in free if about[name] is not None]
+    felt = [doubt for doubt in doubts if any(doubt is about[name] for name in with_error)]
+    return Judged(estimates, initial, tuple(words_of(felt, [name for name in left if name not in ends])))
 
 
-def _of(doubts: Sequence[Doubt], slope: Array, matrix: Array) -> Doubt | None:
-    """The first doubt about a quantity with this slope (nv,) or (N,)."""
+def _only(search: Search, slope: Array) -> str | None:
+    """The free parameter that a quantity with this slope (nv,) depends on, if it is one alone."""
+    (on,) = np.nonzero(slope)
+    return search.pmap.free[on[0]] if len(on) == 1 else None
+
+
+def _alike(one: Estimate, interval: tuple[float, float], root: float) -> bool:
+    """True if an interval by profile is the one that ± means, ``root`` standard errors to either side."""
+    half = root * (one.stderr or 0.0)
+    return all(abs(abs(end - one.value) / half - 1) < _ALIKE for end in interval)
+
+
+def _of(doubts: Sequence[Doubt], slope: Array, matrix: Array, *, but_shape: bool = False) -> Doubt | None:
+    """The first doubt about a quantity with this slope (nv,) or (N,); but_shape : that is not on its shape alone."""
     wide = np.zeros(len(matrix))
     wide[: len(slope)] = slope
-    return next((doubt for doubt in doubts if doubt.about(wide, matrix)), None)
+    return next((one for one in doubts if not (but_shape and one.shape) and one.about(wide, matrix)), None)
 
 
 def _lower(doubts: Sequence[Doubt]) -> Doubt:
@@ -91,12 +112,11 @@ def _through_ties(
     search: Search, errors: Uncertainty, name: str, slope: Array, ends: dict[str, tuple[float, float]]
 ) -> tuple[float, float] | None:
     """The interval of a reported quantity that depends on one parameter alone; None of any other."""
-    (on,) = np.nonzero(slope)
-    if len(on) != 1 or search.pmap.free[on[0]] not in ends:
+    only = _only(search, slope)
+    if only not in ends:
         return None
-    z = search.coordinates.values(errors.v)
-    found = []
-    for end in ends[search.pmap.free[on[0]]]:
-        z[on[0]] = end
+    z, found = search.coordinates.values(errors.v), []
+    for end in ends[only]:
+        z[search.pmap.free.index(only)] = end
         found.append(search.pmap.values(z)[name])
     return min(found), max(found)

@@ -37,6 +37,8 @@ _DIRECTIONS, _FAR = 3, 2.0
 _WIDE = 0.15
 # Nearest place to look from [standard errors]; share of the information below which a state shows nothing.
 _NEAR, _BLIND = 0.2, 1e-12
+# Squared residuals that closing the gaps between shooting intervals may change, and how often they are closed.
+_CLOSED, _CLOSINGS = 1e-3, 6
 # Rises of chi-squared over the quadratic's 4 that pass: the ends of an interval are then within 15 % of where ± has
 # them.
 _RISES = 0.75, 1.3
@@ -65,6 +67,11 @@ class Doubt:
     text: str
     move: Array
     size: float = 0.0
+
+    @property
+    def shape(self) -> bool:
+        """True if it is about the shape of an interval alone, which a profile tells."""
+        return self.profiles and self.size <= _FLAT
 
     @property
     def profiles(self) -> bool:
@@ -102,11 +109,13 @@ def doubts_of(
 def words_of(doubts: Sequence[Doubt], missing: Sequence[str]) -> list[str]:
     """One line for each kind of doubt, the gravest of its kind; those that a profile settles only where nothing graver
     is said. missing : parameters that have no interval by profile."""
-    said = []
+    said: list[str] = []
     for kind in ("rival", "rugged", "curved", "bound"):
         own = [doubt for doubt in doubts if doubt.kind == kind]
-        if own and not (said and own[0].profiles):
-            said.append(max(own, key=lambda doubt: doubt.size).text)
+        if not own or (said and own[0].profiles):
+            continue
+        text = f"{', '.join(doubt.text for doubt in own)}: no symmetric error"
+        said.append(text if kind == "bound" else max(own, key=lambda doubt: doubt.size).text)
     if said and missing and all(doubt.profiles for doubt in doubts):
         said[-1] += f"; for {', '.join(missing)} {CALL}"
     return said
@@ -153,7 +162,7 @@ class _Around:
         if seen[0] is None or seen[1] is None:
             text = f"the errors are not known: within {_FAR:g} standard errors along {names} the model has no value"
             return [Doubt("rugged", f"{text}; {CALL}", move, np.inf)]
-        (low, bent), (high, other) = seen
+        (low, bent), (high, other) = seen[0], seen[1]
         curvature = max(bent, other)
         if curvature > _RUGGED:
             text = (
@@ -256,20 +265,26 @@ def _followed(record: RecordTerm, point: RecordPoint, nodes: Array, v: Array, st
     """The weighted residual (K, M) after a step (nz + n,) of the active parameters and the first state.
 
     The intervals start where the slopes at the point foresee it, and run side by side; what then gapes is closed by
-    these slopes, which leaves an error of third order.
+    these slopes, again where that is much.
     """
     nz, count, path = len(record.active), record.plan.m, point.path
     ends = np.broadcast_to(path.end_s, (count, record.n, record.n))
+    js = point.js if point.js.ndim == 3 else point.js[:, None]
     change = np.zeros_like(nodes)
     change[0] = step[nz:]
     for k in range(count - 1):
         change[k + 1] = ends[k] @ change[k] + path.end_z[:, :, k].T @ step[:nz]
-    outputs, there = record.outputs_at(v, nodes + change)
-    gaps, closed = there.end[:, :-1].T - (nodes + change)[1:], np.zeros_like(nodes)
-    for k in range(count - 1):
-        closed[k + 1] = ends[k] @ closed[k] + gaps[k]
-    js = point.js if point.js.ndim == 3 else point.js[:, None]
-    return residual(record, outputs) + np.einsum("kma,ma->km", js, closed) * record.weight
+    at = nodes + change
+    for _ in range(_CLOSINGS):
+        outputs, there = record.outputs_at(v, at)
+        gaps, closed = there.end[:, :-1].T - at[1:], np.zeros_like(nodes)
+        for k in range(count - 1):
+            closed[k + 1] = ends[k] @ closed[k] + gaps[k]
+        felt = np.einsum("kma,ma->km", js, closed) * record.weight
+        if float(np.sum(felt**2)) < _CLOSED:
+            break
+        at = at + closed
+    return residual(record, outputs) + felt
 
 
 def _entries(search: Search, x: Array) -> Array:
@@ -323,5 +338,4 @@ def _bounds(search: Search, errors: Uncertainty) -> list[Doubt]:
             found.append((k, f"{name} reaches its {side} bound within {_FAR:g} standard errors"))
         elif search.coordinates.log[k] and size > _WIDE:
             found.append((k, f"{name} is known to {100 * size:.2g} %"))
-    text = f"{', '.join(words for _, words in found)}: no symmetric error"
-    return [Doubt("bound", text, np.eye(len(matrix))[k]) for k, _ in found]
+    return [Doubt("bound", text, np.eye(len(matrix))[k]) for k, text in found]

@@ -27,8 +27,9 @@ class Estimate:
     at_bound : False, "min" or "max"; at a bound there is no symmetric error
     time : of an initial state, the instant that it holds at [s]
     interval : low, high of the 95 % interval by profile likelihood, where the error is not symmetric and that was
-        quickly found. quadratic : the standard error that the curvature at the optimum would give, where the fit found that it
-        does not describe the likelihood; stderr is None then
+        quickly found
+    quadratic : the standard error by the curvature at the optimum, where the fit found that it does not describe the
+        likelihood; stderr is None then
     """
 
     value: float

@@ -4,8 +4,9 @@
 
 NAME : known, estimated, tied, prior, bound, missing, crankshaft, crankshaft_quiet, crankshaft_still, quiet,
 crankshaft_plain, described in `calibration_cases.py`; all of them if none is given, 2000 fits of each with two masses
-and 500 of each with the crankshaft unless --fits says otherwise. Every finished fit goes into a checkpoint beside this file
-(`calibration-*.jsonl`, --folder for another place): a study that was stopped, or killed, goes on with the same command.
+and 500 of each with the crankshaft unless --fits says otherwise. Every finished fit goes into a checkpoint beside this
+file (`calibration-*.jsonl`, --folder for another place): a study that was stopped, or killed, goes on with the same
+command.
 `--write` puts the dated table into CALIBRATION.md from what the checkpoints hold, `--kept` runs nothing first. `--jobs`
 takes processes; under `joblib.parallel_config(backend="dask")` `run(..., jobs=None)` works on a cluster.
 """
