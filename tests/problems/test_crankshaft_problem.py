@@ -50,7 +50,7 @@ def test_the_fit_finds_the_truth(tmp_path, monkeypatch, capsys):
         found = result["parameters"][name]
         assert abs(found["value"] - truth) < 4 * quadratic, name
         assert quadratic < 0.08 * truth, name
-        # with two records noise decides which optimum is the lowest: no error is known (tests/benchmarks/CALIBRATION.md)
+        # noise decides which optimum is the lowest: no error is known
         assert found["stderr"] is None, name
         assert found["why"]["stderr"] == "not known (see note)", name
     assert "the errors are not known" in result["messages"][0]
