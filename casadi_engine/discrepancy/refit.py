@@ -288,7 +288,7 @@ class Refitter:
         """One estimate of at most so many iterations; short : in short intervals, for laws that ask for many steps of
         the integrator, which all intervals take side by side."""
         most = min(int(self.options.get("max_iterations", most)), most)
-        options = dict(self.options) | {"max_iterations": most, "progress": False}
+        options = dict(self.options) | {"max_iterations": most, "errors": "quadratic", "progress": False}
         if short and options.get("interval", "auto") == "auto":
             options["interval"] = max(2, max(_samples(one) for one in self.data) // _INTERVALS)
         try:

@@ -9,15 +9,18 @@ if TYPE_CHECKING:
     from casadi_engine.estimation.estimate import estimate
     from casadi_engine.estimation.fit import Direction, Estimate, Fit, Optimum, Trace
     from casadi_engine.estimation.monte_carlo import MonteCarlo, monte_carlo
+    from casadi_engine.estimation.prediction import Band, Prediction
     from casadi_engine.estimation.simulate import simulate
     from casadi_engine.estimation.study import study
 
 __all__ = [
+    "Band",
     "Direction",
     "Estimate",
     "Fit",
     "MonteCarlo",
     "Optimum",
+    "Prediction",
     "Task",
     "Trace",
     "estimate",
@@ -34,6 +37,7 @@ import_at_first_use(
         "casadi_engine.estimation.estimate": ("estimate",),
         "casadi_engine.estimation.fit": ("Direction", "Estimate", "Fit", "Optimum", "Trace"),
         "casadi_engine.estimation.monte_carlo": ("MonteCarlo", "monte_carlo"),
+        "casadi_engine.estimation.prediction": ("Band", "Prediction"),
         "casadi_engine.estimation.simulate": ("simulate",),
         "casadi_engine.estimation.study": ("study",),
     },

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.errors import EstimationError
+from casadi_engine.estimation.doubted import judged
 from casadi_engine.estimation.final_check import cure, printed_cost, relabelled, residual, response, verdict
 from casadi_engine.estimation.fit import Fit, Innovations, Optimum, Trace
 from casadi_engine.estimation.fit_percent import fit_measures
@@ -41,8 +42,9 @@ def make_fit(
     begun: float,
     *,
     stopped: bool = False,
+    check: bool = True,
 ) -> Fit:
-    """The Fit at the best attempt."""
+    """The Fit at the best attempt. check : ask whether its standard errors describe the likelihood"""
     clock = time.perf_counter()
     search._weigh(best.sigma)
     problem, pmap = search.problem, search.pmap
@@ -71,6 +73,7 @@ def make_fit(
     if status != best.solution.status:
         errors, optima = replace(errors, optimal=status == "converged"), relabelled(optima, status)
         best = replace(best, solution=replace(best.solution, status=status))
+    found = judged(search, best, errors, optima, residuals, check=check and not stopped)
     cost = printed_cost(search, v, residuals)
     predictor = _predictor(search, v, best.sigma, errors)
     # With noise covariances the search adds the likelihood of the innovations' size, zero at this fit from here on.
@@ -84,7 +87,7 @@ def make_fit(
         parameters=fitted.frozen(),
         data=search.data,
         status="interrupted" if stopped else best.solution.status,
-        estimates=errors.estimates(),
+        estimates=found.estimates,
         start=dict(zip(pmap.free, best.start.tolist(), strict=True)),
         free=pmap.free,
         z=z,
@@ -92,7 +95,7 @@ def make_fit(
         undetermined=errors.directions,
         initial={
             record.experiment.name: {key: replace(one, time=record.grid.start) for key, one in states.items()}
-            for record, states in zip(search.records, errors.initial_estimates().values(), strict=True)
+            for record, states in zip(search.records, found.initial.values(), strict=True)
         },
         noise=_noise(search, best.sigma, pmap.values(z)),
         cost=(cost if np.isfinite(cost) else best.cost) - size,
@@ -106,7 +109,7 @@ def make_fit(
         fit_percent=percents,
         timing=timing,
         options=options,
-        messages=_messages(search, best, errors, optima, reason, stopped=stopped) + _coarse(integration),
+        messages=found.said + _messages(search, best, errors, reason, optima, stopped) + _coarse(integration),
         states_at_start=first,
         gain=None if predictor is None else predictor.gain,
         innovations=predictor,
@@ -230,9 +233,8 @@ def _messages(
     search: Search,
     best: Attempt,
     errors: Uncertainty,
-    optima: tuple[Optimum, ...],
     reason: str | None,
-    *,
+    optima: tuple[Optimum, ...],
     stopped: bool,
 ) -> tuple[str, ...]:
     found = [] if reason is None else [cure(reason)]
@@ -255,7 +257,6 @@ def _messages(
     found += _rates(search)
     found += _beyond_noise(search, best)
     found += _coloured(search, best)
-    found += _rivals(best, optima)
     if stopped:
         done = sum(optimum.starts for optimum in optima if optimum.status == "converged")
         what = f"the best of {done} optima so far" if done else "the best point so far, not an optimum"
@@ -273,23 +274,6 @@ def _rates(search: Search) -> list[str]:
     return [
         f"one gain corrects records that were sampled every {', '.join(f'{s:g}' for s in sorted(steps))} s: what suits "
         "one rate does not suit another; resample them alike, or fit them one by one"
-    ]
-
-
-def _rivals(best: Attempt, optima: tuple[Optimum, ...]) -> list[str]:
-    """Other optima that explain the data about as well: inside the 95 % region that the costs span."""
-    others = [o for o in optima if o.status == "converged" and o.apart]
-    if others:
-        from scipy.special import chdtri
-
-        limit = best.cost + float(chdtri(max(len(best.v), 1), 0.05))
-        others = [o for o in others if o.cost <= limit]
-    if not others:
-        return []
-    ways = "; ".join(f"{o.apart} at a cost {o.cost - best.cost:.2g} higher" for o in others[:3])
-    return [
-        f"{len(others)} other optim{'a explain' if len(others) > 1 else 'um explains'} the data as well: {ways}; "
-        "the standard errors are those of one optimum alone"
     ]
 
 

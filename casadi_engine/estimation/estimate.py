@@ -53,6 +53,7 @@ def estimate(
     jobs: int | None = 1,
     warm: Any = None,
     progress: Any = None,
+    errors: str = "checked",
     max_iterations: int = 200,
     tolerance: float = 1e-9,
 ) -> Fit:
@@ -82,6 +83,9 @@ def estimate(
         what ``joblib.parallel_config`` says, such as a dask cluster
     warm : a Fit (or loaded result) whose parameters and initial states are the start
     progress : None for a bar on a terminal, False for none, or a function (iteration, cost, fit percent)
+    errors : "checked": standard errors where the likelihood is quadratic around the optimum, intervals by profile where
+        it is not, if they take a few seconds, and otherwise none, with what to call; "quadratic": standard errors by
+        the curvature at the optimum whatever the likelihood does beside it, for loops over fits
     max_iterations, tolerance : of IPOPT, for each start
 
     A linear model on complete, equally spaced records is searched in the frequency domain first, in the band in which
@@ -133,6 +137,7 @@ def estimate(
         seed=seed,
         jobs=jobs,
         progress=progress,
+        check=chosen("errors", errors, ("checked", "quadratic")) == "checked",
         shown={
             "interval": interval,
             "loss": loss if isinstance(loss, str) else repr(loss),
@@ -160,6 +165,7 @@ def _searched(
     seed: int,
     jobs: int | None,
     progress: Any,
+    check: bool,
     shown: Mapping[str, Any],
 ) -> Fit:
     """One estimate from its checked arguments; shown : options as the user gave them."""
@@ -196,7 +202,7 @@ def _searched(
             "searched on": searched_on(search, best, lower),
         }
         stopped = interrupted(attempts) or interrupts.stopped
-        fit = make_fit(search, best, optima, options, timing, begun, stopped=stopped)
+        fit = make_fit(search, best, optima, options, timing, begun, stopped=stopped, check=check)
         return replace(fit, status="interrupted") if interrupts.stopped else fit
 
 

@@ -26,6 +26,10 @@ class Estimate:
     value, stderr : in ``unit``; stderr is None where there is none, and ``why`` says why
     at_bound : False, "min" or "max"; at a bound there is no symmetric error
     time : of an initial state, the instant that it holds at [s]
+    interval : low, high of the 95 % interval by profile likelihood, where the error is not symmetric and that was
+        quickly found
+    quadratic : the standard error by the curvature at the optimum, where the fit found that it does not describe the
+        likelihood; stderr is None then
     """
 
     value: float
@@ -35,6 +39,8 @@ class Estimate:
     why: str | None = None
     fixed: bool = False
     time: float | None = None
+    interval: tuple[float, float] | None = None
+    quadratic: float | None = None
 
 
 @dataclass(frozen=True)
@@ -114,8 +120,9 @@ class Fit:
     from these values and initial states has the chi-squared that the search found, within 0.001 and a millionth of it
     parameters : frozen set at the optimum. start : name -> value the search started from (free parameters)
     estimates : name -> Estimate of every parameter of the set, tied, auxiliary and fixed ones too
-    free : names of the estimated vector z. z : (nz,) its values. covariance : (nz, nz), zero rows for entries at a
-    bound, NaN rows for entries that the data do not determine
+    free : names of the estimated vector z. z : (nz,) its values. covariance : (nz, nz) of the quadratic around the
+    optimum, also where the fit doubts it; zero rows for entries at a bound, NaN rows for entries that the data do not
+    determine
     initial : record -> state -> Estimate
     noise : output -> (sigma, estimated)
     cost : sum of ((y - y_hat)/sigma)^2 + priors, simulated from these values as the traces are
@@ -201,6 +208,13 @@ class Fit:
     def stderr(self) -> dict[str, float | None]:
         """Name -> standard error; None where there is none (``estimates[name].why`` says why)."""
         return {name: estimate.stderr for name, estimate in self.estimates.items()}
+
+    @property
+    def doubted(self) -> tuple[str, ...]:
+        """Free parameters whose errors are not known: the likelihood is not that of the quadratic, nor was an interval
+        found quickly."""
+        found = {name: self.estimates[name] for name in self.free if name in self.estimates}
+        return tuple(name for name, one in found.items() if one.quadratic and one.interval is None)
 
     @property
     def correlation(self) -> Array:

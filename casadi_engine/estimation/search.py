@@ -527,6 +527,10 @@ class Search:
         """Report a search that another process has finished; what the progress asks for comes too late."""
         self._report(0, attempt.cost / (2 * self.problem.samples))
 
+    def mute(self) -> None:
+        """Show nothing of the searches to come."""
+        self._progress = None
+
     def close(self) -> None:
         """End the progress display."""
         if hasattr(self._progress, "close"):

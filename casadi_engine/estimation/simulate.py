@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal, overload
 
 import casadi as ca
 import numpy as np
@@ -15,6 +15,7 @@ from casadi_engine.errors import SimulationError
 from casadi_engine.estimation.estimate import estimate
 from casadi_engine.estimation.fit import Estimate, Fit
 from casadi_engine.estimation.options import as_number, begun_at, small
+from casadi_engine.estimation.prediction import Prediction, check_band, with_band
 from casadi_engine.experiment import Channel, Experiment
 from casadi_engine.experiment.channel import Step
 from casadi_engine.model import Model
@@ -27,6 +28,7 @@ from casadi_engine.simulation.values import simulated
 Array = NDArray[np.float64]
 
 
+@overload
 def simulate(
     model: Model | Fit,
     data: Experiment,
@@ -35,7 +37,33 @@ def simulate(
     initial: Mapping[str, float] | None = None,
     method: Method = "exact",
     tolerance: float = 1e-6,
-) -> Experiment:
+    band: Literal[False] = False,
+) -> Experiment: ...
+
+
+@overload
+def simulate(
+    model: Any,
+    data: Experiment,
+    *,
+    parameters: None = None,
+    initial: Mapping[str, float] | None = None,
+    method: Method = "exact",
+    tolerance: float = 1e-6,
+    band: Literal[True],
+) -> Prediction: ...
+
+
+def simulate(
+    model: Any,
+    data: Experiment,
+    *,
+    parameters: Parameters | Mapping[str, float] | None = None,
+    initial: Mapping[str, float] | None = None,
+    method: Method = "exact",
+    tolerance: float = 1e-6,
+    band: bool = False,
+) -> Experiment | Prediction:
     """Simulate a model over the time of an experiment; return its inputs with the simulated outputs beside them.
 
     model : the equations, or a Fit: its model at its parameters (a parameter that varies by experiment has the value
@@ -51,6 +79,9 @@ def simulate(
         any other by steps that follow the error. Jumps in the equations (``sign``, ``if_else``) are met at
         their instant, and dry friction holds what is at rest. The last line of the result's history says which
         integrator ran and how far off it is
+    band : True for a Prediction: the simulation of a fit with the 95 % bands that the errors of its parameters and
+        initial states make, without and with the noise. In place of the fit a posterior (an object with ``fit`` and
+        ``draws``, name -> (n,)) may be given, whose draws are then simulated
 
     Returns an Experiment with the input channels and one derived channel for each output, on the inputs' grid, in
     the units that the model declares.
@@ -63,8 +94,9 @@ def simulate(
     >>> run["omega"].values.round(3)
     array([100.   ,  60.653,  36.788])
     """
-    if isinstance(model, Fit):
-        model, parameters, initial = _of_fit(model, data, parameters, initial)
+    source, fit = model, check_band(model, parameters) if band else model
+    if isinstance(fit, Fit):
+        model, parameters, initial = _of_fit(fit, data, parameters, initial)
     _check_kinds(model, data, parameters, initial)
     data = arriving(model, data)
     names = [state.name for state in model.states]
@@ -101,7 +133,8 @@ def simulate(
     data = begun_at(data, given, model, ())
     grid = _fitted_grid(model, data) if of_fit else _whole_grid(model, data)
     start = np.array([as_number(given[name]) for name in names], dtype=float)
-    return _run(model, data, values, start, replace(grid, measured={}), method, small(tolerance))
+    run = _run(model, data, values, start, replace(grid, measured={}), method, small(tolerance))
+    return with_band(source, fit, data, run, grid, given, method) if band else run
 
 
 def _of_fit(

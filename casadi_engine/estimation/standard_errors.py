@@ -93,20 +93,25 @@ class Uncertainty:
         shift = np.zeros(nv) if self.released is None else known.matrix[:nv] @ self.released.force * scale
         return ParameterErrors.of(self.search.pmap.free, covariance, unknown * scale[:, None], scale, shift)
 
+    def slopes(self) -> dict[str, Array]:
+        """Reported parameter -> its slope (nv,) in the coordinates v, through ties."""
+        search, nv = self.search, len(self.v)
+        pmap, z = search.pmap, search.coordinates.values(self.v)
+        function = ca.Function("j", [pmap.z], [ca.densify(ca.jacobian(pmap.reported_expressions, pmap.z))])
+        names = list(pmap.values(z))
+        slopes = np.asarray(function(z), dtype=float).reshape(len(names), nv)
+        return dict(zip(names, slopes * search.coordinates.slope(self.v), strict=True))
+
     def estimates(self) -> dict[str, Estimate]:
         """Every reported parameter with its error, propagated through ties to first order."""
         search, nv, matrix = self.search, len(self.v), self.covariance.matrix
         pmap, z = search.pmap, search.coordinates.values(self.v)
-        function = ca.Function("j", [pmap.z], [ca.densify(ca.jacobian(pmap.reported_expressions, pmap.z))])
-        values = pmap.values(z)
-        slopes = np.asarray(function(z), dtype=float).reshape(len(values), nv)
-        slopes = slopes * search.coordinates.slope(self.v)
-        found = {}
-        for (name, value), slope in zip(values.items(), slopes, strict=True):
+        values, found = pmap.values(z), {}
+        for name, slope in self.slopes().items():
             side: AtBound = self.bound[pmap.free.index(name)] if name in pmap.free else False
             error, why = self._error(slope, matrix[:nv, :nv], side)
             unit = search.parameters[name.split("@")[0]].unit
-            found[name] = Estimate(value, error, unit, side, why, fixed=not slope.any())
+            found[name] = Estimate(values[name], error, unit, side, why, fixed=not slope.any())
         return found
 
     def _error(self, slope: Array, matrix: Array, side: AtBound) -> tuple[float | None, str | None]:

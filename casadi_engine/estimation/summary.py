@@ -85,6 +85,16 @@ def with_error(value: float, stderr: float | None) -> str:
     return f"{'0' if value == 0 else f'{value:.{digits}e}'} ± {stderr:.1e}"
 
 
+def with_interval(low: float, high: float) -> str:
+    """Write a 95 % interval, its ends with two significant digits of its half width.
+
+    >>> with_interval(0.02134, 0.04871), with_interval(0.0, 3.1e-7)
+    ('95 %: 0.021 to 0.049', '95 %: 0 to 3.1e-07')
+    """
+    ends = (with_error(end, (high - low) / 2).split(" ±")[0] for end in (low, high))
+    return f"95 %: {' to '.join(ends)}"
+
+
 def percent(value: float, stderr: float | None) -> str:
     """Write the standard error as a share of the value, ``(3.2 %)``; empty if there is none.
 
@@ -248,6 +258,8 @@ def _error(estimate: Estimate) -> float | None:
 def _notes(fit: Fit, name: str, estimate: Estimate) -> list[str]:
     parameter = parameter_of(fit, name)
     notes = []
+    if estimate.interval is not None:
+        notes.append(with_interval(*estimate.interval))
     if estimate.at_bound:
         notes.append(f"at its {BOUND_WORDS[estimate.at_bound]} bound: no symmetric error")
     if name in fit.start:
@@ -256,7 +268,7 @@ def _notes(fit: Fit, name: str, estimate: Estimate) -> list[str]:
         notes.append(f"== {parameter.tie}")
     if estimate.fixed:
         notes.append("(fixed)")
-    if estimate.stderr is None and not estimate.fixed and not estimate.at_bound:
+    if (estimate.stderr, estimate.interval) == (None, None) and not estimate.fixed and not estimate.at_bound:
         notes.append(f"no error: {estimate.why or 'not known'}")
     if parameter is not None and parameter.prior is not None:
         notes.append("prior {:.4g} ± {:.4g}".format(*parameter.prior))
@@ -272,7 +284,7 @@ def initial_words(fit: Fit, record: str) -> str:
             text += " (fixed)"
         elif estimate.at_bound:
             text += f" (at its {BOUND_WORDS[estimate.at_bound]} bound)"
-        elif estimate.stderr is None:
+        elif estimate.stderr is None and estimate.quadratic is None:  # what is doubted has a note of its own
             text += f" (no error: {estimate.why or 'not known'})"
         words.append(text)
     return ", ".join(words)

@@ -114,7 +114,7 @@ def _ends(line: ProfileLine) -> tuple[str, str]:
 
 
 def _by_error(line: ProfileLine) -> str:
-    error = line.estimate.stderr
+    error = line.error
     if not error:
         return "-"
     half = math.sqrt(line.threshold) * error
@@ -129,7 +129,7 @@ def shape(line: ProfileLine) -> str:
     if low is None or high is None:
         return "open on one side"
     below, above = line.estimate.value - low, high - line.estimate.value
-    error = line.estimate.stderr
+    error = line.error
     if below <= 0 or above <= 0:
         return "the estimate lies outside"
     skew = above / below

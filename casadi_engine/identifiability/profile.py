@@ -60,9 +60,14 @@ class ProfileLine:
     interval: Interval
     threshold: float
 
+    @property
+    def error(self) -> float | None:
+        """The standard error of the quadratic, whether the fit stands by it or not; None without one."""
+        return self.estimate.stderr or self.estimate.quadratic
+
     def quadratic(self, values: Array) -> Array | None:
-        """The rise that the fit's standard error foresees at these values, or None without one."""
-        error = self.estimate.stderr
+        """The rise that the fit's quadratic foresees at these values, or None without one."""
+        error = self.error
         return None if not error else ((values - self.estimate.value) / error) ** 2
 
 
@@ -271,7 +276,8 @@ class _Walker:
         return found, None, "open: the data set no limit here"
 
     def _first_step(self, name: str, centre: _Point) -> float:
-        error = centre.fit.estimates[name].stderr
+        own = centre.fit.estimates[name]
+        error = own.stderr or own.quadratic
         if error:
             return float(math.sqrt(self.threshold) / self.points * error)
         return 0.01 * abs(centre.value) or 0.01
@@ -310,6 +316,7 @@ class _Walker:
                 ties=own.options.get("ties", "substitute"),
                 method=own.options.get("method", "exact"),
                 warm=_Warm(guess, last.fit.initial, own.noise),
+                errors="quadratic",
                 progress=False,
             )
         except CasadiEngineError as error:

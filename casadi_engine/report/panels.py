@@ -180,6 +180,11 @@ def draw_parameters(panel: Panel, fit: Fit, names: Sequence[str]) -> None:
         scale = _scale(fit, name)
         change = 100 * (estimate.value - fit.start.get(name, estimate.value)) / scale
         error = half_width(estimate)
+        if estimate.interval is not None:
+            ends = [change + 100 * (end - estimate.value) / scale for end in estimate.interval]
+            panel.plot(ends, [row, row], "|-", color=SIMULATED)
+            panel.plot(change, row, "o", color=SIMULATED, markersize=4)
+            continue
         if error is not None:
             width = 100 * error / scale
             panel.errorbar(change, row, xerr=width, color=SIMULATED, capsize=3, markersize=4)
@@ -238,7 +243,9 @@ def draw_precision(panel: Panel, fit: Fit, names: Sequence[str]) -> None:
 
 
 def half_width(estimate: Estimate) -> float | None:
-    """Half width of the 95 % interval in the parameter's unit; None where there is no symmetric error."""
+    """Half width of the 95 % interval in the parameter's unit; None where there is none."""
+    if estimate.interval is not None:
+        return (estimate.interval[1] - estimate.interval[0]) / 2
     if estimate.at_bound or estimate.stderr is None or not math.isfinite(estimate.stderr):
         return None
     return NORMAL_95 * estimate.stderr

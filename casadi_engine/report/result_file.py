@@ -220,6 +220,7 @@ def _entry(estimate: Estimate, parameter: Any) -> dict[str, Any]:
         "vary": bool(parameter is not None and parameter.vary),
         "tie": None if parameter is None else parameter.tie,
         "at_bound": estimate.at_bound,
+        **({} if estimate.interval is None else {"interval": list(estimate.interval)}),
         "prior": None if parameter is None or parameter.prior is None else list(parameter.prior),
         "why": why,
     }

@@ -13,6 +13,7 @@ import numpy as np
 
 from casadi_engine.errors import ResultError
 from casadi_engine.estimation.fit import Estimate, Optimum
+from casadi_engine.estimation.summary import with_interval
 from casadi_engine.experiment import read_experiment
 from casadi_engine.report import panels
 from casadi_engine.report.figures import (
@@ -50,6 +51,7 @@ class _Estimates:
                 one["at_bound"],
                 one.get("why", {}).get("stderr"),
                 fixed=not one["vary"] and one["tie"] is None,
+                interval=tuple(one["interval"]) if "interval" in one else None,
             )
             for name, one in entries.items()
         }
@@ -222,9 +224,9 @@ def _parameter_table(result: Result) -> str:
         error = "" if one["stderr"] is None else f" ± {one['stderr']:.2g}"
         tie = f"== {one['tie']}" if one["tie"] else "" if one["vary"] else "fixed"
         bound = f"at its {one['at_bound']} bound" if one["at_bound"] else ""
-        rows.append(
-            (name, f"{_text(one['value'])}{error}", one["unit"], ", ".join(filter(None, (tie, bound))))
-        )
+        ends = with_interval(*one["interval"]) if "interval" in one else ""
+        notes = ", ".join(filter(None, (tie, bound, ends)))
+        rows.append((name, f"{_text(one['value'])}{error}", one["unit"], notes))
     return table(("parameter", "value ± standard error", "unit", "note"), rows, caption="Parameters")
 
 

@@ -154,7 +154,7 @@ class _Problem:
         self.fitted = np.array(
             [fit.values.get(name, values.get(name, values.get(name.partition("@")[0], 0.0))) for name in free]
         )
-        errors = fit.errors
+        errors = None if fit.doubted else fit.errors
         nothing, self.blind = np.zeros((0, len(free))), False
         self.rows, self.shift = (nothing, np.zeros(0)) if errors is None else errors.over(free)
         self.still = nothing if errors is None else errors.held_over(free)
@@ -326,6 +326,8 @@ class _Problem:
         return ResidualTest(found[0][0], 1, chance, self.shots.count), tuple(name for _, name in found)
 
     def _why_not(self) -> str:
+        if self.fit.doubted:
+            return "the errors of the fit are not known, see its notes: ce.posterior(fit)"
         if self.fit.errors is None:
             return "the fit is no optimum, so that its parameters have no errors"
         if not self.fit.free:

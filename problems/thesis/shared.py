@@ -178,9 +178,11 @@ def error(fit: Fit, name: str, truth: Mapping[str, float]) -> float:
 
 
 def stderr(fit: Fit, name: str) -> float:
-    """Standard error of an estimate [%]; infinite where there is none, as at a bound."""
+    """Standard error of an estimate [%] by the curvature at the optimum, which is what the thesis's covariances are,
+    also where the fit doubts it; infinite where there is none, as at a bound."""
     one = fit.estimates[name]
-    return float("inf") if one.stderr is None or one.at_bound else 100 * one.stderr / abs(one.value)
+    size = one.quadratic or one.stderr
+    return float("inf") if size is None or one.at_bound else 100 * size / abs(one.value)
 
 
 def print_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

@@ -78,6 +78,8 @@ VARIANTS: dict[str, Variant] = {
     "crankshaft_still": Variant(
         "crankshaft, six records, a thirtieth of the noise", **_SIX, sigma=1 / 300  # type: ignore[arg-type]
     ),
+    "quiet": Variant("two masses, a tenth of the noise", **_TWO, sigma=0.01),  # type: ignore[arg-type]
+    "crankshaft_plain": Variant("crankshaft, six records, no neighbours", **_SIX),  # type: ignore[arg-type]
 }  # fmt: skip
 
 
@@ -232,6 +234,7 @@ def fit_of(case: Case, seed: int, *, neighbours: int | None = None) -> ce.Fit:
 def row(piece: dict[str, Any]) -> dict[str, Any]:
     """One fit of the study as plain numbers: piece = {"variant": name, "seed": number}.
 
+    stderr : of the quadratic, printed or not; printed : what the fit prints, "stderr", an interval or nothing
     region : -2 log of the likelihood (posterior) at the truth against that of the fit, the initial states at their best
     behind : how much lower the cost of a search from the truth ends, where neighbours are searched
     """
@@ -248,7 +251,8 @@ def row(piece: dict[str, Any]) -> dict[str, Any]:
         "error": {
             key: one.value - float(case.truth[case.shape.names.index(key)]) for key, one in found.items()
         },
-        "stderr": {key: one.stderr for key, one in found.items()},
+        "stderr": {key: one.quadratic or one.stderr for key, one in found.items()},
+        "printed": {key: _printed(one) for key, one in found.items()},
         "at_bound": [key for key, one in found.items() if one.at_bound],
         "chi2": fit.cost / fit.n,
         "optima": len(fit.optima),
@@ -258,6 +262,13 @@ def row(piece: dict[str, Any]) -> dict[str, Any]:
     if VARIANTS[name].neighbours:
         answer["behind"] = fit.cost - fit_of(replace(case, spread=0.0), seed, neighbours=0).cost
     return answer
+
+
+def _printed(one: Any) -> str | list[float] | None:
+    """What stands beside an estimate: "stderr", the ends of its interval less its value, or nothing."""
+    if one.interval is not None:
+        return [end - one.value for end in one.interval]
+    return None if one.stderr is None else "stderr"
 
 
 def _cost_of_truth(case: Case, noises: list[Array]) -> float:

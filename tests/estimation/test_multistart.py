@@ -82,8 +82,9 @@ def test_the_direction_between_two_optima_and_the_rival_are_said_in_words(valley
     message = next(m for m in fit.messages if "other optim" in m)
     assert message == (
         f"1 other optimum explains the data as well: p {share:+.3g} % at a cost {HIGH.fun - LOW.fun:.2g} higher; "
-        "the standard errors are those of one optimum alone"
+        "the errors are not known, call ce.posterior(fit)"
     )
+    assert fit.stderr["p"] is None
     assert "Optima: " in str(fit)
     assert f"(p {share:+.3g} %)" in str(fit)
 

@@ -123,10 +123,23 @@ def test_a_bound_that_is_near_but_does_not_act_leaves_the_error(line, line_data)
     best, covariance = regression(made.phi, made.y)
     pars = line().parameters()
     pars["p1"].set(1.0, max=float(best[0]) + 1e-4)
-    fit = fitted(line(), made.data, pars)
+    fit = fitted(line(), made.data, pars, errors="quadratic")
     assert fit.estimates["p1"].at_bound is False
     assert fit.values["p1"] == pytest.approx(best[0], rel=1e-6)
     assert fit.stderr["p1"] == pytest.approx(np.sqrt(covariance[0, 0]), rel=1e-5)
+
+
+def test_a_bound_within_two_errors_ends_the_interval(line, line_data):
+    """The interval by profile of a linear model is that of the regression, cut at the bound."""
+    made = line_data()
+    best, covariance = regression(made.phi, made.y)
+    size = np.sqrt(covariance[0, 0])
+    pars = line().parameters()
+    pars["p1"].set(1.0, max=float(best[0]) + 0.5 * size)
+    found = fitted(line(), made.data, pars).estimates["p1"]
+    assert found.stderr is None
+    assert found.quadratic == pytest.approx(size, rel=1e-5)
+    assert found.interval == pytest.approx((best[0] - 1.96 * size, best[0] + 0.5 * size), abs=1e-3 * size)
 
 
 def test_a_damper_that_would_be_negative_rests_on_zero(run_up):

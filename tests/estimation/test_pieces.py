@@ -122,8 +122,9 @@ def test_a_fit_with_a_free_gain_is_approached_by_its_physical_parameters(shaft, 
     made, model = shaft(two=False), shaft_model(False)
     noise = ce.Noise(omega="innovations")
     easy = ce.estimate(
-        model, made.data, parameters=set_off(model, made.truth, (1,) * 5), noise=noise, progress=False
-    )
+        model, made.data, parameters=set_off(model, made.truth, (1,) * 5), noise=noise, errors="quadratic",
+        progress=False,
+    )  # fmt: skip
     pars = set_off(model, made.truth, FACTORS[0])
     fit = ce.estimate(model, made.data, parameters=pars, noise=noise, approach="prediction", progress=False)
     assert fit.converged

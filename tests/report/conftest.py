@@ -150,10 +150,21 @@ def make_fit(*, records=("misfire_1200rpm",), predicted=False, samples=1200, the
     return Fit(**(given | changes))
 
 
+def doubted(fit):
+    """The same fit, its K_el without an error and J_load with an interval in place of one."""
+    k_el, j_load = (fit.estimates[name] for name in ("K_el", "J_load"))
+    k_el = replace(k_el, stderr=None, why="not known (see note)", quadratic=k_el.stderr)
+    j_load = replace(
+        j_load, stderr=None, why="not symmetric (see note)", quadratic=j_load.stderr, interval=(0.12, 0.27)
+    )
+    return replace(fit, estimates={**fit.estimates, "K_el": k_el, "J_load": j_load})
+
+
 @pytest.fixture
 def factory():
     return SimpleNamespace(
         fit=make_fit,
+        doubted=doubted,
         validation=make_validation,
         experiment=make_experiment,
         values=VALUES,

@@ -93,6 +93,17 @@ def test_the_residual_says_what_it_is(factory):
     assert axes[0].get_title(loc="left").startswith("residual, measured less predicted (")
 
 
+def test_an_interval_is_drawn_from_end_to_end(factory):
+    fit = factory.doubted(factory.fit())
+    left, right = plot(fit, what="parameters").axes
+    start = fit.start["J_load"]
+    ends = [100 * (end - start) / start for end in (0.12, 0.27)]
+    assert any(np.allclose(line.get_xdata(), ends) for line in left.lines if len(line.get_xdata()) == 2)
+    words = [text.get_text() for text in right.texts]
+    assert f"{100 * 0.075 / fit.values['J_load']:.2g} %" in words
+    assert "none" in words
+
+
 def test_parameters_without_an_error_say_so(factory):
     fit = factory.fit()
     estimates = {**fit.estimates, "K_el": Estimate(1992.0, None, "N m/rad", why="not determined")}

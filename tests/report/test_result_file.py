@@ -74,6 +74,16 @@ def test_a_fit_by_the_contract(fit):
     assert (first["samples"], first["outputs"]) == (1200, ["omega"])
 
 
+def test_an_error_that_is_doubted_is_null_and_an_interval_is_stored(factory):
+    document = result_of(factory.doubted(factory.fit()))
+    unknown, uneven = (document["parameters"][name] for name in ("K_el", "J_load"))
+    assert (unknown["stderr"], unknown["why"]["stderr"]) == (None, "not known (see note)")
+    assert "interval" not in unknown
+    assert (uneven["stderr"], uneven["why"]["stderr"]) == (None, "not symmetric (see note)")
+    assert uneven["interval"] == [0.12, 0.27]
+    assert not list(faults(document))
+
+
 def test_every_null_number_has_a_reason(fit):
     document = result_of(fit)
     bound = document["parameters"]["C_el"]
@@ -181,7 +191,7 @@ def test_the_check_agrees_with_jsonschema(data):
         "seconds": 1.0, "timing": {}, "seed": None, "arguments": {}, "inputs": [], "noise": noise,
         "cost": 1.0, "n": 2, "records": {}, "passed": True,
         "parameters": {"J": {"value": 1.0, "stderr": None, "unit": "1", "min": None, "max": None,
-                             "vary": True, "tie": None, "at_bound": False, "prior": [1.0, 2.0],
+                             "vary": True, "tie": None, "at_bound": False, "interval": [0.5, 2.0], "prior": [1.0, 2.0],
                              "why": {"stderr": "x"}}},
     }  # fmt: skip
     holders = [document, document["parameters"], document["parameters"]["J"], document["noise"]["y"]]

@@ -50,6 +50,17 @@ def test_a_fit_is_drawn(tmp_path, factory, starts):
     assert ax.get_title(loc="left") == "fit: converged"
 
 
+def test_intervals_are_shown_in_place_of_errors(tmp_path, factory):
+    result = stored(tmp_path, factory.doubted(factory.fit()), "fit")
+    page = ce.report(result, tmp_path / "again.html").read_text()
+    assert "95 %: 0.120 to 0.270" in page
+    assert result.stderr["J_load"] is None
+    assert load_result(tmp_path)["parameters"]["J_load"]["interval"] == (0.12, 0.27)
+    drawn_fit = ce.plot(factory.doubted(factory.fit()), what="parameters").axes[0]
+    for one, same in zip(ce.plot(result, what="parameters").axes[0].lines, drawn_fit.lines, strict=True):
+        np.testing.assert_allclose(np.asarray(one.get_xdata(), float), np.asarray(same.get_xdata(), float))
+
+
 def test_a_validation_is_drawn(tmp_path, validation):
     result = stored(tmp_path, validation, "validate")
     assert "residual tests" in figures(result)

@@ -41,6 +41,18 @@ def test_a_fit_prints_as_written_here(fit):
     assert str(fit) == GOLDEN
 
 
+def test_no_error_is_printed_that_is_doubted(factory):
+    rows = {
+        line.split()[0]: line
+        for line in fit_text(factory.doubted(factory.fit())).splitlines()
+        if line.strip()
+    }
+    assert "±" in rows["J_eng"]
+    assert "±" not in rows["J_load"] + rows["K_el"]
+    assert "95 %: 0.120 to 0.270" in rows["J_load"]
+    assert "no error: not known (see note)" in rows["K_el"]
+
+
 @pytest.mark.parametrize("records", [1, 3, 40])
 @pytest.mark.parametrize("extra", [0, 60])
 def test_one_screen_whatever_is_in_it(factory, records, extra):

@@ -3,6 +3,8 @@
 Data of an oscillator from SciPy's exact discretisation, or from fine Runge-Kutta steps of NumPy with a cubic spring.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete, dlsim
@@ -188,6 +190,19 @@ def test_what_the_fit_does_not_determine_is_free(first):
     assert check.passed
     assert check.parameters.p_value is None
     assert "not tested: parameters: the fit does not determine all parameters" in str(check)
+
+
+def test_errors_that_are_not_known_test_nothing(first):
+    fit, strong, told = first
+    assert told.parameters.p_value is not None
+    doubted = replace(fit.estimates["k"], stderr=None, interval=None, quadratic=0.1)
+    check = ce.validate(replace(fit, estimates={**fit.estimates, "k": doubted}), strong)
+    assert check.parameters.p_value is None
+    words = " ".join(str(check).split())
+    assert (
+        "not tested: parameters: the errors of the fit are not known, see its notes: ce.posterior(fit)"
+        in words
+    )
 
 
 def test_gaps_another_rate_and_louder_noise(first):

@@ -1,0 +1,122 @@
+"""Estimates whose errors are doubted have no standard error, and an interval by profile where one is quickly found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.estimation.error_check import CALL, Doubt, doubts_of, words_of
+from casadi_engine.estimation.fit import Estimate, Optimum
+from casadi_engine.estimation.profile_interval import LowerOptimumError, Profiles
+from casadi_engine.estimation.search import Attempt, Search
+from casadi_engine.estimation.standard_errors import Uncertainty
+
+Array = NDArray[np.float64]
+
+# Processor time that intervals by profile may take where the quadratic fails [s].
+_SECONDS = 3.0
+# An interval by profile whose ends are within this share of where ± has them.
+_ALIKE = 0.1
+_UNKNOWN, _UNEVEN = "not known (see note)", "not symmetric (see note)"
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Estimates with the errors that hold, initial states likewise, and what is said of those that do not."""
+
+    estimates: dict[str, Estimate]
+    initial: dict[str, dict[str, Estimate]]
+    said: tuple[str, ...] = ()
+
+
+def judged(
+    search: Search,
+    best: Attempt,
+    errors: Uncertainty,
+    optima: Sequence[Optimum],
+    residuals: Sequence[Array],
+    *,
+    check: bool,
+) -> Judged:
+    """The estimates of an optimum; see ``doubts_of``. check : False for the errors of the quadratic as they are."""
+    estimates, initial = errors.estimates(), errors.initial_estimates()
+    doubts = doubts_of(search, best, errors, optima, residuals) if check else ()
+    if not doubts:
+        return Judged(estimates, initial)
+    matrix, slopes = errors.covariance.matrix, errors.slopes()
+    with_error = [name for name, one in estimates.items() if one.stderr]
+    free = [name for name in search.pmap.free if name in with_error and _of(doubts, slopes[name], matrix)]
+    ends: dict[str, tuple[float, float]] = {}
+    alike: set[str] = set()
+    if all(doubt.profiles for doubt in doubts):
+        profiles = Profiles(search, best, errors, seconds=_SECONDS)
+        try:
+            ends = profiles.intervals(free)
+        except LowerOptimumError:
+            doubts = (_lower(doubts),)
+        alike = {name for name, one in ends.items() if _alike(estimates[name], one, profiles.root)}
+    about = {}
+    for name in with_error:
+        on = _only(search, slopes[name])
+        about[name] = _of(doubts, slopes[name], matrix, but_shape=on in alike)
+    for name, doubt in about.items():
+        if doubt is not None:
+            interval = _through_ties(search, errors, name, slopes[name], ends)
+            estimates[name] = _without_error(estimates[name], doubt, interval)
+    at = search.problem.nv
+    for record, states in zip(search.records, initial.values(), strict=True):
+        for k, (state, one) in enumerate(states.items()):
+            doubt = _of(doubts, np.eye(len(matrix))[at + k], matrix, but_shape=bool(alike))
+            if doubt is not None and one.stderr is not None:
+                states[state] = _without_error(one, doubt, None)
+        at += record.n
+    left = [name for name in free if about[name] is not None]
+    felt = [doubt for doubt in doubts if any(doubt is about[name] for name in with_error)]
+    return Judged(estimates, initial, tuple(words_of(felt, [name for name in left if name not in ends])))
+
+
+def _only(search: Search, slope: Array) -> str | None:
+    """The free parameter that a quantity with this slope (nv,) depends on, if it is one alone."""
+    (on,) = np.nonzero(slope)
+    return search.pmap.free[on[0]] if len(on) == 1 else None
+
+
+def _alike(one: Estimate, interval: tuple[float, float], root: float) -> bool:
+    """True if an interval by profile is the one that ± means, ``root`` standard errors to either side."""
+    half = root * (one.stderr or 0.0)
+    return all(abs(abs(end - one.value) / half - 1) < _ALIKE for end in interval)
+
+
+def _of(doubts: Sequence[Doubt], slope: Array, matrix: Array, *, but_shape: bool = False) -> Doubt | None:
+    """The first doubt about a quantity with this slope (nv,) or (N,); but_shape : that is not on its shape alone."""
+    wide = np.zeros(len(matrix))
+    wide[: len(slope)] = slope
+    return next((one for one in doubts if not (but_shape and one.shape) and one.about(wide, matrix)), None)
+
+
+def _lower(doubts: Sequence[Doubt]) -> Doubt:
+    """What is doubted where a profile came below the optimum."""
+    text = f"the errors are not known: a profile met a lower optimum near by; search again with starts=10, or {CALL}"
+    return Doubt("rugged", text, doubts[0].move)
+
+
+def _without_error(one: Estimate, doubt: Doubt, interval: tuple[float, float] | None) -> Estimate:
+    why = _UNEVEN if doubt.profiles else _UNKNOWN
+    return replace(one, stderr=None, why=why, interval=interval, quadratic=one.stderr)
+
+
+def _through_ties(
+    search: Search, errors: Uncertainty, name: str, slope: Array, ends: dict[str, tuple[float, float]]
+) -> tuple[float, float] | None:
+    """The interval of a reported quantity that depends on one parameter alone; None of any other."""
+    only = _only(search, slope)
+    if only not in ends:
+        return None
+    z, found = search.coordinates.values(errors.v), []
+    for end in ends[only]:
+        z[search.pmap.free.index(only)] = end
+        found.append(search.pmap.values(z)[name])
+    return min(found), max(found)

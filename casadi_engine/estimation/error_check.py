@@ -1,0 +1,341 @@
+"""Whether standard errors describe the likelihood: it is looked at two standard errors away from the optimum.
+
+The errors of a fit are those of a quadratic around it. Along a few directions, those that the data tell least of, the
+model is simulated at two standard errors to either side, the initial states at their best. Two numbers tell:
+
+- the rise of chi-squared, which the quadratic says is 4;
+- the intrinsic curvature: how far the outputs leave their tangent, less what parameters and initial states could make
+  of it, at the edge of the 95 % region and in units of its radius (Bates & Watts, Nonlinear Regression Analysis, 1988,
+  chapter 7, where 1/2 is the limit of what is nearly flat). The noise projects on it too. Where it is large, noise
+  decides where the optimum lies and how many there are: below that signal-to-noise ratio no quadratic, and no profile,
+  tells the error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.distributions import chi2_isf
+from casadi_engine.errors import ModelError
+from casadi_engine.estimation.final_check import printed_cost, residual, response
+from casadi_engine.estimation.fit import Optimum
+from casadi_engine.estimation.record import RecordPoint, RecordTerm
+from casadi_engine.estimation.search import Attempt, Search
+from casadi_engine.estimation.standard_errors import Uncertainty
+from casadi_engine.estimation.uncertainty import chained_gradient
+
+Array = NDArray[np.float64]
+
+# Directions that are looked along, and how far [standard errors].
+_DIRECTIONS, _FAR = 3, 2.0
+# Relative error from which a parameter that is searched by its logarithm has no symmetric interval: the ends of what is
+# symmetric in the logarithm are then off by that share.
+_WIDE = 0.15
+# Nearest place to look from [standard errors]; share of the information below which a state shows nothing.
+_NEAR, _BLIND = 0.2, 1e-12
+# Squared residuals that closing the gaps between shooting intervals may change, and how often they are closed.
+_CLOSED, _CLOSINGS = 1e-3, 6
+# Rises of chi-squared over the quadratic's 4 that pass: the ends of an interval are then within 15 % of where ± has
+# them.
+_RISES = 0.75, 1.3
+# Curvature that passes, and up to which a profile still tells the interval; `tests/benchmarks/CALIBRATION.md` has the
+# coverage of intervals on either side.
+_FLAT, _RUGGED = 0.4, 1.5
+# Chi-squared above the lowest at which another optimum still counts: it has exp(-5) of the likelihood, and where there
+# is one there may be others that no start has met.
+_RIVAL = 10.0
+# Share of a quantity's variance along a doubted direction from which its error is doubted: where optima may be twelve
+# standard errors apart, that is a tenth of one; where an interval changes its shape, or to another optimum, a third.
+_SHARE = {"rugged": 1e-4, "curved": 0.1, "rival": 0.1}
+CALL = "call ce.posterior(fit)"
+
+
+@dataclass(frozen=True, eq=False)
+class Doubt:
+    """Why some standard errors are not those of the quadratic.
+
+    kind : "rival" (another optimum was found), "rugged" (noise makes some), "curved" or "bound", for which an interval
+    by profile will do; text : for the reader; size : how grave; move : (N,) of [v; initial states], the direction in
+    doubt, one standard error long (a rival's: to there)
+    """
+
+    kind: str
+    text: str
+    move: Array
+    size: float = 0.0
+
+    @property
+    def shape(self) -> bool:
+        """True if it is about the shape of an interval alone, which a profile tells."""
+        return self.profiles and self.size <= _FLAT
+
+    @property
+    def profiles(self) -> bool:
+        """True if a profile of the likelihood tells the interval."""
+        return self.kind in ("curved", "bound")
+
+    def about(self, slope: Array, covariance: Array) -> bool:
+        """True if this is about a quantity with this slope (N,)."""
+        if self.kind == "bound":
+            return bool(slope @ self.move)
+        return bool((slope @ self.move) ** 2 > _SHARE[self.kind] * (slope @ covariance @ slope))
+
+
+def doubts_of(
+    search: Search,
+    best: Attempt,
+    errors: Uncertainty,
+    optima: Sequence[Optimum],
+    residuals: Sequence[Array],
+) -> tuple[Doubt, ...]:
+    """What speaks against the standard errors at an optimum.
+
+    residuals : (K, M) of each record there, simulated from the printed values
+    """
+    if not errors.optimal or not search.problem.nv or not np.isfinite(errors.covariance.matrix).all():
+        return ()
+    found = _rivals(search, best, errors, optima)
+    around = _Around(search, best, errors, residuals)
+    for move in _moves(search, errors):
+        found += around.doubts(move)
+    found += _bounds(search, errors)
+    return tuple(found)
+
+
+def words_of(doubts: Sequence[Doubt], missing: Sequence[str]) -> list[str]:
+    """One line for each kind of doubt, the gravest of its kind; those that a profile settles only where nothing graver
+    is said. missing : parameters that have no interval by profile."""
+    said: list[str] = []
+    for kind in ("rival", "rugged", "curved", "bound"):
+        own = [doubt for doubt in doubts if doubt.kind == kind]
+        if not own or (said and own[0].profiles):
+            continue
+        text = f"{', '.join(doubt.text for doubt in own)}: no symmetric error"
+        said.append(text if kind == "bound" else max(own, key=lambda doubt: doubt.size).text)
+    if said and missing and all(doubt.profiles for doubt in doubts):
+        said[-1] += f"; for {', '.join(missing)} {CALL}"
+    return said
+
+
+# ---- where to look
+
+
+def _moves(search: Search, errors: Uncertainty) -> list[Array]:
+    """Directions (N,), one standard error long, the initial states on their way with them."""
+    matrix, nv = errors.covariance.matrix, search.problem.nv
+    own = matrix[:nv, :nv]
+    values, vectors = np.linalg.eigh(own)
+    top = [k for k in np.argsort(values)[::-1][:_DIRECTIONS] if values[k] > 1e-12 * values[-1]]
+    return [matrix[:, :nv] @ vectors[:, k] / np.sqrt(values[k]) for k in top]
+
+
+class _Around:
+    """The model around an optimum."""
+
+    def __init__(
+        self, search: Search, best: Attempt, errors: Uncertainty, residuals: Sequence[Array]
+    ) -> None:
+        self.search, self.best, self.errors, self.residuals = search, best, errors, residuals
+        self.cost = printed_cost(search, errors.v, residuals)
+        self.entries, self.lower, self.upper = (
+            _entries(search, x) for x in (errors.x, search.lower, search.upper)
+        )
+        nv, covariance = search.problem.nv, errors.covariance
+        self._inverse = np.linalg.pinv(covariance.matrix[:nv, :nv], hermitian=True)
+        self._free = all(
+            record.linear and np.isinf(search.upper[lay.at : lay.at + lay.n]).all()
+            for record, lay in zip(search.records, search.problem.layouts, strict=True)
+        )
+        self._radius = np.sqrt(chi2_isf(0.05, max(covariance.rank, 1)))
+
+    def doubts(self, move: Array) -> list[Doubt]:
+        """What is seen to both sides of the optimum."""
+        sides = [min(_FAR, _room(self.lower, self.upper, self.entries, side * move)) for side in (-1.0, 1.0)]
+        if min(sides) < _NEAR:  # a bound is close, and that is said of it
+            return []
+        seen = [self._seen(move, far) for far in (-sides[0], sides[1])]
+        names = _names_along(self.search, move)
+        if seen[0] is None or seen[1] is None:
+            text = f"the errors are not known: within {_FAR:g} standard errors along {names} the model has no value"
+            return [Doubt("rugged", f"{text}; {CALL}", move, np.inf)]
+        (low, bent), (high, other) = seen[0], seen[1]
+        curvature = max(bent, other)
+        if curvature > _RUGGED:
+            text = (
+                f"the errors are not known: within them the model is far from linear along {names} (curvature "
+                f"{curvature:.2g}, flat below 0.5), so that noise decides which optimum is the lowest; {CALL}"
+            )
+            return [Doubt("rugged", text, move, curvature)]
+        if curvature > _FLAT or not all(_RISES[0] < rise < _RISES[1] for rise in (low, high)):
+            text = (
+                f"the likelihood is not quadratic along {names}: {_FAR:g} standard errors away chi-squared rises by "
+                f"{_FAR**2 * low:.2g} and {_FAR**2 * high:.2g} (curvature {curvature:.2g})"
+            )
+            return [Doubt("curved", text, move, curvature)]
+        return []
+
+    def _seen(self, move: Array, far: float) -> tuple[float, float] | None:
+        """Rise of chi-squared over the quadratic's, and curvature; None where the model has no value."""
+        search, nv = self.search, self.search.problem.nv
+        step = far * move
+        v = self.errors.v + step[:nv]
+        try:
+            found = self._residuals(v, step)
+        except (FloatingPointError, np.linalg.LinAlgError, ModelError):
+            return None
+        rise = printed_cost(search, v, found) - self.cost
+        if not np.isfinite(rise):
+            return None
+        change = [there - here for there, here in zip(found, self.residuals, strict=True)]
+        gradient = self._along_slopes(change)
+        prior = search.problem.priors.evaluate(self.errors.v)[3] @ step[:nv]
+        gradient[:nv] += prior
+        size = sum(float(np.sum(q**2)) for q in change) + float(step[:nv] @ prior)
+        matrix = self.errors.covariance.matrix
+        inside, moved = float(gradient @ matrix @ gradient), matrix[:nv] @ gradient
+        outside = max(size - inside, 0.0)
+        # where initial states are at their best already, a profile lowers the rise by the parameters alone
+        beside = (float(moved @ self._inverse @ moved) if self._free else inside) - float(
+            gradient @ move
+        ) ** 2
+        # whitened innovations change with the noise levels too, which is no bend of the model
+        bent = 0.0 if search.predictor.kind == "process" else float(np.sqrt(outside))
+        return (rise - max(beside, 0.0)) / far**2, self._radius * 2 * bent / far**2
+
+    def _residuals(self, v: Array, step: Array) -> list[Array]:
+        """The weighted residual (K, M) of each record after a step (N,) to v."""
+        search, at, found = self.search, self.search.problem.nv, []
+        points = search.problem.at(self.best.solution.x).records
+        for record, point, lay in zip(search.records, points, search.problem.layouts, strict=True):
+            own = np.concatenate([step[record.active], step[at : at + record.n]])
+            if not isinstance(point.parts, list):  # a long record
+                found.append(
+                    residual(record, response(record, v, lay.take(self.errors.x)[0] + own[-record.n :])[0])
+                )
+            elif record.linear:
+                found.append(
+                    _linear(record, v, None if self._free else lay.take(self.errors.x)[0] + own[-record.n :])
+                )
+            else:
+                found.append(_followed(record, point, lay.take(self.best.solution.x), v, own))
+            at += record.n
+        return found
+
+    def _along_slopes(self, change: Sequence[Array]) -> Array:
+        """Products (N,) of a change of the residuals (K, M) of each record with their slopes."""
+        search, nv = self.search, self.search.problem.nv
+        points, at, found = search.problem.at(self.best.solution.x).records, nv, np.zeros(len(self.entries))
+        for record, point, q in zip(search.records, points, change, strict=True):
+            parts = [part.gradient(record.observation.part(q, part.at)) for part in point.parts]
+            in_nodes = np.sum([one[1] for one in parts], axis=0)
+            own = chained_gradient(record, point, in_nodes)
+            found[record.active] += np.sum([one[0] for one in parts], axis=0) + own[: len(record.active)]
+            found[at : at + record.n] += own[len(record.active) :]
+            at += record.n
+        return found
+
+
+def _linear(record: RecordTerm, v: Array, start: Array | None) -> Array:
+    """The weighted residual (K, M) of a linear model from its first state (n,), None for the one that serves best."""
+    point = record.evaluate(v, np.zeros((record.plan.m, record.n)), order=0)
+    js, turn, ends, own = point.js, point.path.end_s[0], point.path.end, record.gauss_newton(point).ss
+    nodes = np.zeros((record.plan.m, record.n))
+    for k in range(len(nodes) - 1):
+        nodes[k + 1] = turn @ nodes[k] + ends[:, k]
+    if start is None:
+        slope = ((point.r + (js @ nodes.T) * record.weight) * record.weight).T @ js
+        gradient, matrix = np.zeros(record.n), np.zeros((record.n, record.n))
+        for k in range(len(nodes) - 1, -1, -1):
+            gradient = slope[k] + turn.T @ gradient
+            matrix = own[k] + turn.T @ matrix @ turn
+        size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+        start = -np.linalg.lstsq(matrix / np.outer(size, size), gradient / size, rcond=_BLIND)[0] / size
+    first = np.asarray(start)
+    for k in range(len(nodes)):
+        nodes[k] += first
+        first = turn @ first
+    return np.asarray(point.r + (js @ nodes.T) * record.weight)
+
+
+def _followed(record: RecordTerm, point: RecordPoint, nodes: Array, v: Array, step: Array) -> Array:
+    """The weighted residual (K, M) after a step (nz + n,) of the active parameters and the first state.
+
+    The intervals start where the slopes at the point foresee it, and run side by side; what then gapes is closed by
+    these slopes, again where that is much.
+    """
+    nz, count, path = len(record.active), record.plan.m, point.path
+    ends = np.broadcast_to(path.end_s, (count, record.n, record.n))
+    js = point.js if point.js.ndim == 3 else point.js[:, None]
+    change = np.zeros_like(nodes)
+    change[0] = step[nz:]
+    for k in range(count - 1):
+        change[k + 1] = ends[k] @ change[k] + path.end_z[:, :, k].T @ step[:nz]
+    at = nodes + change
+    for _ in range(_CLOSINGS):
+        outputs, there = record.outputs_at(v, at)
+        gaps, closed = there.end[:, :-1].T - at[1:], np.zeros_like(nodes)
+        for k in range(count - 1):
+            closed[k + 1] = ends[k] @ closed[k] + gaps[k]
+        felt = np.einsum("kma,ma->km", js, closed) * record.weight
+        if float(np.sum(felt**2)) < _CLOSED:
+            break
+        at = at + closed
+    return residual(record, outputs) + felt
+
+
+def _entries(search: Search, x: Array) -> Array:
+    """The parameters and initial states (N,) of variables (size,)."""
+    return np.concatenate([x[: search.problem.nv], *[lay.take(x)[0] for lay in search.problem.layouts]])
+
+
+def _room(lower: Array, upper: Array, entries: Array, move: Array) -> float:
+    """How many times a move fits between the bounds."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        to = np.where(move > 0, upper - entries, lower - entries) / move
+    return float(to[move != 0].min(initial=np.inf))
+
+
+def _names_along(search: Search, move: Array) -> str:
+    """The free parameters that a direction moves most."""
+    own = np.abs(move[: search.problem.nv])
+    order = [k for k in np.argsort(-own) if own[k] > 0.2 * own.max()][:3]
+    return ", ".join(search.pmap.free[k] for k in order)
+
+
+# ---- other optima, bounds
+
+
+def _rivals(search: Search, best: Attempt, errors: Uncertainty, optima: Sequence[Optimum]) -> list[Doubt]:
+    """Other optima that the starts found and that the data hardly tell from the best."""
+    limit = best.cost + max(_RIVAL, chi2_isf(0.05, search.problem.nv))
+    others = [one for one in optima if one.status == "converged" and one.apart and one.cost <= limit]
+    matrix, nv, found = errors.covariance.matrix, search.problem.nv, []
+    ways = "; ".join(f"{one.apart} at a cost {one.cost - best.cost:.2g} higher" for one in others[:3])
+    text = (
+        f"{len(others)} other optim{'a explain' if len(others) > 1 else 'um explains'} the data as well: {ways}; "
+        f"the errors are not known, {CALL}"
+    )
+    for one in others:
+        there = search.coordinates.of(np.array([one.values[name] for name in search.pmap.free]))
+        states = matrix[nv:, :nv] @ np.linalg.pinv(matrix[:nv, :nv]) @ (there - errors.v)
+        found.append(Doubt("rival", text, np.concatenate([there - errors.v, states])))
+    return found
+
+
+def _bounds(search: Search, errors: Uncertainty) -> list[Doubt]:
+    """Parameters whose interval of two standard errors reaches a bound, or is too wide to be symmetric."""
+    found, matrix, low, high = [], errors.covariance.matrix, search.lower, search.upper
+    for k, name in enumerate(search.pmap.free):
+        value, size = errors.v[k], float(np.sqrt(matrix[k, k]))
+        if errors.bound[k] is not False or not size:
+            continue
+        if not low[k] <= value - _FAR * size < value + _FAR * size <= high[k]:
+            side = "lower" if value - _FAR * size < low[k] else "upper"
+            found.append((k, f"{name} reaches its {side} bound within {_FAR:g} standard errors"))
+        elif search.coordinates.log[k] and size > _WIDE:
+            found.append((k, f"{name} is known to {100 * size:.2g} %"))
+    return [Doubt("bound", text, np.eye(len(matrix))[k]) for k, text in found]

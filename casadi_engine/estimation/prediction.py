@@ -1,0 +1,302 @@
+"""Simulated outputs with their errors: a band from those of the parameters and initial states, and one with the noise.
+
+The errors of a fit reach the outputs along their exact slopes (delta method). An initial state that was fitted to the
+record moves with the parameters: for each value of these it is the one that explains the record best, and its own error
+is added. From draws of a posterior the outputs are simulated one by one, and the bands are their quantiles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.distributions import chi2_isf
+from casadi_engine.errors import SimulationError
+from casadi_engine.estimation.chained import chained_slopes
+from casadi_engine.estimation.coordinates import Coordinates
+from casadi_engine.estimation.fit import Estimate, Fit
+from casadi_engine.estimation.options import interval_length
+from casadi_engine.estimation.record import RecordTerm
+from casadi_engine.estimation.starts import chained_nodes
+from casadi_engine.experiment import Experiment
+from casadi_engine.parameters import compile
+from casadi_engine.simulation.discretisation import Method
+from casadi_engine.simulation.grid import Grid, Measured
+from casadi_engine.simulation.propagator import switches_with_states
+
+Array = NDArray[np.float64]
+
+LEVEL = 0.95
+# Draws of a posterior that are simulated, evenly taken from all.
+_DRAWS = 200
+# Share of the largest singular value below which a record says nothing of a combination of initial states.
+_BLIND = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """One simulated output with its errors, (N,) each, in its unit.
+
+    time [s]; value : simulated; stderr : standard error of the value
+    low, high : the 95 % band of what the model would give without errors of parameters and initial states
+    low_noise, high_noise : the 95 % band of a new measurement, with the noise of the fit; sigma : of that noise
+    """
+
+    time: Array
+    value: Array
+    stderr: Array
+    low: Array
+    high: Array
+    low_noise: Array
+    high_noise: Array
+    sigma: float
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """A simulation with bands, as ``simulate(fit, data, band=True)`` returns it.
+
+    simulated : what ``simulate`` returns without bands; data : the record; bands : output -> Band
+    draws : how many draws of a posterior it was made of, 0 for the delta method
+    messages : what the user should know
+    """
+
+    simulated: Experiment
+    data: Experiment
+    bands: Mapping[str, Band]
+    draws: int = 0
+    messages: tuple[str, ...] = ()
+
+    def __getitem__(self, output: str) -> Band:
+        if output in self.bands:
+            return self.bands[output]
+        raise SimulationError(
+            "there is no band of this output",
+            seen=repr(output),
+            allowed=", ".join(self.bands),
+            cure="name an output of the model",
+        )
+
+    def __str__(self) -> str:
+        how = f"{self.draws} draws of the posterior" if self.draws else "errors of the fit along exact slopes"
+        lines = [f"Prediction of {self.simulated.name} with 95 % bands, from {how}"]
+        for name, band in self.bands.items():
+            width = (band.high - band.low) / 2
+            lines.append(
+                f"  {name}: half width {np.median(width):.3g} (median), {width.max():.3g} (largest) {band.unit}; "
+                f"with noise {np.median(band.high_noise - band.low_noise) / 2:.3g}"
+            )
+        lines += [f"Note: {message}" for message in self.messages]
+        return "\n".join([*lines, "Next: ce.plot(prediction)"])
+
+
+def check_band(model: Any, parameters: Any) -> Fit:
+    """The fit whose errors a band is made of: of a Fit, or of an object with ``fit`` and ``draws``."""
+    fit = getattr(model, "fit", model)
+    if not isinstance(fit, Fit):
+        raise SimulationError(
+            "a band needs the errors of a fit",
+            seen=type(model).__name__,
+            allowed="a Fit, or a posterior",
+            cure="give simulate(fit, data, band=True)",
+        )
+    if parameters is not None:
+        raise SimulationError(
+            "a band is about the parameters of the fit, not other ones",
+            seen="parameters=",
+            allowed="no parameters with band=True",
+            cure="leave them out, or leave band out",
+        )
+    if fit.innovations is not None:
+        raise SimulationError(
+            "a band needs a fit of output error: process noise moves the simulation too",
+            seen=f'a predictor by "{fit.innovations.kind}"',
+            allowed="a fit whose noise is that of the measurement alone",
+            cure="leave band out",
+        )
+    if fit is model and (not fit.converged or fit.undetermined):
+        raise SimulationError(
+            "the fit has no errors to make a band of",
+            seen=fit.status if not fit.converged else f"the data do not determine {fit.undetermined[0].text}",
+            allowed="a fit that converged and determines its parameters",
+            cure="mend the fit first: print(fit) says how",
+        )
+    if fit is model and fit.doubted:
+        raise SimulationError(
+            "the errors of the fit are not known, and so is the band",
+            seen=f"doubted: {', '.join(fit.doubted)}",
+            allowed="a fit with standard errors or intervals, or a posterior",
+            cure="take the posterior: ce.simulate(ce.posterior(fit), data, band=True)",
+        )
+    return fit
+
+
+def with_band(
+    model: Any,
+    fit: Fit,
+    data: Experiment,
+    simulated: Experiment,
+    grid: Grid,
+    initial: Mapping[str, Any],
+    method: Method,
+) -> Prediction:
+    """The prediction of a simulated record; initial : state -> number, or the Estimate that the record gave."""
+    outputs = [out.name for out in fit.model.outputs]
+    around = _Record(fit, data, grid, initial, method)
+    messages = list(around.messages)
+    if fit is model:
+        if any(one.quadratic for one in fit.estimates.values()):
+            messages.append("the errors of the fit are not symmetric, those of the band are taken to be")
+        value, spread = around.delta()
+        root = float(np.sqrt(chi2_isf(1 - LEVEL, 1)))
+        parts = {
+            "value": value,
+            "stderr": spread,
+            "low": value - root * spread,
+            "high": value + root * spread,
+        }
+        wide = root * np.hypot(spread, around.sigma[:, None])
+        parts |= {"low_noise": value - wide, "high_noise": value + wide}
+        count = 0
+    else:
+        drawn = around.drawn(model.draws)
+        count, beyond = len(drawn), (1 - LEVEL) / 2
+        noise = np.random.default_rng(0).standard_normal(drawn.shape) * around.sigma[:, None]
+        parts = {"value": np.median(drawn, axis=0), "stderr": drawn.std(axis=0, ddof=1)}
+        parts["low"], parts["high"] = np.quantile(drawn, [beyond, 1 - beyond], axis=0)
+        parts["low_noise"], parts["high_noise"] = np.quantile(drawn + noise, [beyond, 1 - beyond], axis=0)
+    bands = {
+        name: Band(
+            simulated[name].time, sigma=float(around.sigma[k]), unit=simulated[name].unit,
+            **{key: part[k] for key, part in parts.items()},
+        )
+        for k, name in enumerate(outputs)
+    }  # fmt: skip
+    return Prediction(simulated, data, bands, count, tuple(messages))
+
+
+class _Record:
+    """A simulated record around the values of a fit: outputs and slopes at all times of the simulation."""
+
+    def __init__(
+        self, fit: Fit, data: Experiment, grid: Grid, initial: Mapping[str, Any], method: Method
+    ) -> None:
+        model = fit.model
+        self.pmap = compile(fit.parameters, model.parameter_names, (data.name,))
+        self.coordinates = Coordinates(self.pmap)
+        known = fit.values_for(data.name)
+        values = fit.values
+        self.z = np.array([values.get(name, known[name.partition("@")[0]]) for name in self.pmap.free])
+        self.v = self.coordinates.of(self.z)
+        self.outputs = tuple(out.name for out in model.outputs)
+        every = np.arange(grid.samples)
+        whole = Measured(grid.time, np.zeros(grid.samples), every, every)
+        grid = replace(grid, measured=dict.fromkeys(self.outputs, whole))
+        local = self.coordinates.substitute(self.pmap.physical[data.name])
+        length = interval_length("auto", grid, whole=switches_with_states(model))
+        self.record = RecordTerm(
+            model, data, self.coordinates.symbol, local, length=length, gain=None, method=method, grid=grid
+        )
+        self.record.set_sigma(np.ones(len(self.outputs)))
+        self.sigma = np.array([fit.noise.get(name, (np.nan, False))[0] for name in self.outputs])
+        free = [isinstance(initial[s.name], Estimate) and not initial[s.name].fixed for s in model.states]
+        self.free = np.flatnonzero(free)
+        first = [getattr(initial[s.name], "value", initial[s.name]) for s in model.states]
+        self.first = np.array(first, dtype=float) / self.record.scale
+        self.rows = self._measured(data, grid.time)
+        here = [k for k, name in enumerate(self.pmap.free) if name in fit.free]
+        there = [fit.free.index(self.pmap.free[k]) for k in here]
+        slope = self.coordinates.slope(self.v)
+        self.covariance = np.zeros((len(self.z), len(self.z)))
+        own = fit.covariance[np.ix_(there, there)] / np.outer(slope[here], slope[here])
+        self.covariance[np.ix_(here, here)] = own
+        lost = [name for k, name in enumerate(self.pmap.free) if k not in here]
+        self.messages = (
+            (f"the error of {', '.join(lost)} is not in the band: the fit has none for this record",)
+            if lost
+            else ()
+        )
+
+    def _measured(self, data: Experiment, time: Array) -> list[tuple[int, NDArray[np.intp], Array]]:
+        """Number of the output, points of the simulation and values of what was measured there."""
+        found = []
+        for k, name in enumerate(self.outputs):
+            if name not in data:
+                continue
+            channel = data[name]
+            seen = channel.mask & (channel.time >= time[0] - 1e-9) & (channel.time <= time[-1] + 1e-9)
+            at = np.clip(np.searchsorted(time, channel.time[seen]), 1, len(time) - 1)
+            at = at - (channel.time[seen] - time[at - 1] < time[at] - channel.time[seen])
+            found.append((k, at, channel.values[seen]))
+        return found
+
+    def at(self, v: Array, first: Array) -> tuple[Array, Array]:
+        """Outputs (ny, N) from parameters v and first state, and their slopes (nz + n, ny, N) in both."""
+        record = self.record
+        point = record.evaluate(v, chained_nodes(record, v, first))
+        slopes = chained_slopes(record, point)
+        whole = np.zeros((len(self.z) + record.n, len(self.outputs), record.grid.samples))
+        entries = np.concatenate([record.active, len(self.z) + np.arange(record.n)])
+        value = point.r
+        for k, name in enumerate(self.outputs):
+            for entry, row in zip(entries, slopes, strict=True):
+                whole[entry, k] = record.observation.series(row, name)
+        return np.array([record.observation.series(value, name) for name in self.outputs]), whole
+
+    def seen(self, rows: Array) -> Array:
+        """What the measurement sees of outputs or slopes (..., ny, N), in units of the noise: (..., K)."""
+        return np.concatenate([rows[..., k, at] / self.sigma[k] for k, at, _ in self.rows], axis=-1)
+
+    def states(self, slopes: Array) -> Array:
+        """Pseudo-inverse (f, K) of what the measurement sees of the free initial states."""
+        own = self.seen(slopes[len(self.z) + self.free]).T
+        size = np.linalg.norm(own, axis=0)
+        size[size == 0] = 1.0
+        return np.asarray(np.linalg.pinv(own / size, rcond=_BLIND) / size[:, None])
+
+    def delta(self) -> tuple[Array, Array]:
+        """Outputs (ny, N) and their standard errors."""
+        value, slopes = self.at(self.v, self.first)
+        turn, states = slopes[: len(self.z)].copy(), slopes[len(self.z) + self.free]
+        variance = np.zeros_like(value)
+        if len(self.free):
+            inverse = self.states(slopes)
+            follow = -inverse @ self.seen(turn).T  # (f, nz): how fitted states move with the parameters
+            turn += np.einsum("fz,fyn->zyn", follow, states)
+            variance += np.einsum("fyn,fg,gyn->yn", states, inverse @ inverse.T, states, optimize=True)
+        variance += np.einsum("zyn,zw,wyn->yn", turn, self.covariance, turn, optimize=True)
+        return value, np.sqrt(np.maximum(variance, 0.0))
+
+    def drawn(self, draws: Mapping[str, Array]) -> Array:
+        """Outputs (S, ny, N) of draws, each with an initial state drawn from those that explain the record."""
+        known = [name for name in self.pmap.free if name in draws]
+        count = min((len(draws[name]) for name in known), default=0)
+        if not count:
+            raise SimulationError(
+                "there are no draws of the model's parameters",
+                seen=", ".join(draws) or "nothing",
+                allowed=", ".join(self.pmap.free),
+                cure="give the posterior of a fit of this model",
+            )
+        rng, found = np.random.default_rng(0), []
+        for k in np.unique(np.linspace(0, count - 1, min(count, _DRAWS)).astype(int)):
+            z = np.array(
+                [draws[n][k] if n in known else own for n, own in zip(self.pmap.free, self.z, strict=True)]
+            )
+            found.append(self._one(self.coordinates.of(z), rng))
+        return np.array(found)
+
+    def _one(self, v: Array, rng: np.random.Generator) -> Array:
+        """Outputs (ny, N) at one draw of the parameters."""
+        value, slopes = self.at(v, self.first)
+        if not len(self.free):
+            return value
+        inverse = self.states(slopes)
+        left = self.seen(value) - np.concatenate([own / self.sigma[k] for k, _, own in self.rows])
+        move = -inverse @ (left + rng.standard_normal(len(left)))
+        return np.asarray(value + np.einsum("f,fyn->yn", move, slopes[len(self.z) + self.free]))

@@ -1,0 +1,151 @@
+"""Intervals by profile likelihood on the problem that a search has set up: each end by a few refits.
+
+A parameter is held beside its estimate, all others and the initial states are searched again from where the quadratic
+has them, and the place is sought where chi-squared has risen by the threshold. ``ce.profile`` draws the whole course.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.distributions import chi2_isf, f_isf
+from casadi_engine.errors import ModelError
+from casadi_engine.estimation.search import Attempt, Search
+from casadi_engine.estimation.standard_errors import Uncertainty
+from casadi_engine.estimation.starts import chained_nodes
+
+Array = NDArray[np.float64]
+
+LEVEL = 0.95
+# Refits on one side; the share of the root of the threshold within which an end counts as found; and how much further
+# than the quadratic has it an end is looked for.
+_MOST, _CLOSE, _FAR = 6, 0.03, 4.0
+# A refit that is this much below the optimum has found another one.
+_LOWER = 1e-2
+
+
+class LowerOptimumError(Exception):
+    """A refit ended below the optimum of the fit."""
+
+
+class Profiles:
+    """Intervals of the free parameters around an optimum.
+
+    seconds : of processor time that may be spent; ``late`` is True once another interval would take longer
+    """
+
+    def __init__(self, search: Search, best: Attempt, errors: Uncertainty, *, seconds: float) -> None:
+        self.search, self.best, self.errors = search, best, errors
+        search.mute()
+        self.base = self._cost(best.solution.x)
+        freedom = search.problem.samples - errors.covariance.rank
+        estimated = any(search.levels.estimated) and freedom > 0
+        beyond = 1 - LEVEL
+        self.root = float(np.sqrt(f_isf(beyond, 1, freedom) if estimated else chi2_isf(beyond, 1)))
+        self.seconds, self._spent, self._done = seconds, 0.0, 0
+
+    def intervals(self, names: list[str]) -> dict[str, tuple[float, float]]:
+        """Name -> ends in the parameter's unit, bounds where there are none within; without those that were not found.
+
+        None at all where the first refit tells that they would take too long.
+        Raises LowerOptimumError.
+        """
+        found: dict[str, tuple[float, float]] = {}
+        for name in names:
+            k = self.search.pmap.free.index(name)
+            ends = []
+            for sign in (-1.0, 1.0):
+                end = self._end(k, sign, 2 * len(names))
+                if end is None:
+                    break
+                ends.append(self._value(k, end))
+            if self._late(2 * len(names)):
+                return {}
+            if len(ends) == 2:
+                found[name] = (ends[0], ends[1])
+        return found
+
+    def _late(self, sides: int) -> bool:
+        """True if so many sides would take too long, by what the refits so far took (three a side)."""
+        return self._done > 0 and 3 * sides * self._spent / self._done > self.seconds
+
+    def _end(self, k: int, sign: float, sides: int) -> float | None:
+        """Where the profile of entry k reaches the threshold on one side, or its bound; None where it does not."""
+        errors, search = self.errors, self.search
+        size = float(np.sqrt(errors.covariance.matrix[k, k]))
+        limit = float(search.lower[k] if sign < 0 else search.upper[k])
+        x, here, height, inner = self.best.solution.x, float(errors.v[k]), 0.0, float(errors.v[k])
+        there = here + sign * self.root * size
+        outer: tuple[float, float] | None = None
+        for _ in range(_MOST):
+            there = min(there, limit) if sign > 0 else max(there, limit)
+            refit = self._refit(k, there, x)
+            if refit is None or self._late(sides):
+                return None
+            risen = float(np.sqrt(refit[1]))
+            if abs(risen - self.root) < _CLOSE * self.root:
+                return there + (self.root - risen) * (there - inner) / max(risen - height, 1e-9)
+            if risen < self.root:
+                if there == limit:
+                    return limit
+                slope = (risen - height) / (there - inner) if risen > height else 0.0
+                x, inner, height = refit[0], there, risen
+                reach = sign * _FAR * self.root * size
+                if abs(there - here) > abs(reach):
+                    return None  # open: the data set no limit here
+                there = inner + (self.root - height) / slope if slope else inner + 0.5 * reach
+                there = sign * min(sign * there, sign * (inner + reach))
+                if outer is not None and sign * there >= sign * outer[0]:
+                    there = 0.5 * (inner + outer[0])
+            else:
+                outer = (there, risen)
+                there = inner + (there - inner) * (self.root - height) / (risen - height)
+        return None
+
+    def _refit(self, k: int, value: float, x: Array) -> tuple[Array, float] | None:
+        """Variables and rise of chi-squared with entry k held, from the variables of a point near by."""
+        begun = time.process_time()
+        try:
+            start = self._foreseen(k, value, x)
+            lower, upper = self.search.lower.copy(), self.search.upper.copy()
+            lower[k] = upper[k] = value
+            found = self.search.solver.solve(start, lower, upper, exact=True)
+            if found.status != "converged":
+                return None
+            rise = self._cost(found.x) - self.base
+        except (FloatingPointError, np.linalg.LinAlgError, ModelError):
+            return None
+        finally:
+            self._spent, self._done = self._spent + time.process_time() - begun, self._done + 1
+        if rise < -_LOWER:
+            raise LowerOptimumError
+        return found.x, max(rise, 0.0)
+
+    def _foreseen(self, k: int, value: float, x: Array) -> Array:
+        """The variables (size,) of the simulation from where the quadratic moves a point with entry k."""
+        search, nv = self.search, self.search.problem.nv
+        matrix, layouts = self.errors.covariance.matrix, search.problem.layouts
+        move = matrix[:, k] / matrix[k, k] * (value - x[k])
+        found = np.clip(x, search.lower, search.upper)
+        found[:nv] = np.clip(x[:nv] + move[:nv], search.lower[:nv], search.upper[:nv])
+        found[k], at = value, nv
+        for record, lay in zip(search.records, layouts, strict=True):
+            start = lay.take(x)[0] + move[at : at + record.n]
+            start = np.clip(
+                start, search.lower[lay.at : lay.at + lay.n], search.upper[lay.at : lay.at + lay.n]
+            )
+            nodes = chained_nodes(record, found[:nv], start)
+            found[lay.at : lay.at + nodes.size] = nodes.ravel()
+            at += record.n
+        return found
+
+    def _cost(self, x: Array) -> float:
+        return 2 * self.search.problem.samples * self.search.problem.at(x).objective
+
+    def _value(self, k: int, entry: float) -> float:
+        v = self.errors.v.copy()
+        v[k] = entry
+        return float(self.search.coordinates.values(v)[k])

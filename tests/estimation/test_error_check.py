@@ -1,0 +1,229 @@
+"""What a fit finds out about its own standard errors, against curvatures and rises of chi-squared in closed form."""
+
+import casadi
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+from scipy.stats import norm
+
+import casadi_engine as ce
+from casadi_engine.errors import EstimationError
+from casadi_engine.estimation import record as records
+
+REST = {"initial": {"x": 0.0, "w": 0.0}, "progress": False}
+TIME = np.linspace(0, 1, 50)
+EDGE = norm.ppf(0.975)
+
+
+def bent(start=1.0, low=-5.0):
+    """Two outputs p**2 t and p t: the answers of all p lie on a parabola."""
+    b = ce.Blueprint("bent")
+    p = b.parameter("p", start, min=low, max=5)
+    x, w = b.state("x"), b.state("w")
+    b.ode("x", p**2)
+    b.ode("w", p)
+    b.output("y1", x)
+    b.output("y2", w)
+    return b.model()
+
+
+def bent_fit(square, line, truth=1.0, **options):
+    """The fit with a p**2 worth ``square`` standard deviations of the noise for p = 1, a p worth ``line``."""
+    size = np.sqrt((TIME**2).sum())
+    units = {"y1": "1", "y2": "1"}
+    data = ce.Experiment.from_arrays("r", time=TIME, units=units, y1=truth**2 * TIME, y2=truth * TIME)
+    noise = ce.Noise(y1=size / square, y2=size / line)
+    return ce.estimate(bent(truth), data, noise=noise, **{**REST, **options})
+
+
+@pytest.mark.parametrize(
+    ("square", "line", "p"), [(1.5, 2.0, 1.0), (1.5, 2.0, -0.7), (1.0, 1.0, 0.8), (3.0, 2.0, 0.1)]
+)
+def test_curvature_and_rises_are_those_of_the_parabola(square, line, p):
+    fit = bent_fit(square, line, truth=p)
+    slope = np.hypot(2 * square * p, line)
+    curvature = EDGE * 2 * square * line / slope**3
+    size = 1 / slope
+    assert fit.estimates["p"].quadratic == pytest.approx(size, rel=1e-6)
+    assert fit.stderr["p"] is None
+    rises = [
+        square**2 * ((p + d) ** 2 - p**2) ** 2 + line**2 * d**2 for d in (-2 * size, 2 * size)
+    ]  # of data without noise
+    (said,) = [text for text in fit.messages if "curvature" in text]
+    if curvature < 1.5:
+        words = f"chi-squared rises by {rises[0]:.2g} and {rises[1]:.2g} (curvature {curvature:.2g})"
+        assert said == f"the likelihood is not quadratic along p: 2 standard errors away {words}"
+    else:
+        assert f"far from linear along p (curvature {curvature:.2g}, flat below 0.5)" in said
+        assert said.endswith("call ce.posterior(fit)")
+
+
+def test_a_flat_answer_keeps_its_error():
+    fit = bent_fit(30.0, 30.0)
+    assert fit.messages == ()
+    assert fit.stderr["p"] == pytest.approx(1 / np.hypot(60, 30), rel=1e-6)
+    assert fit.estimates["p"].quadratic is None
+
+
+def test_a_linear_model_is_never_doubted_however_little_its_data_tell(line, line_data):
+    """Unless a bound is near: errors of a regression are right at every noise level, larger than the values too."""
+    made = line_data()
+    pars = line().parameters()
+    for name in pars:
+        pars[name].set(min=-np.inf, max=np.inf)
+    noise = ce.Noise(**{output.name: 1e3 for output in line().outputs})
+    fit = ce.estimate(line(), made.data, parameters=pars, noise=noise, initial={"x": 0.0}, progress=False)
+    assert max(fit.stderr[name] / abs(fit.values[name]) for name in fit.free) > 1
+    assert fit.messages == ()
+
+
+def test_a_rugged_fit_prints_no_error_and_says_what_to_call():
+    fit = bent_fit(3.0, 2.0, truth=0.1)
+    text = str(fit)
+    assert "±" not in text
+    assert "no error: not known (see note)" in text
+    assert "call ce.posterior(fit)" in " ".join(text.split())
+    assert fit.doubted == ("p",)
+
+
+def test_a_curved_fit_prints_the_interval_of_its_profile():
+    """The ends by brute force on the closed form."""
+    square, line = 1.5, 2.0
+    fit = bent_fit(square, line)
+
+    def rise(p):
+        return square**2 * (p**2 - 1) ** 2 + line**2 * (p - 1) ** 2
+
+    ends = [
+        minimize_scalar(lambda p: (rise(p) - EDGE**2) ** 2, bounds=side, method="bounded").x
+        for side in ((0.0, 1.0), (1.0, 3.0))
+    ]
+    assert fit.estimates["p"].interval == pytest.approx(ends, abs=0.01)
+    assert fit.doubted == ()
+    assert f"95 %: {ends[0]:.2f} to {ends[1]:.2f}" in str(fit)
+    assert "±" not in "".join(line for line in str(fit).splitlines() if line.startswith("  p "))
+
+
+@pytest.mark.parametrize("by_logarithm", [False, True])
+def test_a_positive_parameter_that_is_known_to_a_fifth(by_logarithm):
+    """Where the data tell its amount the error is symmetric all the same; where they tell its logarithm, it is not."""
+    b = ce.Blueprint("line")
+    p = b.parameter("p", 1.0, min=1e-3, max=1e3)
+    w = b.state("w")
+    b.ode("w", casadi.log(p) if by_logarithm else p)
+    b.output("y", w)
+    data = ce.Experiment.from_arrays("r", time=TIME, units={"y": "1"}, y=0 * TIME if by_logarithm else TIME)
+    noise = ce.Noise(y=0.2 * np.sqrt((TIME**2).sum()))
+    fit = ce.estimate(b.model(), data, noise=noise, initial={"w": 0.0}, progress=False)
+    if by_logarithm:
+        assert fit.stderr["p"] is None
+        ends = np.exp(-0.2 * EDGE), np.exp(0.2 * EDGE)
+        assert fit.estimates["p"].interval == pytest.approx(ends, abs=3e-3)
+        assert fit.messages == ("p is known to 20 %: no symmetric error",)
+    else:
+        assert fit.stderr["p"] == pytest.approx(0.2, rel=1e-6)
+        assert fit.messages == ()
+
+
+def test_a_bound_within_two_errors_is_named():
+    fit = bent_fit(30.0, 30.0, truth=0.02)
+    assert not fit.messages
+    data = ce.Experiment.from_arrays(
+        "r", time=TIME, units={"y1": "1", "y2": "1"}, y1=0 * TIME, y2=0.05 * TIME
+    )
+    size = np.sqrt((TIME**2).sum())
+    noise = ce.Noise(y1=size, y2=size / 30)
+    fit = ce.estimate(bent(0.1, low=0.0), data, noise=noise, **REST)
+    assert fit.messages == ("p reaches its lower bound within 2 standard errors: no symmetric error",)
+    assert fit.estimates["p"].interval == pytest.approx((0.0, 0.05 + EDGE / 30), abs=1e-3)
+
+
+def test_where_the_model_has_no_value_within_the_errors_nothing_is_known():
+    b = ce.Blueprint("root")
+    p = b.parameter("p", 1.0, min=-5, max=5)
+    x, w = b.state("x"), b.state("w")
+    b.ode("x", p**0.5)
+    b.ode("w", p)
+    b.output("y1", x)
+    b.output("y2", w)
+    data = ce.Experiment.from_arrays("r", time=TIME, units={"y1": "1", "y2": "1"}, y1=TIME, y2=TIME)
+    size = np.sqrt((TIME**2).sum())
+    fit = ce.estimate(b.model(), data, noise=ce.Noise(y1=size, y2=size), **REST)
+    (said,) = fit.messages
+    assert said == (
+        "the errors are not known: within 2 standard errors along p the model has no value; call ce.posterior(fit)"
+    )
+
+
+def test_a_profile_that_meets_a_lower_optimum_takes_the_errors_back():
+    """Two valleys and a low pass between: chi-squared is A (p^2 - 1)^2 + B (p - 0.3)^2."""
+    size = np.sqrt((TIME**2).sum())
+    data = ce.Experiment.from_arrays("r", time=TIME, units={"y1": "1", "y2": "1"}, y1=TIME, y2=0.3 * TIME)
+    fit = ce.estimate(
+        bent(-1.0), data, noise=ce.Noise(y1=size / np.sqrt(3.0), y2=size / np.sqrt(0.25)), **REST
+    )
+    assert fit.values["p"] < 0
+    assert fit.stderr["p"] is None
+    assert fit.estimates["p"].interval is None
+    assert "call ce.posterior(fit)" in fit.messages[0]
+
+
+def test_the_errors_of_the_quadratic_are_there_when_asked_for():
+    fit = bent_fit(3.0, 2.0, truth=0.1, errors="quadratic")
+    assert fit.messages == ()
+    assert fit.stderr["p"] == pytest.approx(1 / np.hypot(0.6, 2.0), rel=1e-6)
+
+
+def test_a_wrong_word_for_the_errors_is_refused(refused):
+    with refused(
+        EstimationError, "errors is not acceptable", seen="'profile'", allowed='"checked" or "quadratic"'
+    ):
+        bent_fit(1.0, 1.0, errors="profile")
+
+
+# ---- the same, however a record is advanced
+
+
+def pendulum(law=True):
+    """A swing with friction: with ``law`` no linear core; few samples, so that errors are wide."""
+    b = ce.Blueprint("pendulum")
+    k, c = b.parameter("k", 9.0, min=-100, max=100), b.parameter("c", 0.3, min=-100, max=100)
+    x, w = b.state("x"), b.state("w")
+    b.ode("x", w)
+    b.ode("w", -k * (casadi.sin(x) if law else x) - c * w)
+    b.output("y", x)
+    return b.model()
+
+
+def swing(n=80):
+    time = np.linspace(0, 6, n)
+    y = 0.3 * np.cos(3 * time) * np.exp(-0.15 * time)
+    y += 0.25 * np.random.default_rng(1).standard_normal(n)
+    return ce.Experiment.from_arrays("swing", time=time, units={"y": "1"}, y=y)
+
+
+@pytest.mark.parametrize("law", [True, False])
+def test_shooting_intervals_change_nothing(law):
+    """Runs of many intervals, whose starts are foreseen, see what one run sees."""
+    said = []
+    for interval in ("single", 8):
+        fit = ce.estimate(
+            pendulum(law),
+            swing(),
+            noise=ce.Noise(y=0.25),
+            interval=interval,
+            initial={"w": 0.0},
+            progress=False,
+        )
+        assert fit.converged
+        said.append(fit.messages)
+    assert said[0]
+    assert said[0] == said[1]
+
+
+def test_a_long_record_is_judged_as_a_short_one(monkeypatch):
+    plain = ce.estimate(pendulum(False), swing(), noise=ce.Noise(y=0.25), initial={"w": 0.0}, progress=False)
+    monkeypatch.setattr(records, "_LONG", 100)
+    monkeypatch.setattr(records, "_PART", 60)
+    parts = ce.estimate(pendulum(False), swing(), noise=ce.Noise(y=0.25), initial={"w": 0.0}, progress=False)
+    assert parts.messages == plain.messages

@@ -1,0 +1,217 @@
+"""Bands of predictions: against the scatter of refits, an identity of least squares, and draws of the same errors."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import casadi_engine as ce
+from casadi_engine.errors import SimulationError
+
+SIGMA = 0.3
+QUIET = {"noise": ce.Noise(omega=SIGMA), "progress": False}
+
+
+def record(seed, name="run_up", n=120, start=3.0, rest=False):
+    """An inertia that runs up under a torque with a step, exact for the zero-order hold."""
+    time, decay = 0.05 * np.arange(n), np.exp(-0.05 * 0.5 / 0.4)
+    torque = np.where(time < 3, 2.0, 4.0) + (np.sin(time) if rest else 0.0)
+    speed = np.empty(n)
+    speed[0] = start
+    for k in range(n - 1):
+        speed[k + 1] = decay * speed[k] + (1 - decay) / 0.5 * torque[k]
+    speed += SIGMA * np.random.default_rng(seed).standard_normal(n)
+    units = {"T": "N m", "omega": "rad/s"}
+    return ce.Experiment.from_arrays(name, time=time, units=units, hold="zero", T=torque, omega=speed)
+
+
+def fit_of(*data, **options):
+    return ce.estimate(ce.one_inertia(), list(data), **{**QUIET, **options})
+
+
+def test_the_squares_of_the_errors_add_up_to_what_was_estimated():
+    """Trace of the projection of least squares: two parameters and one initial state."""
+    fit = fit_of(record(0))
+    band = ce.simulate(fit, fit.data[0], band=True)["omega"]
+    assert np.sum((band.stderr / SIGMA) ** 2) == pytest.approx(3, rel=1e-6)
+    assert band.sigma == SIGMA
+    np.testing.assert_allclose(band.value, fit.traces["run_up"]["omega"].simulated, atol=1e-9)
+    np.testing.assert_allclose((band.high - band.low) / 2, 1.959964 * band.stderr, rtol=1e-5)
+    wide = 1.959964 * np.hypot(band.stderr, SIGMA)
+    np.testing.assert_allclose((band.high_noise - band.low_noise) / 2, wide, rtol=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["its own record", "fresh", "given start"])
+def test_errors_are_the_scatter_of_refits(kind):
+    """Of the record that was fitted, of another one to which the start is fitted, and from a start that is known."""
+    found, errors = [], []
+    options = {"initial": {"omega_eng": 3.0}} if kind == "given start" else {}
+    for seed in range(100):
+        fit = fit_of(record(seed))
+        fresh = record(1000 + seed, "fresh", n=60, start=1.0, rest=True)
+        data = fit.data[0] if kind == "its own record" else fresh
+        prediction = ce.simulate(fit, data, band=True, **options)
+        found.append(prediction["omega"].value)
+        errors.append(prediction["omega"].stderr)
+    scatter, claimed = np.std(found, axis=0), np.sqrt(np.mean(np.square(errors), axis=0))
+    some = claimed > 1e-6
+    assert np.sqrt(np.mean(scatter[some] ** 2)) == pytest.approx(
+        np.sqrt(np.mean(claimed[some] ** 2)), rel=0.12
+    )
+    np.testing.assert_allclose(scatter[some], claimed[some], rtol=0.3)
+    if kind == "given start":
+        assert claimed[0] == 0.0
+
+
+def pendulum():
+    import casadi
+
+    b = ce.Blueprint("pendulum")
+    k, c = b.parameter("k", 9.0, min=-100, max=100), b.parameter("c", 0.3, min=-100, max=100)
+    x, w = b.state("x"), b.state("w")
+    b.ode("x", w)
+    b.ode("w", -k * casadi.sin(x) - c * w)
+    b.output("y", x)
+    return b.model()
+
+
+def swing():
+    time = np.linspace(0, 6, 150)
+    y = 0.8 * np.cos(2.9 * time) * np.exp(-0.15 * time)
+    y += 0.02 * np.random.default_rng(1).standard_normal(150)
+    return ce.Experiment.from_arrays("swing", time=time, units={"y": "1"}, y=y)
+
+
+def test_a_model_without_a_linear_core_has_the_same_identity():
+    fit = ce.estimate(pendulum(), swing(), noise=ce.Noise(y=0.02), progress=False)
+    band = ce.simulate(fit, fit.data[0], band=True)["y"]
+    assert np.sum((band.stderr / 0.02) ** 2) == pytest.approx(4, rel=1e-4)
+    np.testing.assert_allclose(band.value, fit.traces["swing"]["y"].simulated, atol=1e-5)
+
+
+@pytest.mark.parametrize("make", [lambda: fit_of(record(0)), lambda: ce.estimate(
+    pendulum(), swing(), noise=ce.Noise(y=0.02), progress=False)])  # fmt: skip
+def test_draws_of_the_same_errors_make_the_same_band(make):
+    fit = make()
+    drawn = np.random.default_rng(3).multivariate_normal(fit.z, fit.covariance, 2000)
+    posterior = SimpleNamespace(fit=fit, draws={name: drawn[:, k] for k, name in enumerate(fit.free)})
+    data = fit.data[0]
+    by_draws, by_slopes = ce.simulate(posterior, data, band=True), ce.simulate(fit, data, band=True)
+    assert (by_draws.draws, by_slopes.draws) == (200, 0)
+    for name, band in by_draws.bands.items():
+        other = by_slopes[name]
+        np.testing.assert_allclose(band.stderr, other.stderr, rtol=0.25)
+        np.testing.assert_allclose(band.value, other.value, atol=0.4 * other.stderr.max())
+        assert np.mean(band.high - band.low) == pytest.approx(np.mean(other.high - other.low), rel=0.1)
+        noisy = np.mean(band.high_noise - band.low_noise), np.mean(other.high_noise - other.low_noise)
+        assert noisy[0] == pytest.approx(noisy[1], rel=0.1)
+    assert "200 draws of the posterior" in str(by_draws)
+
+
+def test_a_prediction_in_words():
+    fit = fit_of(record(0))
+    prediction = ce.simulate(fit, fit.data[0], band=True)
+    text = str(prediction)
+    assert text.startswith("Prediction of run_up with 95 % bands, from errors of the fit along exact slopes")
+    assert text.endswith("Next: ce.plot(prediction)")
+    assert prediction.simulated["omega"].origin == "derived"
+
+
+def test_a_value_of_its_own_record_has_no_error_on_another():
+    pars = ce.one_inertia().parameters()
+    pars.vary_by_experiment("C_eng")
+    fit = fit_of(record(0, "a"), record(1, "b"), parameters=pars)
+    own = ce.simulate(fit, fit.data[0], band=True)
+    assert own.messages == ()
+    fresh = ce.simulate(fit, record(2, "fresh"), band=True)
+    assert fresh.messages == (
+        "the error of C_eng@fresh is not in the band: the fit has none for this record",
+    )
+    assert "Note: the error of C_eng@fresh" in str(fresh)
+
+
+def test_errors_that_are_not_symmetric_are_said_of_the_band():
+    pars = ce.one_inertia().parameters()
+    fit = fit_of(record(0))
+    pars["C_eng"].set(fit.values["C_eng"], max=fit.values["C_eng"] + 0.5 * fit.stderr["C_eng"])
+    near = fit_of(record(0), parameters=pars)
+    assert near.estimates["C_eng"].interval is not None
+    (said,) = ce.simulate(near, near.data[0], band=True).messages
+    assert said == "the errors of the fit are not symmetric, those of the band are taken to be"
+
+
+# ---- what has no band
+
+
+def test_a_band_asks_for_a_fit_with_errors(refused):
+    data, model = record(0), ce.one_inertia()
+    fit = fit_of(data)
+    with refused(
+        SimulationError, "a band needs the errors of a fit", seen="Model", cure="simulate(fit, data"
+    ):
+        ce.simulate(model, data, band=True)
+    with refused(
+        SimulationError, "about the parameters of the fit", seen="parameters=", cure="leave them out"
+    ):
+        ce.simulate(fit, data, parameters={"J_eng": 0.4}, band=True)
+    lost = fit_of(data, max_iterations=1)
+    with refused(SimulationError, "the fit has no errors", seen="not converged", cure="print(fit)"):
+        ce.simulate(lost, data, band=True)
+    predicted = fit_of(data, noise=ce.Noise(omega="innovations"))
+    with refused(
+        SimulationError, "process noise moves the simulation", seen="innovations", cure="leave band out"
+    ):
+        ce.simulate(predicted, data, band=True)
+    prediction = ce.simulate(fit, data, band=True)
+    with refused(
+        SimulationError, "no band of this output", seen="'speed'", allowed="omega", cure="name an output"
+    ):
+        prediction["speed"]
+    nothing = SimpleNamespace(fit=fit, draws={"sigma(omega)": np.ones(5)})
+    with refused(SimulationError, "no draws of the model's parameters", seen="sigma(omega)", allowed="J_eng"):
+        ce.simulate(nothing, data, band=True)
+
+
+def test_undetermined_parameters_have_no_band(refused):
+    """Two parameters of which the data tell the product."""
+    b = ce.Blueprint("product")
+    p, q = b.parameter("p", 1.0), b.parameter("q", 1.0)
+    w = b.state("w")
+    b.ode("w", p * q)
+    b.output("y", w)
+    time = np.linspace(0, 1, 50)
+    data = ce.Experiment.from_arrays("r", time=time, units={"y": "1"}, y=2 * time)
+    fit = ce.estimate(b.model(), data, noise=ce.Noise(y=0.01), progress=False)
+    with refused(SimulationError, "the fit has no errors", seen="do not determine"):
+        ce.simulate(fit, data, band=True)
+
+
+def test_unknown_errors_ask_for_the_posterior(refused):
+    b = ce.Blueprint("bent")
+    p = b.parameter("p", 0.1, min=-5, max=5)
+    x, w = b.state("x"), b.state("w")
+    b.ode("x", p**2)
+    b.ode("w", p)
+    b.output("y1", x)
+    b.output("y2", w)
+    time = np.linspace(0, 1, 50)
+    data = ce.Experiment.from_arrays(
+        "r", time=time, units={"y1": "1", "y2": "1"}, y1=0.01 * time, y2=0.1 * time
+    )
+    size = np.sqrt((time**2).sum())
+    fit = ce.estimate(
+        b.model(),
+        data,
+        noise=ce.Noise(y1=size / 3, y2=size / 2),
+        initial={"x": 0.0, "w": 0.0},
+        progress=False,
+    )
+    assert fit.doubted == ("p",)
+    with refused(
+        SimulationError, "the errors of the fit are not known", seen="doubted: p", cure="ce.posterior(fit)"
+    ):
+        ce.simulate(fit, data, band=True)
+    drawn = SimpleNamespace(fit=fit, draws={"p": np.linspace(-0.5, 0.5, 11)})
+    band = ce.simulate(drawn, data, band=True)["y1"]
+    ends = np.quantile(np.linspace(-0.5, 0.5, 11) ** 2, [0.025, 0.975])
+    assert (band.low[-1], band.high[-1]) == pytest.approx(ends)
