@@ -350,7 +350,7 @@ def _unknown(
     last: Station, null: Station, found: Sequence[FoundEffect], withdrawn: Sequence[FoundEffect]
 ) -> Unknown | None:
     """What is missing beside the effects found."""
-    unknown = unknown_of(last.screened.leftover)
+    unknown = unknown_of(last.screened)
     if unknown is not None or found:
         return unknown
     if withdrawn:

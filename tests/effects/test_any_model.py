@@ -156,9 +156,9 @@ def test_amplitudes_have_the_units_of_their_port():
     assert units(mass(), "quadratic_drag", "body") == {"coefficient": "N s2/m2", "width": "m/s"}
     assert units(mass(), "stribeck_friction", "body") == {"torque": "N", "fading": "m/s", "width": "m/s"}
     assert units(duffing(("twist",)), "cubic_stiffness", "spring") == {"stiffness": "N/m3"}
-    assert units(pendulum(), "viscous_friction", "pivot") == {"coefficient": "N m s/rad"}
+    assert units(pendulum(), "viscous_friction", "pivot") == {"coefficient": "1/s"}  # the ode is per inertia
     assert units(thermal(), "constant_torque", "body") == {"torque": "-"}  # unknown rather than wrong
-    assert units(duffing(("twist",), unit="kN"), "cubic_stiffness", "spring") == {"stiffness": "-"}
+    assert units(duffing(("twist",), unit="kN"), "cubic_stiffness", "spring") == {"stiffness": "kN/m3"}
     assert "spring           coupling   N     twist" in str(duffing(("twist",)).ports)
 
 
