@@ -198,7 +198,8 @@ def unknown_of(screened: Screened) -> Unknown | None:
     shape, like = next(iter(course.looks_like.items()))
     port = screened.null.model.ports[family.port]
     words = f"an unknown {port.quantity} at {family.port} that depends on "
-    words += family.signal if family.signal == "time" else f"its {port.called(family.signal)}"
+    named = port.is_mechanical and family.signal != "time"
+    words += f"its {port.called(family.signal)}" if named else port.called(family.signal)
     if like > _LIKE:
         words += f" and looks {shape}"
     return Unknown(words, alarms, family.port, family.signal, leftover.family_p, course)

@@ -51,6 +51,9 @@ _FIRST, _PART = 6, 0.3
 # Levels that fall by this share are new ones, at which refits go on.
 _RELEVELLED = 0.7
 
+# Why a refit was not tried.
+TIME_UP = "the time was up"
+
 Key = frozenset[tuple[str, str]]
 
 
@@ -134,7 +137,7 @@ class Choice:
                 break
             if self._late():
                 beside = f" beside {here.label}" if here.effects else ""
-                self.failed[f"any effect{beside}"] = "the time was up"
+                self.failed[f"any effect{beside}"] = TIME_UP
                 break
             made = self._round(here, station)
             if made is None:
@@ -150,6 +153,11 @@ class Choice:
             self.tell("the colour of the noise")
             screened = self._timed("score", lambda: coloured(last.screened, last.fit))
             self._stations[self.best] = replace(last, screened=screened)
+
+    @property
+    def scored(self) -> bool:
+        """True once the model without effects is scored: from then on there is an answer."""
+        return frozenset() in self.pool
 
     @property
     def null(self) -> Station:
@@ -226,7 +234,7 @@ class Choice:
         while todo and not self._late():
             for key in todo:
                 if self._late():
-                    self.failed[f"{key[0]} at {key[1]}"] = "the time was up"
+                    self.failed[f"{key[0]} at {key[1]}"] = TIME_UP
                     continue
                 self.tell(f"refit {len(done) + 1} of {len(order)}: {key[0]} at {key[1]}")
                 self._from_all_sides(here, screened, families[key], at_here, own)
@@ -280,7 +288,7 @@ class Choice:
             self._try(here, small, Start(here.arrived.values, here.arrived.initial))
             known = self.pool.get(self._key(here, key))
         if known is None or known.arrived.cost > here.arrived.cost + _NESTED:
-            self.failed[f"{key[0]} at {key[1]}"] = "no refit of it arrives"
+            self.failed[f"{key[0]} at {key[1]}"] = TIME_UP if self._late() else "no refit of it arrives"
 
     def _rival(self, least: float, none: float, screened: Screened) -> float:
         """Chi-squared by one step up to which an effect may well be a rival of one with chi-squared ``least``."""
@@ -534,6 +542,12 @@ class Choice:
             members = class_of(self.pool, key, own[-1], FACTOR)
             found.append(reached(found[-1], station, own, members))
         return found
+
+    def stop(self) -> None:
+        """Go on as if the time were up."""
+        self.budget = -math.inf
+        if hasattr(self, "path"):
+            self.path.stop()
 
     def _late(self) -> bool:
         return time.perf_counter() - self._begun > self.budget

@@ -49,7 +49,7 @@ def read_request(model: Model, effects: Any, at: Sequence[str] | str | None = No
         isinstance(effects, Mapping) or not isinstance(effects, (Effect, str, Iterable))
     ):
         raise EffectError(
-            "what is to be looked for is not acceptable",
+            "invalid `effects`",
             seen=repr(effects),
             allowed="effects, names of the library, or pairs of one with a port",
             cure="leave effects out for the whole library",
@@ -107,7 +107,7 @@ def left_out(effects: Any, names: Any) -> Any:
     for name in names:
         if name not in called:
             raise EffectError(
-                "an effect that is to be left out is not looked for",
+                "invalid `without`: an effect that is not looked for",
                 seen=repr(name),
                 allowed=near_matches(str(name), called),
                 cure="print(casadi_engine.effects.table()) lists the library",
@@ -148,7 +148,7 @@ def _pair(item: Any) -> tuple[Any, Any]:
         return item, None
     if len(item) != 2:
         raise EffectError(
-            "what is to be looked for at a port is no pair",
+            "invalid pair in `effects`",
             seen=repr(item),
             allowed="an effect or its name, and the name of a port",
             cure='write ("coulomb_friction", "coupling"), for instance; one pair for each port',
@@ -159,7 +159,7 @@ def _pair(item: Any) -> tuple[Any, Any]:
 def _held(model: Model, ports: Any) -> tuple[str, ...]:
     if not isinstance(ports, Iterable) or not (names := tuple(ports)):
         raise EffectError(
-            "the ports at which effects are to be looked for are not acceptable",
+            "invalid `at`: the ports at which effects are looked for",
             seen=repr(ports),
             allowed=", ".join(model.ports.names),
             cure="give one name or a sequence of names; leave it out for all ports",
@@ -180,7 +180,7 @@ def check_alpha(alpha: Any) -> None:
     number = as_number(alpha)
     if number is None or not 0 < number < 1:
         raise EstimationError(
-            "alpha is not acceptable",
+            "invalid `alpha`",
             seen=alpha,
             allowed="a number between 0 and 1",
             cure="give alpha=0.01, for one false alarm in a hundred",

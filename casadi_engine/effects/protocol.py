@@ -309,6 +309,13 @@ def check_effect(effect: Any) -> None:
             allowed="an instance",
             cure=f"write {effect.__name__}()",
         )
+    if isinstance(effect, str):
+        raise EffectError(
+            "an effect is needed, not its name",
+            seen=repr(effect),
+            allowed="an instance",
+            cure=f"write ce.effects.library({effect!r})[0]",
+        )
     for attribute in ("name", "attaches", "amplitude", "nuisance", "law"):
         if not hasattr(effect, attribute):
             raise EffectError(

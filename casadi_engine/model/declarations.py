@@ -169,7 +169,7 @@ class Port:
         if (acting and self.unit == NOT_STATED) or (angle and motion is None):
             return NOT_STATED
         factors = [(self.unit, acting)] if acting else []
-        factors += [(motion, angle)] if angle else []
+        factors += [(motion, angle)] if angle and motion is not None else []
         # in N m s/rad the second belongs to the motion, in N m s it stands for itself
         factors += [("s", time + angle if angle and place is None else time)]
         return unit_product(*factors)

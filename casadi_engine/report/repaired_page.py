@@ -8,11 +8,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair, Side
+from casadi_engine.discrepancy.summary import held_out, in_unit, levels, noise_of_chi2, twins
 from casadi_engine.estimation.summary import number, with_error
 from casadi_engine.report import tables
 from casadi_engine.report.figures import figures
 from casadi_engine.report.page import Folded, Section
 from casadi_engine.report.repaired_gap import pairs
+from casadi_engine.report.repaired_latent import acting
 from casadi_engine.report.repaired_words import mood, verdict_lines
 from casadi_engine.report.sections import DRAWN, Page, _data, _how, _model, page_of
 from casadi_engine.report.tables import as_html, table, text
@@ -62,7 +64,9 @@ def _verdict(result: Repair) -> Section:
     wanted = []
     if result.gaps is not None:
         caption = "The gap between measurement and simulation"
-        caption += " before and after the repair, mean of the cycles; its engine orders; its spread; and the law found"
+        turns = any("theta" in one for one in result.data)
+        kinds = "mean of the cycles; its engine orders" if turns else "mean over time; its course"
+        caption += f" before and after the repair, {kinds}; its spread; and the law found"
         if not result.effects:
             caption = caption.replace(" before and after the repair", "").replace(
                 "the law found", "the scores"
@@ -101,13 +105,22 @@ def _effects(result: Repair) -> Section:
     rows, lines = [], []
     for one in result.effects:
         lines.append(f"{one.sentence} ({one.name} at {one.at})")
-        frequency = "-" if one.selection_frequency is None else f"{100 * one.selection_frequency:.0f} %"
+        if twins(one):
+            names = " and ".join(f"{m.name} at {m.at}" for m in twins(one))
+            lines.append(f"Data of this kind cannot tell it from {names}, however many: correlation 1 or -1.")
+        alone = one.selection_frequency is not None and len(one.members) == 1
+        frequency = (
+            f"{100 * one.selection_frequency:.0f} %" if alone and one.selection_frequency is not None else "-"
+        )
         said = (f"{one.z:.1f}", _p(one.p_value), f"{100 * one.share_explained:.3g} %", frequency)
         for name, estimate in one.parameters.items():
-            rows.append((name, f"{with_error(estimate.value, estimate.stderr)} {estimate.unit}", *said))
+            rows.append(
+                (name, f"{with_error(estimate.value, estimate.stderr)}{in_unit(estimate.unit)}", *said)
+            )
             said = ("", "", "", "")
-    header = ("parameter", "value ± standard error", "z", "p, whole library", "of the gap", "first in halves")
-    made = [table(header, rows, right=(2, 3, 4, 5), caption="Effects found")]
+    header = ("parameter", "value ± standard error", "z", "p, whole library", "of the gap", "stability")
+    words = "Effects found; stability: share of random halves of the data in which the score is the best"
+    made = [table(header, rows, right=(2, 3, 4, 5), caption=words)]
     made += [_class_table(one) for one in result.effects if len(one.members) > 1]
     return Section("effects", "The effects", lines=lines, tables=made, wanted=_latent_wanted(result))
 
@@ -117,7 +130,7 @@ def _class_table(effect: FoundEffect) -> str:
         (f"{one.name} at {one.at}", f"{one.rho:+.3f}", f"{100 * one.probability:.3g} %")
         for one in effect.members
     ]
-    caption = f"The class of {effect.key}: these explain the data as well"
+    caption = f"The class of {effect.key}: these data do not exclude any of them"
     return table(("effect", "correlation", "probability, equal before"), rows, right=(1, 2), caption=caption)
 
 
@@ -127,10 +140,17 @@ def _latent_wanted(result: Repair) -> list[tuple[Any, str, str]]:
     if not ports and result.latent:
         ports = [result.latent[0].port]
     caption = (
-        "Torque of unknown course at {port}, as the data ask for it before the repair, and the law that was named. "
+        "{acts} of unknown course at {port}, as the data ask for it before the repair, and the law that was named. "
         "Parts linear in the signals belong to the old parameters and are set so that they agree with the law"
     )
-    return [(result, f"latent {port}", caption.format(port=port)) for port in ports]
+    return [
+        (
+            result,
+            f"latent {port}",
+            caption.format(port=port, acts=acting(result, port, unit=False).capitalize()),
+        )
+        for port in ports
+    ]
 
 
 def _unknown(result: Repair) -> Section:
@@ -138,13 +158,21 @@ def _unknown(result: Repair) -> Section:
     assert unknown is not None
     rows = [(name, _p(p)) for name, p in unknown.tests.items()]
     wanted = (
-        [] if unknown.course is None else [(result, "unknown", "The unknown torque that explains most of it")]
+        []
+        if unknown.course is None
+        else [(result, "unknown", f"The unknown {_acts(result)} that explains most of it")]
     )
     if not result.effects:
         wanted += _latent_wanted(result)
     made = [table(("rejected residual test", "p"), rows, right=(1,))] if rows else []
     title, line = "What no effect of the library explains", f"{unknown.sentence}."
     return Section("unknown", title, [line], "poor", tables=made, wanted=wanted)
+
+
+def _acts(result: Repair) -> str:
+    """What acts at the port of what is unknown."""
+    port = None if result.unknown is None else result.unknown.port
+    return "torque" if port is None else acting(result, port, unit=False)
 
 
 def _certificate(result: Repair) -> Section:
@@ -154,13 +182,14 @@ def _certificate(result: Repair) -> Section:
     gain = gaps.gain_per_cycle
     if gain is not None:
         rows = [(number(gain.mean, ".4g"), number(gain.se, ".3g"), str(gain.cycles), _yes(result.confirmed))]
-        header = ("mean", "standard error", "cycles", "confirmed (mean > 2 s.e.)")
+        part = "cycle" if any(one.name == "theta" for one in result.model.inputs) else "piece"
+        header = ("mean", "standard error", f"{part}s", "confirmed (mean > 2 s.e.)")
         made.append(
-            table(header, rows, right=(0, 1, 2), caption="Fall of chi-squared per cycle of data not used")
+            table(header, rows, right=(0, 1, 2), caption=f"Fall of chi-squared per {part} of data not used")
         )
     what = {
         "records": "Fresh records: the parameters are kept, only initial states are found.",
-        "cycles": "No fresh record was given: the last cycles of each record were held out of the search.",
+        "cycles": "No fresh record was given: each record kept {held} for confirmation.",
         None: "No fresh data: the repair is not confirmed.",
     }
     every = pairs(result)
@@ -168,11 +197,12 @@ def _certificate(result: Repair) -> Section:
         (
             result,
             f"{'fresh gap' if one.fresh else 'gap'} {one.record} {one.output}",
-            f"{one.title}: residual over time with the band of the noise, its mean cycle, its orders",
+            f"{one.title}: residual over time with the band of the noise, its mean"
+            + (" cycle, its orders" if one.theta is not None else " in pieces of the record"),
         )
         for one in every[:DRAWN]
     ]
-    lines = [what[gaps.source]]
+    lines = [what[gaps.source].format(held=held_out(result))]
     if len(every) > DRAWN:
         lines.append(f"{len(every) - DRAWN} more outputs are in the tables, but not drawn here.")
     return Section(
@@ -183,7 +213,7 @@ def _certificate(result: Repair) -> Section:
 def _gap_table(result: Repair) -> str:
     gaps = result.gaps
     assert gaps is not None
-    units = {variable.name: variable.unit for variable in result.model.outputs}
+    units, sigma = {variable.name: variable.unit for variable in result.model.outputs}, levels(result)
     rows = []
     for words, before, after in (
         ("search", gaps.estimation_before, gaps.estimation_after),
@@ -194,16 +224,19 @@ def _gap_table(result: Repair) -> str:
         for output, old in before.gap.rmse.items():
             rows.append(
                 (
-                    words, output, units.get(output, "1"), f"{old:.4g}", f"{after.gap.rmse[output]:.4g}",
+                    words, output, units.get(output, "1"), number(sigma.get(output), ".4g"), f"{old:.4g}",
+                    f"{after.gap.rmse[output]:.4g}",
                     f"{before.gap.fit_percent[output]:.2f}", f"{after.gap.fit_percent[output]:.2f}",
                     f"{before.gap.chi2_per_sample:.4f}", f"{after.gap.chi2_per_sample:.4f}",
                 )
             )  # fmt: skip
     header = (
-        "data", "output", "unit", "rms before", "rms after", "fit % before", "fit % after", "χ²/N before", "χ²/N after",
+        "data", "output", "unit", "sigma", "rms before", "rms after", "fit % before", "fit % after",
+        "χ²/N before", "χ²/N after",
     )  # fmt: skip
-    caption = "The gap in simulation; χ² with the noise of the scores, 1 is noise alone"
-    return table(header, rows, right=range(3, 9), caption=caption)
+    noise = noise_of_chi2(result).replace("chi2/N", "χ²/N", 1)
+    caption = "The gap in simulation; χ²/N of 1 is noise alone" + (f". {noise}" if noise else "")
+    return table(header, rows, right=range(3, 10), caption=caption)
 
 
 _WHITENESS = "Whiteness of the residuals; on fresh data, of what errors of the parameters do not explain"
@@ -293,9 +326,16 @@ def _where(result: Repair) -> Section:
         ]
     made = [table(("the gap before the repair", "where"), rows)] if rows else []
     if result.latent:
-        gains = [(one.port, f"{one.gain:.4g}", f"{one.level:.3g}") for one in result.latent]
-        header = ("torque of unknown course at", "gain of 2 log likelihood", "its size [N m]")
-        caption = "Where in the machine (a screen: with few sensors any place explains much; the claim is the score's)"
+        gains = [
+            (
+                f"{acting(result, one.port, unit=False)} at {one.port}",
+                f"{one.gain:.4g}",
+                _size_of(result, one.port, one.level),
+            )
+            for one in result.latent
+        ]
+        header = ("of unknown course", "gain of 2 log likelihood", "its size")
+        caption = "Where in the system (a screen: with few sensors any place explains much; the claim is the score's)"
         made.append(table(header, gains, right=(1, 2), caption=caption))
     lines = [] if rows else ["No part of the data stands out of the noise."]
     return Section("where", "Where the gap sits", lines=lines, tables=made)
@@ -332,7 +372,7 @@ def _not_found(result: Repair) -> Section:
             f"{one.smallest_detectable:.3g}"
             if one.testable and math.isfinite(one.smallest_detectable)
             else "-",
-            one.unit,
+            in_unit(one.unit).strip(),
             ""
             if one.testable
             else "not testable: the free parameters explain all that it does; it may be there",
@@ -344,7 +384,7 @@ def _not_found(result: Repair) -> Section:
     )
     left_out = [(one.effect, one.at or "-", one.why) for one in result.not_applicable]
     made += [table(("not applicable: effect", "port", "why"), left_out)] if left_out else []
-    line = "Not found is not absent: an effect below its smallest detectable size would have been missed."
+    line = "Not found is not absent: an effect below its smallest detectable size may well be there."
     split = result.next_experiment
     lines = [line] if rows else ["Every effect that was looked for was found, or nothing was looked for."]
     if split is not None:
@@ -353,6 +393,16 @@ def _not_found(result: Repair) -> Section:
             f"{split.separation_now:.2g} (3.3 is right in 95 %)."
         )
     return Section("not-found", "Not found, and how small it would have to be", lines=lines, tables=made)
+
+
+def _size_of(result: Repair, port: str, level: float) -> str:
+    """A size with the unit of what acts at a port."""
+    return f"{level:.3g}" + acting(result, port).removeprefix(acting(result, port, unit=False)).translate(
+        _BARE
+    )
+
+
+_BARE = str.maketrans("", "", "[]")
 
 
 def _p(value: float | None) -> str:

@@ -7,7 +7,7 @@ import math
 from casadi_engine.discrepancy.confirmation import share_explained
 from casadi_engine.discrepancy.fresh_misfit import fresh_misfit
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair
-from casadi_engine.discrepancy.summary import next_step
+from casadi_engine.discrepancy.summary import acting_at, first_words, in_unit, next_step, port_cure
 from casadi_engine.estimation.summary import number, with_error
 from casadi_engine.report.panels import half_width
 
@@ -17,7 +17,7 @@ _MOVED = 3.0
 
 def verdict_lines(repair: Repair) -> list[str]:
     """The verdict, what fresh data say, by how much the gap shrank, what the old parameters hid, and what to do."""
-    lines = [_verdict(repair)]
+    lines = [_verdict(repair), *(f"{words}." for words in first_words(repair))]
     lines += [_class(one) for one in repair.effects if len(one.members) > 1]
     if repair.effects and repair.unknown is not None:
         lines.append(f"The residuals still hold more: {repair.unknown.sentence}.")
@@ -28,7 +28,8 @@ def verdict_lines(repair: Repair) -> list[str]:
     if moved:
         lines.append(f"Without it the model had these wrong: {moved}.")
     lines += [
-        f"Found first and then refused by fresh data: {one.name} at {one.at}." for one in repair.withdrawn
+        f"Found first and then contradicted by fresh data: {one.name} at {one.at}."
+        for one in repair.withdrawn
     ]
     lines += list(repair.messages)
     lines.append(f"Next: {next_step(repair)}.")
@@ -48,12 +49,16 @@ def _verdict(repair: Repair) -> str:
     if repair.verdict == "nothing missing":
         coloured = repair.noise is not None and repair.noise.colour
         left = "what an autoregression of the coloured noise leaves is" if coloured else "the residuals are"
+        if port_cure(repair.null_fit.model):
+            return "Nothing was found, but no physical effect could be looked for."
         return (
             f"Nothing is missing that these data can show: {repair.candidates} candidates at α = {repair.alpha:g}, "
             f"and {left} white."
         )
     if repair.verdict == "unnamed":
         words = repair.unknown.sentence if repair.unknown is not None else "the residuals are not noise"
+        if port_cure(repair.null_fit.model):
+            return f"Something is missing, and no physical effect could be looked for: {words}."
         return f"Something is missing that no effect of the library names: {words}."
     return f"Something is missing: {' and '.join(effect_words(one) for one in repair.effects)}."
 
@@ -62,7 +67,7 @@ def effect_words(effect: FoundEffect) -> str:
     """An effect with its size: ``dry friction at coupling (coulomb_friction at coupling), torque 8.05 ± 0.07 N m``."""
     amplitude = next(iter(effect.parameters))
     size = f"{amplitude.rpartition('.')[2]} {with_error(effect.amplitude.value, effect.amplitude.stderr)}"
-    size = f"{size} {effect.amplitude.unit}".strip()
+    size = f"{size}{in_unit(effect.amplitude.unit)}"
     return f"{effect.sentence} ({effect.name} at {effect.at}), {size}"
 
 
@@ -83,7 +88,7 @@ def _where(repair: Repair) -> str:
         words.append(f"crank angles {first:.0f} to {last:.0f} deg")
     if place.order is not None:
         words.append(f"engine order {place.order:g}")
-    at = f"; a torque at {place.location} explains most of it" if place.location else ""
+    at = f"; {acting_at(repair.model, place.location)} explains most of it" if place.location else ""
     return f"The gap is widest {', '.join(words)}{at}"
 
 
@@ -111,11 +116,12 @@ def _confirmed(repair: Repair) -> str:
     if repair.confirmed is None:
         why = "there are no fresh data" if gain is None or gain.why is None else gain.why
         return f"Not confirmed: {why}."
-    kind = "fresh records" if gaps.source == "records" else "cycles that were held out"
+    part = "cycle" if any(one.name == "theta" for one in repair.model.inputs) else "piece"
+    kind = "fresh records" if gaps.source == "records" else f"{part}s that were held out"
     size = ""
     if gain is not None and gain.mean is not None and gain.se is not None:
-        size = f", gain of chi-squared {gain.mean:.3g} ± {gain.se:.2g} per cycle over {gain.cycles} cycles"
-    word = "Confirmed" if repair.confirmed else "REFUSED"
+        size = f", gain of chi-squared {gain.mean:.3g} ± {gain.se:.2g} per {part} over {gain.cycles} {part}s"
+    word = "Confirmed" if repair.confirmed else "Contradicted"
     if not repair.confirmed and gain is not None and gain.mean is not None and gain.mean > 0:
         word = "Not confirmed"
     return f"{word} by {kind}{size}."
