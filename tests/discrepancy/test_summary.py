@@ -57,7 +57,7 @@ def test_a_tank_is_spoken_of_as_a_tank(leaking):
     assert "a constant loss at tank that follows the sign of h: z = " in words
     assert "a volume flow at tank explains most of it" in words
     assert "Smallest detectable sizes (95 % power): sensor_offset at sensor_level" not in words
-    for strange in (" -\n", "torque at", "N m", "friction at tank:", "cycles", "halves"):
+    for strange in (" -\n", "a torque at", "N m", "friction at tank:", "cycles", "halves"):
         assert strange not in str(leaking), strange
 
 
