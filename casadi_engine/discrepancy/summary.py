@@ -109,6 +109,11 @@ def in_unit(unit: str) -> str:
     return "" if unit == "1" else " (unit not stated)" if unit == NOT_STATED else f" {unit}"
 
 
+def _si(unit: str) -> str:
+    """A unit behind a number, nothing where it was not stated."""
+    return "" if unit == NOT_STATED else in_unit(unit)
+
+
 def _tested(repair: Repair) -> list[str]:
     names = ", ".join(record.name for record in repair.data)
     fresh = ", ".join(record.name for record in repair.fresh)
@@ -118,7 +123,7 @@ def _tested(repair: Repair) -> list[str]:
     if repair.noise is not None:
         units = {out.name: out.unit for out in repair.model.outputs}
         words = [
-            f"{name} sigma {sigma:.4g}{in_unit(units.get(name, '1'))} ({'estimated' if free else 'known'})"
+            f"{name} sigma {sigma:.4g}{_si(units.get(name, '1'))} ({'estimated' if free else 'known'})"
             for name, (sigma, free) in repair.noise.sigma.items()
         ]
         words += ["coloured"] if repair.noise.colour else []
@@ -164,7 +169,7 @@ def _effect(one: FoundEffect) -> list[str]:
             f"{m.name} at {m.at} ({100 * m.probability:.0f} %, {m.rho:+.3f})" for m in one.members[1:]
         )
         own = f"{100 * one.members[0].probability:.0f} %"
-        words = f"    these data do not exclude in its place (it has {own}; probability, correlation with it): {text}"
+        words = f"    probability {own}; not excluded in its place (probability, correlation with it): {text}"
         lines += wrapped(words, "      ")
     return lines
 
@@ -254,7 +259,7 @@ def noise_of_chi2(repair: Repair) -> str:
         for name, (sigma, _) in noise.sigma.items()
         if abs(sigma / levels(repair)[name] - 1) > _OTHER
     }
-    said = [f"{sigma:.4g}{in_unit(units.get(name, '1'))} for {name}" for name, sigma in other.items()]
+    said = [f"{sigma:.4g}{_si(units.get(name, '1'))} for {name}" for name, sigma in other.items()]
     what = ["coloured noise as the search estimated it"] if noise.colour else []
     what += [f"sigma {', '.join(said)}, larger than stated"] if said and not noise.colour else []
     what += [f"sigma {', '.join(said)}"] if said and noise.colour else []
@@ -290,7 +295,7 @@ def _shifts(repair: Repair) -> list[str]:
         old, new = repair.null_fit.estimates[name], repair.fit.estimates[name]
         lines.append(
             f"  {name:<18} {with_error(old.value, old.stderr):>21} {with_error(new.value, new.stderr):>21}"
-            f"{predicted[name]:>+18.3g} {units[name]}"
+            f"{predicted[name]:>+18.3g}{_si(units[name])}"
         )
     return lines
 
@@ -307,16 +312,13 @@ def _equation(repair: Repair) -> list[str]:
 def _not_found(repair: Repair) -> list[str]:
     testable = [one for one in repair.not_found if one.testable]
     rest = len(repair.not_found) - len(testable)
-    parts = [
-        f"{one.name} at {one.at} {one.smallest_detectable:.2g}{in_unit(one.unit)}"
-        for one in testable[:_MISSED]
-    ]
-    if not parts and not rest:
-        return []
-    more = len(testable) - len(parts)
-    text = "; ".join(parts) + (f"; and {count(more)} more" if more > 0 else "")
-    text += ("; " if parts else "") + f"{rest} not testable with these data" if rest else ""
-    return wrapped(f"Smallest detectable sizes (95 % power): {text}", "  ")
+    shown = testable[:_MISSED]
+    parts = [f"{one.name} at {one.at} {one.smallest_detectable:.2g}{_si(one.unit)}" for one in shown]
+    parts += [f"and {count(len(testable) - _MISSED)} more"] if len(testable) > _MISSED else []
+    parts += [f"{rest} not testable with these data"] if rest else []
+    vague = " (some in units that were not stated)" if any(one.unit == NOT_STATED for one in shown) else ""
+    words = f"Smallest detectable sizes (95 % power){vague}: {'; '.join(parts)}"
+    return wrapped(words, "  ") if parts else []
 
 
 def _not_applicable(repair: Repair) -> list[str]:

@@ -53,7 +53,9 @@ def joined(found):
 def test_a_tank_is_spoken_of_as_a_tank(leaking):
     words = joined(leaking)
     assert "tank.coulomb_friction.torque = " in words
-    assert " m3/s these data do not exclude in its place" in words
+    assert (
+        " %; not excluded in its place (probability, correlation with it): constant_torque at tank (" in words
+    )
     assert "a constant loss at tank that follows the sign of h: z = " in words
     assert "a volume flow at tank explains most of it" in words
     assert "Smallest detectable sizes (95 % power): sensor_offset at sensor_level" not in words
@@ -172,3 +174,12 @@ def test_the_cure_takes_a_speed_first():
 @pytest.mark.parametrize(("unit", "words"), [("1", ""), ("-", " (unit not stated)"), ("W/K", " W/K")])
 def test_units_behind_numbers(unit, words):
     assert in_unit(unit) == words
+
+
+def test_a_unit_that_was_not_stated_is_said_once(leaking):
+    missed = tuple(
+        replace(one, unit="-", testable=True, smallest_detectable=0.5) for one in leaking.not_found
+    )
+    words = joined(replace(leaking, not_found=missed))
+    assert words.count("not stated") == 1
+    assert "Smallest detectable sizes (95 % power) (some in units that were not stated): " in words
