@@ -7,14 +7,21 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from casadi_engine.discrepancy.repaired import FoundEffect, Repair, Side
-from casadi_engine.discrepancy.summary import held_out, in_unit, levels, noise_of_chi2, twins
+from casadi_engine.discrepancy.repaired import Repair
+from casadi_engine.discrepancy.summary import held_out, in_unit, port_cure, twins
 from casadi_engine.estimation.summary import number, with_error
 from casadi_engine.report import tables
 from casadi_engine.report.figures import figures
 from casadi_engine.report.page import Folded, Section
 from casadi_engine.report.repaired_gap import pairs
 from casadi_engine.report.repaired_latent import acting
+from casadi_engine.report.repaired_tables import (
+    class_table,
+    gap_table,
+    p_text,
+    parameter_table,
+    whiteness_table,
+)
 from casadi_engine.report.repaired_words import mood, verdict_lines
 from casadi_engine.report.sections import DRAWN, Page, _data, _how, _model, page_of
 from casadi_engine.report.tables import as_html, table, text
@@ -53,7 +60,7 @@ def _(result: Repair) -> str:
 def _(result: Repair) -> str:
     parts = [f"<p><b>{html.escape(verdict_lines(result)[0])}</b></p>"]
     if result.gaps is not None:
-        parts += [_gap_table(result), _parameter_table(result)]
+        parts += [gap_table(result), parameter_table(result)]
     return "".join(parts)
 
 
@@ -112,7 +119,7 @@ def _effects(result: Repair) -> Section:
         frequency = (
             f"{100 * one.selection_frequency:.0f} %" if alone and one.selection_frequency is not None else "-"
         )
-        said = (f"{one.z:.1f}", _p(one.p_value), f"{100 * one.share_explained:.3g} %", frequency)
+        said = (f"{one.z:.1f}", p_text(one.p_value), f"{100 * one.share_explained:.3g} %", frequency)
         for name, estimate in one.parameters.items():
             rows.append(
                 (name, f"{with_error(estimate.value, estimate.stderr)}{in_unit(estimate.unit)}", *said)
@@ -121,17 +128,8 @@ def _effects(result: Repair) -> Section:
     header = ("parameter", "value ± standard error", "z", "p, whole library", "of the gap", "stability")
     words = "Effects found; stability: share of random halves of the data in which the score is the best"
     made = [table(header, rows, right=(2, 3, 4, 5), caption=words)]
-    made += [_class_table(one) for one in result.effects if len(one.members) > 1]
+    made += [class_table(one) for one in result.effects if len(one.members) > 1]
     return Section("effects", "The effects", lines=lines, tables=made, wanted=_latent_wanted(result))
-
-
-def _class_table(effect: FoundEffect) -> str:
-    rows = [
-        (f"{one.name} at {one.at}", f"{one.rho:+.3f}", f"{100 * one.probability:.3g} %")
-        for one in effect.members
-    ]
-    caption = f"The class of {effect.key}: these data do not exclude any of them"
-    return table(("effect", "correlation", "probability, equal before"), rows, right=(1, 2), caption=caption)
 
 
 def _latent_wanted(result: Repair) -> list[tuple[Any, str, str]]:
@@ -156,7 +154,7 @@ def _latent_wanted(result: Repair) -> list[tuple[Any, str, str]]:
 def _unknown(result: Repair) -> Section:
     unknown = result.unknown
     assert unknown is not None
-    rows = [(name, _p(p)) for name, p in unknown.tests.items()]
+    rows = [(name, p_text(p)) for name, p in unknown.tests.items()]
     wanted = (
         []
         if unknown.course is None
@@ -165,7 +163,9 @@ def _unknown(result: Repair) -> Section:
     if not result.effects:
         wanted += _latent_wanted(result)
     made = [table(("rejected residual test", "p"), rows, right=(1,))] if rows else []
-    title, line = "What no effect of the library explains", f"{unknown.sentence}."
+    blind = bool(port_cure(result.null_fit.model))
+    title = "What is not explained" if blind else "What no effect of the library explains"
+    line = f"{unknown.sentence}."
     return Section("unknown", title, [line], "poor", tables=made, wanted=wanted)
 
 
@@ -178,7 +178,7 @@ def _acts(result: Repair) -> str:
 def _certificate(result: Repair) -> Section:
     gaps = result.gaps
     assert gaps is not None
-    made = [_gap_table(result), _test_table(result)]
+    made = [gap_table(result), whiteness_table(result)]
     gain = gaps.gain_per_cycle
     if gain is not None:
         rows = [(number(gain.mean, ".4g"), number(gain.se, ".3g"), str(gain.cycles), _yes(result.confirmed))]
@@ -210,60 +210,6 @@ def _certificate(result: Repair) -> Section:
     )
 
 
-def _gap_table(result: Repair) -> str:
-    gaps = result.gaps
-    assert gaps is not None
-    units, sigma = {variable.name: variable.unit for variable in result.model.outputs}, levels(result)
-    rows = []
-    for words, before, after in (
-        ("search", gaps.estimation_before, gaps.estimation_after),
-        ("fresh", gaps.validation_before, gaps.validation_after),
-    ):
-        if before is None or after is None:
-            continue
-        for output, old in before.gap.rmse.items():
-            rows.append(
-                (
-                    words, output, units.get(output, "1"), number(sigma.get(output), ".4g"), f"{old:.4g}",
-                    f"{after.gap.rmse[output]:.4g}",
-                    f"{before.gap.fit_percent[output]:.2f}", f"{after.gap.fit_percent[output]:.2f}",
-                    f"{before.gap.chi2_per_sample:.4f}", f"{after.gap.chi2_per_sample:.4f}",
-                )
-            )  # fmt: skip
-    header = (
-        "data", "output", "unit", "sigma", "rms before", "rms after", "fit % before", "fit % after",
-        "χ²/N before", "χ²/N after",
-    )  # fmt: skip
-    noise = noise_of_chi2(result).replace("chi2/N", "χ²/N", 1)
-    caption = "The gap in simulation; χ²/N of 1 is noise alone" + (f". {noise}" if noise else "")
-    return table(header, rows, right=range(3, 10), caption=caption)
-
-
-_WHITENESS = "Whiteness of the residuals; on fresh data, of what errors of the parameters do not explain"
-
-
-def _test_table(result: Repair) -> str:
-    gaps = result.gaps
-    assert gaps is not None
-    rows = []
-    for before, after in (
-        (gaps.estimation_before, gaps.estimation_after),
-        (gaps.validation_before, gaps.validation_after),
-    ):
-        if before is not None and after is not None:
-            rows += _test_rows(before, after)
-    header = ("record", "output", "p before", "p after")
-    return table(header, rows, right=(2, 3), caption=_WHITENESS)
-
-
-def _test_rows(before: Side, after: Side) -> list[tuple[str, str, str, str]]:
-    return [
-        (record, output, _p(p), _p(after.whiteness_p[record][output]))
-        for record, outputs in before.whiteness_p.items()
-        for output, p in outputs.items()
-    ]
-
-
 def _parameters(result: Repair) -> Section:
     known = figures(result)
     wanted = [
@@ -275,38 +221,10 @@ def _parameters(result: Repair) -> Section:
         for one in result.effects
         if one.found_shift and f"shift {one.key}" in known
     ]
-    made = [_parameter_table(result), tables.initial_table(result.fit)]
+    made = [parameter_table(result), tables.initial_table(result.fit)]
     return Section(
         "parameters", "Parameters before and after", tables=[one for one in made if one], wanted=wanted
     )
-
-
-def _parameter_table(result: Repair) -> str:
-    shifts: dict[str, float] = {}
-    for one in result.effects:
-        for name, value in one.predicted_shift.items():
-            shifts[name] = shifts.get(name, 0.0) + value
-    rows, kept = [], []
-    for name, new in result.fit.estimates.items():
-        old = result.null_fit.estimates.get(name)
-        if new.fixed:
-            kept.append(f"{name} = {number(new.value)} {new.unit}")
-            continue
-        after = with_error(new.value, None if new.at_bound else new.stderr)
-        rows.append(
-            (
-                name,
-                "-" if old is None else with_error(old.value, None if old.at_bound else old.stderr),
-                f"{after}, at its {new.at_bound} bound" if new.at_bound else after,
-                new.unit,
-                "" if old is None else f"{new.value - old.value:+.3g}",
-                f"{shifts[name]:+.3g}" if name in shifts else "",
-            )
-        )
-    header = ("parameter", "before ± standard error", "after ± standard error", "unit", "change", "predicted")
-    caption = "Parameters; the change predicted by the score is a first step"
-    caption += f". Fixed: {', '.join(kept)}" if kept else ""
-    return table(header, rows, right=(4, 5), caption=caption)
 
 
 def _where(result: Repair) -> Section:
@@ -403,12 +321,6 @@ def _size_of(result: Repair, port: str, level: float) -> str:
 
 
 _BARE = str.maketrans("", "", "[]")
-
-
-def _p(value: float | None) -> str:
-    if value is None:
-        return "-"
-    return "< 1e-16" if value < 1e-16 else f"{value:.2g}"
 
 
 def _yes(answer: bool | None) -> str:

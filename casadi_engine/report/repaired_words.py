@@ -9,6 +9,7 @@ from casadi_engine.discrepancy.fresh_misfit import fresh_misfit
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair
 from casadi_engine.discrepancy.summary import acting_at, first_words, in_unit, next_step, port_cure
 from casadi_engine.estimation.summary import number, with_error
+from casadi_engine.model import Model
 from casadi_engine.report.panels import half_width
 
 # A parameter is named at the top if it moved by so many of its standard errors.
@@ -31,7 +32,7 @@ def verdict_lines(repair: Repair) -> list[str]:
         f"Found first and then contradicted by fresh data: {one.name} at {one.at}."
         for one in repair.withdrawn
     ]
-    lines += list(repair.messages)
+    lines += [_sentence(text) for text in repair.messages]
     lines.append(f"Next: {next_step(repair)}.")
     return [line for line in lines if line]
 
@@ -60,13 +61,18 @@ def _verdict(repair: Repair) -> str:
         if port_cure(repair.null_fit.model):
             return f"Something is missing, and no physical effect could be looked for: {words}."
         return f"Something is missing that no effect of the library names: {words}."
-    return f"Something is missing: {' and '.join(effect_words(one) for one in repair.effects)}."
+    return f"Something is missing: {' and '.join(effect_words(one, repair.model) for one in repair.effects)}."
 
 
-def effect_words(effect: FoundEffect) -> str:
-    """An effect with its size: ``dry friction at coupling (coulomb_friction at coupling), torque 8.05 ± 0.07 N m``."""
-    amplitude = next(iter(effect.parameters))
-    size = f"{amplitude.rpartition('.')[2]} {with_error(effect.amplitude.value, effect.amplitude.stderr)}"
+def effect_words(effect: FoundEffect, model: Model) -> str:
+    """An effect with its size: ``dry friction at coupling (coulomb_friction at coupling), torque 8.05 ± 0.07 N m``.
+
+    What an effect calls its torque is called by what acts at the port.
+    """
+    name = next(iter(effect.parameters)).rpartition(".")[2]
+    known = model.ports[effect.at] if effect.at in model.ports.names else None
+    name = known.quantity if known is not None and name == "torque" else name
+    size = f"{name} {with_error(effect.amplitude.value, effect.amplitude.stderr)}"
     size = f"{size}{in_unit(effect.amplitude.unit)}"
     return f"{effect.sentence} ({effect.name} at {effect.at}), {size}"
 
@@ -76,11 +82,23 @@ def _class(effect: FoundEffect) -> str:
     return f"These data do not tell apart {len(effect.members)} effects that explain it as well: {others}."
 
 
+def _sentence(text: str) -> str:
+    """A note as a sentence.
+
+    >>> _sentence("a note"), _sentence("J_eng went to a bound")
+    ('A note.', 'J_eng went to a bound.')
+    """
+    first, _, rest = text.partition(" ")
+    plain = first.isalpha() and first.islower()
+    return f"{first.capitalize() if plain else first} {rest}".strip().rstrip(".") + "."
+
+
 def _where(repair: Repair) -> str:
     place = repair.where
     if place is None:
         return ""
-    words = [f"in {place.record}"]
+    first, last = place.time
+    words = [f"in {place.record}" + (f" from {first:.4g} to {last:.4g} s" if first < last else "")]
     if place.cycles:
         words.append(f"cycle{'s' if len(place.cycles) > 1 else ''} {_numbers(place.cycles)}")
     if place.crank_angle is not None:

@@ -24,8 +24,8 @@ def test_a_named_and_confirmed_effect(repaired):
         "Something is missing: dry friction at coupling (coulomb_friction at coupling), torque 8.050 ± 0.070 N m."
     )
     assert lines[1] == (
-        "The gap is widest in misfire_1200rpm, cycles 2 to 4, crank angles 705 to 138 deg, engine order 1.5; a torque "
-        "at coupling explains most of it."
+        "The gap is widest in misfire_1200rpm from 0.1 to 0.3 s, cycles 2 to 4, crank angles 705 to 138 deg, engine "
+        "order 1.5; a torque at coupling explains most of it."
     )
     assert lines[2] == ("Confirmed by fresh records, gain of chi-squared 339 ± 36 per cycle over 10 cycles.")
     assert lines[3] == (
@@ -120,14 +120,14 @@ def test_more_than_the_effects_explain_is_said(repaired, unnamed):
         in lines
     )
     assert "Found first and then contradicted by fresh data: coulomb_friction at coupling." in lines
-    assert "a note" in lines
+    assert "A note." in lines
     assert next_step(changed).startswith("look at the figures of the residuals after the repair")
 
 
 def test_an_amplitude_without_error_and_parameters_that_stayed(repaired):
     key = next(iter(repaired.effects[0].parameters))
     bare = replace(repaired.effects[0], parameters={key: Estimate(0.004, None, "1")})
-    assert effect_words(bare).endswith("(coulomb_friction at coupling), torque 0.004")
+    assert effect_words(bare, repaired.model).endswith("(coulomb_friction at coupling), torque 0.004")
     still = replace(repaired, fit=replace(repaired.fit, estimates=dict(repaired.null_fit.estimates)))
     assert moved_parameters(still) == ""
 
