@@ -45,6 +45,8 @@ def read_request(model: Model, effects: Any, at: Sequence[str] | str | None = No
     Raises EffectError for an effect that does not follow the protocol, for one that is there twice, for a port that
     does not exist, and where nothing is left to be tested.
     """
+    if isinstance(effects, type):
+        check_effect(effects)
     if effects is not None and (
         isinstance(effects, Mapping) or not isinstance(effects, (Effect, str, Iterable))
     ):
@@ -84,7 +86,7 @@ def read_request(model: Model, effects: Any, at: Sequence[str] | str | None = No
         lacking = [one for one in skipped if one.at]
         raise EffectError(
             f"none of these effects can act anywhere in the model {model.name}",
-            seen="; ".join(map(str, lacking)) or ", ".join(found) or "no effects",
+            seen="; ".join(map(str, lacking or skipped)) or ", ".join(found) or "no effects",
             allowed="effects that attach to ports of the model" + ("" if at is None else f" among {at}"),
             cure="put the port right where the model is written, b.port(name, kind, {signal: ...})"
             if lacking
@@ -167,9 +169,9 @@ def _held(model: Model, ports: Any) -> tuple[str, ...]:
     for name in names:
         if name not in model.ports.names:
             raise EffectError(
-                f"effects are to be looked for at a port that the model {model.name} does not have",
+                f"invalid `at`: the model {model.name} has no such port",
                 seen=repr(name),
-                allowed=", ".join(model.ports.names),
+                allowed=near_matches(str(name), model.ports.names),
                 cure="print(model.ports) lists all ports",
             )
     return names

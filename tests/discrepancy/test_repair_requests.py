@@ -181,7 +181,7 @@ MESSAGES = [
     (
         {"at": "gearbox"},
         EffectError,
-        "effects are to be looked for at a port that the model shaft does not have; seen: 'gearbox'",
+        "invalid `at`: the model shaft has no such port; seen: 'gearbox'",
     ),
     (
         {"effects": ["misfire"]},
@@ -379,3 +379,13 @@ def test_effects_are_left_out_by_name():
     assert "load_step" not in names
     assert left_out(["coulomb_friction", "load_step"], "load_step") == ["coulomb_friction"]
     assert left_out(None, ()) is None
+
+
+def test_a_class_in_place_of_an_effect_is_told_so(shaft, friction):
+    with pytest.raises(EffectError, match="an effect is needed, not its class; seen: CoulombFriction"):
+        ce.repair(shaft.model, friction, effects=ce.effects.CoulombFriction)
+
+
+def test_an_effect_that_fits_nowhere_is_told_what_it_needs(shaft, friction):
+    with pytest.raises(EffectError, match="seen: misfire: the model has no port of the kind cylinder"):
+        ce.repair(shaft.model, friction, effects="misfire")

@@ -140,6 +140,7 @@ def variant(**changes):
     ("effect", "message"),
     [
         (FanTorque, "an effect is needed, not its class.*FanTorque"),
+        ("drag", r"an effect is needed, not its name; seen: 'drag'.*write ce.effects.library\('drag'\)\[0\]"),
         (object(), "lacks an attribute.*no name"),
         (variant(name="fan torque"), "the name of the effect Variant is not acceptable.*'fan torque'"),
         (variant(attaches="inertia"), "kinds of ports that do not exist.*a tuple"),
