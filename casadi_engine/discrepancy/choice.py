@@ -232,11 +232,12 @@ class Choice:
         own = self._own_step(here, screened)
         todo, done = (order[:_FIRST] if self.path.linear else order), list[tuple[str, str]]()
         while todo and not self._late():
+            many = len(done) + len(todo)
             for key in todo:
                 if self._late():
                     self.failed[f"{key[0]} at {key[1]}"] = TIME_UP
                     continue
-                self.tell(f"refit {len(done) + 1} of {len(order)}: {key[0]} at {key[1]}")
+                self.tell(f"refit {len(done) + 1} of {many}: {key[0]} at {key[1]}")
                 self._from_all_sides(here, screened, families[key], at_here, own)
                 done.append(key)
             rest = [key for key in order if key not in done]

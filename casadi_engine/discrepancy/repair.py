@@ -216,7 +216,7 @@ class _Job:
         try:
             search.run(null_fit)
         except KeyboardInterrupt:
-            if not search.scored:
+            if not search.scored or (self.interrupts is not None and self.interrupts.twice):
                 raise
             beside = f" beside {search.pool[search.best].label}" if search.best else ""
             search.failed[f"any effect{beside}"] = TIME_UP
@@ -289,6 +289,8 @@ def _no_answer(
         "no effect can be looked for before the model without effects fits: give other start values, bounds, or more "
         "starts; a wrong optimum looks like missing physics"
     )
+    if fit.status == "interrupted":
+        why = "interrupted in the fit without effects: nothing was searched"
     timing["total"] = time.perf_counter() - begun
     return Repair(
         status, None, None, fit, fit, alpha, data=portion.data, fresh=portion.fresh, timing=timing,

@@ -2,12 +2,15 @@
 
 import os
 import signal
+from dataclasses import replace
+from importlib import import_module
 
 import numpy as np
 import pytest
 
 import casadi_engine as ce
 from casadi_engine.discrepancy.choice import Choice
+from casadi_engine.estimation import estimate
 
 
 def rubbing(t, angle, rate):
@@ -73,9 +76,17 @@ def test_a_second_ctrl_c_ends_at_once(repaired):
     assert str(found).startswith("Repair of pendulum: no answer: interrupted")
 
 
-def test_ctrl_c_in_the_fit_without_effects(repaired):
-    found = repaired("fit without effects")
-    assert found.verdict is None or found.stopped == "the user"
+def test_ctrl_c_in_the_fit_without_effects(repaired, monkeypatch):
+    """The fit takes it, and ends with its best point."""
+
+    def pressed(*arguments, **options):
+        fit = estimate(*arguments, **options)
+        return replace(fit, status="interrupted")
+
+    monkeypatch.setattr(import_module("casadi_engine.discrepancy.repair"), "estimate", pressed)
+    found = repaired()
+    assert (found.status, found.verdict) == ("interrupted", None)
+    assert found.messages == ("interrupted in the fit without effects: nothing was searched",)
 
 
 def test_the_budget_is_said_at_the_top(repaired):

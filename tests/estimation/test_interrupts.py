@@ -29,9 +29,28 @@ def test_an_inner_one_hands_it_on_when_it_closes():
             press()
             assert (inner.stopped, outer.stopped, asked) == (True, False, [])
         assert (outer.stopped, asked) == (True, [1])
+        assert not outer.twice
         with pytest.raises(KeyboardInterrupt):
             press()
+        assert outer.twice
     assert asked == [1]
+
+
+def test_a_second_press_in_an_inner_one_is_the_second_of_the_outer_one():
+    with Interrupts() as outer:
+        press()
+        with Interrupts() as inner:
+            press()  # noted, as in a fit that keeps its best point
+            assert (inner.stopped, inner.twice) == (True, False)
+        assert outer.twice
+
+
+def test_two_presses_in_an_inner_one_are_two():
+    with Interrupts() as outer:
+        with pytest.raises(KeyboardInterrupt), Interrupts():  # noqa: PT012 (the second is the one that raises)
+            press()
+            press()
+        assert (outer.stopped, outer.twice) == (True, True)
 
 
 def test_without_a_press_nothing_is_handed_on():
