@@ -110,6 +110,7 @@ class Answer:
             data=self.portion.data,
             fresh=self.portion.fresh,
             options=self.options,
+            blind=null.screened.request.blind,
         )
         return self._finished(blank, null, last, proof)
 

@@ -20,7 +20,7 @@ from casadi_engine.discrepancy.refit import Refitter
 from casadi_engine.discrepancy.repaired import Repair
 from casadi_engine.discrepancy.requests import check_alpha, left_out, read_request
 from casadi_engine.discrepancy.screening import Screened, screen_in_turn
-from casadi_engine.discrepancy.summary import BUDGET, USER
+from casadi_engine.discrepancy.wording import BUDGET, USER
 from casadi_engine.effects.candidate import Known
 from casadi_engine.errors import EstimationError, ExperimentError
 from casadi_engine.estimation import Fit, estimate

@@ -251,6 +251,7 @@ class Repair:
     timing : seconds of each part and "total"; messages : what the user should know
     stopped : "the user" or "the time budget" where one of them ended the search, else ""; not_searched : what it was
         about to try
+    blind : True if the whole library was asked for, and no effect of it could act inside the model
     """
 
     status: str
@@ -283,6 +284,7 @@ class Repair:
     messages: tuple[str, ...] = ()
     stopped: str = ""
     not_searched: tuple[str, ...] = ()
+    blind: bool = False
 
     @property
     def model(self) -> Model:

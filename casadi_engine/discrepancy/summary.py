@@ -6,25 +6,30 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import casadi as ca
-
 from casadi_engine.discrepancy.fresh_misfit import fresh_misfit
+from casadi_engine.discrepancy.wording import (
+    LISTED,
+    USER,
+    acting_at,
+    first_words,
+    held_out,
+    in_unit,
+    is_blind,
+    si,
+    twins,
+)
 from casadi_engine.estimation.summary import count, number, with_error, wrapped
 from casadi_engine.experiment.units import NOT_STATED
-from casadi_engine.model.port_units import is_speed
 
 if TYPE_CHECKING:
-    from casadi_engine.discrepancy.repaired import FoundEffect, Member, NextExperiment, Repair, Side
-    from casadi_engine.model import Model
+    from casadi_engine.discrepancy.repaired import FoundEffect, NextExperiment, Repair, Side
 
 LINES = 45
-USER, BUDGET = "the user", "the time budget"
 # Right in 95 % of records.
 ENOUGH = 3.3
-# Correlation beyond which two effects are one; share of halves from which a score is stable; change of a level that is
-# said.
-_TWINS, _OFTEN, _OTHER = 0.995, 0.5, 0.05
-_SHIFTS, _MISSED, _TERMS, _NOTES = 6, 6, 4, 3
+# Share of halves from which a score is stable; change of a level that is said.
+_OFTEN, _OTHER = 0.5, 0.05
+_SHIFTS, _TERMS, _NOTES = 6, 4, 3
 
 
 def summary(repair: Repair) -> str:
@@ -46,7 +51,7 @@ def headline(repair: Repair) -> str:
     """The verdict in a few words."""
     if repair.verdict is None:
         return f"no answer: {repair.status}"
-    blind = bool(port_cure(repair.null_fit.model))
+    blind = is_blind(repair)
     if repair.verdict == "nothing missing":
         shown = "nothing is missing that these data could show"
         return "nothing was found, but no physical effect could be looked for" if blind else shown
@@ -69,51 +74,6 @@ def headline(repair: Repair) -> str:
     return f"{names} {verb} missing{doubt}, {sure[repair.confirmed]}{misfit}"
 
 
-def first_words(repair: Repair) -> list[str]:
-    """What has to be known before the verdict is read: where nothing physical was tested, and what was not tried."""
-    said = []
-    cure = port_cure(repair.null_fit.model)
-    if cure:
-        said.append(
-            "The model has no port at which a physical effect can act: wrong fixed parameters and sensor errors alone "
-            f"were tested. Give it one where it is written: {cure}"
-        )
-    if repair.stopped:
-        missed = repair.not_searched
-        names = ", ".join(missed[:_MISSED]) + (
-            f" and {count(len(missed) - _MISSED)} more" if len(missed) > _MISSED else ""
-        )
-        said.append(f"Stopped by {repair.stopped}; not searched: {names or 'further effects'}")
-    return said
-
-
-def port_cure(model: Model) -> str:
-    """The line of a Blueprint that gives a model a port, for its own states; "" for one that has some.
-
-    A state that is a speed comes first, else one that inputs act on.
-    """
-    if model.ports.with_slot:
-        return ""
-    acted_on = [
-        ca.depends_on(model.ode[k], model.d) if model.d.numel() else False for k in range(len(model.states))
-    ]
-    order = sorted(
-        range(len(model.states)), key=lambda k: (not is_speed(model.states[k].unit), not acted_on[k])
-    )
-    name = model.states[order[0]].name
-    return f'missing = b.port("at_{name}", "inertia", {{"speed": {name}}}), added to what acts in b.ode("{name}", ...)'
-
-
-def in_unit(unit: str) -> str:
-    """A unit behind a number: nothing for 1, and said where it was not stated."""
-    return "" if unit == "1" else " (unit not stated)" if unit == NOT_STATED else f" {unit}"
-
-
-def _si(unit: str) -> str:
-    """A unit behind a number, nothing where it was not stated."""
-    return "" if unit == NOT_STATED else in_unit(unit)
-
-
 def _tested(repair: Repair) -> list[str]:
     names = ", ".join(record.name for record in repair.data)
     fresh = ", ".join(record.name for record in repair.fresh)
@@ -123,7 +83,7 @@ def _tested(repair: Repair) -> list[str]:
     if repair.noise is not None:
         units = {out.name: out.unit for out in repair.model.outputs}
         words = [
-            f"{name} sigma {sigma:.4g}{_si(units.get(name, '1'))} ({'estimated' if free else 'known'})"
+            f"{name} sigma {sigma:.4g}{si(units.get(name, '1'))} ({'estimated' if free else 'known'})"
             for name, (sigma, free) in repair.noise.sigma.items()
         ]
         words += ["coloured"] if repair.noise.colour else []
@@ -135,12 +95,6 @@ def _tested(repair: Repair) -> list[str]:
         seconds = repair.timing.get("total", math.nan)
         lines += [f"  tested     {repair.candidates} candidates, {rate}{limit}; {number(seconds, '.2g')} s"]
     return lines
-
-
-def held_out(repair: Repair) -> str:
-    """What was kept for confirmation where there is no fresh record."""
-    turns = any(variable.name == "theta" for variable in repair.model.inputs)
-    return "its last cycles" if turns else "its last part"
 
 
 def _found(repair: Repair) -> list[str]:
@@ -184,11 +138,6 @@ def _stability(one: FoundEffect) -> str:
     return f", the best score in {share} of random halves of the data"
 
 
-def twins(one: FoundEffect) -> tuple[Member, ...]:
-    """The members of a class that act as its lead does in these data, but for their size and sign."""
-    return tuple(m for m in one.members[1:] if abs(m.rho) > _TWINS)
-
-
 def _where(repair: Repair) -> list[str]:
     where = repair.where
     if where is None:
@@ -207,12 +156,6 @@ def _where(repair: Repair) -> list[str]:
         [] if where.location is None else [f"{acting_at(repair.model, where.location)} explains most of it"]
     )
     return wrapped(f"Gap widest in {'; '.join(words)}", "       ")
-
-
-def acting_at(model: Model, port: str) -> str:
-    """``a torque at PORT``, in the words of what acts there."""
-    acts = model.ports[port].quantity if port in model.ports.names else "torque"
-    return f"{'an' if acts[0] in 'aeiou' else 'a'} {acts} at {port}"
 
 
 def _unknown(repair: Repair) -> list[str]:
@@ -259,7 +202,7 @@ def noise_of_chi2(repair: Repair) -> str:
         for name, (sigma, _) in noise.sigma.items()
         if abs(sigma / levels(repair)[name] - 1) > _OTHER
     }
-    said = [f"{sigma:.4g}{_si(units.get(name, '1'))} for {name}" for name, sigma in other.items()]
+    said = [f"{sigma:.4g}{si(units.get(name, '1'))} for {name}" for name, sigma in other.items()]
     what = ["coloured noise as the search estimated it"] if noise.colour else []
     what += [f"sigma {', '.join(said)}, larger than stated"] if said and not noise.colour else []
     what += [f"sigma {', '.join(said)}"] if said and noise.colour else []
@@ -295,7 +238,7 @@ def _shifts(repair: Repair) -> list[str]:
         old, new = repair.null_fit.estimates[name], repair.fit.estimates[name]
         lines.append(
             f"  {name:<18} {with_error(old.value, old.stderr):>21} {with_error(new.value, new.stderr):>21}"
-            f"{predicted[name]:>+18.3g}{_si(units[name])}"
+            f"{predicted[name]:>+18.3g}{si(units[name])}"
         )
     return lines
 
@@ -312,9 +255,9 @@ def _equation(repair: Repair) -> list[str]:
 def _not_found(repair: Repair) -> list[str]:
     testable = [one for one in repair.not_found if one.testable]
     rest = len(repair.not_found) - len(testable)
-    shown = testable[:_MISSED]
-    parts = [f"{one.name} at {one.at} {one.smallest_detectable:.2g}{_si(one.unit)}" for one in shown]
-    parts += [f"and {count(len(testable) - _MISSED)} more"] if len(testable) > _MISSED else []
+    shown = testable[:LISTED]
+    parts = [f"{one.name} at {one.at} {one.smallest_detectable:.2g}{si(one.unit)}" for one in shown]
+    parts += [f"and {count(len(testable) - LISTED)} more"] if len(testable) > LISTED else []
     parts += [f"{rest} not testable with these data"] if rest else []
     vague = " (some in units that were not stated)" if any(one.unit == NOT_STATED for one in shown) else ""
     words = f"Smallest detectable sizes (95 % power){vague}: {'; '.join(parts)}"
@@ -325,8 +268,8 @@ def _not_applicable(repair: Repair) -> list[str]:
     """Effects that a port lacks signals for; those that have no port of their kind are counted."""
     at_ports = [one for one in repair.not_applicable if one.at]
     rest = len(repair.not_applicable) - len(at_ports)
-    parts = [str(one) for one in at_ports[:_MISSED]]
-    parts += [f"{count(len(at_ports) - _MISSED)} more at other ports"] if len(at_ports) > _MISSED else []
+    parts = [str(one) for one in at_ports[:LISTED]]
+    parts += [f"{count(len(at_ports) - LISTED)} more at other ports"] if len(at_ports) > LISTED else []
     parts += [f"{count(rest)} without a port of the right kind"] if rest else []
     return wrapped(f"Not applicable: {'; '.join(parts)}", "  ") if at_ports else []
 
@@ -347,8 +290,8 @@ def next_step(repair: Repair) -> str:
     if fresh_misfit(repair) is not None:
         return "look for what is missing in the fresh records: give them as data of the search"
     if repair.verdict == "nothing missing":
-        if port_cure(repair.null_fit.model):
-            return "give the model a port as said above, and repair again: no physical effect was tested"
+        if is_blind(repair):
+            return "give the model its ports as said above, and repair again: no physical effect was tested"
         return "use the model; larger effects than those listed are excluded"
     if repair.verdict == "unnamed":
         return _without_name(repair)
@@ -374,8 +317,8 @@ def _to_split(made: NextExperiment) -> str:
 
 
 def _without_name(repair: Repair) -> str:
-    if port_cure(repair.null_fit.model):
-        return "give the model a port as said above, and repair again"
+    if is_blind(repair):
+        return "give the model its ports as said above, and repair again"
     unknown = repair.unknown
     if unknown is None or unknown.course is None:
         curve = "the residuals and what they ask for at each port"

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from casadi_engine.discrepancy.repaired import Repair
-from casadi_engine.discrepancy.summary import held_out, in_unit, port_cure, twins
+from casadi_engine.discrepancy.wording import held_out, in_unit, is_blind, twins
 from casadi_engine.estimation.summary import number, with_error
 from casadi_engine.report import tables
 from casadi_engine.report.figures import figures
@@ -163,7 +163,7 @@ def _unknown(result: Repair) -> Section:
     if not result.effects:
         wanted += _latent_wanted(result)
     made = [table(("rejected residual test", "p"), rows, right=(1,))] if rows else []
-    blind = bool(port_cure(result.null_fit.model))
+    blind = is_blind(result)
     title = "What is not explained" if blind else "What no effect of the library explains"
     line = f"{unknown.sentence}."
     return Section("unknown", title, [line], "poor", tables=made, wanted=wanted)

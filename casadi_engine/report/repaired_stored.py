@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from casadi_engine.discrepancy.summary import in_unit
+from casadi_engine.discrepancy.wording import in_unit
 from casadi_engine.estimation.summary import with_error
 from casadi_engine.report.page import Section
 from casadi_engine.report.tables import table

@@ -7,7 +7,8 @@ import math
 from casadi_engine.discrepancy.confirmation import share_explained
 from casadi_engine.discrepancy.fresh_misfit import fresh_misfit
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair
-from casadi_engine.discrepancy.summary import acting_at, first_words, in_unit, next_step, port_cure
+from casadi_engine.discrepancy.summary import next_step
+from casadi_engine.discrepancy.wording import acting_at, first_words, in_unit, is_blind
 from casadi_engine.estimation.summary import number, with_error
 from casadi_engine.model import Model
 from casadi_engine.report.panels import half_width
@@ -50,7 +51,7 @@ def _verdict(repair: Repair) -> str:
     if repair.verdict == "nothing missing":
         coloured = repair.noise is not None and repair.noise.colour
         left = "what an autoregression of the coloured noise leaves is" if coloured else "the residuals are"
-        if port_cure(repair.null_fit.model):
+        if is_blind(repair):
             return "Nothing was found, but no physical effect could be looked for."
         return (
             f"Nothing is missing that these data can show: {repair.candidates} candidates at α = {repair.alpha:g}, "
@@ -58,7 +59,7 @@ def _verdict(repair: Repair) -> str:
         )
     if repair.verdict == "unnamed":
         words = repair.unknown.sentence if repair.unknown is not None else "the residuals are not noise"
-        if port_cure(repair.null_fit.model):
+        if is_blind(repair):
             return f"Something is missing, and no physical effect could be looked for: {words}."
         return f"Something is missing that no effect of the library names: {words}."
     return f"Something is missing: {' and '.join(effect_words(one, repair.model) for one in repair.effects)}."

@@ -8,7 +8,8 @@ from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.discrepancy.repaired import Member, NextExperiment
-from casadi_engine.discrepancy.summary import headline, in_unit, next_step, noise_of_chi2, port_cure, twins
+from casadi_engine.discrepancy.summary import headline, next_step, noise_of_chi2
+from casadi_engine.discrepancy.wording import in_unit, port_cure, twins
 
 
 def tank_model(port=True):
@@ -143,7 +144,7 @@ def test_a_model_without_ports_is_told_so_at_the_top(blind):
         'missing = b.port("at_h", "inertia", {"speed": h}), added to what acts in b.ode("h", ...)'
         in joined(blind)
     )
-    assert next_step(blind).startswith("give the model a port as said above")
+    assert next_step(blind).startswith("give the model its ports as said above")
     assert blind.effects == ()
 
 
