@@ -124,7 +124,7 @@ class ViscousFriction(Effect):
     attaches = ("inertia", "coupling")
     kin = ("quadratic_drag", "coulomb_friction")
     sentence = "viscous friction at {port}, a {effort} proportional to {motion}"
-    neutral = "a leak at {port} proportional to {motion}"
+    neutral = "a loss at {port} proportional to {motion}"
     amplitude = Amplitude("coefficient", unit="N m s/rad", min=0)
 
     def law(self, port: Any, p: Any, math: Any) -> Any:

@@ -96,3 +96,13 @@ def test_links_of_what_turns_and_pipes_of_the_rest():
 
     assert (both("m3/s").kind, both("m3/s").in_its_unit("N m s/rad")) == ("pipe", "m2/s")
     assert both("m/s2").kind == "link"
+
+
+def test_a_drive_that_an_effect_adds_has_the_unit_of_its_port():
+    b = ce.Blueprint("room")
+    temperature = b.state("T", unit="K")
+    b.ode("T", b.port("room", "inertia", {"speed": temperature}) / b.parameter("C", 2e5, unit="J/K"))
+    b.output("T_room", temperature, unit="K")
+    made = b.model().with_effect(ce.effects.LoadStep(), at="room")
+    assert [(drive.name, drive.unit) for drive in made.drives] == [("T_room_load_step", "W")]
+    assert made.parameters()["room.load_step.torque"].unit == "W"
