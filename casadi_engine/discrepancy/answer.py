@@ -18,7 +18,7 @@ from casadi_engine.discrepancy.certificate import (
     score_rows,
     unknown_of,
 )
-from casadi_engine.discrepancy.choice import Choice
+from casadi_engine.discrepancy.choice import TIME_UP, Choice
 from casadi_engine.discrepancy.confirmation import PairedGain
 from casadi_engine.discrepancy.fresh import (
     Portions,
@@ -37,11 +37,6 @@ from casadi_engine.discrepancy.vanishing import may_vanish
 _MAY_HIDE = (
     "what the noise is taken to be is coloured: an effect that the library lacks may hide in it; a level of the noise "
     "that is stated, ce.Noise(...), or colour=False has it judged"
-)
-_BLIND = (
-    "no physical effect could be looked for: the model has no port at which one can act; fixed parameters and errors "
-    "of sensors alone were tested; declare ports where the model is written (Blueprint.port), or ask for errors of "
-    'sensors by name, effects=["sensor_offset", "sensor_delay"]'
 )
 # Independent samples that a coloured residual has to be worth to be called noise.
 _SWINGS = 6.0
@@ -69,9 +64,8 @@ class Answer:
         proof = self._timed("confirm", choice.run)
         last = proof.kept[-1]
         found, withdrawn = self._timed("certificate", lambda: _effects(proof))
-        unknown = self._timed("leftover", lambda: _unknown(last, null, found, withdrawn))
-        if null.screened.request.blind:
-            self.messages.append(_BLIND)
+        cut = TIME_UP in self.search.failed.values()
+        unknown = self._timed("leftover", lambda: _unknown(last, null, found, withdrawn, cut=cut))
         if null.screened.request.blind and not found:
             way = self.search.way(self.search.best)
             if way is not None and len(way) > 1:
@@ -98,6 +92,7 @@ class Answer:
             data=self.portion.data,
             fresh=self.portion.fresh,
             options=self.options,
+            blind=null.screened.request.blind,
         )
         return self._finished(blank, null, last, proof)
 
@@ -152,7 +147,7 @@ class Answer:
         )
 
     def _latent(self, null: Station, last: Station) -> tuple[LatentTorque, ...]:
-        self.tell("where: a torque of unknown course at every port")
+        self.tell("where: what acts at each port, of unknown course")
         return tuple(latent_torques(null.screened.null, _noise_of_place(last)))
 
     def _say(self, null: Station, last: Station, proof: Confirmation) -> None:
@@ -191,7 +186,7 @@ class Answer:
 def _without_answer(search: Choice) -> list[str]:
     """What to say of effects that were looked for in vain: nothing excludes them."""
     chosen = {f"{one.candidate.effect} at {one.candidate.port}" for one in search.pool[search.best].effects}
-    failed = {name: why for name, why in search.failed.items() if name not in chosen}
+    failed = {name: why for name, why in search.failed.items() if name not in chosen and why != TIME_UP}
     found = []
     for why in dict.fromkeys(failed.values()):
         names = [name for name, own in failed.items() if own == why]
@@ -252,10 +247,15 @@ def _too_small(found: Sequence[FoundEffect]) -> Unknown:
 
 
 def _unknown(
-    last: Station, null: Station, found: Sequence[FoundEffect], withdrawn: Sequence[FoundEffect]
+    last: Station,
+    null: Station,
+    found: Sequence[FoundEffect],
+    withdrawn: Sequence[FoundEffect],
+    *,
+    cut: bool = False,
 ) -> Unknown | None:
-    """What is missing beside the effects found."""
-    unknown = unknown_of(last.screened.leftover)
+    """What is missing beside the effects found; cut : the search ended before all were refitted."""
+    unknown = unknown_of(last.screened)
     if unknown is not None or found:
         return unknown
     if withdrawn:
@@ -266,6 +266,7 @@ def _unknown(
         best = screened.significant[0]
         label = screened.candidates[best].label
         words = f"{label} scores beyond chance, but no refit with it is better than none"
+        words = f"{label} scores beyond chance; the search ended before refits could tell" if cut else words
         return Unknown(words, {label: screened.pooled(best)})
     return _no_noise(null)
 

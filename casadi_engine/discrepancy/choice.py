@@ -42,6 +42,8 @@ _NOTHING = 1.0
 # Effects that are refitted first in a linear model; others if one step takes away all but this share of what the best
 # one does.
 _FIRST, _PART = 6, 0.3
+# Why a refit was not tried.
+TIME_UP = "the time was up"
 
 
 @dataclass
@@ -77,7 +79,7 @@ class Choice:
                 break
             if self._late():
                 beside = f" beside {here.label}" if here.effects else ""
-                self.failed[f"any effect{beside}"] = "the time was up"
+                self.failed[f"any effect{beside}"] = TIME_UP
                 break
             made = self._round(here, station)
             if made is None:
@@ -97,7 +99,12 @@ class Choice:
     @property
     def pool(self) -> dict[Key, Tried]:
         """Every structure that was refitted."""
-        return self.refits.pool
+        return self.refits.pool if self._stations else {}
+
+    @property
+    def scored(self) -> bool:
+        """True once the model without effects is scored: from then on there is an answer."""
+        return frozenset() in self.pool
 
     @property
     def null(self) -> Station:
@@ -175,11 +182,12 @@ class Choice:
         own = self._own_step(here, screened)
         todo, done = (order[:_FIRST] if self.refits.path.linear else order), list[tuple[str, str]]()
         while todo and not self._late():
+            many = len(done) + len(todo)
             for key in todo:
                 if self._late():
-                    self.failed[f"{key[0]} at {key[1]}"] = "the time was up"
+                    self.failed[f"{key[0]} at {key[1]}"] = TIME_UP
                     continue
-                self.tell(f"refit {len(done) + 1} of {len(order)}: {key[0]} at {key[1]}")
+                self.tell(f"refit {len(done) + 1} of {many}: {key[0]} at {key[1]}")
                 self._from_all_sides(here, screened, families[key], at_here, own)
                 done.append(key)
             rest = [key for key in order if key not in done]
@@ -231,7 +239,7 @@ class Choice:
             self._try(here, small, Start(here.arrived.values, here.arrived.initial))
             known = self.pool.get(self._key(here, key))
         if known is None or known.arrived.cost > here.arrived.cost + _NESTED:
-            self.failed[f"{key[0]} at {key[1]}"] = "no refit of it arrives"
+            self.failed[f"{key[0]} at {key[1]}"] = TIME_UP if self._late() else "no refit of it arrives"
 
     def _rival(self, least: float, none: float, screened: Screened) -> float:
         """Chi-squared by one step up to which an effect may well be a rival of one with chi-squared ``least``."""
@@ -390,6 +398,12 @@ class Choice:
             members = class_of(self.pool, key, own[-1], FACTOR)
             found.append(reached(found[-1], station, own, members))
         return found
+
+    def stop(self) -> None:
+        """Go on as if the time were up."""
+        self.budget = -math.inf
+        if hasattr(self, "path"):
+            self.path.stop()
 
     def _late(self) -> bool:
         return time.perf_counter() - self._begun > self.budget

@@ -206,7 +206,8 @@ def judge(before: Sequence[NullModel], after: Sequence[NullModel], noise: NoiseM
         return Judgement(gain, None, why=gain.why)
     if gain.confirmed:
         return Judgement(gain, True)
-    size = f"{gain.mean:.3g} ± {gain.se:.2g} per cycle"
+    part = "cycle" if any(v.name == "theta" for v in before[0].model.inputs) else "piece"
+    size = f"{gain.mean:.3g} ± {gain.se:.2g} per {part}"
     if gain.refused:
         return Judgement(gain, False, True, f"fresh data refuse it: the gap grows, the gain is {size}")
     return Judgement(

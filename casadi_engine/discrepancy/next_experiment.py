@@ -14,6 +14,7 @@ from casadi_engine.discrepancy.compression import compress
 from casadi_engine.discrepancy.library_candidates import direction_of
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import null_at
+from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.repaired import Member, NextExperiment
 from casadi_engine.discrepancy.score import Scores, score, separation
 from casadi_engine.discrepancy.station import Station
@@ -22,9 +23,10 @@ from casadi_engine.experiment import Channel, Experiment
 from casadi_engine.model import Model
 from casadi_engine.model.arrival import channel_unit
 from casadi_engine.model.declarations import Variable
+from casadi_engine.model.port_units import MECHANICAL, quantity
 
-# Right in 95 % of records.
-_WANTED = 3.3
+# Right in 95 % of records; variation of an input, as a share of its largest value, that shows that it may be varied.
+_WANTED, _VARIED = 3.3, 0.05
 
 
 def next_experiment(before: Station, after: Station) -> NextExperiment | None:
@@ -92,16 +94,33 @@ def _proposals(station: Station) -> list[tuple[str, Model, tuple[Experiment, ...
     for port in model.ports:
         speed = port.signals.get("speed")
         if port.kind == "inertia" and speed is not None and str(speed) not in shown:
-            found.append((f"measure the speed of {port.name} too", _with_sensor(model, port.name), data))
+            what = f"the speed of {port.name}" if port.is_mechanical else port.called("speed")
+            words = f"measure {what} too (with noise like that of {model.outputs[0].name})"
+            found.append((words, _with_sensor(model, port.name), data))
     for variable in model.inputs:
-        if variable.unit != "N m" or any(variable.name not in record for record in data):
-            continue
-        for words, shape in (("steps by half", _half), ("swings by half", _swing), ("reverses", _reverse)):
+        for words, shape in _shapes(model, variable, data):
             own = tuple(_changed(record, variable.name, shape) for record in data)
-            found.append((f"measure while {variable.name} {words} of its value during the record"
-                          if shape is not _reverse else f"measure while {variable.name} reverses during the record",
-                          model, (*data, *own)))  # fmt: skip
+            change = f"measure while {variable.name} {words} during the record"
+            found.append((change, model, (*data, *own)))
     return found
+
+
+def _shapes(model: Model, variable: Variable, data: Sequence[Experiment]) -> list[tuple[str, Any]]:
+    """How an input may be changed: not what a machine's own motion makes (crank angle, cylinder pressures), and nothing
+    that the records hold nearly constant, such as a temperature outside; reversed only what acts both ways."""
+    cylinders = [port for port in model.ports if port.kind == "cylinder"]
+    made = {
+        s.name() for port in cylinders for s in ca.symvar(ca.vertcat(ca.SX(0, 1), *port.signals.values()))
+    }
+    if variable.name == "theta" or variable.name in made or any(variable.name not in one for one in data):
+        return []
+    acts = quantity(variable.unit) in MECHANICAL
+    values = [record[variable.name].values for record in data]
+    if not acts and any(np.std(own) <= _VARIED * np.abs(own).max() for own in values):
+        return []
+    shapes = [("steps to half of its value", _half), ("swings by half of its value", _swing)]
+    both = acts or all(own.min() < 0 < own.max() for own in values)
+    return [*shapes, ("reverses", _reverse)] if both else shapes
 
 
 def _half(share: Any) -> Any:
@@ -130,7 +149,10 @@ def _with_sensor(model: Model, port: str) -> Model:
     speed = model.ports[port].signals["speed"]
     return replace(
         model,
-        outputs=(*model.outputs, Variable(name, "rad/s", scale=like.scale)),
+        outputs=(
+            *model.outputs,
+            Variable(name, model.ports[port].units.get("speed", "rad/s"), scale=like.scale),
+        ),
         output_expressions=ca.vertcat(model.output_expressions, speed),
     )
 
@@ -164,5 +186,5 @@ def _scores(
             direction = direction_of(candidate_of(model, made.effect, one.port, made.values, size=made.size))
             moved.append(replace(one, direction=direction))
         return score(compress(null, moved, NoiseModel(sigma)))
-    except FloatingPointError:
+    except FAILURES:
         return None

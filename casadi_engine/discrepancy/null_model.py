@@ -162,7 +162,7 @@ def refuse_jumps(model: Model) -> None:
         f"{'a whole number' if switch.kind == 'integer' else 0}",
         allowed="equations that jump at instants in time at most",
         cure="round the jump: tanh(v/width) for sign(v), 0.5*(1 + tanh(v/width)) for v > 0; friction of the library, "
-        'model.with_effect("coulomb_friction", at=port), is rounded by itself',
+        "model.with_effect(ce.effects.CoulombFriction(), at=port), is rounded by itself",
     )
 
 

@@ -68,6 +68,12 @@ class Path:
         self._made: dict[tuple[Any, ...], tuple[Model, Parameters, RefitProblem]] = {}
         self._kept: list[Addition] = []
 
+    def stop(self) -> None:
+        """End all refits, the one that runs too."""
+        self.deadline = -math.inf
+        for _, _, problem in self._made.values():
+            problem.deadline = self.deadline
+
     def from_point(self, effects: Sequence[Addition], start: Start | Arrived | None) -> Arrived | None:
         """The end of a refit from a point, None for the parameters' own values; None where the model fails."""
         return self._ended(effects, start, (None,))

@@ -19,7 +19,8 @@ class ConstantTorque(Effect):
     name = "constant_torque"
     attaches = ("inertia",)
     kin = ("coulomb_friction", "load_step")
-    sentence = "a constant torque on {port}"
+    sentence = "a constant {effort} on {port}"
+    neutral = "a constant {effort} into {port}"
     amplitude = Amplitude("torque", unit="N m")
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
@@ -40,6 +41,7 @@ class LoadStep(Effect):
     attaches = ("inertia",)
     kin = ("constant_torque", "misfire")
     sentence = "a load at {port} that comes or goes during the record"
+    neutral = "a {effort} out of {port} that begins or ends during the record"
     amplitude = Amplitude("torque", unit="N m")
     nuisance = {"time": Grid(0.02, 0.98, steps=49, unit="s", over="time")}  # noqa: RUF012 (read only)
 
@@ -71,6 +73,7 @@ class Impulse(Effect):
     attaches = ("inertia",)
     kin = ("load_step",)
     sentence = "a blow on {port}"
+    neutral = "a short pulse of {effort} into {port}"
     amplitude = Amplitude("impulse", unit="N m s")
     nuisance = {"time": Grid(0.02, 0.98, steps=97, unit="s", over="time")}  # noqa: RUF012 (read only)
 

@@ -337,7 +337,7 @@ def _declarations(
             amplitude.min,
             amplitude.max,
             True,
-            amplitude.description or effect.describe(view.name),
+            amplitude.description or _words(effect, port),
         )
     ]
     for name, grid in effect.nuisance.items():
@@ -357,6 +357,10 @@ def _declarations(
                 )
             )
     return tuple(made)
+
+
+def _words(effect: Any, port: Port) -> str:
+    return effect.worded(port) if isinstance(effect, Effect) else f"{effect.name} at {port.name}"
 
 
 def _uses(symbol: Any, value: Any, states: Iterable[OwnState]) -> bool:

@@ -8,6 +8,7 @@ import pytest
 import casadi_engine as ce
 from casadi_engine.discrepancy import answer as module
 from casadi_engine.discrepancy import fresh_choice
+from casadi_engine.discrepancy.choice import TIME_UP
 from casadi_engine.discrepancy.fresh import Judgement
 from casadi_engine.discrepancy.fresh_choice import FreshChoice
 from casadi_engine.effects import Amplitude, Effect
@@ -50,7 +51,7 @@ def test_an_effect_that_fresh_data_refuse_is_withdrawn(repaired):
     assert found.effects == ()
     assert found.confirmed is None
     assert [one.key for one in found.withdrawn] == ["pivot.coulomb_friction"]
-    assert found.unknown.sentence == "an unknown torque at pivot that depends on its speed"
+    assert found.unknown.sentence == "an unknown angular acceleration at pivot that depends on its speed"
     assert any("fresh data refuse it: the gap grows, the gain is -" in text for text in found.messages)
     assert found.fit is found.null_fit
 
@@ -178,8 +179,9 @@ def test_a_coloured_residual_of_few_swings_is_not_called_noise(turns, said):
 
 def test_what_was_not_tried_is_told_but_not_of_what_was_chosen():
     chosen = stub(candidate=stub(effect="drag", port="load"))
-    failed = {"drag at load": "no refit of it arrives", "play at belt": "the time was up"}
+    failed = {"drag at load": "no refit of it arrives", "play at belt": "no refit of it arrives"}
+    failed["step at belt"] = TIME_UP  # said at the top
     search = stub(failed=failed, best="best", pool={"best": stub(effects=(chosen,))})
     assert module._without_answer(search) == [
-        "no answer for play at belt: the time was up; nothing excludes what was not tried"
+        "no answer for play at belt: no refit of it arrives; nothing excludes what was not tried"
     ]
