@@ -182,14 +182,17 @@ def _scores(
             if out.name not in record:
                 like = record[model.outputs[0].name]
                 blank = Channel(
-                    out.name, channel_unit(out, record), time=like.time, values=np.zeros(len(like.time))
+                    out.name,
+                    channel_unit(out, record),
+                    time=first_output.time,
+                    values=np.zeros(len(like.time)),
                 )
                 record = record.with_channel(blank)
         full.append(record)
     if any("@" in name for name in fit.free) and len(data) > len(fit.data):
         return None
-    like = model.outputs[0]
-    share = noise.sigma.get(like.name, next(iter(noise.sigma.values()))) / _size(
+    first_output = model.outputs[0]
+    share = noise.sigma.get(first_output.name, next(iter(noise.sigma.values()))) / _size(
         model, model.output_expressions[0]
     )
     shown = zip(model.outputs, ca.vertsplit(model.output_expressions), strict=True)
