@@ -184,7 +184,7 @@ def _scores(
                 blank = Channel(
                     out.name,
                     channel_unit(out, record),
-                    time=first_output.time,
+                    time=like.time,
                     values=np.zeros(len(like.time)),
                 )
                 record = record.with_channel(blank)

@@ -76,3 +76,17 @@ def test_a_state_that_no_sensor_shows_is_measured_at_its_own_size():
     (model, _), *others = proposed(b.model(), seen=0 * T).values()
     assert others == []
     assert (model.outputs[-1].name, model.outputs[-1].scale) == ("next_lynxes", 20)
+
+
+def test_the_speed_of_a_pendulum_helps_to_tell_dry_friction_from_what_fades(pendulum):
+    record = pendulum.decay(lambda t, angle, rate: -0.6 * np.tanh(rate / 0.02), samples=300)
+    found = ce.repair(
+        pendulum.model, record, effects=["coulomb_friction", "stribeck_friction"], noise=ce.Noise(y=pendulum.level),
+        starts=1, progress=False,
+    )  # fmt: skip
+    assert found.verdict == "class"
+    assert found.next_experiment.change.startswith(
+        "measure the speed of pivot too (with noise in proportion to"
+    )
+    assert found.next_experiment.expected_separation > found.next_experiment.separation_now
+    assert found.next_experiment.change in " ".join(str(found).split())
