@@ -17,7 +17,7 @@ _WIDTH = 100
 
 
 class Progress:
-    """Tells each step as it begins; a refit with the time that the others of its kind may take, by the mean of those done.
+    """Tells each step as it begins; a refit with the time that those to come may take, by the mean of those done.
 
     show : takes the text; clock : seconds
     """
