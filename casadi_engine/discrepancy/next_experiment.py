@@ -20,6 +20,7 @@ from casadi_engine.discrepancy.score import Scores, score, separation
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.effects import candidate as candidate_of
 from casadi_engine.experiment import Channel, Experiment
+from casadi_engine.experiment.units import NOT_STATED
 from casadi_engine.model import Model
 from casadi_engine.model.arrival import channel_unit
 from casadi_engine.model.declarations import Variable
@@ -90,19 +91,29 @@ def _proposals(station: Station) -> list[tuple[str, Model, tuple[Experiment, ...
     """Changes that a user can make: what to do, the model with its sensors, the records."""
     model, data = station.fit.model, station.fit.data
     found: list[tuple[str, Model, tuple[Experiment, ...]]] = []
-    shown = [str(e) for e in ca.vertsplit(model.output_expressions)]
-    for port in model.ports:
-        speed = port.signals.get("speed")
-        if port.kind == "inertia" and speed is not None and str(speed) not in shown:
-            what = f"the speed of {port.name}" if port.is_mechanical else port.called("speed")
-            words = f"measure {what} too (with noise like that of {model.outputs[0].name})"
-            found.append((words, _with_sensor(model, port.name), data))
+    beside = f"(with noise in proportion to that of {model.outputs[0].name})"
+    for name, what, signal, unit in _sensors(model):
+        found.append((f"measure {what} too {beside}", _with_sensor(model, name, signal, unit), data))
     for variable in model.inputs:
         for words, shape in _shapes(model, variable, data):
             own = tuple(_changed(record, variable.name, shape) for record in data)
             change = f"measure while {variable.name} {words} during the record"
             found.append((change, model, (*data, *own)))
     return found
+
+
+def _sensors(model: Model) -> list[tuple[str, str, Any, str]]:
+    """What no sensor shows: speeds of ports and other states, each with its name, words, signal and unit."""
+    shown = {str(e) for e in ca.vertsplit(model.output_expressions)}
+    found = []
+    for port in model.ports:
+        speed = port.signals.get("speed")
+        if port.kind == "inertia" and speed is not None and str(speed) not in shown:
+            what = f"the speed of {port.name}" if port.is_mechanical else port.called("speed")
+            found.append((port.name, what, speed, port.units.get("speed", NOT_STATED)))
+            shown.add(str(speed))
+    states = zip(model.states, ca.vertsplit(model.x), strict=True)
+    return found + [(s.name, s.name, x, s.unit) for s, x in states if str(x) not in shown]
 
 
 def _shapes(model: Model, variable: Variable, data: Sequence[Experiment]) -> list[tuple[str, Any]]:
@@ -143,18 +154,18 @@ def _changed(record: Experiment, name: str, shape: Any) -> Experiment:
     return record.with_channel(made).renamed(f"{record.name}_next")
 
 
-def _with_sensor(model: Model, port: str) -> Model:
-    name = f"next_{port}"
-    like = model.outputs[0]
-    speed = model.ports[port].signals["speed"]
+def _with_sensor(model: Model, name: str, signal: Any, unit: str) -> Model:
     return replace(
         model,
-        outputs=(
-            *model.outputs,
-            Variable(name, model.ports[port].units.get("speed", "rad/s"), scale=like.scale),
-        ),
-        output_expressions=ca.vertcat(model.output_expressions, speed),
+        outputs=(*model.outputs, Variable(f"next_{name}", unit, scale=_size(model, signal))),
+        output_expressions=ca.vertcat(model.output_expressions, signal),
     )
+
+
+def _size(model: Model, signal: Any) -> float:
+    """The largest declared scale of the states that a signal is made of, 1 for none."""
+    states = zip(model.states, ca.vertsplit(model.x), strict=True)
+    return max((state.scale for state, x in states if ca.depends_on(signal, x)), default=1.0)
 
 
 def _scores(
@@ -171,13 +182,21 @@ def _scores(
             if out.name not in record:
                 like = record[model.outputs[0].name]
                 blank = Channel(
-                    out.name, channel_unit(out, record), time=like.time, values=np.zeros(len(like.time))
+                    out.name,
+                    channel_unit(out, record),
+                    time=like.time,
+                    values=np.zeros(len(like.time)),
                 )
                 record = record.with_channel(blank)
         full.append(record)
     if any("@" in name for name in fit.free) and len(data) > len(fit.data):
         return None
-    sigma = {out.name: noise.sigma.get(out.name, next(iter(noise.sigma.values()))) for out in model.outputs}
+    first_output = model.outputs[0]
+    share = noise.sigma.get(first_output.name, next(iter(noise.sigma.values()))) / _size(
+        model, model.output_expressions[0]
+    )
+    shown = zip(model.outputs, ca.vertsplit(model.output_expressions), strict=True)
+    sigma = {out.name: noise.sigma.get(out.name, share * _size(model, y)) for out, y in shown}
     try:
         null = null_at(model, full, fit.parameters, fit.z, first)
         moved = []

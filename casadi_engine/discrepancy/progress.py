@@ -17,7 +17,7 @@ _WIDTH = 100
 
 
 class Progress:
-    """Tells each step as it begins; a refit with the time that its round takes at most, from the mean of those done.
+    """Tells each step as it begins; a refit with the time that those to come may take, by the mean of those done.
 
     show : takes the text; clock : seconds
     """
@@ -25,7 +25,7 @@ class Progress:
     def __init__(self, show: Callable[[str], Any], *, clock: Callable[[], float] = time.perf_counter) -> None:
         self.show, self.clock = show, clock
         self.stopping = False
-        self._begun, self._first = 0.0, 1
+        self._begun = 0.0
 
     def __call__(self, text: str) -> None:
         """Say what begins."""
@@ -36,7 +36,7 @@ class Progress:
                 self._begun = now
             done = number - 1
             if done >= _FEWEST:
-                text += f" (up to {duration((now - self._begun) / done * (of - done))} more for these refits)"
+                text += f" ({duration((now - self._begun) / done * (of - done))} more for these refits)"
         self.show(f"stopping, Ctrl-C again ends at once: {text}" if self.stopping else text)
 
 

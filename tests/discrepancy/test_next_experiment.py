@@ -33,11 +33,11 @@ def room():
 def test_a_room_is_heated_otherwise_and_its_wall_is_measured():
     found = proposed(room(), P=1500.0 * (T % 10 > 5), T_a=280 + np.sin(T), T_room=290 + 0 * T)
     assert list(found) == [
-        "measure T_w too (with noise like that of T_room)",
+        "measure T_w too (with noise in proportion to that of T_room)",
         "measure while P steps to half of its value during the record",
         "measure while P swings by half of its value during the record",
     ]
-    model, data = found["measure T_w too (with noise like that of T_room)"]
+    model, data = found["measure T_w too (with noise in proportion to that of T_room)"]
     assert (model.outputs[-1].unit, len(data)) == ("K", 1)
     _, data = found["measure while P steps to half of its value during the record"]
     assert [one.name for one in data] == ["run", "run_next"]
@@ -52,6 +52,7 @@ def test_an_input_is_reversed_that_acts_both_ways(volts, reversed_too):
     b.ode("u", (b.input("source", unit="V") - u) / tau)
     b.output("voltage", u, unit="V")
     found = proposed(b.model(), source=volts, voltage=0 * T)
+    assert not any("too" in change for change in found)  # all is measured
     assert ("measure while source reverses during the record" in found) == reversed_too
 
 
@@ -64,3 +65,28 @@ def test_an_engine_keeps_its_crank_angle_and_pressures():
     model = ce.two_mass(reciprocating_speed="model")
     channels = {one.name: np.sin(T) for one in (*model.inputs, *model.outputs)}
     assert {change.split()[2] for change in proposed(model, **channels) if "while" in change} == {"T_load"}
+
+
+def test_a_state_that_no_sensor_shows_is_measured_at_its_own_size():
+    b = ce.Blueprint("prey", time_unit="d")
+    x, y = b.state("hares", unit="1", scale=40), b.state("lynxes", unit="1", scale=20)
+    b.ode("hares", b.port("field", "inertia", {"speed": x}) - x * y)
+    b.ode("lynxes", x * y - y)
+    b.output("seen", x, unit="1", scale=40)
+    (model, _), *others = proposed(b.model(), seen=0 * T).values()
+    assert others == []
+    assert (model.outputs[-1].name, model.outputs[-1].scale) == ("next_lynxes", 20)
+
+
+def test_the_speed_of_a_pendulum_helps_to_tell_dry_friction_from_what_fades(pendulum):
+    record = pendulum.decay(lambda t, angle, rate: -0.6 * np.tanh(rate / 0.02), samples=300)
+    found = ce.repair(
+        pendulum.model, record, effects=["coulomb_friction", "stribeck_friction"], noise=ce.Noise(y=pendulum.level),
+        starts=1, progress=False,
+    )  # fmt: skip
+    assert found.verdict == "class"
+    assert found.next_experiment.change.startswith(
+        "measure the speed of pivot too (with noise in proportion to"
+    )
+    assert found.next_experiment.expected_separation > found.next_experiment.separation_now
+    assert found.next_experiment.change in " ".join(str(found).split())

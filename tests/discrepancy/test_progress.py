@@ -26,18 +26,18 @@ def test_no_time_is_told_before_a_few_refits_are_over():
     texts = ["scores", *(f"refit {k} of 8: e{k} at p" for k in range(1, 9)), "fit with e3 at p"]
     said = told(texts)
     assert said[:4] == texts[:4]
-    assert said[4] == "refit 4 of 8: e4 at p (up to about 10 s more for these refits)"
-    assert said[7].endswith("(up to about 4 s more for these refits)")
+    assert said[4] == "refit 4 of 8: e4 at p (about 10 s more for these refits)"
+    assert said[7].endswith("(about 4 s more for these refits)")
     assert said[-1] == texts[-1]
 
 
 def test_each_round_counts_its_own_refits():
     first = [f"refit {k} of 4: a" for k in range(1, 5)]
     said = told([*first, "scores", *(f"refit {k} of 5: b" for k in range(1, 6))], step=60.0)
-    assert said[3].endswith("(up to about 60 s more for these refits)")
+    assert said[3].endswith("(about 60 s more for these refits)")
     assert [text for text in said[5:] if "more" in text] == [
-        "refit 4 of 5: b (up to about 2 min more for these refits)",
-        "refit 5 of 5: b (up to about 60 s more for these refits)",
+        "refit 4 of 5: b (about 2 min more for these refits)",
+        "refit 5 of 5: b (about 60 s more for these refits)",
     ]
 
 

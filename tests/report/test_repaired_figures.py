@@ -300,3 +300,13 @@ def test_a_course_that_hardly_spreads_has_errors_that_are_numbers():
     spread = np.array([1.0, 2.0, 3.0, 6.0])
     _, _, error = repaired_latent.binned(np.zeros(4), spread, np.zeros(4))
     assert error == pytest.approx([spread.std() / 2])
+
+
+def test_long_names_are_cut_at_their_end_beside_other_panels(nothing_missing):
+    row = replace(nothing_missing.scores[0], effect="asymmetric_friction", at="a_port_of_a_long_name")
+    changed = replace(nothing_missing, scores=(row,))
+    beside, own = ce.plot(changed), ce.plot(changed, what="scores")
+    for figure in (beside, own):
+        figure.canvas.draw()
+    assert "asymmetric_friction at …" in texts(beside)
+    assert "asymmetric_friction at a_port_of_a_long_name" in texts(own)
