@@ -184,7 +184,7 @@ class _Job:
         null_fit, pars = settle_scatter(null_fit, self.parameters, noise=self.noise, options=options)
         self.null_fit = null_fit
         self.timing["null fit"] = time.perf_counter() - self.begun
-        if not null_fit.converged:
+        if null_fit.status == "interrupted" or not math.isfinite(null_fit.cost):
             return _no_answer(null_fit, self.portion, alpha, self.asked, self.timing, self.begun)
         lower = at_lower_rate(null_fit, pars, self.portion, self.noise, options)
         searched, own_noise = (self.portion, self.noise) if lower is None else (lower.portion, lower.noise)
@@ -194,7 +194,13 @@ class _Job:
             search.stop()
         self._searched(search, null_fit if lower is None else lower.fit)
         self.timing |= search.timing
+        if not null_fit.converged and not search.best:
+            return _no_answer(null_fit, self.portion, alpha, self.asked, self.timing, self.begun)
         told = remarks(search.chosen.fit, scatter)
+        if not null_fit.converged:  # a wrong model may have a valley without end; the right one has none
+            told.append(
+                f"the fit without effects has {null_fit.status}; effects were looked for from where it ended"
+            )
         made = Answer(search, searched, alpha, self.asked, self.timing, self.begun, self.tell, told).made()
         if lower is not None:
             self.tell("fits of the whole data")
