@@ -22,7 +22,7 @@ from casadi_engine.discrepancy.membership import class_of, ordered, reached
 from casadi_engine.discrepancy.null_model import null_at
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.refit import Addition, Refitter, addition
-from casadi_engine.discrepancy.refits import FACTOR, Key, Refits, Tried, key_of
+from casadi_engine.discrepancy.refits import FACTOR, PART, Key, Refits, Tried, key_of
 from casadi_engine.discrepancy.repaired import Round
 from casadi_engine.discrepancy.score import score
 from casadi_engine.discrepancy.screening import Screened, coloured
@@ -39,9 +39,9 @@ _EXCHANGED, _AGAIN = 6, 3
 _NESTED, _SMALL = 1.0, 0.02
 # Log likelihood that a further effect has to promise to be refitted.
 _NOTHING = 1.0
-# Effects that are refitted first in a linear model; others if one step takes away all but this share of what the best
-# one does.
-_FIRST, _PART = 6, 0.3
+# Effects that are refitted first in a linear model; of others those that by one step take away all but ``PART`` of what
+# the best one does.
+_FIRST = 6
 # Why a refit was not tried.
 TIME_UP = "the time was up"
 
@@ -248,7 +248,7 @@ class Choice:
             * math.log(FACTOR * len(screened.candidates))
             * max(self.refits.levels.memory.values(), default=1.0)
         )
-        return least + _PART * max(none - least, 0.0) + chance
+        return least + PART * max(none - least, 0.0) + chance
 
     def _around(self, here: Tried, screened: Screened, families: dict[tuple[str, str], list[int]]) -> None:
         """Refits from the parameters of the most probable one, in its place; again where that finds a better one."""

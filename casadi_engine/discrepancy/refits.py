@@ -23,9 +23,10 @@ from casadi_engine.estimation import Fit
 
 # A structure is excluded where another one is so many times more probable.
 FACTOR = 20.0
-# Share of chi-squared that refits may still gain at lower levels; levels that fall by this share are new ones, at which
-# refits go on.
-_PART, _RELEVELLED = 0.3, 0.7
+# Share of what the best effect takes from chi-squared that another may still gain in further steps.
+PART = 0.3
+# Levels that fall by this share are new ones, at which refits go on.
+_RELEVELLED = 0.7
 
 Key = frozenset[tuple[str, str]]
 
@@ -174,7 +175,7 @@ class Refits:
         plain = Levels(levels, {}, self.levels.scatter)
         for one in self.pool.values():  # costs compare at the same levels alone
             one.arrived = replace(one.arrived, cost=evidence(one.digest, plain).cost)
-        near = best.log - 0.5 * _PART * max(self.pool[frozenset()].evidence.cost - best.evidence.cost, 0.0)
+        near = best.log - 0.5 * PART * max(self.pool[frozenset()].evidence.cost - best.evidence.cost, 0.0)
         for one in sorted(tried, key=lambda one: -one.log):
             if not self._late() and one.log > near - math.log(FACTOR * len(tried)):
                 self._tell(f"go on with {one.label}")
