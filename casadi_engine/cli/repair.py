@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
@@ -53,7 +51,6 @@ Check = Annotated[bool, typer.Option("--check", help="End with exit code 1 if so
 
 # A wrong optimum of the model without effects looks like missing physics: so many starts at least.
 STARTS = 4
-_WIDTH = 24
 
 
 def repair(
@@ -95,6 +92,8 @@ def _work(job: Job) -> int:
     if found.verdict is None:
         complain("repair", f"no answer: {found.status}; what there is lies in {job.folder}")
         return INTERRUPTED if found.status == "interrupted" else NO_ANSWER
+    if found.stopped == "the user":
+        return INTERRUPTED
     missing = found.verdict != "nothing missing"
     return NEGATIVE if job.options.extra["check"] and missing else ANSWERED
 
@@ -105,7 +104,6 @@ def _found(job: Job) -> Any:
     problem = job.problem
     records = fitting(job, problem.load_records())
     fresh = fitting(job, problem.load_validation())
-    bar = Progress()
     try:
         return discrepancy.repair(
             problem.model,
@@ -124,43 +122,7 @@ def _found(job: Job) -> Any:
             interval=problem.interval,
             initial=problem.initial_of(records),
             method=problem.method,
-            progress=bar.tell,
         )
     except NotConvergedError as error:
         nothing_found(job, records, problem.parameters, error)
         raise
-    finally:
-        bar.done()
-
-
-class Progress:
-    """One line on a terminal that says what is being done; nothing where standard error is not one.
-
-    write : takes the text; width : columns of the line
-    """
-
-    def __init__(self, write: Callable[[str], Any] | None = None, *, width: int = 100) -> None:
-        terminal = sys.stderr.isatty()
-        self.write = write if write is not None else _to_terminal if terminal else None
-        self.width = width
-        self.steps = 0
-
-    def tell(self, text: str) -> None:
-        """Show the step that begins."""
-        self.steps += 1
-        if self.write is None:
-            return
-        # How many steps there are hangs on what is found: the bar fills by a share of what is left.
-        full = round(_WIDTH * (1 - 0.85**self.steps))
-        line = f"[{'#' * full}{'.' * (_WIDTH - full)}] {text}"
-        self.write("\r" + line[: self.width].ljust(self.width))
-
-    def done(self) -> None:
-        """Take the line away."""
-        if self.write is not None and self.steps:
-            self.write("\r" + " " * self.width + "\r")
-
-
-def _to_terminal(text: str) -> None:
-    sys.stderr.write(text)
-    sys.stderr.flush()

@@ -18,52 +18,28 @@ from casadi_engine.discrepancy.certificate import (
     score_rows,
     unknown_of,
 )
-from casadi_engine.discrepancy.choice import Choice
+from casadi_engine.discrepancy.choice import TIME_UP, Choice
 from casadi_engine.discrepancy.confirmation import PairedGain
 from casadi_engine.discrepancy.fresh import (
-    Judgement,
     Portions,
-    fresh_sides,
-    gap_of,
-    judge,
     side,
 )
+from casadi_engine.discrepancy.fresh_choice import SEEN, Confirmation, FreshChoice
 from casadi_engine.discrepancy.fresh_misfit import held_to_fresh_data
 from casadi_engine.discrepancy.latent_torque import LatentTorque, latent_torques
 from casadi_engine.discrepancy.next_experiment import next_experiment
 from casadi_engine.discrepancy.noise_model import NoiseModel
-from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.repaired import FoundEffect, Gaps, NextExperiment, Repair, Unknown, Verdict
 from casadi_engine.discrepancy.selection import effective_samples
 from casadi_engine.discrepancy.station import Station
-from casadi_engine.estimation import Fit
+from casadi_engine.discrepancy.vanishing import may_vanish
 
 _MAY_HIDE = (
     "what the noise is taken to be is coloured: an effect that the library lacks may hide in it; a level of the noise "
     "that is stated, ce.Noise(...), or colour=False has it judged"
 )
-_BLIND = (
-    "no physical effect could be looked for: the model has no port at which one can act; fixed parameters and errors "
-    "of sensors alone were tested; declare ports where the model is written (Blueprint.port), or ask for errors of "
-    'sensors by name, effects=["sensor_offset", "sensor_delay"]'
-)
-_NO_RUN = "the repaired model cannot be simulated on the fresh data, which neither confirms nor refuses it"
 # Independent samples that a coloured residual has to be worth to be called noise.
 _SWINGS = 6.0
-# A change of a gap that a person would see.
-SEEN = 0.1
-Pairs = list[tuple[Fit, NullModel]]
-
-
-@dataclass(frozen=True, eq=False)
-class Confirmation:
-    """The stations that fresh data leave, the ones they refuse, what they say, and null and last model on them."""
-
-    kept: tuple[Station, ...]
-    refused: tuple[Station, ...]
-    judgement: Judgement | None
-    before: Pairs = field(default_factory=list)
-    after: Pairs = field(default_factory=list)
 
 
 @dataclass
@@ -84,12 +60,12 @@ class Answer:
         null = self.search.null
         if self.portion.why is not None:
             self.messages.append(self.portion.why)
-        proof = self._timed("confirm", self._confirmation)
+        choice = FreshChoice(self.search, self.portion, self.tell, self.messages)
+        proof = self._timed("confirm", choice.run)
         last = proof.kept[-1]
         found, withdrawn = self._timed("certificate", lambda: _effects(proof))
-        unknown = self._timed("leftover", lambda: _unknown(last, null, found, withdrawn))
-        if null.screened.request.blind:
-            self.messages.append(_BLIND)
+        cut = TIME_UP in self.search.failed.values()
+        unknown = self._timed("leftover", lambda: _unknown(last, null, found, withdrawn, cut=cut))
         if null.screened.request.blind and not found:
             way = self.search.way(self.search.best)
             if way is not None and len(way) > 1:
@@ -116,6 +92,7 @@ class Answer:
             data=self.portion.data,
             fresh=self.portion.fresh,
             options=self.options,
+            blind=null.screened.request.blind,
         )
         return self._finished(blank, null, last, proof)
 
@@ -155,84 +132,6 @@ class Answer:
         self.timing[what] = self.timing.get(what, 0.0) + time.perf_counter() - begun
         return made
 
-    # ---- fresh data
-
-    def _confirmation(self) -> Confirmation:
-        """The first structure, in order of evidence, that fresh data do not refuse."""
-        search = self.search
-        null = search.null
-        if null.screened.request.blind and not _of_parameters(search):
-            # none of these structures adds physics: what they found is told, and not claimed
-            return Confirmation((null,), (), None)
-        before = self._on_fresh(null) if self.portion.fresh else None
-        if self.portion.fresh and before is None:
-            self.messages.append("the model without effects cannot be simulated on the fresh data")
-        first: list[Station] | None = None
-        for key in search.ranked():
-            stations = search.way(key)
-            if stations is None:
-                self.messages.append(f"{search.pool[key].label}: its fit of all data does not converge")
-                continue
-            first = stations if first is None else first
-            if before is None or len(stations) == 1:
-                return self._kept(stations, first, before)
-            judged, after = self._of_structure(stations, before)
-            if not judged.refused:
-                if not judged.confirmed and judged.why:
-                    self.messages.append(judged.why)
-                return self._kept(stations, first, before, judged, after)
-            self.messages.append(f"{search.pool[key].label}: {judged.why}")
-        return self._kept([null], first or [null], before)
-
-    @staticmethod
-    def _kept(
-        stations: list[Station],
-        first: list[Station],
-        before: Pairs | None,
-        judged: Judgement | None = None,
-        after: Pairs | None = None,
-    ) -> Confirmation:
-        refused = tuple(first[1:]) if stations[-1] is not first[-1] else ()
-        if judged is None and before is not None:
-            judged = Judgement(None, None)
-        return Confirmation(tuple(stations), refused, judged, before or [], after or before or [])
-
-    def _on_fresh(self, station: Station) -> Pairs | None:
-        self.tell("fresh data")
-        noise = station.screened.noise
-        return fresh_sides(station.fit, station.effects, self.portion, noise, self.search.refitter)
-
-    def _of_structure(self, stations: list[Station], before: Pairs) -> tuple[Judgement, Pairs]:
-        """What fresh data say of a structure, against none and against its parts."""
-        last, base = stations[-1], stations[-2]
-        after = self._on_fresh(last)
-        if after is None:
-            return Judgement(
-                None, False, True, "the repaired model cannot be simulated on the fresh data"
-            ), []
-        if base.effects:
-            part = self._on_fresh(base)
-            judged = self._judged(part, after, last)
-            if judged.refused:
-                return judged, after
-        return self._judged(before, after, last), after
-
-    def _judged(self, old: Pairs | None, new: Pairs | None, here: Station) -> Judgement:
-        if not old or not new:
-            return Judgement(None, None, False, _NO_RUN)
-        event = here.effects[-1].placed and self.portion.source == "records"
-        noise = here.screened.noise
-        judged = judge([n for _, n in old], [n for _, n in new], noise)
-        if not judged.confirmed and not judged.refused and not event:
-            first, then = (_rmse(pairs, noise) for pairs in (old, new))
-            if then > (1 + SEEN) * first:
-                why = f"fresh data refuse it: the gap there grows by {100 * (then / first - 1):.0f} %"
-                judged = replace(judged, confirmed=False, refused=True, why=why)
-        if event and not judged.confirmed and not judged.refused:
-            why = "it is an event of one record, which no other record can confirm"
-            return replace(judged, confirmed=None, why=f"{here.effects[-1].label}: {why}")
-        return judged
-
     # ---- parts
 
     def _gaps(self, null: Station, last: Station, proof: Confirmation) -> Gaps:
@@ -248,11 +147,11 @@ class Answer:
         )
 
     def _latent(self, null: Station, last: Station) -> tuple[LatentTorque, ...]:
-        self.tell("where: a torque of unknown course at every port")
+        self.tell("where: what acts at each port, of unknown course")
         return tuple(latent_torques(null.screened.null, _noise_of_place(last)))
 
     def _say(self, null: Station, last: Station, proof: Confirmation) -> None:
-        self.messages += [*last.screened.choice.messages, *_without_answer(self.search)]
+        self.messages += [*last.screened.choice.messages, *_without_answer(self.search), *_elsewhere(last)]
         own = {
             record.name: {int(c) for n in record.cycle.values() for c in n}
             for record in null.screened.null.records
@@ -275,6 +174,7 @@ class Answer:
             name for name, e in last.fit.estimates.items() if e.at_bound is not False and name not in bound
         ]
         if len(proof.kept) > 1:
+            self.messages += may_vanish(last.fit)
             inside = [
                 name for one in last.effects for name in late
                 if name.partition("@")[0] == one.amplitude
@@ -283,16 +183,10 @@ class Answer:
             self.messages += _at_bounds(late, inside)
 
 
-def _of_parameters(search: Choice) -> bool:
-    """True if the chosen structure says that stated numbers are wrong, and nothing else."""
-    effects = search.pool[search.best].effects
-    return bool(effects) and all(one.kind == "parameter" for one in effects)
-
-
 def _without_answer(search: Choice) -> list[str]:
     """What to say of effects that were looked for in vain: nothing excludes them."""
     chosen = {f"{one.candidate.effect} at {one.candidate.port}" for one in search.pool[search.best].effects}
-    failed = {name: why for name, why in search.failed.items() if name not in chosen}
+    failed = {name: why for name, why in search.failed.items() if name not in chosen and why != TIME_UP}
     found = []
     for why in dict.fromkeys(failed.values()):
         names = [name for name, own in failed.items() if own == why]
@@ -300,9 +194,15 @@ def _without_answer(search: Choice) -> list[str]:
     return found
 
 
-def _rmse(pairs: Pairs, noise: NoiseModel) -> float:
-    """The gap of all outputs, in standard deviations of the noise."""
-    return math.sqrt(gap_of([null for _, null in pairs], noise).chi2_per_sample)
+def _elsewhere(last: Station) -> list[str]:
+    """In which records an event that others show does not happen: its time is not known from their ends."""
+    found = []
+    for one in (e for e in last.effects if e.times):
+        for record in last.fit.data:
+            times = [last.fit.estimates.get(f"{one.key}.{name}@{record.name}") for name in one.times]
+            if any(t is not None and t.value >= record.span[1] for t in times):
+                found.append(f"record {record.name} shows no {one.candidate.effect} at {one.candidate.port}")
+    return found
 
 
 def _at_bounds(names: Sequence[str], least: Sequence[str]) -> list[str]:
@@ -347,10 +247,15 @@ def _too_small(found: Sequence[FoundEffect]) -> Unknown:
 
 
 def _unknown(
-    last: Station, null: Station, found: Sequence[FoundEffect], withdrawn: Sequence[FoundEffect]
+    last: Station,
+    null: Station,
+    found: Sequence[FoundEffect],
+    withdrawn: Sequence[FoundEffect],
+    *,
+    cut: bool = False,
 ) -> Unknown | None:
-    """What is missing beside the effects found."""
-    unknown = unknown_of(last.screened.leftover)
+    """What is missing beside the effects found; cut : the search ended before all were refitted."""
+    unknown = unknown_of(last.screened)
     if unknown is not None or found:
         return unknown
     if withdrawn:
@@ -361,6 +266,7 @@ def _unknown(
         best = screened.significant[0]
         label = screened.candidates[best].label
         words = f"{label} scores beyond chance, but no refit with it is better than none"
+        words = f"{label} scores beyond chance; the search ended before refits could tell" if cut else words
         return Unknown(words, {label: screened.pooled(best)})
     return _no_noise(null)
 

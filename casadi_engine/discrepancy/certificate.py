@@ -26,7 +26,7 @@ from casadi_engine.discrepancy.repaired import (
     ScoreRow,
     Unknown,
 )
-from casadi_engine.discrepancy.screening import Leftover, Screened
+from casadi_engine.discrepancy.screening import Screened
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.effects import candidate as candidate_of
 from casadi_engine.estimation import Fit
@@ -117,7 +117,7 @@ def _found(stations: Sequence[Station], one: Addition, last: Station) -> FoundEf
     return FoundEffect(
         one.candidate.effect,
         one.candidate.port,
-        made.effect.describe(one.candidate.port),
+        made.effect.worded(here.fit.model.ports[one.candidate.port]),
         dict(one.candidate.nuisance),
         {name: last.fit.estimates[name] for name in keys},
         {name: float(made.values[name]) for name, grid in made.effect.nuisance.items() if grid.whole},
@@ -185,8 +185,9 @@ def place_of(null: NullModel, noise: NoiseModel, latent: Sequence[LatentTorque])
     )
 
 
-def unknown_of(leftover: Leftover) -> Unknown | None:
+def unknown_of(screened: Screened) -> Unknown | None:
     """What the tests beside the library reject, in words; None if they reject nothing."""
+    leftover = screened.leftover
     alarms = leftover.alarms
     if not alarms:
         return None
@@ -195,7 +196,10 @@ def unknown_of(leftover: Leftover) -> Unknown | None:
         first = next(iter(alarms)).split("/")
         return Unknown(f"the residual of {first[1]} in {first[0]} is not white", alarms)
     shape, like = next(iter(course.looks_like.items()))
-    words = f"an unknown torque at {family.port} that depends on its {family.signal.replace('_', ' ')}"
+    port = screened.null.model.ports[family.port]
+    words = f"an unknown {port.quantity} at {family.port} that depends on "
+    named = port.is_mechanical and family.signal != "time"
+    words += f"its {port.called(family.signal)}" if named else port.called(family.signal)
     if like > _LIKE:
         words += f" and looks {shape}"
     return Unknown(words, alarms, family.port, family.signal, leftover.family_p, course)

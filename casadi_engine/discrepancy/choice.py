@@ -16,26 +16,20 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from casadi_engine.discrepancy.assumed_pressure import settle_scatter
-from casadi_engine.discrepancy.compression import scatter_columns
-from casadi_engine.discrepancy.evidence import Digest, Evidence, Levels, digest, evidence, levels_left
-from casadi_engine.discrepancy.linear_algebra import Array
+from casadi_engine.discrepancy.events import by_one_step
 from casadi_engine.discrepancy.linearised import OneStep, one_step, without_effect
 from casadi_engine.discrepancy.membership import class_of, ordered, reached
-from casadi_engine.discrepancy.noise_choice import scatter_of
-from casadi_engine.discrepancy.null_model import NullModel, null_at
-from casadi_engine.discrepancy.path import FAILURES, Arrived, Path
-from casadi_engine.discrepancy.priors import priors_of
+from casadi_engine.discrepancy.null_model import null_at
+from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.refit import Addition, Refitter, addition
+from casadi_engine.discrepancy.refits import FACTOR, Key, Refits, Tried, key_of
 from casadi_engine.discrepancy.repaired import Round
 from casadi_engine.discrepancy.score import score
 from casadi_engine.discrepancy.screening import Screened, coloured
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.discrepancy.station import Station
-from casadi_engine.errors import EstimationError
 from casadi_engine.estimation import Fit
 
-# A structure is excluded where another one is so many times more probable.
-FACTOR = 20.0
 # An amplitude is a finding beyond so many of its standard errors.
 BEYOND = 3.0
 # Candidates that are refitted in the place of a member, the best by one step; times that a better one is looked from.
@@ -48,63 +42,13 @@ _NOTHING = 1.0
 # Effects that are refitted first in a linear model; others if one step takes away all but this share of what the best
 # one does.
 _FIRST, _PART = 6, 0.3
-# Levels that fall by this share are new ones, at which refits go on.
-_RELEVELLED = 0.7
-
-Key = frozenset[tuple[str, str]]
-
-
-@dataclass(eq=False)
-class Tried:
-    """A structure that was refitted: its effects, where that ended, and its evidence with the noise of all.
-
-    failed : its whole fit did not converge
-    """
-
-    effects: tuple[Addition, ...]
-    arrived: Arrived
-    digest: Digest
-    evidence: Evidence
-    failed: bool = False
-
-    @property
-    def key(self) -> Key:
-        """Effects and ports."""
-        return key_of(self.effects)
-
-    def newest(self, here: Tried) -> Addition:
-        """The effect that another structure lacks."""
-        return next(one for one in self.effects if one.candidate.key not in here.key)
-
-    @property
-    def label(self) -> str:
-        """The effects' labels."""
-        return " + ".join(one.label for one in self.effects) or "no effects"
-
-    @property
-    def log(self) -> float:
-        """The log evidence."""
-        return -math.inf if self.failed else self.evidence.log
-
-    @property
-    def beyond(self) -> float:
-        """The least certain amplitude in its standard errors."""
-        least, values = math.inf, self.arrived.values
-        for one in self.effects:
-            own = [n for n in values if n.partition("@")[0] == one.amplitude]
-            sizes = [abs(values[n]) / self.evidence.error.get(n, math.inf) for n in own]
-            least = min(least, max(sizes, default=math.inf))
-        return least
-
-
-def key_of(effects: Sequence[Addition]) -> Key:
-    """Effects and ports, in no order."""
-    return frozenset(one.candidate.key for one in effects)
+# Why a refit was not tried.
+TIME_UP = "the time was up"
 
 
 @dataclass
 class Choice:
-    """The rounds, and what they found; ``pool`` has every structure that was refitted."""
+    """The rounds, and what they found."""
 
     refitter: Refitter
     screen: Callable[[Fit], Screened]
@@ -114,7 +58,6 @@ class Choice:
     cylinders: object = "assumed"
     rounds: list[Round] = field(default_factory=list)
     timing: dict[str, float] = field(default_factory=dict)
-    pool: dict[Key, Tried] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
     best: Key = frozenset()
     _begun: float = field(default_factory=time.perf_counter, repr=False)
@@ -125,16 +68,18 @@ class Choice:
         self.null_fit = null_fit
         first = self._timed("score", lambda: self._screened(null_fit))
         self._stations[frozenset()] = Station(null_fit, (), first)
-        self.path = Path(self.refitter, dict(first.noise.sigma), self._begun + self.budget)
-        self.levels = Levels(dict(first.noise.sigma), {}, max(first.noise.scatter.values(), default=0.0))
-        here = self._none(null_fit)
+        self.refits = Refits(
+            self.refitter, null_fit, first.noise, deadline=self._begun + self.budget,
+            cylinders=self.cylinders, late=self._late, tell=self.tell,
+        )  # fmt: skip
+        here = self.refits.none(null_fit)
         for _ in range(self.most):
             station = self._stations[here.key]
             if not self._asks(station.screened):
                 break
             if self._late():
                 beside = f" beside {here.label}" if here.effects else ""
-                self.failed[f"any effect{beside}"] = "the time was up"
+                self.failed[f"any effect{beside}"] = TIME_UP
                 break
             made = self._round(here, station)
             if made is None:
@@ -150,6 +95,16 @@ class Choice:
             self.tell("the colour of the noise")
             screened = self._timed("score", lambda: coloured(last.screened, last.fit))
             self._stations[self.best] = replace(last, screened=screened)
+
+    @property
+    def pool(self) -> dict[Key, Tried]:
+        """Every structure that was refitted."""
+        return self.refits.pool if self._stations else {}
+
+    @property
+    def scored(self) -> bool:
+        """True once the model without effects is scored: from then on there is an answer."""
+        return frozenset() in self.pool
 
     @property
     def null(self) -> Station:
@@ -178,12 +133,14 @@ class Choice:
         """The structure that takes the place of ``here``; None where none does."""
         screened = station.screened
         tried = self._timed("refit", lambda: self._added(here, screened))
-        self._timed("evidence", self._weigh)
+        self._timed("evidence", self.refits.weigh)
         known = int(screened.scores.testable.sum())
         while True:
             best = self._most_probable(tried)
             gain = -math.inf if best is None else best.log - here.log
-            calibrated = bool(screened.significant) and not screened.noise.colour and not self.levels.memory
+            calibrated = (
+                bool(screened.significant) and not screened.noise.colour and not self.refits.levels.memory
+            )
             if best is None or not (calibrated or gain > math.log(FACTOR * max(known, 1))):
                 self._told(here, tried, None)
                 return None
@@ -216,25 +173,27 @@ class Choice:
         white = screened.choice.white or screened.compressed
         scores = score(white)
         at_here = OneStep(here.arrived.cost - scores.drop, scores.amplitude, scores.error, here.arrived.cost)
-        order = sorted(families, key=lambda key: min(at_here.cost[k] for k in families[key]))
+        cost = _costs(screened, at_here, families)
+        order = sorted(families, key=lambda key: cost[key])
         if here.effects:
             # beside what was found the model is near the truth, and one step tells what has nothing to give
-            least = here.arrived.cost - 2 * _NOTHING * max(self.levels.memory.values(), default=1.0)
-            order = [key for key in order if min(at_here.cost[k] for k in families[key]) < least]
+            least = here.arrived.cost - 2 * _NOTHING * max(self.refits.levels.memory.values(), default=1.0)
+            order = [key for key in order if cost[key] < least]
         own = self._own_step(here, screened)
-        todo, done = (order[:_FIRST] if self.path.linear else order), list[tuple[str, str]]()
+        todo, done = (order[:_FIRST] if self.refits.path.linear else order), list[tuple[str, str]]()
         while todo and not self._late():
+            many = len(done) + len(todo)
             for key in todo:
                 if self._late():
-                    self.failed[f"{key[0]} at {key[1]}"] = "the time was up"
+                    self.failed[f"{key[0]} at {key[1]}"] = TIME_UP
                     continue
-                self.tell(f"refit {len(done) + 1} of {len(order)}: {key[0]} at {key[1]}")
+                self.tell(f"refit {len(done) + 1} of {many}: {key[0]} at {key[1]}")
                 self._from_all_sides(here, screened, families[key], at_here, own)
                 done.append(key)
             rest = [key for key in order if key not in done]
             todo = self._promising(here, screened, families, at_here, rest) if rest else []
         keys = [self._key(here, key) for key in done]
-        self._relevel([self.pool[key] for key in keys if key in self.pool])
+        self.refits.relevel([self.pool[key] for key in keys if key in self.pool])
         self._around(here, screened, families)
         return [self.pool[key] for key in keys if key in self.pool]
 
@@ -244,7 +203,7 @@ class Choice:
         """Refits of one effect: from ``here``, and in windows from the parameters' own values."""
         start = Start(here.arrived.values, here.arrived.initial)
         self._try(here, _chosen(screened, at_here, members), start)
-        if own is not None and (here.arrived.held or not self.path.linear):
+        if own is not None and (here.arrived.held or not self.refits.path.linear):
             self._try(here, _chosen(screened, own, members), None)
         self._arrive(here, screened.candidates[members[0]].key, lambda: _chosen(screened, at_here, members))
 
@@ -261,14 +220,14 @@ class Choice:
         best = min(found, key=lambda one: one.arrived.cost, default=None)
         if best is None:
             return rest
-        null, states = self._null(best), len(self.null_fit.model.states)
+        null, states = self.refits.null(best), len(self.null_fit.model.states)
         gone = None if null is None else without_effect(null, best.newest(here), states)
-        step = None if gone is None else one_step(gone, screened.candidates, self.path.levels)
+        step = None if gone is None else one_step(gone, screened.candidates, self.refits.path.levels)
         if step is None:
             return rest
         most = self._rival(best.arrived.cost, here.arrived.cost, screened)
-        lower = np.minimum(at_here.cost, step.cost)
-        return [key for key in rest if min(lower[k] for k in families[key]) < most]
+        costs = [_costs(screened, one, families) for one in (at_here, step)]
+        return [key for key in rest if min(cost[key] for cost in costs) < most]
 
     def _arrive(self, here: Tried, key: tuple[str, str], chosen: Callable[[], Addition]) -> None:
         """Another refit of an effect that has not come below the model without it, of which that is a special case,
@@ -280,12 +239,14 @@ class Choice:
             self._try(here, small, Start(here.arrived.values, here.arrived.initial))
             known = self.pool.get(self._key(here, key))
         if known is None or known.arrived.cost > here.arrived.cost + _NESTED:
-            self.failed[f"{key[0]} at {key[1]}"] = "no refit of it arrives"
+            self.failed[f"{key[0]} at {key[1]}"] = TIME_UP if self._late() else "no refit of it arrives"
 
     def _rival(self, least: float, none: float, screened: Screened) -> float:
         """Chi-squared by one step up to which an effect may well be a rival of one with chi-squared ``least``."""
         chance = (
-            2 * math.log(FACTOR * len(screened.candidates)) * max(self.levels.memory.values(), default=1.0)
+            2
+            * math.log(FACTOR * len(screened.candidates))
+            * max(self.refits.levels.memory.values(), default=1.0)
         )
         return least + _PART * max(none - least, 0.0) + chance
 
@@ -329,22 +290,18 @@ class Choice:
         self, tried: Tried, member: Addition, screened: Screened, families: dict[tuple[str, str], list[int]]
     ) -> list[Addition]:
         """The candidates that might do as well in the place of a member, the best by one step first."""
-        null = self._null(tried)
+        null = self.refits.null(tried)
         states = len(self.null_fit.model.states)
         rest = None if null is None else without_effect(null, member, states)
-        step = None if rest is None else one_step(rest, screened.candidates, self.path.levels)
+        step = None if rest is None else one_step(rest, screened.candidates, self.refits.path.levels)
         if step is None:
             return []
-        best = {
-            key: min(own, key=lambda k: step.cost[k])
-            for key, own in families.items()
-            if key != member.candidate.key
-        }
+        others = {key: own for key, own in families.items() if key != member.candidate.key}
+        cost = _costs(screened, step, others)
         most = self._rival(tried.arrived.cost, step.none, screened)
-        order = [
-            key for key in sorted(best, key=lambda key: step.cost[best[key]]) if step.cost[best[key]] < most
-        ]
-        return [_chosen(screened, step, families[key]) for key in order[:_EXCHANGED]]
+        order = [key for key in sorted(cost, key=lambda key: cost[key]) if cost[key] < most]
+        found = [_chosen(screened, step, families[key]) for key in order[:_EXCHANGED]]
+        return [form for one in found for form in one.forms]
 
     def _exchanged(self, best: Tried, here: Tried) -> Tried:
         """The structure after its members were exchanged one by one, and each was left out."""
@@ -358,9 +315,9 @@ class Choice:
                 start = {n: v for n, v in best.arrived.values.items() if not n.startswith(f"{member.key}.")}
                 for one in self._instead(best, member, screened, others):
                     self.tell(f"exchange {member.label} for {one.label}")
-                    made += self._tried((*rest, one), Start(start, best.arrived.initial))
-                made += self._tried(rest, Start(start, best.arrived.initial))
-            self._weigh()
+                    made += self.refits.tried((*rest, one), Start(start, best.arrived.initial))
+                made += self.refits.tried(rest, Start(start, best.arrived.initial))
+            self.refits.weigh()
             ready = [one for one in made if one.beyond > BEYOND or not one.effects]
             top = max(ready, key=lambda one: one.log, default=None)
             # one more effect has to be worth it; one in place of another has to be more probable
@@ -376,101 +333,8 @@ class Choice:
         return here.key | {key}
 
     def _try(self, here: Tried, one: Addition, start: Start | None) -> None:
-        self._tried((*here.effects, one), start)
-
-    def _tried(self, effects: tuple[Addition, ...], start: Start | None) -> list[Tried]:
-        """The structure in the pool, after another refit of it from a start; empty where none has arrived."""
-        key = key_of(effects)
-        arrived = self.path.from_windows(effects, start)
-        known = self.pool.get(key)
-        if arrived is None or not math.isfinite(arrived.cost):
-            return [] if known is None else [known]
-        if known is not None and known.arrived.cost <= arrived.cost + 1e-6:
-            return [known]
-        made = self._counted(effects, arrived)
-        if made is not None and (known is None or made.log > known.log):
-            self.pool[key] = made
-        return [self.pool[key]] if key in self.pool else []
-
-    def _counted(self, effects: tuple[Addition, ...], arrived: Arrived) -> Tried | None:
-        """A refit with its evidence."""
-        try:
-            with np.errstate(all="ignore"):
-                null = self.path.residuals(effects, arrived)
-                priors = priors_of(null, self.path.parameters(effects), effects)
-                choices = float(np.prod([one.choices for one in effects]))
-                made = digest(null, priors, random=self._random(null), held=arrived.held, choices=choices)
-                found = evidence(made, self.levels)
-        except FAILURES:
-            return None
-        return Tried(effects, arrived, made, found) if math.isfinite(found.log) else None
-
-    def _random(self, null: NullModel) -> dict[str, dict[str, Array]] | None:
-        """Columns of the random amplitudes of combustions whose pressure was assumed."""
-        scatter = scatter_of(null, self.refitter.data, self.cylinders) if self.cylinders is not None else ()
-        return {r.name: scatter_columns(r, scatter) for r in null.records} if scatter else None
-
-    def _weigh(self) -> None:
-        """Count every structure's evidence with the noise that the most probable one leaves."""
-        known = {name: s for name, (s, own) in self.null_fit.noise.items() if not own}
-        seen: set[Key] = set()
-        while True:
-            best = max(self.pool.values(), key=lambda one: one.log)
-            if best.key in seen:
-                return
-            seen.add(best.key)
-            try:
-                with np.errstate(all="ignore"):
-                    null = self.path.residuals(best.effects, best.arrived)
-                    self.levels = levels_left(null, known, self.levels.scatter, self._random(null))
-            except FAILURES:
-                return
-            for one in self.pool.values():
-                one.evidence = evidence(one.digest, self.levels)
-
-    def _relevel(self, tried: Sequence[Tried]) -> None:
-        """Go on at the levels that the most probable one leaves, where they are lower."""
-        best = max(tried, key=lambda one: one.log, default=None)
-        if best is None:
-            return
-        self._weigh()
-        levels = {n: min(s, self.levels.sigma.get(n, s)) for n, s in self.path.levels.items()}
-        if all(levels[n] > _RELEVELLED * s for n, s in self.path.levels.items()):
-            return
-        self.path.relevel(levels)
-        plain = Levels(levels, {}, self.levels.scatter)
-        for one in self.pool.values():  # costs compare at the same levels alone
-            one.arrived = replace(one.arrived, cost=evidence(one.digest, plain).cost)
-        near = best.log - 0.5 * _PART * max(self.pool[frozenset()].evidence.cost - best.evidence.cost, 0.0)
-        for one in sorted(tried, key=lambda one: -one.log):
-            if not self._late() and one.log > near - math.log(FACTOR * len(tried)):
-                self.tell(f"go on with {one.label}")
-                again = self.path.from_point(one.effects, one.arrived)
-                made = None if again is None else self._counted(one.effects, again)
-                if made is not None and made.log > one.log:
-                    self.pool[one.key] = made
-
-    def _none(self, fit: Fit) -> Tried:
-        """The null fit as a structure."""
-        initial = {r: {n: e.value for n, e in own.items()} for r, own in fit.initial.items()}
-        arrived = self.path.at(fit.values, initial)
-        made = None if arrived is None else self._counted((), arrived)
-        if made is None:
-            raise EstimationError(
-                "the model without effects cannot be simulated at its own optimum",
-                seen="residuals that are no numbers",
-                allowed="a fit that can be simulated over the records",
-                cure="give other start values, bounds, or a shorter record",
-            )
-        self.pool[frozenset()] = made
-        return made
-
-    def _null(self, tried: Tried) -> NullModel | None:
-        try:
-            with np.errstate(all="ignore"):
-                return self.path.null_at(tried.effects, tried.arrived)
-        except FAILURES:
-            return None
+        for form in one.forms:
+            self.refits.tried((*here.effects, form), start)
 
     def _own_step(self, here: Tried, screened: Screened) -> OneStep | None:
         """One step from the parameters' own values, the effects so far as they were found."""
@@ -478,10 +342,10 @@ class Choice:
         z = np.array([float(own[n].value) if n in own else fit.values[n] for n in fit.free])
         try:
             with np.errstate(all="ignore"):
-                null = null_at(fit.model, fit.data, fit.parameters, z, self.path.first_states())
+                null = null_at(fit.model, fit.data, fit.parameters, z, self.refits.path.first_states())
         except (*FAILURES, KeyError):
             return None
-        return one_step(null, screened.candidates, self.path.levels)
+        return one_step(null, screened.candidates, self.refits.path.levels)
 
     # ---- whole fits
 
@@ -526,7 +390,7 @@ class Choice:
             own = effects[:count]
             if key_of(own) not in self.pool:
                 there = self.pool[key].arrived
-                self._tried(own, Start(there.values, there.initial))
+                self.refits.tried(own, Start(there.values, there.initial))
             part = self.pool.get(key_of(own))
             station = None if part is None else self._station(part)
             if station is None:
@@ -534,6 +398,12 @@ class Choice:
             members = class_of(self.pool, key, own[-1], FACTOR)
             found.append(reached(found[-1], station, own, members))
         return found
+
+    def stop(self) -> None:
+        """Go on as if the time were up."""
+        self.budget = -math.inf
+        if hasattr(self, "path"):
+            self.path.stop()
 
     def _late(self) -> bool:
         return time.perf_counter() - self._begun > self.budget
@@ -553,11 +423,18 @@ def _families(screened: Screened) -> dict[tuple[str, str], list[int]]:
     return found
 
 
+def _costs(
+    screened: Screened, step: OneStep, families: dict[tuple[str, str], list[int]]
+) -> dict[tuple[str, str], float]:
+    """Chi-squared with each effect by one step."""
+    return {key: by_one_step(screened.candidates, step, own).cost for key, own in families.items()}
+
+
 def _chosen(screened: Screened, step: OneStep, members: Sequence[int]) -> Addition:
     """The candidate of the least chi-squared, started at its one-step amplitude: small where that has a wrong sign."""
-    k = min(members, key=lambda k: step.cost[k])
-    candidate, size = screened.candidates[k], float(step.amplitude[k])
+    found = by_one_step(screened.candidates, step, members)
+    candidate, size = screened.candidates[found.lead], found.amplitude
     if size * candidate.side < 0 or size == 0 or not math.isfinite(size):
-        size = BEYOND * float(screened.scores.error[k]) * (candidate.side or 1)
+        size = BEYOND * float(screened.scores.error[found.lead]) * (candidate.side or 1)
     whole = any(grid.whole for grid in candidate.source.effect.nuisance.values())
-    return addition(candidate, size, len(members) if whole else 1)
+    return addition(candidate, size, len(members) if whole else 1, found.times)

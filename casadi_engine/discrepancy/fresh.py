@@ -4,34 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal
 
-import casadi as ca
 import numpy as np
 
-from casadi_engine.discrepancy.assumed_pressure import SCATTER, is_carried, with_priors
 from casadi_engine.discrepancy.compression import scatter_columns
 from casadi_engine.discrepancy.confirmation import Gap, PairedGain, Residuals, gap, hold_out, paired_gain
 from casadi_engine.discrepancy.fresh_misfit import MEMORY
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.noise_choice import NoiseChoice, scatter_of, white_p
 from casadi_engine.discrepancy.noise_model import NoiseModel, left_over
-from casadi_engine.discrepancy.null_model import FOUR_STROKE, Index, NullModel, null_model
+from casadi_engine.discrepancy.null_model import FOUR_STROKE, Index, NullModel
 from casadi_engine.discrepancy.parameter_doubt import doubted, pooled, within_errors
-from casadi_engine.discrepancy.path import first_states_on
-from casadi_engine.discrepancy.refit import Addition, Refitter
 from casadi_engine.discrepancy.repaired import Side
-from casadi_engine.discrepancy.start import Start
-from casadi_engine.effects.candidate import cycles_of
-from casadi_engine.errors import CasadiEngineError, ExperimentError
-from casadi_engine.estimation import Fit, estimate
+from casadi_engine.errors import ExperimentError
+from casadi_engine.estimation import Fit
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
-from casadi_engine.model.port_view import PortView
-from casadi_engine.parameters import Parameters
-from casadi_engine.problem.noise import Noise
-from casadi_engine.validation.held import parameters_for
 from casadi_engine.validation.parameter_prior import PriorSplit
 
 Source = Literal["records", "cycles"]
@@ -39,10 +29,6 @@ Source = Literal["records", "cycles"]
 # Fewest cycles that tell a gain from chance; fewest of a record that the search keeps.
 _HELD, _KEPT = 3, 3
 _PIECES = 10
-# Fresh data whose chi-squared per sample is so many times that of the fit are tried from other initial states too.
-_POOR = 1.1
-# Iterations for first states from which no path led to rest: a model that is far off has none that fit.
-_LOST, _MOST = 20, 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,149 +110,6 @@ def _cycles(model: Model, record: Experiment) -> tuple[Array, Array]:
     if turns[-1] - np.floor(turns[-1]) < 0.5 and number[-1] > number[0]:
         number = np.minimum(number, number[-1] - 1)
     return number, time
-
-
-# ---- parameters held, initial states found ------------------------------------------------------------
-
-
-def held_fit(
-    fit: Fit, record: Experiment, *, noise: NoiseModel, idle: Sequence[str] = (), model: Model | None = None
-) -> Fit:
-    """The fit's parameters held on one record; initial states, and what is wrong with assumed pressures, found.
-
-    A parameter that varies by experiment has the value of the record of the same name; in a record of another name it
-    is found there too, beside the scatter of the fit's records where three or more tell it (``parameters_for``).
-    idle : amplitudes that are zero there; model : in place of the fit's, with the same parameters.
-    Raises EstimationError where the model fails.
-    """
-    model = fit.model if model is None else model
-    held = _held_parameters(fit, record, idle, model)
-    levels: dict[str, Any] = {
-        out.name: noise.sigma[out.name] for out in fit.model.outputs if out.name in noise.sigma
-    }
-    method = str(fit.options.get("method", "exact"))
-
-    found, fault = None, None
-    starts: list[Start | None] = [first_states_on(model, record, held, levels), None]
-    for number in range(3):
-        if number == 2:
-            if found is None:
-                break
-            # a state that no output shows may rest elsewhere: on a side of a play, which short intervals lose
-            starts.append(_unseen_from(fit, found))
-        most = _LOST if number == 0 and (starts[0] is None or not starts[0].converged) else _MOST
-        try:
-            made = estimate(
-                model, record, parameters=held, noise=Noise(**levels), method=method, warm=starts[number],
-                progress=False, max_iterations=most,
-            )  # fmt: skip
-        except (CasadiEngineError, FloatingPointError) as error:
-            fault = error
-            continue
-        if made.status == "interrupted":
-            raise KeyboardInterrupt
-        found = made if found is None else min(found, made, key=lambda one: (not one.converged, one.cost))
-        if found.cost / found.n <= _POOR * _misfit(fit, noise):
-            break
-    if found is None:
-        assert fault is not None
-        raise fault
-    return found
-
-
-def _held_parameters(fit: Fit, record: Experiment, idle: Sequence[str], model: Model) -> Parameters:
-    """The set for ``held_fit``: what assumed pressures carry is free again, for other cycles burn otherwise."""
-    held, fresh = parameters_for(fit, record.name), model.parameters()
-    for name in held:
-        own = held[name]
-        if is_carried(name) and name != SCATTER and own.tie is None:
-            own.set(fresh[name].value)
-        elif name in idle and own.tie is None:
-            own.set(0.0, min=min(own.min, 0.0), max=max(own.max, 0.0))
-            held.fix(name)
-    return with_priors(held)
-
-
-def _misfit(fit: Fit, noise: NoiseModel) -> float:
-    """Chi-squared per sample of a fit on its own data, by the levels of another noise."""
-    parts = [
-        trace.residual[np.isfinite(trace.residual)] / noise.sigma[output]
-        for traces in fit.traces.values()
-        for output, trace in traces.items()
-        if output in noise.sigma
-    ]
-    return float(np.mean(np.concatenate(parts) ** 2)) if parts else math.inf
-
-
-def _unseen_from(fit: Fit, found: Fit) -> Start:
-    """Initial states as found, but those that no output shows alone as in the records of a fit."""
-    shown = {out.name() for out in ca.vertsplit(fit.model.output_expressions) if out.is_symbolic()}
-    (name,) = found.initial
-    own = {state: one.value for state, one in found.initial[name].items()}
-    seen = next(iter(fit.initial.values()))
-    own |= {state: one.value for state, one in seen.items() if state not in shown}
-    return Start(found.values, {name: own})
-
-
-def fresh_sides(
-    fit: Fit, effects: Sequence[Addition], portion: Portions, noise: NoiseModel, refitter: Refitter
-) -> list[tuple[Fit, NullModel]] | None:
-    """The fit on all fresh records, parameters held; None where a simulation fails.
-
-    Events of one record do not act in other ones. Those that last to the end of the data searched go on in the cycles
-    held out; of a single cycle at the end nobody knows, so that it stops or goes on, whichever fits.
-    """
-    found = []
-    for record in portion.fresh:
-        idle = [e.amplitude for e in effects if e.placed and not _goes_on(e, record, portion)]
-        try:
-            fits = [
-                held_fit(fit, record, noise=noise, idle=idle, model=model)
-                for model in _continued(fit, effects, record, portion, refitter)
-            ]
-            held = min(fits, key=lambda one: one.cost)
-            found.append((held, null_model(held)))
-        except (CasadiEngineError, FloatingPointError):
-            return None
-    return found
-
-
-def _continued(
-    fit: Fit, effects: Sequence[Addition], record: Experiment, portion: Portions, refitter: Refitter
-) -> list[Model]:
-    """The models to be held on a record: events that last to the end of the data searched go on in it."""
-    lasting = [e for e in effects if _goes_on(e, record, portion) and _lasts(e, fit, record, portion)]
-    if not lasting:
-        return [fit.model]
-    values = record["theta"].values
-    end = float(np.ceil(values.max() / FOUR_STROKE)) + 1
-    longer = refitter.extended([_until(e, end) if e in lasting else e for e in effects])
-    one = all(e.candidate.nuisance["first"] < e.candidate.nuisance["last"] for e in lasting)
-    return [longer] if one else [fit.model, longer]
-
-
-def _lasts(effect: Addition, fit: Fit, record: Experiment, portion: Portions) -> bool:
-    """True for an event in cycles whose last one is the last of the data searched."""
-    made = effect.candidate.source
-    grid = made.effect.nuisance.get("last")
-    searched = [one for one in portion.data if one.name == record.name]
-    if grid is None or grid.over != "cycle" or "theta" not in record or not searched:
-        return False
-    view = PortView(made.model, made.model.ports[effect.candidate.port])
-    numbers = {name: fit.values[name] for name in made.model.parameter_names if name in fit.values}
-    return bool(made.values["last"] >= cycles_of(view, searched[0], numbers)[-1])
-
-
-def _until(effect: Addition, last: float) -> Addition:
-    """The event with another last cycle."""
-    source = effect.candidate.source
-    source = replace(source, values=dict(source.values) | {"last": last})
-    return replace(effect, candidate=replace(effect.candidate, source=source))
-
-
-def _goes_on(effect: Addition, record: Experiment, portion: Portions) -> bool:
-    """True if an event of the search's record lasts into this one: cycles held out of it."""
-    return portion.source == "cycles" and effect.record in (None, record.name)
 
 
 # ---- the gap ------------------------------------------------------------------------------------------
@@ -363,7 +206,8 @@ def judge(before: Sequence[NullModel], after: Sequence[NullModel], noise: NoiseM
         return Judgement(gain, None, why=gain.why)
     if gain.confirmed:
         return Judgement(gain, True)
-    size = f"{gain.mean:.3g} ± {gain.se:.2g} per cycle"
+    part = "cycle" if any(v.name == "theta" for v in before[0].model.inputs) else "piece"
+    size = f"{gain.mean:.3g} ± {gain.se:.2g} per {part}"
     if gain.refused:
         return Judgement(gain, False, True, f"fresh data refuse it: the gap grows, the gain is {size}")
     return Judgement(

@@ -14,17 +14,20 @@ from casadi_engine.discrepancy.compression import compress
 from casadi_engine.discrepancy.library_candidates import direction_of
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import null_at
+from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.repaired import Member, NextExperiment
 from casadi_engine.discrepancy.score import Scores, score, separation
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.effects import candidate as candidate_of
 from casadi_engine.experiment import Channel, Experiment
+from casadi_engine.experiment.units import NOT_STATED
 from casadi_engine.model import Model
 from casadi_engine.model.arrival import channel_unit
 from casadi_engine.model.declarations import Variable
+from casadi_engine.model.port_units import MECHANICAL, quantity
 
-# Right in 95 % of records.
-_WANTED = 3.3
+# Right in 95 % of records; variation of an input, as a share of its largest value, that shows that it may be varied.
+_WANTED, _VARIED = 3.3, 0.05
 
 
 def next_experiment(before: Station, after: Station) -> NextExperiment | None:
@@ -88,20 +91,47 @@ def _proposals(station: Station) -> list[tuple[str, Model, tuple[Experiment, ...
     """Changes that a user can make: what to do, the model with its sensors, the records."""
     model, data = station.fit.model, station.fit.data
     found: list[tuple[str, Model, tuple[Experiment, ...]]] = []
-    shown = [str(e) for e in ca.vertsplit(model.output_expressions)]
+    beside = f"(with noise in proportion to that of {model.outputs[0].name})"
+    for name, what, signal, unit in _sensors(model):
+        found.append((f"measure {what} too {beside}", _with_sensor(model, name, signal, unit), data))
+    for variable in model.inputs:
+        for words, shape in _shapes(model, variable, data):
+            own = tuple(_changed(record, variable.name, shape) for record in data)
+            change = f"measure while {variable.name} {words} during the record"
+            found.append((change, model, (*data, *own)))
+    return found
+
+
+def _sensors(model: Model) -> list[tuple[str, str, Any, str]]:
+    """What no sensor shows: speeds of ports and other states, each with its name, words, signal and unit."""
+    shown = {str(e) for e in ca.vertsplit(model.output_expressions)}
+    found = []
     for port in model.ports:
         speed = port.signals.get("speed")
         if port.kind == "inertia" and speed is not None and str(speed) not in shown:
-            found.append((f"measure the speed of {port.name} too", _with_sensor(model, port.name), data))
-    for variable in model.inputs:
-        if variable.unit != "N m" or any(variable.name not in record for record in data):
-            continue
-        for words, shape in (("steps by half", _half), ("swings by half", _swing), ("reverses", _reverse)):
-            own = tuple(_changed(record, variable.name, shape) for record in data)
-            found.append((f"measure while {variable.name} {words} of its value during the record"
-                          if shape is not _reverse else f"measure while {variable.name} reverses during the record",
-                          model, (*data, *own)))  # fmt: skip
-    return found
+            what = f"the speed of {port.name}" if port.is_mechanical else port.called("speed")
+            found.append((port.name, what, speed, port.units.get("speed", NOT_STATED)))
+            shown.add(str(speed))
+    states = zip(model.states, ca.vertsplit(model.x), strict=True)
+    return found + [(s.name, s.name, x, s.unit) for s, x in states if str(x) not in shown]
+
+
+def _shapes(model: Model, variable: Variable, data: Sequence[Experiment]) -> list[tuple[str, Any]]:
+    """How an input may be changed: not what a machine's own motion makes (crank angle, cylinder pressures), and nothing
+    that the records hold nearly constant, such as a temperature outside; reversed only what acts both ways."""
+    cylinders = [port for port in model.ports if port.kind == "cylinder"]
+    made = {
+        s.name() for port in cylinders for s in ca.symvar(ca.vertcat(ca.SX(0, 1), *port.signals.values()))
+    }
+    if variable.name == "theta" or variable.name in made or any(variable.name not in one for one in data):
+        return []
+    acts = quantity(variable.unit) in MECHANICAL
+    values = [record[variable.name].values for record in data]
+    if not acts and any(np.std(own) <= _VARIED * np.abs(own).max() for own in values):
+        return []
+    shapes = [("steps to half of its value", _half), ("swings by half of its value", _swing)]
+    both = acts or all(own.min() < 0 < own.max() for own in values)
+    return [*shapes, ("reverses", _reverse)] if both else shapes
 
 
 def _half(share: Any) -> Any:
@@ -124,15 +154,18 @@ def _changed(record: Experiment, name: str, shape: Any) -> Experiment:
     return record.with_channel(made).renamed(f"{record.name}_next")
 
 
-def _with_sensor(model: Model, port: str) -> Model:
-    name = f"next_{port}"
-    like = model.outputs[0]
-    speed = model.ports[port].signals["speed"]
+def _with_sensor(model: Model, name: str, signal: Any, unit: str) -> Model:
     return replace(
         model,
-        outputs=(*model.outputs, Variable(name, "rad/s", scale=like.scale)),
-        output_expressions=ca.vertcat(model.output_expressions, speed),
+        outputs=(*model.outputs, Variable(f"next_{name}", unit, scale=_size(model, signal))),
+        output_expressions=ca.vertcat(model.output_expressions, signal),
     )
+
+
+def _size(model: Model, signal: Any) -> float:
+    """The largest declared scale of the states that a signal is made of, 1 for none."""
+    states = zip(model.states, ca.vertsplit(model.x), strict=True)
+    return max((state.scale for state, x in states if ca.depends_on(signal, x)), default=1.0)
 
 
 def _scores(
@@ -149,13 +182,21 @@ def _scores(
             if out.name not in record:
                 like = record[model.outputs[0].name]
                 blank = Channel(
-                    out.name, channel_unit(out, record), time=like.time, values=np.zeros(len(like.time))
+                    out.name,
+                    channel_unit(out, record),
+                    time=like.time,
+                    values=np.zeros(len(like.time)),
                 )
                 record = record.with_channel(blank)
         full.append(record)
     if any("@" in name for name in fit.free) and len(data) > len(fit.data):
         return None
-    sigma = {out.name: noise.sigma.get(out.name, next(iter(noise.sigma.values()))) for out in model.outputs}
+    first_output = model.outputs[0]
+    share = noise.sigma.get(first_output.name, next(iter(noise.sigma.values()))) / _size(
+        model, model.output_expressions[0]
+    )
+    shown = zip(model.outputs, ca.vertsplit(model.output_expressions), strict=True)
+    sigma = {out.name: noise.sigma.get(out.name, share * _size(model, y)) for out, y in shown}
     try:
         null = null_at(model, full, fit.parameters, fit.z, first)
         moved = []
@@ -164,5 +205,5 @@ def _scores(
             direction = direction_of(candidate_of(model, made.effect, one.port, made.values, size=made.size))
             moved.append(replace(one, direction=direction))
         return score(compress(null, moved, NoiseModel(sigma)))
-    except FloatingPointError:
+    except FAILURES:
         return None

@@ -38,9 +38,6 @@ _SURE, _COLOURED_P = 1e-4, 0.01
 _WANDER = 4.0
 # A coloured residual is larger than a stated noise by so many standard errors; it is that of at least so many swings.
 _LARGER, _SWINGS = 4.0, 20
-# Samples of every channel from which a colour may wait: there the whiteness test sees any that would change a score. A
-# record of a lower rate counts as what it was made of: it keeps all slow colour, and leaves out what no score looks at.
-_LONG = 2000
 _COLOURED = "the residual is coloured: the score tests count with an autoregression of the noise"
 
 
@@ -99,7 +96,7 @@ def choose_noise(
 
     levels : output -> (sigma, estimated); a known one is held unless the residual that all candidates together leave is
     larger than chance allows. colour : True, False, or "auto" for where the residual is not white
-    wait : with "auto", leave the colour of long records open (``NoiseChoice.waits``)
+    wait : with "auto", leave the colour open (``NoiseChoice.waits``)
     white : the records compressed with white noise, of whatever levels, if they are at hand
     Raises EstimationError for another colour, or cylinders that are none.
     """
@@ -117,7 +114,7 @@ def choose_noise(
     white = white.relevelled(noise, scatter)
     if colour is False or (colour == "auto" and is_white(null, noise, beside(null, columns, ()), random)):
         return NoiseChoice(noise, scatter, cylinders, messages, white, white=white)
-    if wait and colour == "auto" and not scatter and _is_long(null, data):
+    if wait and colour == "auto" and not scatter:
         return NoiseChoice(noise, scatter, cylinders, messages, white, waits=True, white=white)
     found, held = coloured_noise(null, candidates, columns, white, scatter=scatter, random=random)
     left = beside(null, columns, held)
@@ -127,15 +124,6 @@ def choose_noise(
     larger = _too_large(null, found, known)
     stated = NoiseModel({**found.sigma, **known}) if larger else None
     return NoiseChoice(found, scatter, cylinders, (_COLOURED,), None, larger, stated, white=white)
-
-
-def _is_long(null: NullModel, data: Sequence[Experiment]) -> bool:
-    factors = [1 if one.decimation is None else one.decimation.factor for one in data]
-    return all(
-        length * factor >= _LONG
-        for record, factor in zip(null.records, factors, strict=True)
-        for length in record.length.values()
-    )
 
 
 def check_choice(model: Model, cylinders: Any, colour: Any) -> None:

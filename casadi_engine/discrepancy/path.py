@@ -65,8 +65,14 @@ class Path:
 
     def __init__(self, refitter: Refitter, levels: Mapping[str, float], deadline: float = math.inf) -> None:
         self.refitter, self.levels, self.deadline = refitter, dict(levels), deadline
-        self._made: dict[tuple[int, ...], tuple[Model, Parameters, RefitProblem]] = {}
+        self._made: dict[tuple[Any, ...], tuple[Model, Parameters, RefitProblem]] = {}
         self._kept: list[Addition] = []
+
+    def stop(self) -> None:
+        """End all refits, the one that runs too."""
+        self.deadline = -math.inf
+        for _, _, problem in self._made.values():
+            problem.deadline = self.deadline
 
     def from_point(self, effects: Sequence[Addition], start: Start | Arrived | None) -> Arrived | None:
         """The end of a refit from a point, None for the parameters' own values; None where the model fails."""
@@ -134,7 +140,7 @@ class Path:
             return None
 
     def _problem(self, effects: Sequence[Addition]) -> tuple[Model, Parameters, RefitProblem]:
-        key = tuple(id(one.candidate) for one in effects)
+        key = tuple((id(one.candidate), one.shared, _in_order(one.times)) for one in effects)
         if key not in self._made:
             self._kept += effects  # alive, so that no other candidate takes its identity
             refitter = self.refitter
@@ -145,6 +151,10 @@ class Path:
             problem.deadline = self.deadline
             self._made[key] = model, pars, problem
         return self._made[key]
+
+
+def _in_order(times: Mapping[str, Mapping[str, float]]) -> tuple[Any, ...]:
+    return tuple((name, record, time) for name, own in times.items() for record, time in own.items())
 
 
 def null_of_refit(

@@ -80,8 +80,9 @@ def family_candidates(
             members = tuple(range(first + len(candidates), first + len(candidates) + len(basis)))
             for k, term in enumerate(basis):
                 direction: Direction = torque_direction(model, name, term, name=f"{signal} {k} at {name}")
+                unit = model.ports[name].unit
                 candidates.append(
-                    Candidate(f"function_of_{signal}", name, direction, nuisance={"term": k}, unit="N m")
+                    Candidate(f"function_of_{signal}", name, direction, nuisance={"term": k}, unit=unit)
                 )
             wrapped = np.mod(values, FOUR_STROKE) if cyclic else values
             count, _ = np.histogram(wrapped, bins=_POINTS, range=(low, high))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -46,11 +47,17 @@ _CONTENT, _HALVINGS, _FASTEST = 1.0, 16, 256.0
 @dataclass(frozen=True, eq=False)
 class Addition:
     """An effect that is added: its candidate, the amplitude from which the search starts, and from how many choices of
-    whole numbers (the cycles of a misfire) it is the best one."""
+    whole numbers (the cycles of a misfire) it is the best one.
+
+    times : of an event in several records, nuisance name -> record -> where its search starts, inf where the event does
+        not happen; shared : it has one amplitude in all of them
+    """
 
     candidate: Candidate
     start: float
     choices: int = 1
+    times: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    shared: bool = True
 
     @property
     def label(self) -> str:
@@ -84,24 +91,40 @@ class Addition:
         return str(self.candidate.source.model.ports[self.candidate.port].kind)
 
     @property
+    def forms(self) -> tuple[Addition, ...]:
+        """What is refitted of it: an event in several records with one amplitude for all, and with one for each."""
+        return (self, replace(self, shared=False)) if self.times else (self,)
+
+    @property
     def placed(self) -> bool:
         """True for an event: an effect at a time or in cycles of one record."""
         nuisance = self.candidate.source.effect.nuisance
         return any(grid.over in ("time", "cycle") for grid in nuisance.values())
 
     @property
+    def moves(self) -> bool:
+        """True for an event that may happen at another time in another record."""
+        grids = self.candidate.source.effect.nuisance.values()
+        return bool(grids) and all(grid.over == "time" and not grid.whole for grid in grids)
+
+    @property
     def record(self) -> str | None:
-        """The record of an event, None for an effect of all records."""
-        if not self.placed or not isinstance(self.candidate.direction, Mapping):
+        """The record of an event that happens in one alone, None for an effect of all records."""
+        if not self.placed or self.times or not isinstance(self.candidate.direction, Mapping):
             return None
         return next(iter(self.candidate.direction))
 
 
-def addition(candidate: Candidate, amplitude: float, choices: int = 1) -> Addition:
+def addition(
+    candidate: Candidate,
+    amplitude: float,
+    choices: int = 1,
+    times: Mapping[str, Mapping[str, float]] = MappingProxyType({}),
+) -> Addition:
     """An effect to add, from its one-step amplitude; a candidate made at a size starts there."""
     start = candidate.size if candidate.size is not None else amplitude
     bounds = candidate.source.effect.amplitude
-    return Addition(candidate, float(np.clip(start, bounds.min, bounds.max)), choices)
+    return Addition(candidate, float(np.clip(start, bounds.min, bounds.max)), choices, times)
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,7 +230,7 @@ class Refitter:
         A corner's width is a bias: friction that sticks creeps. Chi-squared at the fit's own values tells which width
         is felt, as far as the integrator can follow; where it is the first, the fit is made again with a sharper one.
         """
-        steps = max((one.substeps for one in fit.integration.values()), default=0)
+        steps = max((one.average for one in fit.integration.values()), default=0)
         allowed = min(MOST_SUBSTEPS, _STEPS / sum(map(_samples, self.data)))
         most = int(math.log(max(allowed / max(steps, 1), 1.0), FACTOR) + 1e-9)
         if not steps or not most:
@@ -238,14 +261,18 @@ class Refitter:
 
     def parameters_of(self, model: Model, effects: Sequence[Addition]) -> Parameters:
         pars = self.parameters.copy().extended(model)
-        spans = [record.span for record in self.data]
+        spans = {record.name: record.span for record in self.data}
         for one in effects:
             for name, grid in one.candidate.source.effect.nuisance.items():
-                if grid.over == "time" and not grid.whole:
-                    own = [r.span for r in self.data if r.name == one.record] or spans
-                    low, high = min(s[0] for s in own), max(s[1] for s in own)
-                    pars[f"{one.key}.{name}"].set(min=low, max=high)
-            if one.placed and len(self.data) > 1:
+                if grid.over != "time" or grid.whole:
+                    continue
+                if name in one.times:
+                    values = {r: _time(v, spans[r]) for r, v in one.times[name].items()}
+                    pars.vary_by_experiment(f"{one.key}.{name}", values=values)
+                    continue
+                own = [span for r, span in spans.items() if r == one.record] or list(spans.values())
+                pars[f"{one.key}.{name}"].set(min=min(s[0] for s in own), max=max(s[1] for s in own))
+            if one.placed and len(self.data) > 1 and not (one.times and one.shared):
                 pars.vary_by_experiment(one.amplitude)
         return pars
 
@@ -272,6 +299,13 @@ class Refitter:
         if fit.status == "interrupted":
             raise KeyboardInterrupt
         return fit
+
+
+def _time(start: float, span: tuple[float, float]) -> tuple[float, float, float]:
+    """Start and bounds of an event's time in a record; of one that does not happen there, behind its end."""
+    low, high = span
+    behind = 0.01 * (high - low)
+    return (start, low, high) if start <= high else (high + behind, high, high + 2 * behind)
 
 
 def _independent(fit: Fit) -> float:

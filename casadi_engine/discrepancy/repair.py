@@ -3,27 +3,29 @@
 from __future__ import annotations
 
 import math
-import sys
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from casadi_engine.discrepancy.answer import Answer
 from casadi_engine.discrepancy.assumed_pressure import carry, remarks, settle_scatter
-from casadi_engine.discrepancy.choice import Choice
+from casadi_engine.discrepancy.choice import TIME_UP, Choice
 from casadi_engine.discrepancy.fresh import Portions, portions
 from casadi_engine.discrepancy.lower_rate import at_lower_rate
 from casadi_engine.discrepancy.noise_choice import ColourChoice, check_choice
 from casadi_engine.discrepancy.null_model import refuse_jumps
+from casadi_engine.discrepancy.progress import Progress, shown
 from casadi_engine.discrepancy.refit import Refitter
 from casadi_engine.discrepancy.repaired import Repair
 from casadi_engine.discrepancy.requests import check_alpha, left_out, read_request
 from casadi_engine.discrepancy.screening import Screened, screen_in_turn
+from casadi_engine.discrepancy.wording import BUDGET, USER
 from casadi_engine.effects.candidate import Known
 from casadi_engine.errors import EstimationError, ExperimentError
 from casadi_engine.estimation import Fit, estimate
 from casadi_engine.estimation.estimate import _own, _records
+from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.options import as_number, whole
 from casadi_engine.estimation.parallel import checked_jobs
 from casadi_engine.experiment import Experiment
@@ -81,9 +83,10 @@ def repair(
         cylinders with an assumed pressure, or None
     without : names of effects that are not to be looked for
     budget : seconds after which no further effect is tried; the best answer so far is given, and what was not tried
-    is listed. None for no limit
+        is listed. None for no limit. Ctrl-C does the same; a second one ends at once, with the best fit so far
     most : effects at most; starts, neighbours, seed, jobs : of the fit without effects, as in ``estimate``
-    progress : None for lines on a terminal, False for none, or a function of a text
+    progress : None for one line on a terminal, False for none, or a function of a text; it says what is being tried
+        and, after a few refits, how long the others may take
 
     Returns a Repair; its ``verdict`` is "named", "class", "unnamed", "nothing missing", or None with ``status`` saying
     why (the first fit did not converge). Raises EffectError, EstimationError, ExperimentError, ParameterError for input
@@ -115,25 +118,17 @@ def repair(
         _check_fresh(model, record)
     most, starts = whole("most", most, 1), whole("starts", starts, 1)
     neighbours, seed, jobs = whole("neighbours", neighbours, 0), whole("seed", seed, 0), checked_jobs(jobs)
-    tell = _teller(progress)
+    tell, done = shown(progress)
     portion = portions(model, records, others, share=holdout)
     cylinders = scatter if method == "exact" else None
     carried = carry(model, pars, portion.data, portion.fresh, cylinders=cylinders)
-    model, pars = carried.model, carried.parameters
     portion = replace(portion, data=carried.data, fresh=carried.fresh)
     options = {
         "interval": interval, "initial": initial, "method": method, "max_iterations": max_iterations,
     }  # fmt: skip
-    tell(f"fit without effects, {starts} starts")
     several: dict[str, Any] = {"starts": starts, "neighbours": neighbours, "seed": seed}
-    null_fit = estimate(
-        model, portion.data, parameters=pars, noise=noise, jobs=jobs, progress=False, **several, **options
-    )
-    null_fit, pars = settle_scatter(null_fit, pars, noise=noise, options=options)
-    timing = {"null fit": time.perf_counter() - begun}
-    asked = {"alpha": alpha, "holdout": holdout, "most": most, **several, **options}
-    if not null_fit.converged:
-        return _no_answer(null_fit, portion, alpha, asked, timing, begun)
+    job = _Job(carried.model, carried.parameters, portion, noise, options, several, tell, begun)
+    job.asked = {"alpha": alpha, "holdout": holdout, "most": most, **several, **options}
 
     laws: Known = {}
 
@@ -142,31 +137,106 @@ def repair(
             fit, effects, at=at, alpha=alpha, colour=colour, scatter=scatter, seed=seed, known=laws
         )
 
-    lower = at_lower_rate(null_fit, pars, portion, noise, options)
-    searched, own_noise = (portion, noise) if lower is None else (lower.portion, lower.noise)
-    search = Choice(
-        Refitter(model, pars, searched.data, own_noise, options), scores, most, tell, seconds, scatter
-    )
-    try:
-        search.run(null_fit if lower is None else lower.fit)
-        timing |= search.timing
+    with Interrupts(job.stop) as asked_to_stop:
+        job.interrupts = asked_to_stop
+        try:
+            return job.run(scores, alpha=alpha, most=most, seconds=seconds, scatter=scatter, jobs=jobs)
+        except KeyboardInterrupt:
+            return job.interrupted(alpha)
+        finally:
+            done()
+
+
+@dataclass
+class _Job:
+    """One repair: its fit without effects, its search, and what is left where it is stopped."""
+
+    model: Model
+    parameters: Parameters
+    portion: Portions
+    noise: Noise | None
+    options: dict[str, Any]
+    several: dict[str, Any]
+    tell: Progress
+    begun: float
+    asked: dict[str, Any] = field(default_factory=dict)
+    timing: dict[str, float] = field(default_factory=dict)
+    interrupts: Interrupts | None = None
+    null_fit: Fit | None = None
+    search: Choice | None = None
+
+    def stop(self) -> None:
+        """End the search with what it has; called at the first Ctrl-C."""
+        self.tell.stopping = True
+        if self.search is not None:
+            self.search.stop()
+
+    def run(
+        self, scores: Any, *, alpha: float, most: int, seconds: float, scatter: Any, jobs: int | None
+    ) -> Repair:
+        """The fit without effects, the search, the answer."""
+        self.tell(f"fit without effects, {self.several['starts']} starts")
+        data, options = self.portion.data, self.options
+        null_fit = estimate(
+            self.model, data, parameters=self.parameters, noise=self.noise, jobs=jobs, progress=False,
+            **self.several, **options,
+        )  # fmt: skip
+        null_fit, pars = settle_scatter(null_fit, self.parameters, noise=self.noise, options=options)
+        self.null_fit = null_fit
+        self.timing["null fit"] = time.perf_counter() - self.begun
+        if null_fit.status == "interrupted" or not math.isfinite(null_fit.cost):
+            return _no_answer(null_fit, self.portion, alpha, self.asked, self.timing, self.begun)
+        lower = at_lower_rate(null_fit, pars, self.portion, self.noise, options)
+        searched, own_noise = (self.portion, self.noise) if lower is None else (lower.portion, lower.noise)
+        refitter = Refitter(self.model, pars, searched.data, own_noise, options)
+        self.search = search = Choice(refitter, scores, most, self.tell, seconds, scatter)
+        if self._stopped:
+            search.stop()
+        self._searched(search, null_fit if lower is None else lower.fit)
+        self.timing |= search.timing
+        if not null_fit.converged and not search.best:
+            return _no_answer(null_fit, self.portion, alpha, self.asked, self.timing, self.begun)
         told = remarks(search.chosen.fit, scatter)
-        made = Answer(search, searched, alpha, asked, timing, begun, tell, told).made()
-        if lower is None:
-            return made
-        tell("fits of the whole data")
-        clock = time.perf_counter()
-        made = lower.told(made)
-        timing["whole data"] = time.perf_counter() - clock
-        timing["total"] = time.perf_counter() - begun
-        return made
-    except KeyboardInterrupt:
-        best = search.fit
-        timing["total"] = time.perf_counter() - begun
+        if not null_fit.converged:  # a wrong model may have a valley without end; the right one has none
+            told.append(
+                f"the fit without effects has {null_fit.status}; effects were looked for from where it ended"
+            )
+        made = Answer(search, searched, alpha, self.asked, self.timing, self.begun, self.tell, told).made()
+        if lower is not None:
+            self.tell("fits of the whole data")
+            clock = time.perf_counter()
+            made = lower.told(made)
+            self.timing["whole data"] = time.perf_counter() - clock
+            self.timing["total"] = time.perf_counter() - self.begun
+        missed = tuple(name for name, why in search.failed.items() if why == TIME_UP)
+        return replace(
+            made, stopped=(USER if self._stopped else BUDGET) if missed else "", not_searched=missed
+        )
+
+    @property
+    def _stopped(self) -> bool:
+        return self.interrupts is not None and self.interrupts.stopped
+
+    def _searched(self, search: Choice, null_fit: Fit) -> None:
+        """Run the search; a Ctrl-C in the middle of a fit leaves it with what it had kept before."""
+        try:
+            search.run(null_fit)
+        except KeyboardInterrupt:
+            if not search.scored or (self.interrupts is not None and self.interrupts.twice):
+                raise
+            beside = f" beside {search.pool[search.best].label}" if search.best else ""
+            search.failed[f"any effect{beside}"] = TIME_UP
+
+    def interrupted(self, alpha: float) -> Repair:
+        """What there is where the user would not wait for the rest."""
+        if self.null_fit is None:
+            raise KeyboardInterrupt
+        best = self.null_fit if self.search is None else self.search.fit
+        self.timing["total"] = time.perf_counter() - self.begun
         why = "interrupted before the search was at its end: the best model so far has no verdict"
         return Repair(
-            "interrupted", None, None, null_fit, best, alpha, data=portion.data, fresh=portion.fresh, timing=timing,
-            options=asked, messages=(why,),
+            "interrupted", None, None, self.null_fit, best, alpha, data=self.portion.data, fresh=self.portion.fresh,
+            timing=self.timing, options=self.asked, messages=(why,), stopped=USER,
         )  # fmt: skip
 
 
@@ -177,7 +247,7 @@ def _seconds(budget: Any) -> float:
     number = as_number(budget)
     if number is None or not number > 0:
         raise EstimationError(
-            "budget is not acceptable",
+            "invalid `budget`",
             seen=repr(budget),
             allowed="seconds > 0, or None",
             cure="give budget=60 for a minute, or leave it out",
@@ -197,7 +267,7 @@ def _check(noise: Noise | None, alpha: Any, holdout: Any) -> None:
     number = as_number(holdout)
     if number is None or not 0 <= number <= 0.9:
         raise EstimationError(
-            "holdout is not acceptable",
+            "invalid `holdout`",
             seen=holdout,
             allowed="a share of the cycles from 0 to 0.9",
             cure="give holdout=0.3, or fresh data",
@@ -217,29 +287,6 @@ def _check_fresh(model: Model, record: Experiment) -> None:
     lay_grid(model, record, outputs=measured)
 
 
-def _teller(progress: Any) -> Any:
-    if progress is None:
-        return _print if sys.stderr.isatty() else _silent
-    if progress is False:
-        return _silent
-    if not callable(progress):
-        raise EstimationError(
-            "progress is not acceptable",
-            seen=repr(progress),
-            allowed="None, False, or a function of a text",
-            cure="leave it out",
-        )
-    return progress
-
-
-def _print(text: str) -> None:
-    print(f"repair: {text}", file=sys.stderr)
-
-
-def _silent(_: str) -> None:
-    return
-
-
 def _no_answer(
     fit: Fit, portion: Portions, alpha: float, asked: dict[str, Any], timing: dict[str, float], begun: float
 ) -> Repair:
@@ -248,6 +295,8 @@ def _no_answer(
         "no effect can be looked for before the model without effects fits: give other start values, bounds, or more "
         "starts; a wrong optimum looks like missing physics"
     )
+    if fit.status == "interrupted":
+        why = "interrupted in the fit without effects: nothing was searched"
     timing["total"] = time.perf_counter() - begun
     return Repair(
         status, None, None, fit, fit, alpha, data=portion.data, fresh=portion.fresh, timing=timing,

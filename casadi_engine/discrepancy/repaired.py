@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -247,6 +249,9 @@ class Repair:
     data, fresh : records of the search, and those (or held-out cycles) of the confirmation
     latent : a torque of unknown course per port before the repair, the one that explains most first
     timing : seconds of each part and "total"; messages : what the user should know
+    stopped : "the user" or "the time budget" where one of them ended the search, else ""; not_searched : what it was
+        about to try
+    blind : True if the whole library was asked for, and no effect of it could act inside the model
     """
 
     status: str
@@ -277,6 +282,9 @@ class Repair:
     timing: Mapping[str, float] = field(default_factory=dict)
     options: Mapping[str, Any] = field(default_factory=dict)
     messages: tuple[str, ...] = ()
+    stopped: str = ""
+    not_searched: tuple[str, ...] = ()
+    blind: bool = False
 
     @property
     def model(self) -> Model:
@@ -295,6 +303,16 @@ class Repair:
         for row in sorted(self.scores, key=lambda one: -one.statistic):
             best.setdefault((row.effect, row.at), row)
         return tuple(best.values())
+
+    def save(self, path: Any) -> Path:
+        """Write the answer as result.json, all or nothing, and return its path; ``ce.load_result`` reads it back.
+
+        path : a file NAME.json, or a folder, which is made and gets a result.json. What is read back prints as this
+        does; records, traces and figures are not in it. OutputError where it cannot be written.
+        """
+        # The room above this one knows the file, and is not there before it is needed.
+        found: Path = import_module("casadi_engine.report.result_file").save_result(self, path)
+        return found
 
     def __str__(self) -> str:
         from casadi_engine.discrepancy.summary import summary

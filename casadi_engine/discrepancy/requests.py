@@ -45,11 +45,13 @@ def read_request(model: Model, effects: Any, at: Sequence[str] | str | None = No
     Raises EffectError for an effect that does not follow the protocol, for one that is there twice, for a port that
     does not exist, and where nothing is left to be tested.
     """
+    if isinstance(effects, type):
+        check_effect(effects)
     if effects is not None and (
         isinstance(effects, Mapping) or not isinstance(effects, (Effect, str, Iterable))
     ):
         raise EffectError(
-            "what is to be looked for is not acceptable",
+            "invalid `effects`",
             seen=repr(effects),
             allowed="effects, names of the library, or pairs of one with a port",
             cure="leave effects out for the whole library",
@@ -84,7 +86,7 @@ def read_request(model: Model, effects: Any, at: Sequence[str] | str | None = No
         lacking = [one for one in skipped if one.at]
         raise EffectError(
             f"none of these effects can act anywhere in the model {model.name}",
-            seen="; ".join(map(str, lacking)) or ", ".join(found) or "no effects",
+            seen="; ".join(map(str, lacking or skipped)) or ", ".join(found) or "no effects",
             allowed="effects that attach to ports of the model" + ("" if at is None else f" among {at}"),
             cure="put the port right where the model is written, b.port(name, kind, {signal: ...})"
             if lacking
@@ -107,7 +109,7 @@ def left_out(effects: Any, names: Any) -> Any:
     for name in names:
         if name not in called:
             raise EffectError(
-                "an effect that is to be left out is not looked for",
+                "invalid `without`: an effect that is not looked for",
                 seen=repr(name),
                 allowed=near_matches(str(name), called),
                 cure="print(casadi_engine.effects.table()) lists the library",
@@ -148,7 +150,7 @@ def _pair(item: Any) -> tuple[Any, Any]:
         return item, None
     if len(item) != 2:
         raise EffectError(
-            "what is to be looked for at a port is no pair",
+            "invalid pair in `effects`",
             seen=repr(item),
             allowed="an effect or its name, and the name of a port",
             cure='write ("coulomb_friction", "coupling"), for instance; one pair for each port',
@@ -159,7 +161,7 @@ def _pair(item: Any) -> tuple[Any, Any]:
 def _held(model: Model, ports: Any) -> tuple[str, ...]:
     if not isinstance(ports, Iterable) or not (names := tuple(ports)):
         raise EffectError(
-            "the ports at which effects are to be looked for are not acceptable",
+            "invalid `at`: the ports at which effects are looked for",
             seen=repr(ports),
             allowed=", ".join(model.ports.names),
             cure="give one name or a sequence of names; leave it out for all ports",
@@ -167,9 +169,9 @@ def _held(model: Model, ports: Any) -> tuple[str, ...]:
     for name in names:
         if name not in model.ports.names:
             raise EffectError(
-                f"effects are to be looked for at a port that the model {model.name} does not have",
+                f"invalid `at`: the model {model.name} has no such port",
                 seen=repr(name),
-                allowed=", ".join(model.ports.names),
+                allowed=near_matches(str(name), model.ports.names),
                 cure="print(model.ports) lists all ports",
             )
     return names
@@ -180,7 +182,7 @@ def check_alpha(alpha: Any) -> None:
     number = as_number(alpha)
     if number is None or not 0 < number < 1:
         raise EstimationError(
-            "alpha is not acceptable",
+            "invalid `alpha`",
             seen=alpha,
             allowed="a number between 0 and 1",
             cure="give alpha=0.01, for one false alarm in a hundred",

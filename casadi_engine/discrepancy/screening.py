@@ -214,7 +214,7 @@ def screen_in_turn(
     wait: bool = True,
     known: Known | None = None,
 ) -> Screened:
-    """As ``screen``, but the colour of a long record's residual may wait (``choice.waits``): a large effect colours the
+    """As ``screen``, but the colour of the residual may wait (``choice.waits``): a large effect colours the
     residual of a model that lacks it, and a refit with the effect tells that sooner than a search for the colour.
     ``coloured`` goes on where it does not. known : as in ``candidates``"""
     seed = whole("seed", seed, 0)

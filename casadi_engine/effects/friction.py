@@ -67,6 +67,7 @@ class CoulombFriction(_Rounded):
     attaches = ("inertia", "coupling")
     kin = ("stribeck_friction", "constant_torque", "viscous_friction")
     sentence = "dry friction at {port}"
+    neutral = "a constant loss at {port} that follows the sign of {motion}"
     amplitude = Amplitude("torque", unit="N m", min=0)
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
@@ -96,8 +97,8 @@ class AsymmetricFriction(_Rounded):
     attaches = ("inertia",)
     kin = ("coulomb_friction", "constant_torque", "stribeck_friction")
     limit = "coulomb_friction"
-    limit = "coulomb_friction"
     sentence = "dry friction at {port} that differs by direction"
+    neutral = "a constant loss at {port} that differs with the sign of {motion}"
     amplitude = Amplitude("torque", unit="N m", min=0)
     # an even number of values: without asymmetry it is dry friction
     nuisance = {"asymmetry": Grid(-1, 1, steps=6, description="share by which the directions differ")}  # noqa: RUF012
@@ -122,7 +123,8 @@ class ViscousFriction(Effect):
     name = "viscous_friction"
     attaches = ("inertia", "coupling")
     kin = ("quadratic_drag", "coulomb_friction")
-    sentence = "viscous friction at {port}"
+    sentence = "viscous friction at {port}, a {effort} proportional to {motion}"
+    neutral = "a loss at {port} proportional to {motion}"
     amplitude = Amplitude("coefficient", unit="N m s/rad", min=0)
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
@@ -141,7 +143,8 @@ class QuadraticDrag(_Rounded):
     name = "quadratic_drag"
     attaches = ("inertia",)
     kin = ("viscous_friction", "coulomb_friction")
-    sentence = "drag at {port} that grows with the square of speed"
+    sentence = "drag at {port} that grows with the square of {motion}"
+    neutral = "a loss at {port} that grows with the square of {motion}"
     amplitude = Amplitude("coefficient", unit="N m s2/rad2", min=0)
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
@@ -166,7 +169,8 @@ class StribeckFriction(_Rounded):
     attaches = ("inertia",)
     kin = ("coulomb_friction", "constant_torque", "viscous_friction")
     limit = "coulomb_friction"
-    sentence = "friction at {port} that fades with speed"
+    sentence = "friction at {port} that fades with {motion}"
+    neutral = "a loss at {port} that fades as {motion} grows"
     amplitude = Amplitude("torque", unit="N m", min=0)
 
     @property

@@ -45,6 +45,21 @@ class Smooth:
         return x - 0.5 * (ca.sqrt((x + half) ** 2 + width**2) - ca.sqrt((x - half) ** 2 + width**2))
 
 
+class SharpInTime(Smooth):
+    """The smooth functions, but a switch at an instant that time and parameters alone decide is sharp: integrators meet
+    such instants, and the state behind one moves with it smoothly. A rounded one slips through between two steps.
+    """
+
+    def __init__(self, still: Any) -> None:
+        """still : symbols that do not move along a simulation, and time."""
+        self._still = {one.element_hash() for one in ca.vertsplit(still)}
+
+    def step(self, x: Any, width: Any) -> Any:  # type: ignore[override]
+        """0 for x < 0, 1 for x > 0."""
+        still = all(one.element_hash() in self._still for one in ca.symvar(ca.SX(x)))
+        return Sharp.step(x) if still else Smooth.step(x, width)
+
+
 class Sharp(Smooth):
     """The same functions without rounding; `width` is ignored."""
 

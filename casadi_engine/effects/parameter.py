@@ -77,6 +77,6 @@ class WrongValue(Effect):
         high = max(ends[1], 0.0) if self.high is None else self.high
         return replace(self, absolute=absolute, low=low, high=high)
 
-    def describe(self, port: str) -> str:
-        """The sentence, with the name of the parameter."""
-        return super().describe(port.removeprefix("parameter_"))
+    def _called(self, port: str) -> str:
+        """The name of the parameter."""
+        return port.removeprefix("parameter_")

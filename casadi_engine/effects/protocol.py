@@ -161,7 +161,9 @@ class Effect:
     kin : names of effects that look alike, for the reader of a class
     limit : name of the simpler effect that this one becomes at an end or in the middle of its
         grid; "" for none
-    sentence : one clause with {port}, for reports
+    sentence : one clause with {port}, for reports; {effort} and {motion} stand for what acts there ("torque") and for
+        what is read ("speed", or the signal's expression)
+    neutral : the clause for ports where no torque or force acts; "" for the same
     fixed_only : True if it is looked for at no parameter that is estimated, which would do the same
     amplitude : Amplitude        nuisance : name -> Grid
 
@@ -183,6 +185,7 @@ class Effect:
     kin: ClassVar[tuple[str, ...]] = ()
     limit: ClassVar[str] = ""
     sentence: ClassVar[str] = ""
+    neutral: ClassVar[str] = ""
     fixed_only: ClassVar[bool] = False
     amplitude: ClassVar[Amplitude]
     nuisance: ClassVar[Mapping[str, Grid]] = MappingProxyType({})
@@ -245,8 +248,31 @@ class Effect:
         return self
 
     def describe(self, port: str) -> str:
-        """The sentence for a port."""
-        return self.sentence.replace("{port}", port) if self.sentence else f"{self.name} at {port}"
+        """The sentence for a port of that name at which a torque acts."""
+        return self._filled(self.sentence, port, "torque", "speed")
+
+    def worded(self, port: Any) -> str:
+        """The sentence for a port of a model, in the words of what acts there.
+
+        >>> from casadi_engine import effects, two_mass
+        >>> effects.ConstantTorque().worded(two_mass().ports["load"])
+        'a constant torque on load'
+        """
+        if type(self).describe is not Effect.describe:
+            return self.describe(port.name)
+        text = self.sentence if port.is_mechanical or not self.neutral else self.neutral
+        return self._filled(text, port.name, port.quantity, port.motion)
+
+    def _filled(self, text: str, port: str, effort: str, motion: str) -> str:
+        if not text:
+            return f"{self.name} at {port}"
+        article = "an" if effort[0] in "aeiou" else "a"
+        text = text.replace("a {effort}", f"{article} {effort}").replace("{effort}", effort)
+        return text.replace("{motion}", motion).replace("{port}", self._called(port))
+
+    def _called(self, port: str) -> str:
+        """A port's name as it stands in the sentence."""
+        return port
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}()"
@@ -282,6 +308,13 @@ def check_effect(effect: Any) -> None:
             seen=effect.__name__,
             allowed="an instance",
             cure=f"write {effect.__name__}()",
+        )
+    if isinstance(effect, str):
+        raise EffectError(
+            "an effect is needed, not its name",
+            seen=repr(effect),
+            allowed="an instance",
+            cure=f"write ce.effects.library({effect!r})[0]",
         )
     for attribute in ("name", "attaches", "amplitude", "nuisance", "law"):
         if not hasattr(effect, attribute):

@@ -27,7 +27,8 @@ class CubicStiffness(Effect):
     name = "cubic_stiffness"
     attaches = ("coupling",)
     kin = ("backlash",)
-    sentence = "a stiffness of {port} that changes with its twist"
+    sentence = "a stiffness of {port} that changes with its deflection"
+    neutral = "a response of {port} that grows with the cube of {motion}"
     amplitude = Amplitude("stiffness", unit="N m/rad3")
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
@@ -60,6 +61,7 @@ class Backlash(Effect):
     attaches = ("coupling",)
     kin = ("cubic_stiffness", "coulomb_friction")
     sentence = "play in {port}"
+    neutral = "a dead zone in {port}"
 
     @property
     def amplitude(self) -> Amplitude:  # type: ignore[override]

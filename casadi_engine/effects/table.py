@@ -14,6 +14,7 @@ from casadi_engine.effects.protocol import Effect, Law, check_effect
 from casadi_engine.model.port_view import Values
 from casadi_engine.model.printing import write_expressions
 
+UNITS = "Units are those where a torque acts; elsewhere they follow the port: N s/m or W/K for N m s/rad."
 HEADER = ("effect", "adds at its port", "port", "reads", "amplitude", "looks like")
 
 
@@ -46,16 +47,15 @@ def table(effects: Iterable[Effect] | None = None) -> str:
     load_step         -torque*step(t - time)    inertia   -           torque [N m]             constant_torque, misfire
     viscous_friction  -coefficient*speed        inertia   speed       coefficient [N m s/rad]  quadratic_drag, ...
     viscous_friction  coefficient*twist_rate    coupling  twist_rate  coefficient [N m s/rad]  quadratic_drag, ...
+    Units are those where a torque acts; elsewhere they follow the port: N s/m or W/K for N m s/rad.
     """
     cells = [
         HEADER,
         *(row.cells for effect in (library() if effects is None else effects) for row in rows_of(effect)),
     ]
     widths = [max(len(row[k]) for row in cells) for k in range(len(HEADER))]
-    return "\n".join(
-        "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()
-        for row in cells
-    )
+    lines = ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)) for row in cells]
+    return "\n".join(line.rstrip() for line in [*lines, UNITS])
 
 
 def rows_of(effect: Effect) -> tuple[Row, ...]:

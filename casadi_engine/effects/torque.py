@@ -19,7 +19,8 @@ class ConstantTorque(Effect):
     name = "constant_torque"
     attaches = ("inertia",)
     kin = ("coulomb_friction", "load_step")
-    sentence = "a constant torque on {port}"
+    sentence = "a constant {effort} on {port}"
+    neutral = "a constant {effort} into {port}"
     amplitude = Amplitude("torque", unit="N m")
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
@@ -32,23 +33,21 @@ class ConstantTorque(Effect):
 class LoadStep(Effect):
     """A load that is switched on (positive) or off (negative) within the record; it brakes.
 
-    ``effects.by_record`` gives it a time of its own in each of several records.
-
-    width : the switch is rounded over it in fits [s]
+    ``effects.by_record`` gives it a time of its own in each of several records. The switch is sharp, in fits too. At
+    zero torque nothing depends on its time: start a fit at a torque near the right one.
     """
-
-    width: float = 1e-3
 
     name = "load_step"
     attaches = ("inertia",)
     kin = ("constant_torque", "misfire")
     sentence = "a load at {port} that comes or goes during the record"
+    neutral = "a {effort} out of {port} that begins or ends during the record"
     amplitude = Amplitude("torque", unit="N m")
     nuisance = {"time": Grid(0.02, 0.98, steps=49, unit="s", over="time")}  # noqa: RUF012 (read only)
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
         """−T for t > t_0."""
-        return -p.torque * math.step(port.time - p.time, width=self.width)
+        return -p.torque * math.step(port.time - p.time, width=0.0)
 
 
 # Width of an impulse in samples, and where no record is known [s].
@@ -74,6 +73,7 @@ class Impulse(Effect):
     attaches = ("inertia",)
     kin = ("load_step",)
     sentence = "a blow on {port}"
+    neutral = "a short pulse of {effort} into {port}"
     amplitude = Amplitude("impulse", unit="N m s")
     nuisance = {"time": Grid(0.02, 0.98, steps=97, unit="s", over="time")}  # noqa: RUF012 (read only)
 

@@ -42,7 +42,8 @@ class Transfer(Effect):
     name = "transfer"
     attaches = ("link", "pipe")
     kin = ("viscous_friction", "overflow")
-    sentence = "a flow between {port}"
+    sentence = "viscous friction between {port}"
+    neutral = "a {effort} between {port}, proportional to their difference"
     amplitude = Amplitude("coefficient", unit="N m s/rad", min=0)
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
@@ -50,9 +51,9 @@ class Transfer(Effect):
         del math
         return p.coefficient * port.difference
 
-    def describe(self, port: str) -> str:
-        """The sentence, with both ends."""
-        return super().describe(port.replace("_and_", " and "))
+    def _called(self, port: str) -> str:
+        """Both ends."""
+        return port.replace("_and_", " and ")
 
 
 @dataclass(frozen=True)
@@ -130,6 +131,6 @@ class Overflow(Effect):
         runs = p.rate * math.positive(level - p.edge, width=width)
         return Law(runs, arrives=p.share * runs) if one_way else Law(-p.share * runs, arrives=-runs)
 
-    def describe(self, port: str) -> str:
-        """The sentence, with both ends."""
-        return super().describe(port.replace("_and_", " and "))
+    def _called(self, port: str) -> str:
+        """Both ends."""
+        return port.replace("_and_", " and ")

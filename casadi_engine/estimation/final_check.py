@@ -29,6 +29,8 @@ _STUCK = ("Search_Direction_Becomes_Too_Small", "Maximum_Iterations_Exceeded")
 _ALIKE, _SHARE = 1e-3, 1e-6
 # Chi-squared that a step along what has no slope may bring: a tenth of what a standard error changes it by.
 _FALL = 0.1
+# Parts of a step that are tried where it may lead over a corner.
+_PARTS = (1.0, 0.3, 0.1)
 # Directions that are tried so, each by itself.
 _MOST = 4
 
@@ -79,7 +81,8 @@ def verdict(
     if not np.array_equal(weights, best.sigma):
         shown = printed_cost(search, errors.v, residuals, weights)
         found = search.cost_of(best, weights)
-        decrement = uncertainty(search, best).decrement
+        errors = uncertainty(search, best)
+        decrement = errors.decrement
         search._weigh(best.sigma)
     alike = abs(shown - found) <= _ALIKE + _SHARE * abs(found)
     if status != "converged":
@@ -89,7 +92,7 @@ def verdict(
             f"the simulation from the printed values has chi-squared {shown:.6g}, the search found {found:.6g} with "
             "its shooting intervals joined within its tolerance only"
         )
-    elif not decrement <= _STATIONARY:
+    elif not decrement <= _STATIONARY and not _corner(search, errors, residuals):
         reason = f"one more step would still lower chi-squared by {decrement:.3g}, more than {_STATIONARY:g}"
     else:
         return status, None
@@ -133,6 +136,33 @@ def _saddle(search: Search, errors: Uncertainty, cost: float) -> str | None:
                     f"chi-squared by {fall:.3g}"
                 )
     return None
+
+
+def _corner(search: Search, errors: Uncertainty, residuals: Sequence[Array]) -> bool:
+    """True where no part of the promised step, too small to see, brings what it promises: slopes jump there.
+
+    Chi-squared has a corner where the instant of an event passes a sample.
+    """
+    if errors.step is None or not errors.decrement <= _FALL:
+        return False
+    nv, lower, upper = len(errors.v), search.lower, search.upper
+    cost = printed_cost(search, errors.v, residuals)
+    records = [_in_one_piece(search, record) for record in search.records]
+    for share in _PARTS:
+        v = np.clip(errors.v + share * errors.step[:nv], lower[:nv], upper[:nv])
+        moved, at = [], nv
+        try:
+            for record, lay in zip(records, search.problem.layouts, strict=True):
+                start = lay.take(errors.x)[0] + share * errors.step[at : at + record.n]
+                start = np.clip(start, lower[lay.at : lay.at + lay.n], upper[lay.at : lay.at + lay.n])
+                moved.append(residual(record, response(record, v, start)[0]))
+                at += record.n
+            fall = cost - printed_cost(search, v, moved)
+        except (FloatingPointError, np.linalg.LinAlgError, ModelError):
+            return False
+        if fall > 0.5 * share * (2 - share) * errors.decrement:
+            return False
+    return True
 
 
 def _in_one_piece(search: Search, record: RecordTerm) -> RecordTerm:

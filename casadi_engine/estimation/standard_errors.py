@@ -46,7 +46,8 @@ class Uncertainty:
     """What is known of the errors at the point x (size,), parameters at a bound put on it.
 
     bound : False, "min" or "max" of every entry of [v; initial states]; covariance : over the same entries
-    decrement : the fall of chi-squared that one more Gauss-Newton step promises, within bounds and constraints
+    decrement : the fall of chi-squared that one more Gauss-Newton step promises, within bounds and constraints;
+    step : that step, of the same entries
     """
 
     search: Search
@@ -56,6 +57,7 @@ class Uncertainty:
     acting: tuple[str, ...] = ()  # constraints that hold the estimate back, with the limit that does
     optimal: bool = True
     decrement: float = 0.0
+    step: Array | None = None
     released: Released | None = None  # where bounds or inequalities act: the errors if they did not
 
     @property
@@ -183,10 +185,11 @@ def uncertainty(search: Search, best: Attempt) -> Uncertainty:
     rows, acting = _active_rows(search, best, x[: search.problem.nv], open_)
     optimal = best.solution.status == "converged"
     found = invert(information, closed, rows, entries)
-    decrement = float(gradient @ found.matrix @ gradient)
+    step = -found.matrix @ gradient
+    decrement = float(-gradient @ step)
     acts = bool(closed[: search.problem.nv].any()) or bool(acting)
     released = _released(search, best, information, closed, x[: search.problem.nv]) if acts else None
-    return Uncertainty(search, x, bound, found, acting, optimal, decrement, released)
+    return Uncertainty(search, x, bound, found, acting, optimal, decrement, step, released)
 
 
 def _released(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
@@ -39,6 +39,7 @@ class Unit:
     exponents : (base, power) for s, m, kg, A, K, mol, cd and rad, zero powers left out.
     factor, pi : a value times ``factor * math.pi**pi``, plus ``offset``, is the value in ``si``.
     clocks : symbols of time other than s that it is written with ("km/h": h).
+    written : its symbols with their powers, as written ("L/min": L 1, min -1).
     """
 
     text: str
@@ -48,6 +49,7 @@ class Unit:
     pi: Fraction
     offset: Fraction
     clocks: tuple[str, ...]
+    written: tuple[tuple[str, Fraction], ...]
 
     @property
     def is_si(self) -> bool:
@@ -119,7 +121,7 @@ class _Reader:
             )
         self.tokens = list(self._tokens())
         self.next = 0
-        self.factors: list[tuple[Symbol, Fraction]] = []
+        self.factors: list[tuple[Symbol, Fraction, str]] = []
 
     def refuse(self, problem: str, at: int, length: int, cure: str) -> UnitError:
         """The error with a caret under the place."""
@@ -190,7 +192,7 @@ class _Reader:
             if self._take().kind != "close":
                 raise self.refuse("a bracket is not closed", token.at, 1, "close it")
             power = self._power()
-            self.factors[begun:] = [(symbol, own * power) for symbol, own in self.factors[begun:]]
+            self.factors[begun:] = [(symbol, own * power, name) for symbol, own, name in self.factors[begun:]]
         elif token.kind == "number" and token.text == "1":
             return
         elif token.kind == "word":
@@ -202,7 +204,7 @@ class _Reader:
                     len(token.text),
                     suggestion(self.text, token.text),
                 )
-            self.factors.append((symbol, sign * self._power()))
+            self.factors.append((symbol, sign * self._power(), token.text))
         else:
             problem, cure = "a unit is missing here", "write a symbol; 1 for a dimensionless quantity"
             if token.kind == "number":
@@ -256,12 +258,14 @@ class _Reader:
         return sign * Fraction(token.text)
 
 
-def _gathered(text: str, factors: list[tuple[Symbol, Fraction]], reader: _Reader) -> Unit:
+def _gathered(text: str, factors: list[tuple[Symbol, Fraction, str]], reader: _Reader) -> Unit:
     """The unit of a product of symbols to powers."""
     exponents = dict.fromkeys(BASE, Fraction(0))
     written: dict[str, Fraction] = {}
+    as_written: dict[str, Fraction] = {}
     factor, pi, offset = Fraction(1), Fraction(0), Fraction(0)
-    for symbol, power in factors:
+    for symbol, power, called in factors:
+        as_written[called] = as_written.get(called, Fraction(0)) + power
         for base, own in symbol.exponents:
             exponents[base] += own * power
         for name, own in symbol.si:
@@ -273,13 +277,14 @@ def _gathered(text: str, factors: list[tuple[Symbol, Fraction]], reader: _Reader
         raise reader.refuse("the unit is too large or too small", 0, len(text), "use another prefix")
     if len(factors) == 1 and factors[0][1] == 1:
         offset = factors[0][0].offset  # elsewhere a degree is a difference of temperature, as in W/(m2 degC)
-    clocks = tuple(dict.fromkeys(symbol.clock for symbol, _ in factors if symbol.clock))
+    clocks = tuple(dict.fromkeys(symbol.clock for symbol, _, _ in factors if symbol.clock))
     found = tuple((base, power) for base, power in exponents.items() if power)
-    return Unit(text, _coherent(written), found, factor, pi, offset, clocks)
+    left = tuple((called, power) for called, power in as_written.items() if power)
+    return Unit(text, product_text(written), found, factor, pi, offset, clocks, left)
 
 
-def _coherent(written: dict[str, Fraction]) -> str:
-    """The SI text of symbols with powers: those above the slash in their order, then those below."""
+def product_text(written: Mapping[str, Fraction]) -> str:
+    """The text of symbols with powers: those above the slash in their order, then those below."""
     above = [name + _raised(power) for name, power in written.items() if power > 0]
     below = [name + _raised(-power) for name, power in written.items() if power < 0]
     over = "" if not below else "/" + (below[0] if len(below) == 1 else f"({' '.join(below)})")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.errors import UnitError
 
-from .unit_parser import RULE, Unit, parse_unit
+from .unit_parser import RULE, Unit, parse_unit, product_text
 
 FloatArray = NDArray[np.float64]
 
@@ -69,6 +70,19 @@ def read_unit(unit: Any, *, where: str = "") -> Unit:
             raise
         problem = f"{opening}{error.problem}"
         raise UnitError(problem, seen=error.seen, allowed=error.allowed, cure=error.cure) from None
+
+
+def unit_product(*factors: tuple[str, Fraction | int]) -> str:
+    """The text of a product of units to powers, in the symbols that they are written with.
+
+    >>> unit_product(("m3/s", 1), ("m", -1)), unit_product(("N m", 1), ("rad/s", -2))
+    ('m2/s', 'N m s2/rad2')
+    """
+    found: dict[str, Fraction] = {}
+    for unit, power in factors:
+        for symbol, own in read_unit(unit).written:
+            found[symbol] = found.get(symbol, Fraction(0)) + own * power
+    return product_text(found)
 
 
 def read_data_unit(unit: Any, *, where: str = "") -> Unit:

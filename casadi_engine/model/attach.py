@@ -105,7 +105,7 @@ def _with_torque(model: Model, term: Term) -> Model:
         made = _replaced(model, slot, slot + drive)
         return replace(
             made,
-            drives=(*made.drives, Variable(name, "N m", words)),
+            drives=(*made.drives, Variable(name, term.port.unit, words)),
             d=ca.vertcat(made.d, drive),
             drive_expressions=ca.vertcat(made.drive_expressions, term.value),
         )

@@ -22,6 +22,7 @@ from casadi_engine.model.declared_units import (
     seconds_in,
 )
 from casadi_engine.model.model import Model
+from casadi_engine.model.port_units import with_units
 from casadi_engine.model.rates import with_rates
 from casadi_engine.parameters import near_matches
 
@@ -68,6 +69,7 @@ class Blueprint:
         self._ports: dict[str, Port] = {}
         self._odes: dict[str, Any] = {}
         self._laws: dict[str, Any] = {}
+        self._stated: set[str] = set()  # ports whose unit was given
         self._time = ca.SX.sym("t")
 
     @property
@@ -143,20 +145,22 @@ class Blueprint:
             On what moves in metres the names are the same: ``speed`` [m/s] of a mass, ``twist`` [m] and ``twist_rate``
             [m/s] of a spring or damper. The slot accelerates an inertia: it enters the ode of ``speed`` with +. At a
             coupling it pulls the sides together: it enters the ode of the side that a positive twist is ahead with -
-        unit : of the slot; None takes N m, N where the signals are states in m or m/s, and "-" where they are in
-            neither. Amplitudes of effects follow it: N s/m for N m s/rad
+        unit : of the slot; None takes the one that the ode asks for in which the slot stands, as far as the units that
+            were declared tell; else N m, N where the signals are states in m or m/s, and "-" where they are in neither.
+            Amplitudes of effects follow it and the signals: N s/m or W/K for N m s/rad
         """
         if _identifier("port", name) in self._ports:
             raise _repeated("port", name)
         slot = ca.SX.sym(f"w_{name}") if isinstance(kind, str) and PORT_KINDS.get(kind, False) else None
         made = {key: _scalar(f"signal {key} of port {name}", value) for key, value in (signals or {}).items()}
-        self._ports[name] = Port(name, kind, description, made, slot, self._slot_unit(made, unit))
+        own = self._slot_unit(made) if unit is None else Variable("slot", unit).unit
+        self._ports[name] = Port(name, kind, description, made, slot, own)
+        if unit is not None:
+            self._stated.add(name)
         return slot
 
-    def _slot_unit(self, signals: Mapping[str, Any], given: str | None) -> str:
-        """The unit of a slot: the one given, or that which goes with the units of the states among the signals."""
-        if given is not None:
-            return Variable("slot", given).unit
+    def _slot_unit(self, signals: Mapping[str, Any]) -> str:
+        """The unit of a slot by the states among the signals, where its equation does not tell."""
         if {made.unit for made, _ in self._states.values()} <= {"1", "rad", "rad/s"}:
             return "N m"  # whichever states the signals are made of
         everything = ca.vertcat(ca.SX(0, 1), *signals.values())
@@ -321,7 +325,12 @@ class Blueprint:
         return found
 
     def _all_ports(self) -> Ports:
-        ports = dict(self._ports)
+        groups = (self._states, self._inputs, self._drives, self._parameters)
+        units = [(made[1], made[0].unit) for group in groups for made in group.values()]
+        odes = [(state.unit, self._odes[name] * self._seconds) for name, (state, _) in self._states.items()]
+        ports = with_units(
+            self._ports, [*units, (self._time, "s")], odes, stated=self._stated, per=self._time_unit or "s"
+        )
         added = [
             Port(f"input_{name}", "input", f"channel {name}", {"value": symbol})
             for name, (_, symbol) in self._inputs.items()

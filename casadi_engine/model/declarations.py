@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from fractions import Fraction
 from functools import cached_property
 from itertools import combinations
 from numbers import Real
@@ -14,7 +16,8 @@ from typing import Any, overload
 
 from casadi_engine.effects.protocol import PORT_KINDS
 from casadi_engine.errors import ModelError, UnitError
-from casadi_engine.experiment.units import NOT_STATED, read_unit
+from casadi_engine.experiment.units import NOT_STATED, read_unit, unit_product
+from casadi_engine.model.port_units import MECHANICAL, is_speed, quantity
 from casadi_engine.parameters import Parameter, near_matches
 
 
@@ -97,6 +100,10 @@ class ParameterDeclaration:
         )
 
 
+# An expression of so many characters is read in a sentence.
+_SHORT = 24
+
+
 @dataclass(frozen=True, eq=False)
 class Port:
     """A place of a model where something can be attached.
@@ -111,6 +118,7 @@ class Port:
     unit : of the slot
     ends : names of the two ports that a link or pipe joins; what an effect adds there leaves the first and enters the
         second
+    units : signal -> its unit, of those whose unit is known
     """
 
     name: str
@@ -120,6 +128,7 @@ class Port:
     slot: Any = None
     unit: str = "N m"
     ends: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not isinstance(self.kind, str) or self.kind not in PORT_KINDS:
@@ -146,18 +155,63 @@ class Port:
     def in_its_unit(self, text: str) -> str:
         """A unit that is written for torques and angles, as it reads at this port; "-" where that is not known.
 
-        >>> Port("mass", "inertia", unit="N").in_its_unit("N m s2/rad2")
+        >>> Port("mass", "inertia", unit="N", units={"speed": "m/s"}).in_its_unit("N m s2/rad2")
         'N s2/m2'
-        >>> Port("tank", "inertia", unit="m3/s").in_its_unit("N m")
-        'm3/s'
+        >>> Port("room", "inertia", unit="W", units={"speed": "K"}).in_its_unit("N m s/rad")
+        'W/K'
         """
-        if self.unit == "N m":
+        powers = dict(read_unit(text).written)
+        acting, angle, time = (powers.get(symbol, Fraction(0)) for symbol in ("N", "rad", "s"))
+        if self.unit == "N m" or not (acting or angle):
             return text
-        if text == "N m":
-            return self.unit
-        if self.unit == "N":
-            return text.replace("N m", "N").replace("rad", "m")
-        return "-" if "N m" in text or "rad" in text else text
+        place = None if self._place is None or time else self._place
+        motion = self._motion if place is None else place
+        if (acting and self.unit == NOT_STATED) or (angle and motion is None):
+            return NOT_STATED
+        factors = [(self.unit, acting)] if acting else []
+        factors += [(motion, angle)] if angle and motion is not None else []
+        # in N m s/rad the second belongs to the motion, in N m s it stands for itself
+        factors += [("s", time + angle if angle and place is None else time)]
+        return unit_product(*factors)
+
+    @property
+    def _motion(self) -> str | None:
+        """The unit of what an effect reads as speed."""
+        own = next((self.units[n] for n in ("speed", "twist_rate", "difference") if n in self.units), None)
+        by_place = None if self._place is None else unit_product((self._place, 1), ("s", -1))
+        known = own if own is not None else by_place
+        return ("m/s" if self.unit == "N" else None) if known is None else known
+
+    @property
+    def _place(self) -> str | None:
+        """The unit of what an effect reads as twist."""
+        return next((self.units[n] for n in ("twist", "angle") if n in self.units), None)
+
+    @property
+    def quantity(self) -> str:
+        """What acts there: torque, force, volume flow ..., "rate" or "term"."""
+        return quantity(self.unit)
+
+    @property
+    def motion(self) -> str:
+        """What an effect reads there, in words: speed, or the expression of the signal."""
+        own = next((n for n in ("speed", "twist_rate", "twist") if n in self.signals), "")
+        return "speed" if self.is_mechanical or not own else self.called(own)
+
+    def called(self, signal: str) -> str:
+        """A signal in words: its name where a torque or force acts, else its expression where that is short."""
+        written = str(self.signals.get(signal, ""))
+        plain = signal.replace("_", " ")
+        if self.is_mechanical or not 0 < len(written) <= _SHORT or "@" in written or written.count("(") > 1:
+            return plain
+        written = written.removeprefix("(").removesuffix(")")
+        return re.sub(r"(?<=[A-Za-z_)])([-+])(?=[A-Za-z_(])", r" \1 ", written)
+
+    @property
+    def is_mechanical(self) -> bool:
+        """True where a torque or a force acts, or a speed is read."""
+        known = self.quantity in MECHANICAL
+        return known or (self.unit == NOT_STATED and is_speed(self._motion or NOT_STATED))
 
     def __str__(self) -> str:
         return f"{self.name} ({self.kind}): {', '.join(self.signals)}"
@@ -198,8 +252,10 @@ class Ports(Sequence[Port]):
                 signals = {"difference": first - second, "first": first, "second": second}
                 words = f"{shared[0]} of {a.name} less that of {b.name}"
                 ends = (a.name, b.name)
-                kind = "link" if a.unit in ("N m", "N") else "pipe"
-                found.append(Port("_and_".join(ends), kind, words, signals, None, a.unit, ends))
+                kind = "link" if a.is_mechanical else "pipe"
+                unit = a.units.get(shared[0])
+                units = {} if unit is None else dict.fromkeys(signals, unit)
+                found.append(Port("_and_".join(ends), kind, words, signals, None, a.unit, ends, units))
         return tuple(found)
 
     @overload

@@ -119,7 +119,7 @@ def sheet(model: Model) -> str:
     title = model.name + (f": {model.description}" if model.description else "")
     kind = "linear" if model.linear is not None else "general (not affine in states and drives)"
     if model.linear is not None and model.has_slot_laws:
-        kind = "linear core with nonlinear torques in slots"
+        kind = "linear core with nonlinear laws in slots"
     return f"{title}\n{kind}\n\n{equations(model)}\n\n{table(model)}"
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from casadi_engine.effects.functions import Sharp, Smooth
+from casadi_engine.effects.functions import Sharp, SharpInTime
 from casadi_engine.effects.protocol import PORT_KINDS, Effect, Grid, check_effect
 from casadi_engine.errors import CasadiEngineError, EffectError
 from casadi_engine.model.declarations import ParameterDeclaration, Port
@@ -249,7 +249,8 @@ def _law_read(model: Model, effect: Any, port: Port, given: Mapping[str, float],
     known = dict(zip(_estimated(effect), symbols, strict=True))
     constants = {name: given[name] for name, grid in effect.nuisance.items() if grid.whole}
     try:
-        law = effect.law(view, Values(effect.name, known | constants), Sharp if sharp else Smooth)
+        functions = Sharp if sharp else SharpInTime(ca.vertcat(model.t, model.p, *symbols))
+        law = effect.law(view, Values(effect.name, known | constants), functions)
     except CasadiEngineError:
         view.check()
         raise
@@ -336,7 +337,7 @@ def _declarations(
             amplitude.min,
             amplitude.max,
             True,
-            amplitude.description or effect.describe(view.name),
+            amplitude.description or _words(effect, port),
         )
     ]
     for name, grid in effect.nuisance.items():
@@ -356,6 +357,10 @@ def _declarations(
                 )
             )
     return tuple(made)
+
+
+def _words(effect: Any, port: Port) -> str:
+    return effect.worded(port) if isinstance(effect, Effect) else f"{effect.name} at {port.name}"
 
 
 def _uses(symbol: Any, value: Any, states: Iterable[OwnState]) -> bool:

@@ -20,6 +20,8 @@ from casadi_engine.report.repaired_gap import (
 )
 from casadi_engine.report.repaired_latent import (
     AXES,
+    acting,
+    axis_of,
     draw_over,
     draw_over_time,
     latent_at,
@@ -76,7 +78,7 @@ def _widest(chosen: list[Pair]) -> Pair:
 
 
 def _overview(repair: Repair, gaps: tuple[Pair, ...]) -> Sketch:
-    """The gap that shrank, its orders, its spread, and the law that closed it."""
+    """The gap that shrank, its orders or course, its spread, and the law that closed it."""
     chosen = _chosen(gaps)
     sketch = Sketch(11, 6.2, (2, 6))  # six columns hold one, two or three panels
     share = 6 // len(chosen)
@@ -86,7 +88,11 @@ def _overview(repair: Repair, gaps: tuple[Pair, ...]) -> Sketch:
         panel.key, panel.room = "upper right", 0.35
     same_height(tops)
     left, middle, right = (sketch.panel(1, column, columns=2) for column in (0, 2, 4))
-    draw_orders(left, _widest(chosen))
+    widest = _widest(chosen)
+    if widest.theta is None:  # nothing turns: the gap over time takes the place of engine orders
+        draw_course(left, widest, 0)
+    else:
+        draw_orders(left, widest)
     left.key, left.room = "upper right", 0.35
     draw_density(middle, tuple(gaps))
     middle.key, middle.room = "upper center", 0.3
@@ -106,8 +112,9 @@ def _last(panel: Panel, repair: Repair) -> None:
     if signal is None:
         draw_scores(panel, repair, _ROWS_BESIDE)
         return
-    draw_over(panel, records, signal, law_words(laws))
-    panel.title = f"torque at {latent.port} {panel.title}"
+    port = latent.port
+    draw_over(panel, records, signal, law_words(laws), axis_of(repair, port, signal), acting(repair, port))
+    panel.title = f"{acting(repair, port, unit=False)} at {port} {panel.title}"
     panel.key, panel.room = "upper left", 0.4
 
 
@@ -134,10 +141,15 @@ def _gap(pair: Pair) -> Sketch:
     same_height(times)
     spread = sketch.panel(2 * len(shown), 0, rows=2)
     draw_density(spread, (pair,))
-    folded, orders = (sketch.panel(row, 1, rows=3) for row in (0, 3))
-    draw_folded(folded, pair)
-    draw_orders(orders, pair)
-    for panel in (spread, folded, orders):
+    beside = (
+        [sketch.panel(row, 1, rows=3) for row in (0, 3)]
+        if pair.theta is not None
+        else [sketch.panel(0, 1, rows=6)]
+    )
+    draw_folded(beside[0], pair)
+    if pair.theta is not None:
+        draw_orders(beside[1], pair)
+    for panel in (spread, *beside):
         panel.key, panel.room = "upper right", 0.35
     return sketch
 
@@ -154,9 +166,9 @@ def _latent(repair: Repair, port: str) -> Sketch:
     sketch = Sketch(11, 3.0 * down + 0.3, (down, _ACROSS), key=True)
     cells = sketch.cells()
     for one in shown:
-        draw_over_time(next(cells), one, words)
+        draw_over_time(next(cells), one, words, acting(repair, port))
     for signal in signals:
-        draw_over(next(cells), records, signal, words)
+        draw_over(next(cells), records, signal, words, axis_of(repair, port, signal), acting(repair, port))
     return sketch
 
 
@@ -173,17 +185,13 @@ def _unknown(repair: Repair) -> Sketch:
     panel.plot(course.signal, course.mean, color=panels.SIMULATED, linewidth=1.3, label="most likely course")
     panel.axhline(0.0, color="0.6", linewidth=0.6)
     alike = next(iter(course.looks_like.items()), None)
-    title = f"unknown torque at {unknown.port}"
+    port = str(unknown.port)
+    title = f"unknown {acting(repair, port, unit=False)} at {port}"
     if alike is not None:
         title += f": looks {alike[0]} ({100 * alike[1]:.0f} % of its variance)"
-    panels.dress(panel, x=_with_unit(course.family.signal), y="torque [N m]", title=title)
+    panels.dress(panel, x=axis_of(repair, port, course.family.signal), y=acting(repair, port), title=title)
     panel.key = "best"
     return sketch
-
-
-def _with_unit(signal: str) -> str:
-    units = {"twist": "rad", "twist_rate": "rad/s", "speed": "rad/s", "angle": "rad", "time": "s"}
-    return f"{signal.replace('_', ' ')} [{units.get(signal, '1')}]"
 
 
 def _scores(repair: Repair) -> Sketch:

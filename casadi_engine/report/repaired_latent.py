@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.discrepancy.latent_torque import LatentCourse, LatentTorque
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair
+from casadi_engine.experiment.units import NOT_STATED
 from casadi_engine.report import panels
 from casadi_engine.report.repaired_gap import FOUR_STROKE
 from casadi_engine.report.sketch import Panel
@@ -18,13 +19,8 @@ from casadi_engine.report.sketch import Panel
 Array = NDArray[np.float64]
 
 LAW = panels.PREDICTED
-# Signals over which a course is drawn, with their units and words.
-AXES = {
-    "twist": ("twist [rad]", 1.0),
-    "twist_rate": ("twist rate [rad/s]", 1.0),
-    "speed": ("speed [rad/s]", 1.0),
-    "crank_angle": ("crank angle [deg]", 180 / math.pi),
-}
+# Signals over which a course is drawn, with their factors.
+AXES = {"twist": 1.0, "twist_rate": 1.0, "speed": 1.0, "crank_angle": 180 / math.pi}
 # Parts linear in these are what inertias, stiffness and damping can take over.
 LINEAR = ("twist", "twist_rate", "speed")
 _CYCLES_SHOWN = 2
@@ -46,6 +42,24 @@ class Seen:
     band: Array
     law: Array | None
     signals: Mapping[str, Array]
+
+
+def acting(repair: Repair, port: str, unit: bool = True) -> str:
+    """What acts at a port, with its unit: ``torque [N m]``."""
+    known = repair.model.ports[port] if port in repair.model.ports.names else None
+    quantity, own = ("torque", "N m") if known is None else (known.quantity, known.unit)
+    return f"{quantity} [{own}]" if unit and own != NOT_STATED else quantity
+
+
+def axis_of(repair: Repair, port: str, signal: str) -> str:
+    """A signal of a port with its unit: ``speed [rad/s]``."""
+    if signal in ("crank_angle", "time"):
+        return {"crank_angle": "crank angle [deg]", "time": "time [s]"}[signal]
+    known = repair.model.ports[port] if port in repair.model.ports.names else None
+    if known is None:
+        return signal.replace("_", " ")
+    unit = known.units.get(signal)
+    return known.called(signal) + ("" if unit is None else f" [{unit}]")
 
 
 def latent_at(repair: Repair, port: str | None = None) -> LatentTorque | None:
@@ -146,19 +160,21 @@ def binned(signal: Array, value: Array, band: Array) -> tuple[Array, Array, Arra
 # ---- panels -------------------------------------------------------------------------------------------
 
 
-def draw_over_time(panel: Panel, one: Seen, law: str) -> None:
+def draw_over_time(panel: Panel, one: Seen, law: str, acts: str = "torque [N m]") -> None:
     """The latent torque with its band over the last engine cycles, and the law."""
     start = _first_shown(one)
     inside = one.time >= start
     time, mean, band = one.time[inside], one.mean[inside], 2 * one.band[inside]
     words = "±2 standard errors"
     panel.fill_between(time, mean - band, mean + band, color=panels.BAND, linewidth=0, label=words)
-    panel.plot(time, mean, color=panels.SIMULATED, linewidth=1.0, label="torque that the data ask for")
+    panel.plot(
+        time, mean, color=panels.SIMULATED, linewidth=1.0, label=f"{_bare(acts)} that the data ask for"
+    )
     if one.law is not None:
         panel.plot(time, one.law[inside], color=LAW, linewidth=1.2, label=law)
     panel.axhline(0.0, color="0.6", linewidth=0.6)
     title = f"{one.record}, its last {time[-1] - start:.2g} s"
-    panels.dress(panel, x="time [s]", y="torque [N m]", title=title)
+    panels.dress(panel, x="time [s]", y=acts, title=title)
 
 
 def _first_shown(one: Seen) -> float:
@@ -171,16 +187,21 @@ def _first_shown(one: Seen) -> float:
     return float(one.time[-1] - 0.2 * (one.time[-1] - one.time[0]))
 
 
-def draw_over(panel: Panel, records: Sequence[Seen], signal: str, law: str) -> None:
-    """The latent torque over a signal: knots, their means in pieces of the signal, and the law."""
-    words, factor = AXES[signal]
+def draw_over(
+    panel: Panel, records: Sequence[Seen], signal: str, law: str, words: str, acts: str = "torque [N m]"
+) -> None:
+    """The latent torque over a signal: knots, their means in pieces of the signal, and the law.
+
+    words : the signal with its unit; acts : what acts at the port, with its unit
+    """
+    factor = AXES[signal]
     x = np.concatenate([one.signals[signal] for one in records])
     mean, band = (np.concatenate([getattr(one, name) for one in records]) for name in ("mean", "band"))
     panel.plot(factor * x, mean, ".", color="0.75", markersize=2, label="at each knot")
     place, value, error = binned(x, mean, band)
     panel.errorbar(
         factor * place, value, yerr=2 * error, color=panels.SIMULATED, markersize=3, linewidth=1.0,
-        label="torque that the data ask for, mean ±2 s.e.",
+        label=f"{_bare(acts)} that the data ask for, mean ±2 s.e.",
     )  # fmt: skip
     if all(one.law is not None for one in records):
         total = np.concatenate([np.asarray(one.law) for one in records])
@@ -191,9 +212,14 @@ def draw_over(panel: Panel, records: Sequence[Seen], signal: str, law: str) -> N
             where, level, _ = binned(x, total, np.zeros(len(total)))
             panel.plot(factor * where, level, color=LAW, linewidth=1.4, label=f"{law} (mean)")
     panel.axhline(0.0, color="0.6", linewidth=0.6)
-    panels.dress(panel, x=words, y="torque [N m]", title=f"over {words.partition(' [')[0]}")
+    panels.dress(panel, x=words, y=acts, title=f"over {_bare(words)}")
     if signal == "crank_angle":
         panel.xlim, panel.xticks = (0, 720), range(0, 721, 180)
+
+
+def _bare(words: str) -> str:
+    """Words without their unit."""
+    return words.partition(" [")[0]
 
 
 def _single_valued(values: Array) -> bool:

@@ -7,12 +7,21 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from casadi_engine.discrepancy.repaired import FoundEffect, Repair, Side
+from casadi_engine.discrepancy.repaired import Repair
+from casadi_engine.discrepancy.wording import held_out, in_unit, is_blind, twins
 from casadi_engine.estimation.summary import number, with_error
 from casadi_engine.report import tables
 from casadi_engine.report.figures import figures
 from casadi_engine.report.page import Folded, Section
 from casadi_engine.report.repaired_gap import pairs
+from casadi_engine.report.repaired_latent import acting
+from casadi_engine.report.repaired_tables import (
+    class_table,
+    gap_table,
+    p_text,
+    parameter_table,
+    whiteness_table,
+)
 from casadi_engine.report.repaired_words import mood, verdict_lines
 from casadi_engine.report.sections import DRAWN, Page, _data, _how, _model, page_of
 from casadi_engine.report.tables import as_html, table, text
@@ -51,7 +60,7 @@ def _(result: Repair) -> str:
 def _(result: Repair) -> str:
     parts = [f"<p><b>{html.escape(verdict_lines(result)[0])}</b></p>"]
     if result.gaps is not None:
-        parts += [_gap_table(result), _parameter_table(result)]
+        parts += [gap_table(result), parameter_table(result)]
     return "".join(parts)
 
 
@@ -62,7 +71,9 @@ def _verdict(result: Repair) -> Section:
     wanted = []
     if result.gaps is not None:
         caption = "The gap between measurement and simulation"
-        caption += " before and after the repair, mean of the cycles; its engine orders; its spread; and the law found"
+        turns = any("theta" in one for one in result.data)
+        kinds = "mean of the cycles; its engine orders" if turns else "mean over time; its course"
+        caption += f" before and after the repair, {kinds}; its spread; and the law found"
         if not result.effects:
             caption = caption.replace(" before and after the repair", "").replace(
                 "the law found", "the scores"
@@ -101,24 +112,24 @@ def _effects(result: Repair) -> Section:
     rows, lines = [], []
     for one in result.effects:
         lines.append(f"{one.sentence} ({one.name} at {one.at})")
-        frequency = "-" if one.selection_frequency is None else f"{100 * one.selection_frequency:.0f} %"
-        said = (f"{one.z:.1f}", _p(one.p_value), f"{100 * one.share_explained:.3g} %", frequency)
+        if twins(one):
+            names = " and ".join(f"{m.name} at {m.at}" for m in twins(one))
+            lines.append(f"Data of this kind cannot tell it from {names}, however many: correlation 1 or -1.")
+        alone = one.selection_frequency is not None and len(one.members) == 1
+        frequency = (
+            f"{100 * one.selection_frequency:.0f} %" if alone and one.selection_frequency is not None else "-"
+        )
+        said = (f"{one.z:.1f}", p_text(one.p_value), f"{100 * one.share_explained:.3g} %", frequency)
         for name, estimate in one.parameters.items():
-            rows.append((name, f"{with_error(estimate.value, estimate.stderr)} {estimate.unit}", *said))
+            rows.append(
+                (name, f"{with_error(estimate.value, estimate.stderr)}{in_unit(estimate.unit)}", *said)
+            )
             said = ("", "", "", "")
-    header = ("parameter", "value ± standard error", "z", "p, whole library", "of the gap", "first in halves")
-    made = [table(header, rows, right=(2, 3, 4, 5), caption="Effects found")]
-    made += [_class_table(one) for one in result.effects if len(one.members) > 1]
+    header = ("parameter", "value ± standard error", "z", "p, whole library", "of the gap", "stability")
+    words = "Effects found; stability: share of random halves of the data in which the score is the best"
+    made = [table(header, rows, right=(2, 3, 4, 5), caption=words)]
+    made += [class_table(one) for one in result.effects if len(one.members) > 1]
     return Section("effects", "The effects", lines=lines, tables=made, wanted=_latent_wanted(result))
-
-
-def _class_table(effect: FoundEffect) -> str:
-    rows = [
-        (f"{one.name} at {one.at}", f"{one.rho:+.3f}", f"{100 * one.probability:.3g} %")
-        for one in effect.members
-    ]
-    caption = f"The class of {effect.key}: these explain the data as well"
-    return table(("effect", "correlation", "probability, equal before"), rows, right=(1, 2), caption=caption)
 
 
 def _latent_wanted(result: Repair) -> list[tuple[Any, str, str]]:
@@ -127,40 +138,58 @@ def _latent_wanted(result: Repair) -> list[tuple[Any, str, str]]:
     if not ports and result.latent:
         ports = [result.latent[0].port]
     caption = (
-        "Torque of unknown course at {port}, as the data ask for it before the repair, and the law that was named. "
+        "{acts} of unknown course at {port}, as the data ask for it before the repair, and the law that was named. "
         "Parts linear in the signals belong to the old parameters and are set so that they agree with the law"
     )
-    return [(result, f"latent {port}", caption.format(port=port)) for port in ports]
+    return [
+        (
+            result,
+            f"latent {port}",
+            caption.format(port=port, acts=acting(result, port, unit=False).capitalize()),
+        )
+        for port in ports
+    ]
 
 
 def _unknown(result: Repair) -> Section:
     unknown = result.unknown
     assert unknown is not None
-    rows = [(name, _p(p)) for name, p in unknown.tests.items()]
+    rows = [(name, p_text(p)) for name, p in unknown.tests.items()]
     wanted = (
-        [] if unknown.course is None else [(result, "unknown", "The unknown torque that explains most of it")]
+        []
+        if unknown.course is None
+        else [(result, "unknown", f"The unknown {_acts(result)} that explains most of it")]
     )
     if not result.effects:
         wanted += _latent_wanted(result)
     made = [table(("rejected residual test", "p"), rows, right=(1,))] if rows else []
-    title, line = "What no effect of the library explains", f"{unknown.sentence}."
+    blind = is_blind(result)
+    title = "What is not explained" if blind else "What no effect of the library explains"
+    line = f"{unknown.sentence}."
     return Section("unknown", title, [line], "poor", tables=made, wanted=wanted)
+
+
+def _acts(result: Repair) -> str:
+    """What acts at the port of what is unknown."""
+    port = None if result.unknown is None else result.unknown.port
+    return "torque" if port is None else acting(result, port, unit=False)
 
 
 def _certificate(result: Repair) -> Section:
     gaps = result.gaps
     assert gaps is not None
-    made = [_gap_table(result), _test_table(result)]
+    made = [gap_table(result), whiteness_table(result)]
     gain = gaps.gain_per_cycle
     if gain is not None:
         rows = [(number(gain.mean, ".4g"), number(gain.se, ".3g"), str(gain.cycles), _yes(result.confirmed))]
-        header = ("mean", "standard error", "cycles", "confirmed (mean > 2 s.e.)")
+        part = "cycle" if any(one.name == "theta" for one in result.model.inputs) else "piece"
+        header = ("mean", "standard error", f"{part}s", "confirmed (mean > 2 s.e.)")
         made.append(
-            table(header, rows, right=(0, 1, 2), caption="Fall of chi-squared per cycle of data not used")
+            table(header, rows, right=(0, 1, 2), caption=f"Fall of chi-squared per {part} of data not used")
         )
     what = {
         "records": "Fresh records: the parameters are kept, only initial states are found.",
-        "cycles": "No fresh record was given: the last cycles of each record were held out of the search.",
+        "cycles": "No fresh record was given: each record kept {held} for confirmation.",
         None: "No fresh data: the repair is not confirmed.",
     }
     every = pairs(result)
@@ -168,67 +197,17 @@ def _certificate(result: Repair) -> Section:
         (
             result,
             f"{'fresh gap' if one.fresh else 'gap'} {one.record} {one.output}",
-            f"{one.title}: residual over time with the band of the noise, its mean cycle, its orders",
+            f"{one.title}: residual over time with the band of the noise, its mean"
+            + (" cycle, its orders" if one.theta is not None else " in pieces of the record"),
         )
         for one in every[:DRAWN]
     ]
-    lines = [what[gaps.source]]
+    lines = [what[gaps.source].format(held=held_out(result))]
     if len(every) > DRAWN:
         lines.append(f"{len(every) - DRAWN} more outputs are in the tables, but not drawn here.")
     return Section(
         "certificate", "Certificate: the gap before and after", lines=lines, tables=made, wanted=wanted
     )
-
-
-def _gap_table(result: Repair) -> str:
-    gaps = result.gaps
-    assert gaps is not None
-    units = {variable.name: variable.unit for variable in result.model.outputs}
-    rows = []
-    for words, before, after in (
-        ("search", gaps.estimation_before, gaps.estimation_after),
-        ("fresh", gaps.validation_before, gaps.validation_after),
-    ):
-        if before is None or after is None:
-            continue
-        for output, old in before.gap.rmse.items():
-            rows.append(
-                (
-                    words, output, units.get(output, "1"), f"{old:.4g}", f"{after.gap.rmse[output]:.4g}",
-                    f"{before.gap.fit_percent[output]:.2f}", f"{after.gap.fit_percent[output]:.2f}",
-                    f"{before.gap.chi2_per_sample:.4f}", f"{after.gap.chi2_per_sample:.4f}",
-                )
-            )  # fmt: skip
-    header = (
-        "data", "output", "unit", "rms before", "rms after", "fit % before", "fit % after", "χ²/N before", "χ²/N after",
-    )  # fmt: skip
-    caption = "The gap in simulation; χ² with the noise of the scores, 1 is noise alone"
-    return table(header, rows, right=range(3, 9), caption=caption)
-
-
-_WHITENESS = "Whiteness of the residuals; on fresh data, of what errors of the parameters do not explain"
-
-
-def _test_table(result: Repair) -> str:
-    gaps = result.gaps
-    assert gaps is not None
-    rows = []
-    for before, after in (
-        (gaps.estimation_before, gaps.estimation_after),
-        (gaps.validation_before, gaps.validation_after),
-    ):
-        if before is not None and after is not None:
-            rows += _test_rows(before, after)
-    header = ("record", "output", "p before", "p after")
-    return table(header, rows, right=(2, 3), caption=_WHITENESS)
-
-
-def _test_rows(before: Side, after: Side) -> list[tuple[str, str, str, str]]:
-    return [
-        (record, output, _p(p), _p(after.whiteness_p[record][output]))
-        for record, outputs in before.whiteness_p.items()
-        for output, p in outputs.items()
-    ]
 
 
 def _parameters(result: Repair) -> Section:
@@ -242,38 +221,10 @@ def _parameters(result: Repair) -> Section:
         for one in result.effects
         if one.found_shift and f"shift {one.key}" in known
     ]
-    made = [_parameter_table(result), tables.initial_table(result.fit)]
+    made = [parameter_table(result), tables.initial_table(result.fit)]
     return Section(
         "parameters", "Parameters before and after", tables=[one for one in made if one], wanted=wanted
     )
-
-
-def _parameter_table(result: Repair) -> str:
-    shifts: dict[str, float] = {}
-    for one in result.effects:
-        for name, value in one.predicted_shift.items():
-            shifts[name] = shifts.get(name, 0.0) + value
-    rows, kept = [], []
-    for name, new in result.fit.estimates.items():
-        old = result.null_fit.estimates.get(name)
-        if new.fixed:
-            kept.append(f"{name} = {number(new.value)} {new.unit}")
-            continue
-        after = with_error(new.value, None if new.at_bound else new.stderr)
-        rows.append(
-            (
-                name,
-                "-" if old is None else with_error(old.value, None if old.at_bound else old.stderr),
-                f"{after}, at its {new.at_bound} bound" if new.at_bound else after,
-                new.unit,
-                "" if old is None else f"{new.value - old.value:+.3g}",
-                f"{shifts[name]:+.3g}" if name in shifts else "",
-            )
-        )
-    header = ("parameter", "before ± standard error", "after ± standard error", "unit", "change", "predicted")
-    caption = "Parameters; the change predicted by the score is a first step"
-    caption += f". Fixed: {', '.join(kept)}" if kept else ""
-    return table(header, rows, right=(4, 5), caption=caption)
 
 
 def _where(result: Repair) -> Section:
@@ -293,9 +244,16 @@ def _where(result: Repair) -> Section:
         ]
     made = [table(("the gap before the repair", "where"), rows)] if rows else []
     if result.latent:
-        gains = [(one.port, f"{one.gain:.4g}", f"{one.level:.3g}") for one in result.latent]
-        header = ("torque of unknown course at", "gain of 2 log likelihood", "its size [N m]")
-        caption = "Where in the machine (a screen: with few sensors any place explains much; the claim is the score's)"
+        gains = [
+            (
+                f"{acting(result, one.port, unit=False)} at {one.port}",
+                f"{one.gain:.4g}",
+                _size_of(result, one.port, one.level),
+            )
+            for one in result.latent
+        ]
+        header = ("of unknown course", "gain of 2 log likelihood", "its size")
+        caption = "Where in the system (a screen: with few sensors any place explains much; the claim is the score's)"
         made.append(table(header, gains, right=(1, 2), caption=caption))
     lines = [] if rows else ["No part of the data stands out of the noise."]
     return Section("where", "Where the gap sits", lines=lines, tables=made)
@@ -332,7 +290,7 @@ def _not_found(result: Repair) -> Section:
             f"{one.smallest_detectable:.3g}"
             if one.testable and math.isfinite(one.smallest_detectable)
             else "-",
-            one.unit,
+            in_unit(one.unit).strip(),
             ""
             if one.testable
             else "not testable: the free parameters explain all that it does; it may be there",
@@ -344,7 +302,7 @@ def _not_found(result: Repair) -> Section:
     )
     left_out = [(one.effect, one.at or "-", one.why) for one in result.not_applicable]
     made += [table(("not applicable: effect", "port", "why"), left_out)] if left_out else []
-    line = "Not found is not absent: an effect below its smallest detectable size would have been missed."
+    line = "Not found is not absent: an effect below its smallest detectable size may well be there."
     split = result.next_experiment
     lines = [line] if rows else ["Every effect that was looked for was found, or nothing was looked for."]
     if split is not None:
@@ -355,10 +313,14 @@ def _not_found(result: Repair) -> Section:
     return Section("not-found", "Not found, and how small it would have to be", lines=lines, tables=made)
 
 
-def _p(value: float | None) -> str:
-    if value is None:
-        return "-"
-    return "< 1e-16" if value < 1e-16 else f"{value:.2g}"
+def _size_of(result: Repair, port: str, level: float) -> str:
+    """A size with the unit of what acts at a port."""
+    return f"{level:.3g}" + acting(result, port).removeprefix(acting(result, port, unit=False)).translate(
+        _BARE
+    )
+
+
+_BARE = str.maketrans("", "", "[]")
 
 
 def _yes(answer: bool | None) -> str:

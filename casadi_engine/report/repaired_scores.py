@@ -28,6 +28,9 @@ def standing(repair: Repair, row: ScoreRow) -> str:
     return "above" if row.significant else "below"
 
 
+# Characters of a name beside other panels.
+_BESIDE = 24
+
 WORDS = {
     "found": "found",
     "in its class": "in the class of one found",
@@ -69,7 +72,10 @@ def draw_scores(panel: Panel, repair: Repair, most: int = MOST_ROWS) -> None:
         _bent_axis(panel, repair.threshold, top)
     else:
         panel.xlim = (0, 1.15 * max(top, repair.threshold))
-    panel.ynames = (range(len(rows)), [f"{row.effect} at {row.at}" for row in rows])
+    names = [f"{row.effect} at {row.at}" for row in rows]
+    if most < MOST_ROWS:  # beside other panels, and all of it stands in the chart of its own
+        names = [name if len(name) <= _BESIDE else f"{name[: _BESIDE - 1]}…" for name in names]
+    panel.ynames = (range(len(rows)), names)
     panel.ylim, panel.flipped = (-0.6, len(rows) - 0.4), True
     panel.key = "lower right"
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from casadi_engine.discrepancy.wording import in_unit
 from casadi_engine.estimation.summary import with_error
 from casadi_engine.report.page import Section
 from casadi_engine.report.tables import table
@@ -22,7 +23,7 @@ def stored_verdict(result: Mapping[str, Any]) -> list[str]:
     lines = [_VERDICTS.get(result["verdict"], f"No answer: {result['status']}.")]
     for effect in result["effects"]:
         sizes = ", ".join(
-            f"{name} = {with_error(one['value'], one['stderr'])} {one['unit']}"
+            f"{name} = {with_error(one['value'], one['stderr'])}{in_unit(one['unit'])}"
             for name, one in effect["parameters"].items()
         )
         lines.append(f"{effect['sentence']}: {sizes}; {100 * effect['share_explained']:.3g} % of the gap.")
@@ -31,16 +32,21 @@ def stored_verdict(result: Mapping[str, Any]) -> list[str]:
     if result["effects"]:
         said = {
             True: "Confirmed by fresh data.",
-            False: "Refused by fresh data.",
+            False: "Contradicted by fresh data.",
             None: "Not confirmed by fresh data.",
         }
         lines.append(said[result["confirmed"]])
+    if result.get("stopped"):
+        missed = ", ".join(result["not_searched"]) or "further effects"
+        lines.append(f"Stopped by {result['stopped']}; not searched: {missed}.")
     return lines
 
 
 def stored_sections(result: Mapping[str, Any]) -> list[Section]:
     """The equations, the gap before and after, and what was not found."""
     sections = []
+    if "summary" in result:
+        sections.append(Section("printed", "As it was printed", preformatted=[result["summary"]]))
     if result["equation"] is not None:
         sections.append(Section("equation", "Equations", preformatted=[result["equation"]["text"]]))
     if result["gap"] is not None:

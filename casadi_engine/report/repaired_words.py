@@ -8,7 +8,9 @@ from casadi_engine.discrepancy.confirmation import share_explained
 from casadi_engine.discrepancy.fresh_misfit import fresh_misfit
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair
 from casadi_engine.discrepancy.summary import next_step
+from casadi_engine.discrepancy.wording import acting_at, first_words, in_unit, is_blind
 from casadi_engine.estimation.summary import number, with_error
+from casadi_engine.model import Model
 from casadi_engine.report.panels import half_width
 
 # A parameter is named at the top if it moved by so many of its standard errors.
@@ -17,7 +19,7 @@ _MOVED = 3.0
 
 def verdict_lines(repair: Repair) -> list[str]:
     """The verdict, what fresh data say, by how much the gap shrank, what the old parameters hid, and what to do."""
-    lines = [_verdict(repair)]
+    lines = [_verdict(repair), *(f"{words}." for words in first_words(repair))]
     lines += [_class(one) for one in repair.effects if len(one.members) > 1]
     if repair.effects and repair.unknown is not None:
         lines.append(f"The residuals still hold more: {repair.unknown.sentence}.")
@@ -28,9 +30,10 @@ def verdict_lines(repair: Repair) -> list[str]:
     if moved:
         lines.append(f"Without it the model had these wrong: {moved}.")
     lines += [
-        f"Found first and then refused by fresh data: {one.name} at {one.at}." for one in repair.withdrawn
+        f"Found first and then contradicted by fresh data: {one.name} at {one.at}."
+        for one in repair.withdrawn
     ]
-    lines += list(repair.messages)
+    lines += [_sentence(text) for text in repair.messages]
     lines.append(f"Next: {next_step(repair)}.")
     return [line for line in lines if line]
 
@@ -48,21 +51,30 @@ def _verdict(repair: Repair) -> str:
     if repair.verdict == "nothing missing":
         coloured = repair.noise is not None and repair.noise.colour
         left = "what an autoregression of the coloured noise leaves is" if coloured else "the residuals are"
+        if is_blind(repair):
+            return "Nothing was found, but no physical effect could be looked for."
         return (
             f"Nothing is missing that these data can show: {repair.candidates} candidates at α = {repair.alpha:g}, "
             f"and {left} white."
         )
     if repair.verdict == "unnamed":
         words = repair.unknown.sentence if repair.unknown is not None else "the residuals are not noise"
+        if is_blind(repair):
+            return f"Something is missing, and no physical effect could be looked for: {words}."
         return f"Something is missing that no effect of the library names: {words}."
-    return f"Something is missing: {' and '.join(effect_words(one) for one in repair.effects)}."
+    return f"Something is missing: {' and '.join(effect_words(one, repair.model) for one in repair.effects)}."
 
 
-def effect_words(effect: FoundEffect) -> str:
-    """An effect with its size: ``dry friction at coupling (coulomb_friction at coupling), torque 8.05 ± 0.07 N m``."""
-    amplitude = next(iter(effect.parameters))
-    size = f"{amplitude.rpartition('.')[2]} {with_error(effect.amplitude.value, effect.amplitude.stderr)}"
-    size = f"{size} {effect.amplitude.unit}".strip()
+def effect_words(effect: FoundEffect, model: Model) -> str:
+    """An effect with its size: ``dry friction at coupling (coulomb_friction at coupling), torque 8.05 ± 0.07 N m``.
+
+    What an effect calls its torque is called by what acts at the port.
+    """
+    name = next(iter(effect.parameters)).rpartition(".")[2]
+    known = model.ports[effect.at] if effect.at in model.ports.names else None
+    name = known.quantity if known is not None and name == "torque" else name
+    size = f"{name} {with_error(effect.amplitude.value, effect.amplitude.stderr)}"
+    size = f"{size}{in_unit(effect.amplitude.unit)}"
     return f"{effect.sentence} ({effect.name} at {effect.at}), {size}"
 
 
@@ -71,11 +83,23 @@ def _class(effect: FoundEffect) -> str:
     return f"These data do not tell apart {len(effect.members)} effects that explain it as well: {others}."
 
 
+def _sentence(text: str) -> str:
+    """A note as a sentence.
+
+    >>> _sentence("a note"), _sentence("J_eng went to a bound")
+    ('A note.', 'J_eng went to a bound.')
+    """
+    first, _, rest = text.partition(" ")
+    plain = first.isalpha() and first.islower()
+    return f"{first.capitalize() if plain else first} {rest}".strip().rstrip(".") + "."
+
+
 def _where(repair: Repair) -> str:
     place = repair.where
     if place is None:
         return ""
-    words = [f"in {place.record}"]
+    first, last = place.time
+    words = [f"in {place.record}" + (f" from {first:.4g} to {last:.4g} s" if first < last else "")]
     if place.cycles:
         words.append(f"cycle{'s' if len(place.cycles) > 1 else ''} {_numbers(place.cycles)}")
     if place.crank_angle is not None:
@@ -83,7 +107,7 @@ def _where(repair: Repair) -> str:
         words.append(f"crank angles {first:.0f} to {last:.0f} deg")
     if place.order is not None:
         words.append(f"engine order {place.order:g}")
-    at = f"; a torque at {place.location} explains most of it" if place.location else ""
+    at = f"; {acting_at(repair.model, place.location)} explains most of it" if place.location else ""
     return f"The gap is widest {', '.join(words)}{at}"
 
 
@@ -111,11 +135,12 @@ def _confirmed(repair: Repair) -> str:
     if repair.confirmed is None:
         why = "there are no fresh data" if gain is None or gain.why is None else gain.why
         return f"Not confirmed: {why}."
-    kind = "fresh records" if gaps.source == "records" else "cycles that were held out"
+    part = "cycle" if any(one.name == "theta" for one in repair.model.inputs) else "piece"
+    kind = "fresh records" if gaps.source == "records" else f"{part}s that were held out"
     size = ""
     if gain is not None and gain.mean is not None and gain.se is not None:
-        size = f", gain of chi-squared {gain.mean:.3g} ± {gain.se:.2g} per cycle over {gain.cycles} cycles"
-    word = "Confirmed" if repair.confirmed else "REFUSED"
+        size = f", gain of chi-squared {gain.mean:.3g} ± {gain.se:.2g} per {part} over {gain.cycles} {part}s"
+    word = "Confirmed" if repair.confirmed else "Contradicted"
     if not repair.confirmed and gain is not None and gain.mean is not None and gain.mean > 0:
         word = "Not confirmed"
     return f"{word} by {kind}{size}."

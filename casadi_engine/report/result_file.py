@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from functools import singledispatch
 from pathlib import Path
@@ -64,6 +65,14 @@ def write_result(path: Any, document: Mapping[str, Any]) -> Path:
     """
     text = json.dumps(plain(document), indent=1, ensure_ascii=False, allow_nan=False)
     return write_file(path, (text + "\n").encode())
+
+
+def save_result(result: Any, path: Any) -> Path:
+    """Write a Repair as NAME.json, or as result.json into a folder, which is made; return the path of the file."""
+    named = isinstance(path, str | os.PathLike) and not os.fsdecode(path).endswith(".json")
+    file = os.path.join(os.fsdecode(path), "result.json") if named else path
+    seconds, seed = result.timing.get("total", 0.0), result.options.get("seed")
+    return write_result(file, to_result(result, command="repair", arguments={}, seconds=seconds, seed=seed))
 
 
 @singledispatch

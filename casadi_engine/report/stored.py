@@ -43,6 +43,10 @@ class Result(Mapping[str, Any]):
     def __repr__(self) -> str:
         return f"Result({self.path!r}: {self['command']}, {self['status']})"
 
+    def __str__(self) -> str:
+        """What the result printed when it was made, where that is stored (a repair)."""
+        return str(self.document.get("summary", repr(self)))
+
     @property
     def values(self) -> dict[str, float]:  # type: ignore[override]
         """Name -> value of every parameter, ``name@record`` too; NaN where the file has null."""

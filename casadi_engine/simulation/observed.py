@@ -16,6 +16,7 @@ from casadi_engine.model import Model
 from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator, ExponentialTrajectory
 from casadi_engine.simulation.grid import Grid
 from casadi_engine.simulation.jets import Array
+from casadi_engine.simulation.local_steps import Substeps
 from casadi_engine.simulation.tape import ArrayFunction
 
 
@@ -79,19 +80,38 @@ class ObservedPropagator:
 
     @property
     def substeps(self) -> int:
-        """Integration steps to a sample."""
+        """Most integration steps to a sample."""
         return self.states.substeps
 
-    def refined(self, substeps: int) -> ObservedPropagator:
-        """The same propagator with another number of steps to a sample."""
+    @property
+    def fineness(self) -> Substeps:
+        """Steps of each cell of the grid."""
+        return self.states.fineness
+
+    def _by(self, states: ExponentialPropagator) -> ObservedPropagator:
         other = object.__new__(ObservedPropagator)
         other.__dict__.update(self.__dict__)
-        other.states = self.states.refined(substeps)
+        other.states = states
         return other
+
+    def refined(self, fineness: int | Substeps) -> ObservedPropagator:
+        """The same propagator with other steps, in each cell or as many everywhere."""
+        return self._by(self.states.refined(fineness))
 
     def finer(self, factor: int) -> ObservedPropagator:
         """The same propagator with every step cut into ``factor`` steps."""
-        return self.refined(self.substeps * factor)
+        return self._by(self.states.finer(factor))
+
+    def adapted(self, errors: Array, ratio: float) -> ObservedPropagator:
+        """See ``ExponentialPropagator.adapted``."""
+        return self._by(self.states.adapted(errors, ratio))
+
+    @np.errstate(all="ignore")
+    def arising(self, z: Array, path: ObservedTrajectory) -> tuple[Array, Array]:
+        """See ``ExponentialPropagator.arising``."""
+        off, cells = self.states.arising(z, path.states)
+        there = self._by_point((path.states.y[0] + off)[None])[0]
+        return self._by_rows(self._value(there, self._given, z)[0][None])[0] - path.y[0], cells
 
     def drives_at(self, z: Array) -> Array:
         """(m, N) drives of the model on the grid."""

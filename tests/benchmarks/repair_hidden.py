@@ -30,7 +30,8 @@ from repair_hidden_theory import intervals_of, theory_of
 from simulator.hidden_runs import Case
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.fresh import held_fit, side
+from casadi_engine.discrepancy.fresh import side
+from casadi_engine.discrepancy.fresh_fits import held_fit
 from casadi_engine.discrepancy.noise_choice import NoiseChoice
 from casadi_engine.discrepancy.null_model import null_model
 from casadi_engine.effects import Effect, library
@@ -147,7 +148,7 @@ def one_piece(folder, name, place, sensors, times, size, seed, record, fresh):
         "timing": dict(found.timing),
     }
     row["amplitude"] = _amplitude(found, place, size)
-    idle = [one.amplitude_name for one in map(_Named, found.effects) if one.event]
+    idle = [one for one in map(_Named, found.effects) if one.event]
     row["after"] = _both(found.fit, other, sensors, idle)
     same = [(e.name, e.at) for e in found.effects] == [(place.effect, place.at)]
     rival = found.fit if same else None  # the best of the true structure cannot be worse
@@ -158,10 +159,11 @@ def one_piece(folder, name, place, sensors, times, size, seed, record, fresh):
 
 
 class _Named:
-    """A found effect, with the name of its amplitude and whether it is an event of one record."""
+    """A found effect, with its key, the name of its amplitude and whether it is an event of one record."""
 
     def __init__(self, effect):
-        self.amplitude_name = next(iter(effect.parameters))
+        self.amplitude = next(iter(effect.parameters))
+        self.key = self.amplitude.rpartition(".")[0]
         self.event = effect.name in ("misfire", "load_step")
 
 

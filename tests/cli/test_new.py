@@ -6,8 +6,10 @@ import os
 
 import pytest
 
+import casadi_engine as ce
 from casadi_engine.cli.new import write_template
 from casadi_engine.errors import OutputError, ProblemError
+from casadi_engine.problem import load_problem
 
 
 def test_it_writes_a_file_and_says_what_next(tmp_path, monkeypatch, call):
@@ -20,6 +22,19 @@ def test_it_writes_a_file_and_says_what_next(tmp_path, monkeypatch, call):
     assert text.startswith('"""my_engine: ')
     compile(text, "my_engine.py", "exec")
     assert os.listdir(tmp_path) == ["my_engine.py"]
+
+
+def test_it_says_how_a_model_of_ones_own_gets_a_port(tmp_path):
+    """The line as it is printed; the model of the template has ports already."""
+    path = write_template(str(tmp_path / "rig"))
+    assert 'missing = b.port("pivot", "inertia", {"speed": speed}), added to' in path.read_text()
+    b = ce.Blueprint("pendulum")
+    speed = b.state("speed", unit="rad/s")
+    missing = b.port("pivot", "inertia", {"speed": speed})
+    b.ode("speed", missing / b.parameter("J", 0.1, unit="kg m2"))
+    b.output("w", speed, unit="rad/s")
+    assert [port.name for port in ce.effects.ports_for(b.model(), ce.effects.CoulombFriction())] == ["pivot"]
+    assert load_problem(path).model.ports.with_slot
 
 
 def test_the_ending_may_be_given_and_folders_before_it(tmp_path):

@@ -7,8 +7,10 @@ import pytest
 
 import casadi_engine as ce
 from casadi_engine.discrepancy import answer as module
-from casadi_engine.discrepancy.answer import Answer
+from casadi_engine.discrepancy import fresh_choice
+from casadi_engine.discrepancy.choice import TIME_UP
 from casadi_engine.discrepancy.fresh import Judgement
+from casadi_engine.discrepancy.fresh_choice import FreshChoice
 from casadi_engine.effects import Amplitude, Effect
 
 
@@ -49,20 +51,20 @@ def test_an_effect_that_fresh_data_refuse_is_withdrawn(repaired):
     assert found.effects == ()
     assert found.confirmed is None
     assert [one.key for one in found.withdrawn] == ["pivot.coulomb_friction"]
-    assert found.unknown.sentence == "an unknown torque at pivot that depends on its speed"
+    assert found.unknown.sentence == "an unknown angular acceleration at pivot that depends on its speed"
     assert any("fresh data refuse it: the gap grows, the gain is -" in text for text in found.messages)
     assert found.fit is found.null_fit
 
 
 def test_the_next_structure_by_evidence_stands_where_the_first_is_refused(repaired, monkeypatch):
-    real, asked = Answer._of_structure, []
+    real, asked = FreshChoice._of_structure, []
 
     def of_structure(self, stations, before):
         asked.append(stations[-1].effects[-1].label)
         judged, after = real(self, stations, before)
         return (Judgement(None, False, True, "refused by hand") if len(asked) == 1 else judged), after
 
-    monkeypatch.setattr(Answer, "_of_structure", of_structure)
+    monkeypatch.setattr(FreshChoice, "_of_structure", of_structure)
     found = repaired(effects=["coulomb_friction", Brake(), "quadratic_drag"])
     assert sorted(asked) == ["brake at pivot", "coulomb_friction at pivot"]
     (one,) = found.effects
@@ -72,21 +74,25 @@ def test_the_next_structure_by_evidence_stands_where_the_first_is_refused(repair
     assert f"{asked[0]}: refused by hand" in found.messages
 
 
-def test_a_repaired_model_that_cannot_follow_the_fresh_data_is_refused(repaired, monkeypatch):
-    real = module.fresh_sides
+def test_fresh_data_that_the_repaired_model_cannot_be_simulated_on_judge_nothing(repaired, monkeypatch):
+    """They neither confirm nor refuse it, and the gap there is told of the model without effects alone."""
+    real = fresh_choice.fresh_sides
     monkeypatch.setattr(
-        module, "fresh_sides", lambda fit, effects, *rest: None if effects else real(fit, effects, *rest)
+        fresh_choice,
+        "fresh_sides",
+        lambda fit, effects, *rest: None if effects else real(fit, effects, *rest),
     )
     found = repaired()
-    assert found.effects == ()
-    assert (
-        "coulomb_friction at pivot: the repaired model cannot be simulated on the fresh data"
-        in found.messages
-    )
+    assert [one.key for one in found.effects] == ["pivot.coulomb_friction"]
+    assert found.confirmed is None
+    assert found.gaps.validation_before is not None
+    assert found.gaps.validation_after is None
+    assert fresh_choice._NO_RUN in found.messages
+    assert "neither confirms nor refuses" in str(found)
 
 
 def test_without_the_first_model_on_fresh_data_nothing_is_confirmed(repaired, monkeypatch):
-    monkeypatch.setattr(module, "fresh_sides", lambda *_: None)
+    monkeypatch.setattr(fresh_choice, "fresh_sides", lambda *_: None)
     found = repaired()
     assert [one.key for one in found.effects] == ["pivot.coulomb_friction"]
     assert found.confirmed is None
@@ -101,7 +107,7 @@ def test_an_event_of_one_record_waits_for_no_confirmation(repaired, monkeypatch)
         return 2.0 * (t > 1.5)
 
     chance = Judgement(None, False, False, "chance")
-    monkeypatch.setattr(module, "judge", lambda *_: chance)
+    monkeypatch.setattr(fresh_choice, "judge", lambda *_: chance)
     found = repaired(None, hidden=pushed, effects=["load_step"])
     (one,) = found.effects
     assert one.name == "load_step"
@@ -121,9 +127,9 @@ def test_an_event_that_is_not_in_the_fresh_data_does_not_spoil_them(repaired):
 
 
 def test_a_structure_without_a_fit_on_its_way_is_passed_over(repaired, monkeypatch):
-    real = module.Choice.way
+    real = fresh_choice.Choice.way
     lost = lambda self, key: real(self, key) if not key else None  # noqa: E731
-    monkeypatch.setattr(module.Choice, "way", lost)
+    monkeypatch.setattr(fresh_choice.Choice, "way", lost)
     found = repaired()
     assert found.effects == ()
     assert "coulomb_friction at pivot: its fit of all data does not converge" in found.messages
@@ -173,8 +179,9 @@ def test_a_coloured_residual_of_few_swings_is_not_called_noise(turns, said):
 
 def test_what_was_not_tried_is_told_but_not_of_what_was_chosen():
     chosen = stub(candidate=stub(effect="drag", port="load"))
-    failed = {"drag at load": "no refit of it arrives", "play at belt": "the time was up"}
+    failed = {"drag at load": "no refit of it arrives", "play at belt": "no refit of it arrives"}
+    failed["step at belt"] = TIME_UP  # said at the top
     search = stub(failed=failed, best="best", pool={"best": stub(effects=(chosen,))})
     assert module._without_answer(search) == [
-        "no answer for play at belt: the time was up; nothing excludes what was not tried"
+        "no answer for play at belt: no refit of it arrives; nothing excludes what was not tried"
     ]

@@ -21,7 +21,7 @@ from casadi_engine.discrepancy.assumed_pressure import (
     remarks,
     settle_scatter,
 )
-from casadi_engine.discrepancy.fresh import held_fit
+from casadi_engine.discrepancy.fresh_fits import held_fit
 from casadi_engine.discrepancy.noise_choice import scatter_of
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import null_at, null_model

@@ -9,6 +9,7 @@ import pytest
 
 import casadi_engine as ce
 from casadi_engine.discrepancy import choice as module
+from casadi_engine.discrepancy import refits
 from casadi_engine.discrepancy.choice import Choice, key_of
 from casadi_engine.discrepancy.refit import Refitter, addition
 from casadi_engine.discrepancy.screening import screen
@@ -124,7 +125,7 @@ def structure(made, *names):
     """The refit of the effects of these names, made before any round."""
     candidates = {c.effect: c for c in made.choice.null.screened.candidates}
     effects = tuple(addition(candidates[name], 0.1) for name in names)
-    (found,) = made.choice._tried(effects, Start.of(made.fit))
+    (found,) = made.choice.refits.tried(effects, Start.of(made.fit))
     return found
 
 
@@ -312,11 +313,11 @@ def test_no_more_effects_than_asked_for(prepared):
 def test_an_effect_whose_refits_do_not_arrive_is_said_to_have_no_answer(prepared, monkeypatch):
     made = prepared(rubbing)
     for name in ("from_point", "from_windows"):
-        real = getattr(module.Path, name)
+        real = getattr(refits.Path, name)
         lost = lambda self, effects, start, real=real: (  # noqa: E731
             None if DRAG in key_of(effects) else real(self, effects, start)
         )
-        monkeypatch.setattr(module.Path, name, lost)
+        monkeypatch.setattr(refits.Path, name, lost)
     made.choice.run(made.fit)
     assert made.choice.failed == {"quadratic_drag at pivot": "no refit of it arrives"}
     assert made.choice.best == {DRY}
@@ -324,7 +325,7 @@ def test_an_effect_whose_refits_do_not_arrive_is_said_to_have_no_answer(prepared
 
 def test_a_model_that_cannot_be_simulated_at_its_optimum_is_refused(prepared, monkeypatch):
     made = prepared(rubbing)
-    monkeypatch.setattr(module.Path, "at", lambda *args: None)
+    monkeypatch.setattr(refits.Path, "at", lambda *args: None)
     with pytest.raises(
         EstimationError, match=r"the model without effects cannot be simulated at its own optimum"
     ) as caught:

@@ -1,10 +1,13 @@
 """At another speed errors of the parameters may be larger than the noise of fresh data: no sign of missing physics."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.fresh import held_fit, residuals, side
+from casadi_engine.discrepancy.fresh import residuals, side
+from casadi_engine.discrepancy.fresh_fits import held_fit
 from casadi_engine.discrepancy.noise_choice import NoiseChoice
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import null_model
@@ -80,8 +83,14 @@ def test_an_event_that_does_not_act_has_no_error(fit):
     data = record("fast", lambda t: 4 * np.sin(9 * t), 0, model)
     found = ce.estimate(model, data, noise=ce.Noise(omega=0.1), progress=False)
     amplitude = next(name for name in found.free if name.endswith(".torque"))
-    held = held_fit(found, record("fresh", lambda t: 40 + 0 * t, 1), noise=NOISE, idle=[amplitude])
+    held = held_fit(
+        found,
+        record("fresh", lambda t: 40 + 0 * t, 1),
+        noise=NOISE,
+        idle=[SimpleNamespace(key="engine.load_step", amplitude=amplitude)],
+    )
     assert held.values[amplitude] == 0
+    assert held.free == ()
     null = doubted(found, held)
     place = found.free.index(amplitude)
     assert not np.any(null.turn[place])

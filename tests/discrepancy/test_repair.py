@@ -217,7 +217,7 @@ def test_the_summary_fits_one_screen(repaired):
         "Repair of two_mass: coulomb_friction at coupling is missing, confirmed on fresh data"
     )
     assert "coupling.coulomb_friction.torque = " in text
-    assert "twice the gain of log likelihood per fresh cycle" in text
+    assert "fresh data: 2 ln(likelihood) changes by " in text
     assert "nothing is missing that these data could show" in str(repaired("nothing"))
 
 

@@ -127,7 +127,7 @@ def test_a_fit_that_does_not_converge_stops_the_search(shaft, friction):
     assert found.status.startswith("the fit without effects has not converged: ")
     assert found.effects == ()
     assert found.scores == ()
-    assert "mend the fit without effects first" in str(found)
+    assert "fix the baseline fit first" in str(found)
     assert "a wrong optimum looks like missing physics" in found.messages[0]
 
 
@@ -181,7 +181,7 @@ MESSAGES = [
     (
         {"at": "gearbox"},
         EffectError,
-        "effects are to be looked for at a port that the model shaft does not have; seen: 'gearbox'",
+        "invalid `at`: the model shaft has no such port; seen: 'gearbox'",
     ),
     (
         {"effects": ["misfire"]},
@@ -203,14 +203,14 @@ MESSAGES = [
     (
         {"alpha": 1.5},
         EstimationError,
-        "alpha is not acceptable; seen: 1.5; allowed: a number between 0 and 1",
+        "invalid `alpha`; seen: 1.5; allowed: a number between 0 and 1",
     ),
-    ({"holdout": 1}, EstimationError, "holdout is not acceptable; seen: 1; allowed: a share of the cycles"),
-    ({"budget": 0}, EstimationError, "budget is not acceptable; seen: 0; allowed: seconds > 0, or None"),
+    ({"holdout": 1}, EstimationError, "invalid `holdout`; seen: 1; allowed: a share of the cycles"),
+    ({"budget": 0}, EstimationError, "invalid `budget`; seen: 0; allowed: seconds > 0, or None"),
     (
         {"without": "coulomb"},
         EffectError,
-        "an effect that is to be left out is not looked for; seen: 'coulomb'; ",
+        "invalid `without`: an effect that is not looked for; seen: 'coulomb'; ",
     ),
     ({"most": 0}, EstimationError, "most is not acceptable; seen: 0; allowed: a whole number >= 1"),
     ({"colour": "red"}, EstimationError, "colour is not acceptable; seen: 'red'; allowed: True, False or"),
@@ -220,7 +220,7 @@ MESSAGES = [
         "scatter is not acceptable; seen: 'all'; allowed: \"assumed\", None",
     ),
     ({"scatter": 3}, EstimationError, 'scatter is not acceptable; seen: 3; allowed: "assumed", None'),
-    ({"progress": "loud"}, EstimationError, "progress is not acceptable; seen: 'loud'"),
+    ({"progress": "loud"}, EstimationError, "invalid `progress`; seen: 'loud'"),
     (
         {"noise": ce.Noise(omega="innovations")},
         EstimationError,
@@ -238,14 +238,14 @@ def test_input_that_cannot_be_used_is_refused_before_any_fit(shaft, friction, op
 
 def test_a_screen_has_a_rate_of_false_alarms_too(shaft, friction):
     fit = ce.estimate(shaft.model, friction, noise=NOISE, progress=False)
-    with pytest.raises(EstimationError, match="alpha is not acceptable"):
+    with pytest.raises(EstimationError, match="invalid `alpha`"):
         screen(fit, FEW, alpha=0.0)
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"alpha": "a"}, "alpha is not acceptable; seen: a"),
+        ({"alpha": "a"}, "invalid `alpha`; seen: a"),
         ({"noise": NOISE}, "the noise to score with is not acceptable; seen: Noise("),
         ({"seed": "x"}, "seed is not acceptable; seen: 'x'; allowed: a whole number >= 0"),
     ],
@@ -299,15 +299,13 @@ def test_fresh_data_must_suit_the_model(shaft, friction):
 
 @pytest.mark.parametrize("at", [3, []])
 def test_ports_that_are_no_names_are_refused(shaft, friction, at):
-    with pytest.raises(
-        EffectError, match=r"ports at which effects are to be looked for are not acceptable"
-    ) as e:
+    with pytest.raises(EffectError, match=r"invalid `at`: the ports at which effects are looked for") as e:
         ce.repair(shaft.model, friction, effects=FEW, at=at, progress=False)
     assert "coupling" in str(e.value)
 
 
 def test_effects_that_are_no_sequence_are_refused(shaft, friction):
-    with pytest.raises(EffectError, match=r"what is to be looked for is not acceptable; seen: 7"):
+    with pytest.raises(EffectError, match=r"invalid `effects`; seen: 7"):
         ce.repair(shaft.model, friction, effects=7, progress=False)
 
 
@@ -319,8 +317,8 @@ def test_data_cannot_confirm_what_is_found_in_them(shaft, friction):
 @pytest.mark.parametrize(
     ("effects", "message"),
     [
-        ([("coulomb_friction", "load", "engine")], "what is to be looked for at a port is no pair; seen: "),
-        ({"coulomb_friction": "load"}, "what is to be looked for is not acceptable; seen: "),
+        ([("coulomb_friction", "load", "engine")], "invalid pair in `effects`; seen: "),
+        ({"coulomb_friction": "load"}, "invalid `effects`; seen: "),
     ],
 )
 def test_effects_at_ports_that_are_no_pairs_are_refused(shaft, friction, effects, message):
@@ -381,3 +379,13 @@ def test_effects_are_left_out_by_name():
     assert "load_step" not in names
     assert left_out(["coulomb_friction", "load_step"], "load_step") == ["coulomb_friction"]
     assert left_out(None, ()) is None
+
+
+def test_a_class_in_place_of_an_effect_is_told_so(shaft, friction):
+    with pytest.raises(EffectError, match="an effect is needed, not its class; seen: CoulombFriction"):
+        ce.repair(shaft.model, friction, effects=ce.effects.CoulombFriction)
+
+
+def test_an_effect_that_fits_nowhere_is_told_what_it_needs(shaft, friction):
+    with pytest.raises(EffectError, match="seen: misfire: the model has no port of the kind cylinder"):
+        ce.repair(shaft.model, friction, effects="misfire")

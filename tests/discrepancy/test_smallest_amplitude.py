@@ -8,7 +8,8 @@ import pytest
 import casadi_engine as ce
 from casadi_engine.discrepancy import refit as refit_module
 from casadi_engine.discrepancy.answer import _at_bounds
-from casadi_engine.discrepancy.fresh import _misfit, _power, _unseen_from
+from casadi_engine.discrepancy.fresh import _power
+from casadi_engine.discrepancy.fresh_fits import _misfit, _unseen_from
 from casadi_engine.discrepancy.noise_model import Colour, NoiseModel
 from casadi_engine.discrepancy.refit import Refitter, _determined, addition, merit
 from casadi_engine.discrepancy.screening import screen

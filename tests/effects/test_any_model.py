@@ -156,9 +156,9 @@ def test_amplitudes_have_the_units_of_their_port():
     assert units(mass(), "quadratic_drag", "body") == {"coefficient": "N s2/m2", "width": "m/s"}
     assert units(mass(), "stribeck_friction", "body") == {"torque": "N", "fading": "m/s", "width": "m/s"}
     assert units(duffing(("twist",)), "cubic_stiffness", "spring") == {"stiffness": "N/m3"}
-    assert units(pendulum(), "viscous_friction", "pivot") == {"coefficient": "N m s/rad"}
+    assert units(pendulum(), "viscous_friction", "pivot") == {"coefficient": "1/s"}  # the ode is per inertia
     assert units(thermal(), "constant_torque", "body") == {"torque": "-"}  # unknown rather than wrong
-    assert units(duffing(("twist",), unit="kN"), "cubic_stiffness", "spring") == {"stiffness": "-"}
+    assert units(duffing(("twist",), unit="kN"), "cubic_stiffness", "spring") == {"stiffness": "kN/m3"}
     assert "spring           coupling   N     twist" in str(duffing(("twist",)).ports)
 
 
@@ -278,7 +278,13 @@ def test_a_search_without_ports_to_act_at_claims_no_physics(make):
     assert found.verdict == "unnamed"
     assert found.effects == ()
     assert "no physical effect could be tested against it" in found.unknown.sentence
-    assert any("no physical effect could be looked for" in text for text in found.messages)
+    lines = str(found).splitlines()
+    assert "no physical effect could be looked for" in lines[0]
+    assert lines[1].startswith(
+        ("The model has no port at which", "No effect of the library can act at the ports")
+    )
+    assert "Where the model is written, give " in " ".join(" ".join(lines).split())
+    assert found.blind
     written = to_result(found, command="repair", arguments={}, seconds=1.0, seed=0)
     assert not list(faults(written))
     listed = [one for one in written["not_applicable"] if one["at"]]

@@ -65,11 +65,14 @@ def test_three_records_have_a_step_each_at_its_own_time():
         assert abs(found.value - 10 * k - time) < 3 * found.stderr < 0.06
 
 
-def test_one_record_keeps_the_plain_name():
+@pytest.mark.parametrize("start", [0.82, 0.85, 1.2])
+@pytest.mark.parametrize(("torque", "approach"), [(1.0, "direct"), (0.0, "prediction")])
+def test_one_record_keeps_the_plain_name(start, torque, approach):
     data = shaft("a", 3, step=(2.0, 0.8137))
-    model = MODEL.with_effect(LoadStep(), at="engine")
-    pars = by_record(model, data, MODEL.parameters(), starts={"engine.load_step.time": {"a": 0.85}})
-    fit = ce.estimate(model, data, parameters=pars, noise=NOISE, progress=False)
+    model = MODEL.with_effect(LoadStep(), at="engine", values={"torque": torque})
+    pars = by_record(model, data, MODEL.parameters(), starts={"engine.load_step.time": {"a": start}})
+    fit = ce.estimate(model, data, parameters=pars, noise=NOISE, approach=approach, progress=False)
+    assert fit.converged
     within(fit, engine__load_step__torque=2.0, engine__load_step__time=0.8137)
 
 

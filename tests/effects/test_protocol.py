@@ -11,6 +11,7 @@ from casadi_engine.effects.functions import Sharp, Smooth
 from casadi_engine.effects.protocol import Amplitude, Effect, Grid, Law, check_effect
 from casadi_engine.errors import EffectError
 from casadi_engine.model import Blueprint, two_mass
+from casadi_engine.model.declarations import Port
 from casadi_engine.model.port_view import PortView
 
 
@@ -139,6 +140,7 @@ def variant(**changes):
     ("effect", "message"),
     [
         (FanTorque, "an effect is needed, not its class.*FanTorque"),
+        ("drag", r"an effect is needed, not its name; seen: 'drag'.*write ce.effects.library\('drag'\)\[0\]"),
         (object(), "lacks an attribute.*no name"),
         (variant(name="fan torque"), "the name of the effect Variant is not acceptable.*'fan torque'"),
         (variant(attaches="inertia"), "kinds of ports that do not exist.*a tuple"),
@@ -276,3 +278,50 @@ def test_values_that_are_no_mapping_are_refused():
         EffectError, match="the values of the effect coulomb_friction are not a mapping; seen: 3"
     ):
         ce.two_mass().with_effect(ce.effects.CoulombFriction(), at="coupling", values=3)
+
+
+class Plain(ce.Effect):
+    """An effect that words itself for every kind of port."""
+
+    name, attaches = "plain", ("inertia",)
+    sentence, neutral = "a {effort} at {port} by {motion}", "a {effort} in {port} by {motion}"
+    amplitude = ce.effects.Amplitude("size")
+
+    def law(self, port, p, math):
+        return p.size * port.speed
+
+
+class Own(Plain):
+    def describe(self, port):
+        return f"mine at {port}"
+
+
+@pytest.mark.parametrize(
+    ("unit", "speed", "words"),
+    [
+        ("N m", "rad/s", "a torque at here by speed"), ("N", "m/s", "a force at here by speed"),
+        ("rad/s2", "rad/s", "an angular acceleration at here by speed"), ("W", "K", "a power in here by T - T_a"),
+        ("-", "K", "a term in here by T - T_a"), ("mg/(L h)", "mg/L", "a rate in here by T - T_a"),
+    ],
+)  # fmt: skip
+def test_an_effect_words_itself_by_what_acts_at_its_port(unit, speed, words):
+    read = ca.SX.sym("T") - ca.SX.sym("T_a")
+    port = Port("here", "inertia", signals={"speed": read}, unit=unit, units={"speed": speed})
+    assert Plain().worded(port) == words
+    assert Own().worded(port) == "mine at here"
+
+
+def test_a_long_signal_goes_by_its_name():
+    x = ca.SX.sym("x")
+    port = Port("here", "inertia", signals={"speed": ca.sqrt(ca.fabs(x) + 1) * x * x}, unit="W")
+    assert Plain().worded(port) == "a power in here by speed"
+
+
+def test_no_sentence_of_the_library_speaks_of_torques_in_a_room():
+    room = Port("room", "inertia", signals={"speed": ca.SX.sym("T")}, unit="W", units={"speed": "K"})
+    ends = Port("a_and_b", "pipe", unit="W", ends=("a", "b"))
+    for effect in ce.effects.library():
+        port = room if "inertia" in effect.attaches else ends if "pipe" in effect.attaches else None
+        if port is not None:
+            words = effect.worded(port)
+            assert not any(w in words for w in ("torque", "friction", "speed", "load ", "{")), words

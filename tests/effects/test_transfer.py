@@ -58,7 +58,10 @@ def test_a_screen_scores_the_leak_above_all_others():
     best = found.candidates[found.order[0]]
     assert best.label == "transfer at tank_1_and_tank_2"
     assert found.alarm
-    assert Transfer().describe(best.port) == "a flow between tank_1 and tank_2"
+    link = tanks().ports[best.port]
+    assert Transfer().worded(link) == (
+        "a volume flow between tank_1 and tank_2, proportional to their difference"
+    )
 
 
 def test_what_leaves_one_enters_the_other():

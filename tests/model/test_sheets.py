@@ -72,7 +72,7 @@ def test_table_of_one_inertia():
 
 def test_sheet_says_what_kind_of_model_it_is():
     assert "\nlinear\n" in str(one_inertia())
-    assert "\nlinear core with nonlinear torques in slots\n" in str(two_mass())
+    assert "\nlinear core with nonlinear laws in slots\n" in str(two_mass())
     assert str(two_mass()).startswith("two_mass: engine and load as two inertias")
     assert repr(two_mass()) == "Model('two_mass', 3 states, 10 parameters)"
 

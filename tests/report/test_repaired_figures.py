@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -10,6 +11,7 @@ from matplotlib.figure import Figure
 import casadi_engine as ce
 from casadi_engine.errors import ResultError
 from casadi_engine.estimation.fit import Estimate
+from casadi_engine.model.declarations import Port, Ports
 from casadi_engine.report import repaired_gap, repaired_latent, repaired_scores
 from casadi_engine.report.figures import figures
 from casadi_engine.report.repaired_gap import Pair, folded, inside_share, noise_level, order_amplitudes, pairs
@@ -220,7 +222,24 @@ def test_records_without_crank_angle_are_drawn_over_time(repaired, factory):
     figure.canvas.draw()
     words = texts(figure)
     assert "time [s], mean of pieces" in words
-    assert "no orders: no crank angle, or less than one engine cycle" in words.replace("\n", " ")
+    assert "order" not in words
+    overview = ce.plot(changed)
+    overview.canvas.draw()
+    assert "residual [rad/s]" in texts(overview)
+    assert "engine order" not in texts(overview)
+
+
+def test_a_machine_that_is_none_has_its_own_quantities(unnamed):
+    """The axes of an unknown course say what acts at the port, and over what."""
+    ports = unnamed.model.ports
+    room = Port("coupling", "coupling", "", {"twist": ca.SX.sym("T")}, None, "W", units={"twist": "K"})
+    model = replace(unnamed.model, ports=Ports([room if one.name == "coupling" else one for one in ports]))
+    figure = ce.plot(replace(unnamed, fit=replace(unnamed.fit, model=model)), what="unknown")
+    figure.canvas.draw()
+    words = texts(figure)
+    assert "unknown power at coupling" in words
+    assert "power [W]" in words
+    assert "T [K]" in words
 
 
 def test_scores_say_threshold_and_what_is_not_testable(repaired):
@@ -281,3 +300,13 @@ def test_a_course_that_hardly_spreads_has_errors_that_are_numbers():
     spread = np.array([1.0, 2.0, 3.0, 6.0])
     _, _, error = repaired_latent.binned(np.zeros(4), spread, np.zeros(4))
     assert error == pytest.approx([spread.std() / 2])
+
+
+def test_long_names_are_cut_at_their_end_beside_other_panels(nothing_missing):
+    row = replace(nothing_missing.scores[0], effect="asymmetric_friction", at="a_port_of_a_long_name")
+    changed = replace(nothing_missing, scores=(row,))
+    beside, own = ce.plot(changed), ce.plot(changed, what="scores")
+    for figure in (beside, own):
+        figure.canvas.draw()
+    assert "asymmetric_friction at …" in texts(beside)
+    assert "asymmetric_friction at a_port_of_a_long_name" in texts(own)

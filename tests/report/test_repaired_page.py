@@ -73,13 +73,13 @@ def test_a_class_has_its_table_and_the_next_experiment(repaired, tmp_path):
         gaps=replace(repaired.gaps, source="cycles"), latent=(),
     )  # fmt: skip
     html = page(changed, tmp_path)
-    assert "The class of coupling.coulomb_friction: these explain the data as well" in html
+    assert "The class of coupling.coulomb_friction: these data do not exclude any of them" in html
     assert "+0.980" in html
     assert (
         "Next experiment: a run-up to 1800 RPM; expected separation 6.1, now 1.2 (3.3 is right in 95 %)."
         in html
     )
-    assert "the last cycles of each record were held out" in html
+    assert "each record kept its last cycles for confirmation" in html
     assert "at its min bound" in html
 
 

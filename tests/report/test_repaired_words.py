@@ -24,8 +24,8 @@ def test_a_named_and_confirmed_effect(repaired):
         "Something is missing: dry friction at coupling (coulomb_friction at coupling), torque 8.050 ± 0.070 N m."
     )
     assert lines[1] == (
-        "The gap is widest in misfire_1200rpm, cycles 2 to 4, crank angles 705 to 138 deg, engine order 1.5; a torque "
-        "at coupling explains most of it."
+        "The gap is widest in misfire_1200rpm from 0.1 to 0.3 s, cycles 2 to 4, crank angles 705 to 138 deg, engine "
+        "order 1.5; a torque at coupling explains most of it."
     )
     assert lines[2] == ("Confirmed by fresh records, gain of chi-squared 339 ± 36 per cycle over 10 cycles.")
     assert lines[3] == (
@@ -66,10 +66,7 @@ def test_no_name_in_the_library(unnamed):
 def test_no_answer(no_answer):
     lines = verdict_lines(no_answer)
     assert lines[0] == "No answer: the fit without effects has not converged: Maximum_Iterations_Exceeded."
-    assert (
-        lines[-1]
-        == "Next: mend the fit without effects first: other start values, wider bounds, or more starts."
-    )
+    assert lines[-1] == "Next: fix the baseline fit first: other start values, wider bounds, or more starts."
     assert mood(no_answer) == "poor"
     assert gap_sentence(no_answer) == ""
 
@@ -83,7 +80,10 @@ def test_a_class_names_its_members_and_what_would_split_it(repaired):
         "These data do not tell apart 2 effects that explain it as well: coulomb_friction at coupling (70 %), backlash "
         "at coupling (30 %)."
     )
-    assert next_step(changed).startswith("record data that tell the members of the class apart")
+    assert next_step(changed) == (
+        "no other input or sensor and no longer record that could be tried by simulation tells them apart; a record of "
+        'another kind may, or decide by what you know of the system: ce.repair(..., without=["backlash"])'
+    )
     assert mood(changed) == "poor"
     split = NextExperiment("a run-up to 1800 RPM", ("coulomb_friction and backlash",), 6.1, 1.2)
     assert next_step(replace(changed, next_experiment=split)) == (
@@ -98,7 +98,7 @@ def test_a_class_names_its_members_and_what_would_split_it(repaired):
         (None, PairedGain(2.0, None, 2, None, "2 cycles: at least 3 are needed"), "records",
          "Not confirmed: 2 cycles: at least 3 are needed."),
         (False, PairedGain(-4.0, 3.0, 5, False), "cycles",
-         "REFUSED by cycles that were held out, gain of chi-squared -4 ± 3 per cycle over 5 cycles."),
+         "Contradicted by cycles that were held out, gain of chi-squared -4 ± 3 per cycle over 5 cycles."),
     ],
 )  # fmt: skip
 def test_what_fresh_data_say(repaired, confirmed, gain, source, words):
@@ -119,15 +119,15 @@ def test_more_than_the_effects_explain_is_said(repaired, unnamed):
         "The residuals still hold more: a torque at the coupling that depends on its twist and looks cubic."
         in lines
     )
-    assert "Found first and then refused by fresh data: coulomb_friction at coupling." in lines
-    assert "a note" in lines
+    assert "Found first and then contradicted by fresh data: coulomb_friction at coupling." in lines
+    assert "A note." in lines
     assert next_step(changed).startswith("look at the figures of the residuals after the repair")
 
 
 def test_an_amplitude_without_error_and_parameters_that_stayed(repaired):
     key = next(iter(repaired.effects[0].parameters))
-    bare = replace(repaired.effects[0], parameters={key: Estimate(0.004, None, "")})
-    assert effect_words(bare).endswith("(coulomb_friction at coupling), torque 0.004")
+    bare = replace(repaired.effects[0], parameters={key: Estimate(0.004, None, "1")})
+    assert effect_words(bare, repaired.model).endswith("(coulomb_friction at coupling), torque 0.004")
     still = replace(repaired, fit=replace(repaired.fit, estimates=dict(repaired.null_fit.estimates)))
     assert moved_parameters(still) == ""
 

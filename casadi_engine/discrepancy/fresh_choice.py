@@ -1,0 +1,140 @@
+"""Fresh data choose: the first structure, in order of evidence, that they do not refuse."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+from casadi_engine.discrepancy.choice import Choice
+from casadi_engine.discrepancy.fresh import Judgement, Portions, gap_of, judge
+from casadi_engine.discrepancy.fresh_fits import fresh_sides
+from casadi_engine.discrepancy.noise_model import NoiseModel
+from casadi_engine.discrepancy.null_model import NullModel
+from casadi_engine.discrepancy.station import Station
+from casadi_engine.estimation import Fit
+
+_NO_RUN = "the repaired model cannot be simulated on the fresh data, which neither confirms nor refuses it"
+# A change of a gap that a person would see.
+SEEN = 0.1
+Pairs = list[tuple[Fit, NullModel]]
+
+
+@dataclass(frozen=True, eq=False)
+class Confirmation:
+    """The stations that fresh data leave, the ones they refuse, what they say, and null and last model on them."""
+
+    kept: tuple[Station, ...]
+    refused: tuple[Station, ...]
+    judgement: Judgement | None
+    before: Pairs = field(default_factory=list)
+    after: Pairs = field(default_factory=list)
+
+
+@dataclass
+class FreshChoice:
+    """Structures put to the test of fresh data; messages : takes what they say of those that do not stand."""
+
+    search: Choice
+    portion: Portions
+    tell: Callable[[str], None]
+    messages: list[str]
+
+    def run(self) -> Confirmation:
+        """The first structure, in order of evidence, that fresh data do not refuse."""
+        search = self.search
+        null = search.null
+        if null.screened.request.blind and not _of_parameters(search):
+            # none of these structures adds physics: what they found is told, and not claimed
+            return Confirmation((null,), (), None)
+        before = self._on_fresh(null) if self.portion.fresh else None
+        if self.portion.fresh and before is None:
+            self.messages.append("the model without effects cannot be simulated on the fresh data")
+        first: list[Station] | None = None
+        blind: list[Station] | None = None  # the first one of which fresh data can say nothing
+        for key in search.ranked():
+            stations = search.way(key)
+            if stations is None:
+                self.messages.append(f"{search.pool[key].label}: its fit of all data does not converge")
+                continue
+            first = stations if first is None else first
+            if blind is not None and len(stations) == 1:
+                break
+            if before is None or len(stations) == 1:
+                return self._kept(stations, first, before)
+            judged, after = self._of_structure(stations, before)
+            if after is None:
+                blind = stations if blind is None else blind
+                continue
+            if blind is not None and not judged.confirmed:
+                break
+            if not judged.refused:
+                if not judged.confirmed and judged.why:
+                    self.messages.append(judged.why)
+                return self._kept(stations, first, before, judged, after)
+            self.messages.append(f"{search.pool[key].label}: {judged.why}")
+        if blind is not None:
+            self.messages.append(_NO_RUN)
+            return self._kept(blind, first or blind, before, Judgement(None, None, False, _NO_RUN))
+        return self._kept([null], first or [null], before)
+
+    @staticmethod
+    def _kept(
+        stations: list[Station],
+        first: list[Station],
+        before: Pairs | None,
+        judged: Judgement | None = None,
+        after: Pairs | None = None,
+    ) -> Confirmation:
+        refused = tuple(first[1:]) if stations[-1] is not first[-1] else ()
+        same = len(stations) == 1
+        if judged is None and before is not None:
+            judged = Judgement(None, None)
+        return Confirmation(
+            tuple(stations), refused, judged, before or [], after or (before if same else []) or []
+        )
+
+    def _on_fresh(self, station: Station) -> Pairs | None:
+        self.tell("fresh data")
+        noise = station.screened.noise
+        return fresh_sides(station.fit, station.effects, self.portion, noise, self.search.refitter)
+
+    def _of_structure(self, stations: list[Station], before: Pairs) -> tuple[Judgement, Pairs | None]:
+        """What fresh data say of a structure, against none and against its parts; None where it cannot be simulated."""
+        last, base = stations[-1], stations[-2]
+        after = self._on_fresh(last)
+        if after is None:
+            return Judgement(None, None, False, _NO_RUN), None
+        if base.effects:
+            part = self._on_fresh(base)
+            judged = self._judged(part, after, last)
+            if judged.refused:
+                return judged, after
+        return self._judged(before, after, last), after
+
+    def _judged(self, old: Pairs | None, new: Pairs | None, here: Station) -> Judgement:
+        if not old or not new:
+            return Judgement(None, None, False, _NO_RUN)
+        event = here.effects[-1].placed and self.portion.source == "records"
+        noise = here.screened.noise
+        judged = judge([n for _, n in old], [n for _, n in new], noise)
+        if not judged.confirmed and not judged.refused and not event:
+            first, then = (_rmse(pairs, noise) for pairs in (old, new))
+            if then > (1 + SEEN) * first:
+                why = f"fresh data refuse it: the gap there grows by {100 * (then / first - 1):.0f} %"
+                judged = replace(judged, confirmed=False, refused=True, why=why)
+        if event and not judged.confirmed and not judged.refused:
+            why = "it is an event of one record, which no other record can confirm"
+            return replace(judged, confirmed=None, why=f"{here.effects[-1].label}: {why}")
+        return judged
+
+
+def _of_parameters(search: Choice) -> bool:
+    """True if the chosen structure says that stated numbers are wrong, and nothing else."""
+    effects = search.pool[search.best].effects
+    return bool(effects) and all(one.kind == "parameter" for one in effects)
+
+
+def _rmse(pairs: Pairs, noise: NoiseModel) -> float:
+    """The gap of all outputs, in standard deviations of the noise."""
+    return math.sqrt(gap_of([null for _, null in pairs], noise).chi2_per_sample)

@@ -1,0 +1,236 @@
+"""A fit on data that it was not found from: parameters held, initial states and what is each record's own found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casadi_engine.discrepancy.assumed_pressure import SCATTER, is_carried, with_priors
+from casadi_engine.discrepancy.events import place_of_event
+from casadi_engine.discrepancy.fresh import Portions
+from casadi_engine.discrepancy.library_candidates import library_candidates
+from casadi_engine.discrepancy.linearised import one_step
+from casadi_engine.discrepancy.noise_model import NoiseModel
+from casadi_engine.discrepancy.null_model import FOUR_STROKE, NullModel, null_at, null_model
+from casadi_engine.discrepancy.path import first_states_on
+from casadi_engine.discrepancy.refit import Addition, Refitter
+from casadi_engine.discrepancy.start import Start
+from casadi_engine.effects.candidate import cycles_of
+from casadi_engine.errors import CasadiEngineError
+from casadi_engine.estimation import Fit, estimate
+from casadi_engine.experiment import Experiment
+from casadi_engine.model import Model
+from casadi_engine.model.port_view import PortView
+from casadi_engine.parameters import Parameters
+from casadi_engine.problem.noise import Noise
+from casadi_engine.validation.held import parameters_for
+
+# Fresh data whose chi-squared per sample is so many times that of the fit are tried from other initial states too.
+_POOR = 1.1
+# Iterations for first states from which no path led to rest: a model that is far off has none that fit.
+_LOST, _MOST = 20, 60
+# Name of a parameter -> its start, least and largest value.
+Places = Mapping[str, tuple[float, float, float]]
+
+
+def held_fit(
+    fit: Fit,
+    record: Experiment,
+    *,
+    noise: NoiseModel,
+    idle: Sequence[Addition] = (),
+    model: Model | None = None,
+    places: Places | None = None,
+) -> Fit:
+    """The fit's parameters held on one record; initial states, and what is wrong with assumed pressures, found.
+
+    A parameter that varies by experiment has the value of the record of the same name; in a record of another name it
+    is found there too, beside the scatter of the fit's records where three or more tell it (``parameters_for``).
+    idle : effects that do not act there; model : in place of the fit's, with the same parameters; places : parameters
+    to be found there, name -> (start, least, most).
+    Raises EstimationError where the model fails.
+    """
+    model = fit.model if model is None else model
+    held = _held_parameters(fit, record, idle, model, {} if places is None else places)
+    levels: dict[str, Any] = {
+        out.name: noise.sigma[out.name] for out in fit.model.outputs if out.name in noise.sigma
+    }
+    method = str(fit.options.get("method", "exact"))
+
+    found, fault = None, None
+    starts: list[Start | None] = [first_states_on(model, record, held, levels), None]
+    for number in range(3):
+        if number == 2:
+            if found is None:
+                break
+            # a state that no output shows may rest elsewhere: on a side of a play, which short intervals lose
+            starts.append(_unseen_from(fit, found))
+        most = _LOST if number == 0 and (starts[0] is None or not starts[0].converged) else _MOST
+        try:
+            made = estimate(
+                model, record, parameters=held, noise=Noise(**levels), method=method, warm=starts[number],
+                progress=False, max_iterations=most,
+            )  # fmt: skip
+        except (CasadiEngineError, FloatingPointError) as error:
+            fault = error
+            continue
+        if made.status == "interrupted":
+            raise KeyboardInterrupt
+        found = made if found is None else min(found, made, key=lambda one: (not one.converged, one.cost))
+        if found.cost / found.n <= _POOR * _misfit(fit, noise):
+            break
+    if found is None:
+        assert fault is not None
+        raise fault
+    return found
+
+
+def _held_parameters(
+    fit: Fit, record: Experiment, idle: Sequence[Addition], model: Model, places: Places
+) -> Parameters:
+    """The set for ``held_fit``: what assumed pressures carry is free again, for other cycles burn otherwise."""
+    held, fresh = parameters_for(fit, record.name), model.parameters()
+    amplitudes = [one.amplitude for one in idle]
+    stems = tuple(f"{one.key}." for one in idle)
+    for name in held:
+        own = held[name]
+        if is_carried(name) and name != SCATTER and own.tie is None:
+            own.set(fresh[name].value)
+        elif name in places:
+            value, low, high = places[name]
+            own.set(value, min=low, max=high, vary=True)
+        elif name.startswith(stems) and own.tie is None:
+            if name in amplitudes:
+                own.set(0.0, min=min(own.min, 0.0), max=max(own.max, 0.0))
+            held.fix(name)
+    return with_priors(held)
+
+
+def _misfit(fit: Fit, noise: NoiseModel) -> float:
+    """Chi-squared per sample of a fit on its own data, by the levels of another noise."""
+    parts = [
+        trace.residual[np.isfinite(trace.residual)] / noise.sigma[output]
+        for traces in fit.traces.values()
+        for output, trace in traces.items()
+        if output in noise.sigma
+    ]
+    return float(np.mean(np.concatenate(parts) ** 2)) if parts else math.inf
+
+
+def _unseen_from(fit: Fit, found: Fit) -> Start:
+    """Initial states as found, but those that no output shows alone as in the records of a fit."""
+    shown = {out.name() for out in ca.vertsplit(fit.model.output_expressions) if out.is_symbolic()}
+    (name,) = found.initial
+    own = {state: one.value for state, one in found.initial[name].items()}
+    seen = next(iter(fit.initial.values()))
+    own |= {state: one.value for state, one in seen.items() if state not in shown}
+    return Start(found.values, {name: own})
+
+
+def fresh_sides(
+    fit: Fit, effects: Sequence[Addition], portion: Portions, noise: NoiseModel, refitter: Refitter
+) -> list[tuple[Fit, NullModel]] | None:
+    """The fit on all fresh records, parameters held; None where a simulation fails.
+
+    Events of one record do not act in other ones. Those that last to the end of the data searched go on in the cycles
+    held out; of a single cycle at the end nobody knows, so that it stops or goes on, whichever fits. An event may
+    happen in fresh records too, at a time that is found there, as its amplitude is where every record has its own.
+    """
+    found = []
+    for record in portion.fresh:
+        idle = [e for e in effects if e.placed and not _goes_on(e, record, portion)]
+        try:
+            fits = [
+                held_fit(fit, record, noise=noise, idle=idle, model=model)
+                for model in _continued(fit, effects, record, portion, refitter)
+            ]
+            fits += _with_events(fit, effects, record, noise, idle, fits[0], refitter)
+            held = min(fits, key=lambda one: one.cost)
+            found.append((held, null_model(held)))
+        except (CasadiEngineError, FloatingPointError):
+            return None
+    return found
+
+
+def _with_events(
+    fit: Fit, effects: Sequence[Addition], record: Experiment, noise: NoiseModel, idle: Sequence[Addition],
+    held: Fit, refitter: Refitter,
+) -> list[Fit]:  # fmt: skip
+    """Fits in which events with a time in every record do not go on in the cycles held out, or happen in fresh records
+    at a time that one step finds.
+
+    idle : effects that do not act in ``held``
+    """
+    moving = [one for one in effects if one.moves]
+    if not moving:
+        return []
+    if not any(one in idle for one in moving):  # they go on from the records searched: or have never come
+        gone = [*idle, *moving]
+        return [held_fit(fit, record, noise=noise, idle=gone)]
+    plain = refitter.extended([one for one in effects if one not in moving])
+    parameters = plain.parameters()
+    for name, own in parameters.items():
+        value = held.values[name]
+        own.set(value, min=min(own.min, value), max=max(own.max, value))
+    free = [name for name, own in parameters.items() if own.vary]
+    first = np.array([held.initial[record.name][state.name].value for state in plain.states])
+    z = np.array([held.values[name] for name in free])
+    null = null_at(plain, (record,), parameters, z, {record.name: first})
+    places: dict[str, tuple[float, float, float]] = {}
+    for one in moving:
+        made = library_candidates(null, (record,), (one.candidate.source.effect,))
+        own_ones = [c for c in made if c.key == one.candidate.key]
+        step = one_step(null, own_ones, noise.sigma) if own_ones else None
+        best = None if step is None else place_of_event(step, fit.values.get(one.amplitude))
+        if best is None:
+            return []
+        number, size = best
+        places |= {f"{one.key}.{n}": (value, *record.span) for n, value in own_ones[number].nuisance.items()}
+        if one.amplitude not in fit.values:  # it varies by record
+            low, high = one.bounds.min, one.bounds.max
+            places[one.amplitude] = (min(max(size, low), high), low, high)
+    rest = [one for one in idle if one not in moving]
+    return [held_fit(fit, record, noise=noise, idle=rest, places=places)]
+
+
+def _continued(
+    fit: Fit, effects: Sequence[Addition], record: Experiment, portion: Portions, refitter: Refitter
+) -> list[Model]:
+    """The models to be held on a record: events that last to the end of the data searched go on in it."""
+    lasting = [e for e in effects if _goes_on(e, record, portion) and _lasts(e, fit, record, portion)]
+    if not lasting:
+        return [fit.model]
+    values = record["theta"].values
+    end = float(np.ceil(values.max() / FOUR_STROKE)) + 1
+    longer = refitter.extended([_until(e, end) if e in lasting else e for e in effects])
+    one = all(e.candidate.nuisance["first"] < e.candidate.nuisance["last"] for e in lasting)
+    return [longer] if one else [fit.model, longer]
+
+
+def _lasts(effect: Addition, fit: Fit, record: Experiment, portion: Portions) -> bool:
+    """True for an event in cycles whose last one is the last of the data searched."""
+    made = effect.candidate.source
+    grid = made.effect.nuisance.get("last")
+    searched = [one for one in portion.data if one.name == record.name]
+    if grid is None or grid.over != "cycle" or "theta" not in record or not searched:
+        return False
+    view = PortView(made.model, made.model.ports[effect.candidate.port])
+    numbers = {name: fit.values[name] for name in made.model.parameter_names if name in fit.values}
+    return bool(made.values["last"] >= cycles_of(view, searched[0], numbers)[-1])
+
+
+def _until(effect: Addition, last: float) -> Addition:
+    """The event with another last cycle."""
+    source = effect.candidate.source
+    source = replace(source, values=dict(source.values) | {"last": last})
+    return replace(effect, candidate=replace(effect.candidate, source=source))
+
+
+def _goes_on(effect: Addition, record: Experiment, portion: Portions) -> bool:
+    """True if an event of the search's record lasts into this one: cycles held out of it."""
+    return portion.source == "cycles" and effect.record in (None, record.name)

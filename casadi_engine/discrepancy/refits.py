@@ -1,0 +1,207 @@
+"""Every structure that was refitted, its evidence counted with one noise for all: the one that the best leaves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casadi_engine.discrepancy.compression import scatter_columns
+from casadi_engine.discrepancy.evidence import Digest, Evidence, Levels, digest, evidence, levels_left
+from casadi_engine.discrepancy.linear_algebra import Array
+from casadi_engine.discrepancy.noise_choice import scatter_of
+from casadi_engine.discrepancy.noise_model import NoiseModel
+from casadi_engine.discrepancy.null_model import NullModel
+from casadi_engine.discrepancy.path import FAILURES, Arrived, Path
+from casadi_engine.discrepancy.priors import priors_of
+from casadi_engine.discrepancy.refit import Addition, Refitter
+from casadi_engine.discrepancy.start import Start
+from casadi_engine.errors import EstimationError
+from casadi_engine.estimation import Fit
+
+# A structure is excluded where another one is so many times more probable.
+FACTOR = 20.0
+# Share of chi-squared that refits may still gain at lower levels; levels that fall by this share are new ones, at which
+# refits go on.
+_PART, _RELEVELLED = 0.3, 0.7
+
+Key = frozenset[tuple[str, str]]
+
+
+@dataclass(eq=False)
+class Tried:
+    """A structure that was refitted: its effects, where that ended, and its evidence with the noise of all.
+
+    failed : its whole fit did not converge
+    """
+
+    effects: tuple[Addition, ...]
+    arrived: Arrived
+    digest: Digest
+    evidence: Evidence
+    failed: bool = False
+
+    @property
+    def key(self) -> Key:
+        """Effects and ports."""
+        return key_of(self.effects)
+
+    @property
+    def form(self) -> frozenset[tuple[str, str, bool]]:
+        """``form_of`` the effects."""
+        return form_of(self.effects)
+
+    def newest(self, here: Tried) -> Addition:
+        """The effect that another structure lacks."""
+        return next(one for one in self.effects if one.candidate.key not in here.key)
+
+    @property
+    def label(self) -> str:
+        """The effects' labels."""
+        return " + ".join(one.label for one in self.effects) or "no effects"
+
+    @property
+    def log(self) -> float:
+        """The log evidence."""
+        return -math.inf if self.failed else self.evidence.log
+
+    @property
+    def beyond(self) -> float:
+        """The least certain amplitude in its standard errors."""
+        least, values = math.inf, self.arrived.values
+        for one in self.effects:
+            own = [n for n in values if n.partition("@")[0] == one.amplitude]
+            sizes = [abs(values[n]) / self.evidence.error.get(n, math.inf) for n in own]
+            least = min(least, max(sizes, default=math.inf))
+        return least
+
+
+def form_of(effects: Sequence[Addition]) -> frozenset[tuple[str, str, bool]]:
+    """Effects and ports, and which events have one amplitude for all records."""
+    return frozenset((*one.candidate.key, one.shared) for one in effects)
+
+
+def key_of(effects: Sequence[Addition]) -> Key:
+    """Effects and ports, in no order."""
+    return frozenset(one.candidate.key for one in effects)
+
+
+class Refits:
+    """The pool of structures, and the refits that fill it.
+
+    noise : of the model without effects; late : True once the time is up; tell : takes what is being done, in words
+    """
+
+    def __init__(
+        self,
+        refitter: Refitter,
+        null_fit: Fit,
+        noise: NoiseModel,
+        *,
+        deadline: float,
+        cylinders: object,
+        late: Callable[[], bool],
+        tell: Callable[[str], None],
+    ) -> None:
+        self.refitter, self.null_fit, self.cylinders = refitter, null_fit, cylinders
+        self.path = Path(refitter, dict(noise.sigma), deadline)
+        self.levels = Levels(dict(noise.sigma), {}, max(noise.scatter.values(), default=0.0))
+        self.pool: dict[Key, Tried] = {}
+        self._late, self._tell = late, tell
+
+    def tried(self, effects: tuple[Addition, ...], start: Start | None) -> list[Tried]:
+        """The structure in the pool, after another refit of it from a start; empty where none has arrived."""
+        key = key_of(effects)
+        arrived = self.path.from_windows(effects, start)
+        known = self.pool.get(key)
+        if arrived is None or not math.isfinite(arrived.cost):
+            return [] if known is None else [known]
+        if known is not None and known.form == form_of(effects) and known.arrived.cost <= arrived.cost + 1e-6:
+            return [known]
+        made = self._counted(effects, arrived)
+        if made is not None and (known is None or made.log > known.log):
+            self.pool[key] = made
+        return [self.pool[key]] if key in self.pool else []
+
+    def _counted(self, effects: tuple[Addition, ...], arrived: Arrived) -> Tried | None:
+        """A refit with its evidence."""
+        try:
+            with np.errstate(all="ignore"):
+                null = self.path.residuals(effects, arrived)
+                priors = priors_of(null, self.path.parameters(effects), effects)
+                choices = float(np.prod([one.choices for one in effects]))
+                made = digest(null, priors, random=self._random(null), held=arrived.held, choices=choices)
+                found = evidence(made, self.levels)
+        except FAILURES:
+            return None
+        return Tried(effects, arrived, made, found) if math.isfinite(found.log) else None
+
+    def _random(self, null: NullModel) -> dict[str, dict[str, Array]] | None:
+        """Columns of the random amplitudes of combustions whose pressure was assumed."""
+        scatter = scatter_of(null, self.refitter.data, self.cylinders) if self.cylinders is not None else ()
+        return {r.name: scatter_columns(r, scatter) for r in null.records} if scatter else None
+
+    def weigh(self) -> None:
+        """Count every structure's evidence with the noise that the most probable one leaves."""
+        known = {name: s for name, (s, own) in self.null_fit.noise.items() if not own}
+        seen: set[Key] = set()
+        while True:
+            best = max(self.pool.values(), key=lambda one: one.log)
+            if best.key in seen:
+                return
+            seen.add(best.key)
+            try:
+                with np.errstate(all="ignore"):
+                    null = self.path.residuals(best.effects, best.arrived)
+                    self.levels = levels_left(null, known, self.levels.scatter, self._random(null))
+            except FAILURES:
+                return
+            for one in self.pool.values():
+                one.evidence = evidence(one.digest, self.levels)
+
+    def relevel(self, tried: Sequence[Tried]) -> None:
+        """Go on at the levels that the most probable one leaves, where they are lower."""
+        best = max(tried, key=lambda one: one.log, default=None)
+        if best is None:
+            return
+        self.weigh()
+        levels = {n: min(s, self.levels.sigma.get(n, s)) for n, s in self.path.levels.items()}
+        if all(levels[n] > _RELEVELLED * s for n, s in self.path.levels.items()):
+            return
+        self.path.relevel(levels)
+        plain = Levels(levels, {}, self.levels.scatter)
+        for one in self.pool.values():  # costs compare at the same levels alone
+            one.arrived = replace(one.arrived, cost=evidence(one.digest, plain).cost)
+        near = best.log - 0.5 * _PART * max(self.pool[frozenset()].evidence.cost - best.evidence.cost, 0.0)
+        for one in sorted(tried, key=lambda one: -one.log):
+            if not self._late() and one.log > near - math.log(FACTOR * len(tried)):
+                self._tell(f"go on with {one.label}")
+                again = self.path.from_point(one.effects, one.arrived)
+                made = None if again is None else self._counted(one.effects, again)
+                if made is not None and made.log > one.log:
+                    self.pool[one.key] = made
+
+    def none(self, fit: Fit) -> Tried:
+        """The null fit as a structure."""
+        initial = {r: {n: e.value for n, e in own.items()} for r, own in fit.initial.items()}
+        arrived = self.path.at(fit.values, initial)
+        made = None if arrived is None else self._counted((), arrived)
+        if made is None:
+            raise EstimationError(
+                "the model without effects cannot be simulated at its own optimum",
+                seen="residuals that are no numbers",
+                allowed="a fit that can be simulated over the records",
+                cure="give other start values, bounds, or a shorter record",
+            )
+        self.pool[frozenset()] = made
+        return made
+
+    def null(self, tried: Tried) -> NullModel | None:
+        """The model of a structure, linearised where its refit ended; None where that fails."""
+        try:
+            with np.errstate(all="ignore"):
+                return self.path.null_at(tried.effects, tried.arrived)
+        except FAILURES:
+            return None

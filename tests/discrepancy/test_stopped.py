@@ -1,0 +1,103 @@
+"""Ctrl-C and the time budget: the best structure so far, and what was not searched."""
+
+import os
+import signal
+from dataclasses import replace
+from importlib import import_module
+
+import numpy as np
+import pytest
+
+import casadi_engine as ce
+from casadi_engine.discrepancy.choice import Choice
+from casadi_engine.estimation import estimate
+
+
+def rubbing(t, angle, rate):
+    return -0.6 * np.tanh(rate / 0.02)
+
+
+@pytest.fixture
+def repaired(pendulum):
+    """A repair of a decay with dry friction, in which a key is pressed when a step begins."""
+    record = pendulum.decay(rubbing, samples=300)
+
+    def of(press="", *, times=1, **options):
+        def told(text):
+            if press and press in text and len(pressed) < times:
+                pressed.append(text)
+                os.kill(os.getpid(), signal.SIGINT)
+
+        pressed = []
+        effects = ["coulomb_friction", "quadratic_drag", "constant_torque"]
+        noise = ce.Noise(y=pendulum.level)
+        return ce.repair(
+            pendulum.model, record, effects=effects, noise=noise, starts=1, progress=told, **options
+        )
+
+    return of
+
+
+def test_ctrl_c_in_the_search_gives_the_best_so_far(repaired):
+    found = repaired("refit 2 of 3")
+    assert (found.status, found.stopped) == ("answered", "the user")
+    assert [one.key for one in found.effects] == ["pivot.coulomb_friction"]
+    assert found.not_searched
+    assert set(found.not_searched) <= {"quadratic_drag at pivot", "constant_torque at pivot"}
+    text = str(found)
+    assert "Stopped by the user; not searched: " in text
+    assert "what was not searched is not excluded" in " ".join(text.split("Next:")[1].split())
+    assert not any("the time was up" in note for note in found.messages)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_ctrl_c_before_the_first_refit_says_that_nothing_was_searched(repaired):
+    found = repaired("scores")
+    assert (found.status, found.stopped, found.effects) == ("answered", "the user", ())
+    assert "Stopped by the user; not searched: any effect" in str(found)
+    assert found.verdict == "unnamed"
+    assert "no refit" not in found.unknown.sentence
+
+
+def test_ctrl_c_in_the_fit_of_a_structure_leaves_what_was_kept_before(repaired, monkeypatch):
+    def station(self, tried):
+        self.tell("fit of all data")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Choice, "_station", station)
+    found = repaired("fit of all data")
+    assert (found.status, found.stopped, found.effects) == ("answered", "the user", ())
+    assert found.not_searched == ("any effect",)
+
+
+def test_a_second_ctrl_c_ends_at_once(repaired):
+    found = repaired(" of ", times=2)
+    assert (found.status, found.verdict, found.stopped) == ("interrupted", None, "the user")
+    assert str(found).startswith("Repair of pendulum: no answer: interrupted")
+
+
+def test_ctrl_c_in_the_fit_without_effects(repaired, monkeypatch):
+    """The fit takes it, and ends with its best point."""
+
+    def pressed(*arguments, **options):
+        fit = estimate(*arguments, **options)
+        return replace(fit, status="interrupted")
+
+    monkeypatch.setattr(import_module("casadi_engine.discrepancy.repair"), "estimate", pressed)
+    found = repaired()
+    assert (found.status, found.verdict) == ("interrupted", None)
+    assert found.messages == ("interrupted in the fit without effects: nothing was searched",)
+
+
+def test_the_budget_is_said_at_the_top(repaired):
+    found = repaired(budget=1e-3)
+    lines = str(found).splitlines()
+    assert found.stopped == "the time budget"
+    assert "Stopped by the time budget; not searched: any effect" in lines[1:4]
+    assert "give it more time, budget=..." in str(found)
+
+
+def test_a_search_that_ends_by_itself_says_nothing_of_it(repaired):
+    found = repaired()
+    assert (found.stopped, found.not_searched) == ("", ())
+    assert "not searched" not in str(found)

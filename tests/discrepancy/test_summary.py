@@ -1,0 +1,186 @@
+"""What a repair prints: the sentences of one screen, for systems of any kind."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import casadi_engine as ce
+from casadi_engine.discrepancy.repaired import Member, NextExperiment
+from casadi_engine.discrepancy.summary import headline, next_step, noise_of_chi2
+from casadi_engine.discrepancy.wording import in_unit, port_cure, twins
+
+
+def tank_model(port=True):
+    b = ce.Blueprint("tank")
+    area = b.parameter("A", 0.02, unit="m2", min=1e-3)
+    c = b.parameter("c", 2e-4, unit="m2/s", min=0)
+    h, q = b.state("h", unit="m", scale=0.5), b.input("q", unit="m3/s", scale=1e-4)
+    more = b.port("tank", "inertia", {"speed": h}) if port else 0
+    b.ode("h", (q - c * h + more) / area)
+    b.output("level", h, unit="m")
+    return b.model()
+
+
+@pytest.fixture(scope="module")
+def record():
+    """A tank with a constant outflow of 3e-5 m3/s beside the one that is proportional to its level."""
+    t = np.arange(300) * 1.0
+    q = 1e-4 * (1 + 0.6 * np.sign(np.sin(2 * np.pi * t / 90)))
+    run = solve_ivp(
+        lambda s, y: (np.interp(s, t, q) - 2e-4 * y - 3e-5) / 0.02, (0, t[-1]), [0.3], t_eval=t, max_step=0.5
+    )
+    level = run.y[0] + 0.002 * np.random.default_rng(0).standard_normal(len(t))
+    return ce.Experiment.from_arrays("run", time=t, units={"q": "m3/s", "level": "m"}, q=q, level=level)
+
+
+@pytest.fixture(scope="module")
+def leaking(record):
+    effects = ["coulomb_friction", "constant_torque", "sensor_offset"]
+    return ce.repair(tank_model(), record, effects=effects, starts=1, progress=False)
+
+
+@pytest.fixture(scope="module")
+def blind(record):
+    return ce.repair(tank_model(port=False), record, starts=1, progress=False)
+
+
+def joined(found):
+    """What is printed, on one line."""
+    return " ".join(str(found).split())
+
+
+def test_a_tank_is_spoken_of_as_a_tank(leaking):
+    words = joined(leaking)
+    assert "tank.coulomb_friction.torque = " in words
+    assert (
+        " %; not excluded in its place (probability, correlation with it): constant_torque at tank (" in words
+    )
+    assert "a constant loss at tank that follows the sign of h: z = " in words
+    assert "a volume flow at tank explains most of it" in words
+    assert "Smallest detectable sizes (95 % power): sensor_offset at sensor_level" not in words
+    for strange in (" -\n", "a torque at", "N m", "friction at tank:", "cycles", "halves"):
+        assert strange not in str(leaking), strange
+
+
+def test_a_class_that_acts_alike_is_said_to_be_one(leaking):
+    assert leaking.verdict == "class"
+    assert {m.name for m in twins(leaking.effects[0])} >= {"constant_torque"}
+    assert "coulomb_friction at tank is missing, or " in joined(leaking)
+    assert next_step(leaking).startswith(
+        "coulomb_friction at tank and constant_torque at tank are one and the same in data of this kind "
+        "(correlation 1 or -1), and no other input or sensor and no longer record that could be tried"
+    )
+    assert "record data" not in next_step(leaking)
+
+
+def test_an_experiment_that_does_not_split_is_not_said_to(leaking):
+    weak = NextExperiment("measure q too", (), 1.6, 0.2)
+    assert next_step(replace(leaking, next_experiment=weak)) == (
+        "measure q too: of what was tried by simulation it helps most, but does not split the class (separation 1.6, "
+        "now 0.2; 3.3 is enough)"
+    )
+
+
+def test_a_headline_counts_the_class(leaking):
+    one = leaking.effects[0]
+    two = replace(one, members=(one.members[0], Member("drag", "tank", 0.9, 0.2)))
+    assert "coulomb_friction at tank is missing, or drag at tank, " in headline(
+        replace(leaking, effects=(two,))
+    )
+    more = replace(two, members=(*two.members, Member("play", "tank", 0.9, 0.2)))
+    assert " is missing, or one of 2 others, " in headline(replace(leaking, effects=(more,)))
+
+
+@pytest.mark.parametrize(
+    ("frequency", "words"),
+    [
+        (0.9, ", the best score in 90 % of random halves of the data"),
+        (0.0, "; its score is the best in 0 % of random halves of the data only: the refits decided"),
+    ],
+)
+def test_stability_is_told_of_a_single_effect_alone(leaking, frequency, words):
+    one = replace(leaking.effects[0], selection_frequency=frequency)
+    assert "halves" not in joined(replace(leaking, effects=(one,)))
+    alone = replace(one, members=one.members[:1])
+    assert words in joined(replace(leaking, effects=(alone,), verdict="named"))
+
+
+def test_the_gap_stands_beside_sigma(leaking):
+    head, row = str(leaking).splitlines()[
+        [k for k, s in enumerate(str(leaking).splitlines()) if s[:3] == "Gap"][1] :
+    ][:2]
+    assert head.split() == ["Gap", "output", "sigma", "rmse", "after", "fit", "%", "after", "chi2/N", "after"]
+    sigma, before, after = (float(text) for text in row.split()[3:6])
+    assert sigma == pytest.approx(0.002, rel=0.1)
+    assert before > 1.2 * sigma
+    assert after == pytest.approx(sigma, rel=0.1)
+    assert noise_of_chi2(leaking) == ""
+
+
+def test_a_noise_that_is_not_the_stated_one_is_said(leaking):
+    """A gap that the noise was made to swallow is seen by rmse beside the stated sigma."""
+    stated = replace(leaking, null_fit=replace(leaking.null_fit, noise={"level": (2e-4, False)}))
+    assert noise_of_chi2(stated).endswith("larger than stated: judge the gap by rmse beside sigma")
+    assert "0.0002" in str(stated)
+    coloured = replace(leaking, noise=replace(leaking.noise, colour={"run/level": 2}))
+    assert noise_of_chi2(coloured) == (
+        "chi2/N counts by coloured noise as the search estimated it: judge the gap by rmse beside sigma"
+    )
+    assert noise_of_chi2(coloured) in joined(coloured)
+    scattered = replace(leaking, noise=replace(leaking.noise, scatter={"combustion": 0.02}))
+    assert noise_of_chi2(scattered).startswith("chi2/N counts by the scatter of combustion")
+
+
+def test_a_model_without_ports_is_told_so_at_the_top(blind):
+    lines = str(blind).splitlines()
+    assert lines[0].startswith("Repair of tank: ")
+    assert "no physical effect could be looked for" in lines[0]
+    assert lines[1].startswith(
+        "The model has no port at which a physical effect can act: wrong fixed parameters"
+    )
+    assert (
+        'missing = b.port("at_h", "inertia", {"speed": h}), added to what acts in b.ode("h", ...)'
+        in joined(blind)
+    )
+    assert next_step(blind).startswith("give the model its ports as said above")
+    assert blind.effects == ()
+
+
+def test_the_cure_for_a_model_without_ports_works_as_it_is_written():
+    """The line is put into the blueprint: then there is a port, and nothing is said."""
+    b = ce.Blueprint("tank")
+    area, h = b.parameter("A", 0.02, unit="m2", min=1e-3), b.state("h", unit="m")
+    q = b.input("q", unit="m3/s")
+    assert port_cure(tank_model(port=False)).startswith(
+        'missing = b.port("at_h", "inertia", {"speed": h}), added'
+    )
+    missing = b.port("at_h", "inertia", {"speed": h})  # as it is printed
+    b.ode("h", (q + missing) / area)
+    b.output("level", h, unit="m")
+    model = b.model()
+    assert (model.ports["at_h"].unit, port_cure(model)) == ("m3/s", "")
+
+
+def test_the_cure_takes_a_speed_first():
+    b = ce.Blueprint("pendulum")
+    a, w = b.state("angle", unit="rad"), b.state("rate", unit="rad/s")
+    b.ode("angle", w)
+    b.ode("rate", -9.81 * a)
+    b.output("phi", a, unit="rad")
+    assert port_cure(b.model()).startswith('missing = b.port("at_rate", "inertia", {"speed": rate})')
+
+
+@pytest.mark.parametrize(("unit", "words"), [("1", ""), ("-", " (unit not stated)"), ("W/K", " W/K")])
+def test_units_behind_numbers(unit, words):
+    assert in_unit(unit) == words
+
+
+def test_a_unit_that_was_not_stated_is_said_once(leaking):
+    missed = tuple(
+        replace(one, unit="-", testable=True, smallest_detectable=0.5) for one in leaking.not_found
+    )
+    words = joined(replace(leaking, not_found=missed))
+    assert words.count("not stated") == 1
+    assert "Smallest detectable sizes (95 % power) (some in units that were not stated): " in words

@@ -1,0 +1,108 @@
+"""Units of slots and signals, as the equations and the declared units tell them."""
+
+import casadi as ca
+import pytest
+
+import casadi_engine as ce
+from casadi_engine.model.declarations import Port
+
+
+def port_of(state, slope, *, speed=None, time_unit=None, extra=None, stated=None):
+    """The port of a model dx/dt = (in + slot) * slope in which the state has a unit; slope : value, unit."""
+    b = ce.Blueprint("one", time_unit=time_unit)
+    x = b.state("x", unit=state)
+    factor = b.parameter("a", 2.0, unit=slope) if isinstance(slope, str) else slope
+    slot = b.port("here", "inertia", {"speed": x if speed is None else speed(b, x)}, unit=stated)
+    b.ode("x", slot * factor + (0 if extra is None else extra(b, x)))
+    b.output("y", x, unit=state)
+    return b.model().ports["here"]
+
+
+@pytest.mark.parametrize(
+    ("state", "slope", "unit", "leak"),
+    [
+        ("m", "1/m2", "m3/s", "m2/s"),
+        ("K", "K/J", "W", "W/K"),
+        ("V", "V/(A s)", "A", "A/V"),
+        ("rad/s", "1/(kg m2)", "N m", "N m s/rad"),
+        ("m/s", "1/kg", "N", "N s/m"),
+    ],
+)
+def test_a_slot_has_the_unit_that_its_ode_asks_for(state, slope, unit, leak):
+    port = port_of(state, slope)
+    assert port.unit == unit
+    assert port.in_its_unit("N m s/rad") == leak
+    assert port.in_its_unit("N m") == unit
+    assert port.in_its_unit("s") == "s"
+
+
+def test_time_in_hours():
+    port = port_of("mg/L", 1.0, time_unit="h", extra=lambda b, x: -b.parameter("k", 1.0, unit="1/h") * x)
+    assert (port.unit, port.in_its_unit("N m s/rad")) == ("mg/(L h)", "1/h")
+
+
+def test_an_ode_per_inertia_has_slots_per_inertia():
+    def falls(b, x):
+        return -b.parameter("c", 1.0, unit="1/s") * x
+
+    assert port_of("rad/s", 1.0, extra=falls).unit == "rad/s2"
+    assert port_of("rad/s", 8.0, extra=falls).unit == "N m"  # the number may be one over an inertia
+    assert port_of("rad/s", 1.0, extra=lambda b, x: -9.81 * x).unit == "N m"  # and so may this one
+    assert port_of("m/s", "1").unit == "N"  # a unit that may have been left out
+    assert port_of("K", "1").unit == "-"
+    assert port_of("kg m/s", 1.0).unit == "-"  # nothing beside the slot tells
+    assert port_of("K", "K/J", stated="kW").unit == "kW"
+
+
+def test_signals_of_several_symbols():
+    def over_radius(b, x):
+        return x / b.parameter("r", 0.1, unit="m")
+
+    port = port_of("m/s", "1/kg", speed=over_radius)
+    assert (port.units["speed"], port.in_its_unit("N m s/rad")) == ("1/s", "N s")
+    assert "speed" not in port_of("K", "K/J", speed=lambda b, x: x - 293).units
+    assert port_of("K", "K/J", speed=lambda b, x: x - 293).in_its_unit("N m s/rad") == "-"
+    difference = port_of("K", "K/J", speed=lambda b, x: x - b.input("T_a", unit="K"))
+    assert difference.in_its_unit("N m s2/rad2") == "W/K2"
+
+
+def test_a_spring_counts_by_its_stretch():
+    port = Port("spring", "coupling", unit="N", units={"twist": "m", "twist_rate": "m/s"})
+    assert [port.in_its_unit(text) for text in ("N m/rad3", "N m s/rad", "rad", "rad/s")] == [
+        "N/m3", "N s/m", "m", "m/s",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("unit", "speed", "quantity", "mechanical"),
+    [
+        ("kN", "m/s", "force", True), ("rad/s2", "rad/s", "angular acceleration", True), ("-", "m/s", "term", True),
+        ("-", "K", "term", False), ("L/min", "m", "volume flow", False), ("mg/(L h)", "mg/L", "rate", False),
+    ],
+)  # fmt: skip
+def test_what_acts_at_a_port(unit, speed, quantity, mechanical):
+    port = Port("here", "inertia", {"speed": ca.SX.sym("x")}, unit=unit, units={"speed": speed})
+    assert (port.quantity, port.is_mechanical) == (quantity, mechanical)
+
+
+def test_links_of_what_turns_and_pipes_of_the_rest():
+    def both(unit):
+        b = ce.Blueprint("two")
+        for k in (1, 2):
+            h = b.state(f"h_{k}", unit="m")
+            b.ode(f"h_{k}", b.port(f"tank_{k}", "inertia", {"level": h}, unit=unit))
+        b.output("level", h, unit="m")
+        return b.model().ports["tank_1_and_tank_2"]
+
+    assert (both("m3/s").kind, both("m3/s").in_its_unit("N m s/rad")) == ("pipe", "m2/s")
+    assert both("m/s2").kind == "link"
+
+
+def test_a_drive_that_an_effect_adds_has_the_unit_of_its_port():
+    b = ce.Blueprint("room")
+    temperature = b.state("T", unit="K")
+    b.ode("T", b.port("room", "inertia", {"speed": temperature}) / b.parameter("C", 2e5, unit="J/K"))
+    b.output("T_room", temperature, unit="K")
+    made = b.model().with_effect(ce.effects.LoadStep(), at="room")
+    assert [(drive.name, drive.unit) for drive in made.drives] == [("T_room_load_step", "W")]
+    assert made.parameters()["room.load_step.torque"].unit == "W"
