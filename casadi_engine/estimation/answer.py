@@ -75,7 +75,9 @@ def make_fit(
         best = replace(best, solution=replace(best.solution, status=status))
     found = judged(search, best, errors, optima, residuals, check=check and not stopped)
     cost = printed_cost(search, v, residuals)
-    predictor = _predictor(search, v, best.sigma, errors)
+    doubted = [name for name in pmap.free if found.estimates[name].quadratic]
+    known = errors.optimal and set(doubted) <= set(search.model.parameter_names)
+    predictor = _predictor(search, v, best.sigma, errors, known=known)
     # With noise covariances the search adds the likelihood of the innovations' size, zero at this fit from here on.
     size = problem.priors.size(v) if isinstance(problem.priors, SizedPriors) else 0.0
     timing["covariance"] = time.perf_counter() - clock
@@ -127,12 +129,14 @@ def _noise(search: Search, sigma: Array, values: dict[str, float]) -> dict[str, 
     return {name: (start[name], False) if own[name] is None else (own[name], True) for name in start}  # type: ignore[misc]
 
 
-def _predictor(search: Search, v: Array, sigma: Array, errors: Uncertainty) -> Innovations | None:
-    """The predictor at the optimum, that of the first record where records differ."""
+def _predictor(
+    search: Search, v: Array, sigma: Array, errors: Uncertainty, *, known: bool
+) -> Innovations | None:
+    """The predictor at the optimum, that of the first record where records differ; known : its gain has errors."""
     if search.predictor.kind == "none":
         return None
     covariance = errors.covariance.matrix[: len(v), : len(v)]
-    if not errors.optimal:
+    if not known:
         covariance = np.full_like(covariance, np.nan)
     gain, kalman, stderr, levels, radius = loop_of(search.records[0], v, covariance, search.predictor.every)
     outputs = search.predictor.outputs

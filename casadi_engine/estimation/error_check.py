@@ -100,7 +100,7 @@ def doubts_of(
         return ()
     found = _rivals(search, best, errors, optima)
     around = _Around(search, best, errors, residuals)
-    for move in _moves(search, errors):
+    for move in _moves(errors, search.problem.nv, 1 if around.long else _DIRECTIONS):
         found += around.doubts(move)
     found += _bounds(search, errors)
     return tuple(found)
@@ -124,12 +124,11 @@ def words_of(doubts: Sequence[Doubt], missing: Sequence[str]) -> list[str]:
 # ---- where to look
 
 
-def _moves(search: Search, errors: Uncertainty) -> list[Array]:
+def _moves(errors: Uncertainty, nv: int, count: int) -> list[Array]:
     """Directions (N,), one standard error long, the initial states on their way with them."""
-    matrix, nv = errors.covariance.matrix, search.problem.nv
-    own = matrix[:nv, :nv]
-    values, vectors = np.linalg.eigh(own)
-    top = [k for k in np.argsort(values)[::-1][:_DIRECTIONS] if values[k] > 1e-12 * values[-1]]
+    matrix = errors.covariance.matrix
+    values, vectors = np.linalg.eigh(matrix[:nv, :nv])
+    top = [k for k in np.argsort(values)[::-1][:count] if values[k] > 1e-12 * values[-1]]
     return [matrix[:, :nv] @ vectors[:, k] / np.sqrt(values[k]) for k in top]
 
 
@@ -146,7 +145,11 @@ class _Around:
         )
         nv, covariance = search.problem.nv, errors.covariance
         self._inverse = np.linalg.pinv(covariance.matrix[:nv, :nv], hermitian=True)
-        self._free = all(
+        # a long record's slopes are not kept: one direction has to do, and its initial state follows to first order
+        self.long = not all(
+            isinstance(point.parts, list) for point in search.problem.at(best.solution.x).records
+        )
+        self._free = not self.long and all(
             record.linear and np.isinf(search.upper[lay.at : lay.at + lay.n]).all()
             for record, lay in zip(search.records, search.problem.layouts, strict=True)
         )
@@ -157,12 +160,17 @@ class _Around:
         sides = [min(_FAR, _room(self.lower, self.upper, self.entries, side * move)) for side in (-1.0, 1.0)]
         if min(sides) < _NEAR:  # a bound is close, and that is said of it
             return []
-        seen = [self._seen(move, far) for far in (-sides[0], sides[1])]
+        fars = -sides[0], sides[1]
+        there = [self._simulated(move, far) for far in fars]
         names = _names_along(self.search, move)
-        if seen[0] is None or seen[1] is None:
+        if there[0] is None or there[1] is None:
             text = f"the errors are not known: within {_FAR:g} standard errors along {names} the model has no value"
             return [Doubt("rugged", f"{text}; {CALL}", move, np.inf)]
-        (low, bent), (high, other) = seen[0], seen[1]
+        if self._plainly(fars, there[0], there[1]):
+            return []
+        (low, bent), (high, other) = (
+            self._seen(move, far, *one) for far, one in zip(fars, (there[0], there[1]), strict=True)
+        )
         curvature = max(bent, other)
         if curvature > _RUGGED:
             text = (
@@ -178,19 +186,34 @@ class _Around:
             return [Doubt("curved", text, move, curvature)]
         return []
 
-    def _seen(self, move: Array, far: float) -> tuple[float, float] | None:
-        """Rise of chi-squared over the quadratic's, and curvature; None where the model has no value."""
-        search, nv = self.search, self.search.problem.nv
+    def _simulated(self, move: Array, far: float) -> tuple[float, list[Array]] | None:
+        """Rise of chi-squared and change of each record's residual (K, M); None where the model has no value."""
         step = far * move
-        v = self.errors.v + step[:nv]
+        v = self.errors.v + step[: self.search.problem.nv]
         try:
             found = self._residuals(v, step)
         except (FloatingPointError, np.linalg.LinAlgError, ModelError):
             return None
-        rise = printed_cost(search, v, found) - self.cost
-        if not np.isfinite(rise):
-            return None
+        rise = printed_cost(self.search, v, found) - self.cost
         change = [there - here for there, here in zip(found, self.residuals, strict=True)]
+        return (rise, change) if np.isfinite(rise) else None
+
+    def _plainly(
+        self,
+        fars: tuple[float, float],
+        back: tuple[float, list[Array]],
+        forth: tuple[float, list[Array]],
+    ) -> bool:
+        """True if no slopes are needed to see that the quadratic holds: the even part of the changes is nearly 0."""
+        a, b = -fars[0], fars[1]
+        if not all(_RISES[0] < one[0] / far**2 < _RISES[1] for one, far in ((back, a), (forth, b))):
+            return False
+        even = sum(float(np.sum((a * q + b * p) ** 2)) for p, q in zip(back[1], forth[1], strict=True))
+        return self._radius * 2 * float(np.sqrt(even)) / (a * b * (a + b)) < _FLAT
+
+    def _seen(self, move: Array, far: float, rise: float, change: list[Array]) -> tuple[float, float]:
+        """Rise of chi-squared over the quadratic's, and curvature."""
+        search, nv, step = self.search, self.search.problem.nv, far * move
         gradient = self._along_slopes(change)
         prior = search.problem.priors.evaluate(self.errors.v)[3] @ step[:nv]
         gradient[:nv] += prior
@@ -199,12 +222,11 @@ class _Around:
         inside, moved = float(gradient @ matrix @ gradient), matrix[:nv] @ gradient
         outside = max(size - inside, 0.0)
         # where initial states are at their best already, a profile lowers the rise by the parameters alone
-        beside = (float(moved @ self._inverse @ moved) if self._free else inside) - float(
-            gradient @ move
-        ) ** 2
+        own = float(moved @ self._inverse @ moved) if self._free else inside
+        beside = max(own - float(gradient @ move) ** 2, 0.0)
         # whitened innovations change with the noise levels too, which is no bend of the model
         bent = 0.0 if search.predictor.kind == "process" else float(np.sqrt(outside))
-        return (rise - max(beside, 0.0)) / far**2, self._radius * 2 * bent / far**2
+        return (rise - beside) / far**2, self._radius * 2 * bent / far**2
 
     def _residuals(self, v: Array, step: Array) -> list[Array]:
         """The weighted residual (K, M) of each record after a step (N,) to v."""

@@ -23,6 +23,8 @@ LEVEL = 0.95
 # Refits on one side; the share of the root of the threshold within which an end counts as found; and how much further
 # than the quadratic has it an end is looked for.
 _MOST, _CLOSE, _FAR = 6, 0.03, 4.0
+# Evaluations of the problem that a refit takes at least.
+_EVALUATIONS = 4
 # A refit that is this much below the optimum has found another one.
 _LOWER = 1e-2
 
@@ -34,13 +36,16 @@ class LowerOptimumError(Exception):
 class Profiles:
     """Intervals of the free parameters around an optimum.
 
-    seconds : of processor time that may be spent; ``late`` is True once another interval would take longer
+    seconds : of processor time that may be spent
     """
 
     def __init__(self, search: Search, best: Attempt, errors: Uncertainty, *, seconds: float) -> None:
         self.search, self.best, self.errors = search, best, errors
         search.mute()
+        search.problem.forget()
+        begun = time.process_time()
         self.base = self._cost(best.solution.x)
+        self._least = _EVALUATIONS * (time.process_time() - begun)
         freedom = search.problem.samples - errors.covariance.rank
         estimated = any(search.levels.estimated) and freedom > 0
         beyond = 1 - LEVEL
@@ -50,10 +55,12 @@ class Profiles:
     def intervals(self, names: list[str]) -> dict[str, tuple[float, float]]:
         """Name -> ends in the parameter's unit, bounds where there are none within; without those that were not found.
 
-        None at all where the first refit tells that they would take too long.
+        None at all where they would take too long.
         Raises LowerOptimumError.
         """
         found: dict[str, tuple[float, float]] = {}
+        if self._late(2 * len(names)):
+            return found
         for name in names:
             k = self.search.pmap.free.index(name)
             ends = []
@@ -69,8 +76,9 @@ class Profiles:
         return found
 
     def _late(self, sides: int) -> bool:
-        """True if so many sides would take too long, by what the refits so far took (three a side)."""
-        return self._done > 0 and 3 * sides * self._spent / self._done > self.seconds
+        """True if so many sides would take too long: three refits each, as long as those so far were."""
+        each = self._spent / self._done if self._done else self._least
+        return 3 * sides * each > self.seconds
 
     def _end(self, k: int, sign: float, sides: int) -> float | None:
         """Where the profile of entry k reaches the threshold on one side, or its bound; None where it does not."""

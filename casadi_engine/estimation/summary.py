@@ -383,6 +383,8 @@ def next_steps(fit: Fit) -> list[str]:
         )
     elif len(converged) > 1 and min(converged, key=lambda optimum: optimum.cost).starts == 1:
         steps.append("only one start found the lowest cost: repeat with starts=32")
+    if fit.doubted:
+        steps.append("the errors that the data do tell: print(ce.posterior(fit))")
     if not steps:
         steps.append(FRESH)
     return steps

@@ -195,7 +195,9 @@ def _gain(fit: Fit) -> dict[str, Any] | None:
         "sigma": dict(found.sigma),
         "radius": found.radius,
         "every": found.every,
-        "why": {} if np.isfinite(found.stderr).all() else {"K_stderr": "null: nothing estimated moves it"},
+        "why": {}
+        if np.isfinite(found.stderr).all()
+        else {"K_stderr": "null: nothing estimated moves it, or its error is not known"},
     }
 
 

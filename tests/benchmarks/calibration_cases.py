@@ -79,6 +79,8 @@ VARIANTS: dict[str, Variant] = {
         "crankshaft, six records, a thirtieth of the noise", **_SIX, sigma=1 / 300  # type: ignore[arg-type]
     ),
     "quiet": Variant("two masses, a tenth of the noise", **_TWO, sigma=0.01),  # type: ignore[arg-type]
+    "loud": Variant("two masses, thirty times the noise", **_TWO, sigma=3.0),  # type: ignore[arg-type]
+    "louder": Variant("two masses, eighty times the noise", **_TWO, sigma=8.0),  # type: ignore[arg-type]
     "crankshaft_plain": Variant("crankshaft, six records, no neighbours", **_SIX),  # type: ignore[arg-type]
 }  # fmt: skip
 

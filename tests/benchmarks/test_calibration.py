@@ -51,6 +51,39 @@ def test_coverage_counts_the_intervals_that_are_claimed():
     assert calibration_study.covered(found, "a", one_sided=True) == (pytest.approx(3 / 4), 4)
 
 
+def test_what_is_printed_is_counted_as_it_is_printed():
+    """± within 1.96 errors, an interval from end to end, nothing; fits that did not converge do not count."""
+    name, keys = "known", calibration_cases.VARIANTS["known"].reported
+    made = [
+        (1.9, "stderr"),
+        (2.1, "stderr"),
+        (0.5, [-0.6, 0.1]),
+        (0.5, [-0.4, 0.1]),
+        (9.0, None),
+        (0.0, "stderr"),
+    ]
+    found = [
+        {
+            "status": "converged" if k < 5 else "no",
+            "error": dict.fromkeys(keys, error),
+            "stderr": dict.fromkeys(keys, 1.0),
+            "printed": dict.fromkeys(keys, printed),
+            "at_bound": [],
+        }
+        for k, (error, printed) in enumerate(made)
+    ]
+    line = calibration_study.printed_of(name, found)[0]
+    assert line.endswith("| J1 | 5 | 40 % | 40 % | 0 % | 20 % | **0.500** ± 0.109 |")
+
+
+@pytest.mark.parametrize(("name", "printed"), [("quiet", {"stderr"}), ("crankshaft_plain", {None})])
+def test_an_error_is_printed_where_it_is_right_alone(name, printed):
+    """Two masses at little noise, and the crankshaft, whose errors by the curvature are several times too small."""
+    row = calibration_cases.row({"variant": name, "seed": 0})
+    assert set(row["printed"].values()) == printed
+    assert all(row["stderr"].values())
+
+
 def test_the_cost_of_the_truth_is_that_of_the_yardstick():
     from yardstick import chi_squared
 

@@ -175,7 +175,9 @@ def test_the_fit_finds_parameters_and_scatter(record, fit):
         for what, level, value in zip(("strength", "timing", "charge"), levels, differ, strict=True):
             name = f"{port}.assumed_pressure.{what}"
             # the cycles' own mean is part of the strength
-            assert abs(fit.values[name] * level - value) < 4 * level * fit.stderr[name] + 0.01
+            found = fit.estimates[name]
+            size = found.stderr or found.quadratic
+            assert abs(found.value * level - value) < 4 * level * size + 0.01
     without = ce.estimate(ce.two_mass(), experiment(record), noise=NOISE, progress=False)
     assert without.cost / without.n > 1.5 > 1.1 > fit.cost / fit.n
 

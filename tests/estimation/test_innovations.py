@@ -210,12 +210,23 @@ def test_noise_covariances_maximise_the_likelihood(shaft_model, name):
         assert abs(fit.values[name_] - truth) < 4 * fit.stderr[name_]
 
 
+def test_a_doubted_noise_level_takes_the_error_of_the_gain_with_it(shaft_model):
+    """Of two outputs with gaps the noise levels are not known to a quadratic."""
+    made, model = record(**CASES["two outputs with gaps"]), shaft_model(True)
+    options = {"parameters": parameters(model), "noise": ce.Noise(process="estimate"), "progress": False}
+    plain = ce.estimate(model, made.data, errors="quadratic", **options)
+    checked = ce.estimate(model, made.data, **options)
+    assert np.isfinite(plain.innovations.stderr).all()
+    assert any(checked.estimates[name].quadratic for name in checked.free if name not in NAMES)
+    assert np.isnan(checked.innovations.stderr).all()
+    np.testing.assert_allclose(checked.innovations.kalman, plain.innovations.kalman, rtol=1e-9)
+
+
 @pytest.mark.parametrize("missing", [0.0, 0.2])
 def test_the_innovations_form_minimises_the_prediction_error(shaft_model, missing):
     made, model = record(missing=missing), shaft_model(False)
-    fit = ce.estimate(
-        model, made.data, parameters=parameters(model), noise=ce.Noise(omega="innovations"), progress=False
-    )
+    options = {"noise": ce.Noise(omega="innovations"), "errors": "quadratic", "progress": False}
+    fit = ce.estimate(model, made.data, parameters=parameters(model), **options)
     assert fit.status == "converged"
     gains = [f"gain.omega.{state}" for state in STATES]
 

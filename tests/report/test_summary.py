@@ -51,6 +51,9 @@ def test_no_error_is_printed_that_is_doubted(factory):
     assert "±" not in rows["J_load"] + rows["K_el"]
     assert "95 %: 0.120 to 0.270" in rows["J_load"]
     assert "no error: not known (see note)" in rows["K_el"]
+    assert "the errors that the data do tell: print(ce.posterior(fit))" in next_steps(
+        factory.doubted(factory.fit())
+    )
 
 
 @pytest.mark.parametrize("records", [1, 3, 40])
