@@ -68,10 +68,27 @@ def shift_of(record: RecordTerm, found: SignedError) -> float:
     return norm if np.isfinite(norm) else np.inf
 
 
-def shorten_steps(records: Sequence[RecordTerm], v: Array, nodes: Sequence[Array]) -> bool:
-    """Give shorter steps to records whose integration moves the estimates; True if any has them now."""
+def resolve_corners(records: Sequence[RecordTerm], v: Array, nodes: Sequence[Array], misfit: float) -> None:
+    """Give shorter steps to records of linear cores in the middle of a search.
+
+    A corner that is passed between two steps makes the cost rough, and a search take many more steps of its own.
+    misfit : chi-squared per sample
+    """
+    local = (ExponentialPropagator, ObservedPropagator)
+    own = [(one, at) for one, at in zip(records, nodes, strict=True) if isinstance(one.propagator, local)]
+    if own:
+        shorten_steps([one for one, _ in own], v, [at for _, at in own], misfit)
+
+
+def shorten_steps(
+    records: Sequence[RecordTerm], v: Array, nodes: Sequence[Array], misfit: float = 1.0
+) -> bool:
+    """Give shorter steps to records whose integration moves the estimates; True if any has them now.
+
+    misfit : chi-squared per sample; that of a wrong model says how far its estimates are uncertain anyway
+    """
     errors = signed_errors(records, v, nodes)
-    limit, changed = SHIFT / np.sqrt(len(records)), False
+    limit, changed = SHIFT * np.sqrt(max(misfit, 1.0) / len(records)), False
     for record, found in zip(records, errors, strict=True):
         if found is None:
             continue

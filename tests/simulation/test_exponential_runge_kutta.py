@@ -246,8 +246,9 @@ def test_a_wild_point_does_not_make_later_ones_pay_for_its_short_steps(made):
     # and the derivatives of a point made with other steps than the propagator has now are still its own
     rho, lam = np.ones_like(wild.y[0]), np.zeros((1, propagator.intervals.m))
     late = propagator.contraction(np.array([20000.0]), wild, rho, lam)
-    fresh = make_propagator(model, grid, cut(grid, 20), z, z, scale=np.ones(1))
+    fresh = make_propagator(model, grid, cut(grid, 20), z, z, scale=np.ones(1), steps=wild.substeps)
     path = fresh.propagate(np.array([20000.0]), nodes, 1)
+    assert path.substeps == wild.substeps
     for one, other in zip(late, fresh.contraction(np.array([20000.0]), path, rho, lam), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9)
 
