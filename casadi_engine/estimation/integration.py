@@ -27,6 +27,7 @@ from casadi_engine.simulation.error_estimate import (
 from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
 from casadi_engine.simulation.observed import ObservedPropagator
 from casadi_engine.simulation.propagator import fineness_of
+from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 
 Array = NDArray[np.float64]
 
@@ -34,6 +35,8 @@ Array = NDArray[np.float64]
 SHIFT = 0.02
 # Integration errors below this share of the outputs' size are not pursued: they are near the rounding of long runs.
 _NEGLIGIBLE = 1e-9
+# Steps to a sample, on average, that corners may ask for in the middle of a search.
+_MIDDLE = 4.0
 
 
 def signed_errors(
@@ -71,13 +74,18 @@ def shift_of(record: RecordTerm, found: SignedError) -> float:
 def resolve_corners(records: Sequence[RecordTerm], v: Array, nodes: Sequence[Array], misfit: float) -> None:
     """Give shorter steps to records of linear cores in the middle of a search.
 
-    A corner that is passed between two steps makes the cost rough, and a search take many more steps of its own.
+    A corner that is passed between two steps makes the cost rough, and a search take many more steps of its own. A
+    place that asks for many steps everywhere is none that a search ends at: it keeps those that it has.
     misfit : chi-squared per sample
     """
-    local = (ExponentialPropagator, ObservedPropagator)
-    own = [(one, at) for one, at in zip(records, nodes, strict=True) if isinstance(one.propagator, local)]
-    if own:
-        shorten_steps([one for one, _ in own], v, [at for _, at in own], misfit)
+    for record, at in zip(records, nodes, strict=True):
+        before = record.propagator
+        if not isinstance(before, (ExponentialPropagator, ObservedPropagator)):
+            continue
+        shorten_steps([record], v, [at], misfit)
+        now: Any = record.propagator
+        if isinstance(now, RungeKuttaPropagator) or now.fineness.mean > _MIDDLE:
+            record.propagator = before
 
 
 def shorten_steps(

@@ -253,8 +253,8 @@ class ExponentialPropagator:
             for entry, (law, signal, _) in enumerate(laws.pattern):
                 loop[:, signal] += last[:, law, None] * own[entry]
             most = loop.sum(axis=1).max(axis=0)  # no eigenvalue is larger
-            strong = np.flatnonzero(np.isfinite(most) & (most > _EASY)) if laws.size > 1 else []
-            if len(strong):
+            strong = np.flatnonzero(np.isfinite(most) & (most > _EASY))
+            if laws.size > 1 and len(strong):
                 most[strong] = np.abs(np.linalg.eigvals(loop[:, :, strong].transpose(2, 0, 1))).max(axis=1)
             found[steps] = np.where(np.isfinite(most), most, 0.0)
         return laid.by_cell(found)[: len(self.fineness.counts)]

@@ -261,7 +261,7 @@ def test_a_law_that_runs_away_is_reported_without_noise(made):
     b.ode("x", slot)
     b.law("push", x**3)
     b.output("x", x)
-    grid = made.grid(np.zeros((0, 300)), samples=300, step=0.05)
+    grid = made.grid(np.zeros((0, 300)), samples=150, step=0.05)
     for length in (None, 10):
         with pytest.raises(FloatingPointError, match="the model's state is not finite here"):
             run(b.model(), grid, [5.0], length=length)
@@ -307,15 +307,15 @@ def met_by_events(force, width, time):
     crossings = [lambda t, x, side=side: x[1] - side * width for side in (-3, 0, 3)]
     found = solve_ivp(
         slope, (time[0], time[-1]), [0.2, 0.0], t_eval=time, events=crossings, method="Radau",
-        rtol=1e-10, atol=1e-12, max_step=0.25 * (time[1] - time[0]),
+        rtol=1e-9, atol=1e-11, max_step=0.5 * (time[1] - time[0]),
     )  # fmt: skip
-    assert sum(map(len, found.t_events)) > 10
+    assert sum(map(len, found.t_events)) > 6
     return found.y
 
 
 @pytest.mark.parametrize("length", [None, 16])
 def test_short_steps_where_corners_are_passed_keep_the_promise(made, length):
-    time = 0.3 + 0.02 * np.arange(300)
+    time = 0.3 + 0.02 * np.arange(150)
     force = 3 * np.sin(3 * time) + 2 * np.sin(7 * time + 1)
     model, width = slider(5e-3), 5e-3
     grid = made.grid(force, step=0.02)
@@ -326,10 +326,10 @@ def test_short_steps_where_corners_are_passed_keep_the_promise(made, length):
     )
     starts = wanted.T[:: propagator.intervals.length][: propagator.intervals.m]
     refined, about = refined_to(
-        propagator, NONE, starts, outputs=("q", "v"), samples=300, tolerance=tolerance
+        propagator, NONE, starts, outputs=("q", "v"), samples=150, tolerance=tolerance
     )
     assert about.within
-    found = refined.propagate(NONE, starts, 0).x[:-1].transpose(2, 0, 1).reshape(-1, 2)[:300]
+    found = refined.propagate(NONE, starts, 0).x[:-1].transpose(2, 0, 1).reshape(-1, 2)[:150]
     off = np.abs(found - wanted.T).max(axis=0) / np.abs(wanted).max(axis=1)
     assert (off < 1.5 * tolerance).all()
     # corners are passed in some cells alone: the finest steps everywhere would be many times as many
