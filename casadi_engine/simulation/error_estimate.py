@@ -22,7 +22,7 @@ Propagator = LinearPropagator | Stepped
 # Of a scheme of fourth order: its error is this many times its difference from half the step.
 _RICHARDSON = 16 / 15
 # By how much local steps are finer where a corner is passed than equal ones for the same error.
-_FINEST = 4.0
+_FINEST = 8.0
 _EXPONENTIAL = "exponential Runge-Kutta steps of order 4"
 
 
