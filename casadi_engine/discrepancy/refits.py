@@ -188,6 +188,15 @@ class Refits:
         """The null fit as a structure."""
         initial = {r: {n: e.value for n, e in own.items()} for r, own in fit.initial.items()}
         arrived = self.path.at(fit.values, initial)
+        if not fit.converged:  # refitted as every other structure is, so that no effect gains by that alone
+            start = Start(fit.values, initial)
+            further = (
+                self.path.from_point((), start),
+                self.path.from_windows((), start),
+                self.path.from_windows(()),
+            )
+            ends = [one for one in (arrived, *further) if one is not None]
+            arrived = min(ends, key=lambda one: one.cost, default=None)
         made = None if arrived is None else self._counted((), arrived)
         if made is None:
             raise EstimationError(

@@ -121,8 +121,18 @@ def test_nothing_held_out_leaves_the_claim_unconfirmed(alone):
     assert "fresh=other_record" in str(found)
 
 
-def test_a_fit_that_does_not_converge_stops_the_search(shaft, friction):
-    found = ce.repair(shaft.model, friction, noise=NOISE, starts=1, max_iterations=1, progress=False)
+def test_effects_are_looked_for_from_where_a_fit_without_end_was_left(shaft, friction):
+    found = ce.repair(
+        shaft.model, friction, effects=FEW, noise=NOISE, starts=1, max_iterations=3, progress=False
+    )
+    assert not found.null_fit.converged
+    assert [one.key for one in found.effects] == ["coupling.coulomb_friction"]
+    assert any("effects were looked for from where it ended" in note for note in found.messages)
+
+
+def test_a_fit_that_does_not_converge_and_lacks_nothing_is_no_answer(shaft):
+    data = shaft.data(n=600)
+    found = ce.repair(shaft.model, data, effects=FEW, noise=NOISE, starts=1, max_iterations=1, progress=False)
     assert found.verdict is None
     assert found.status.startswith("the fit without effects has not converged: ")
     assert found.effects == ()
