@@ -114,7 +114,7 @@ class Motion:
     @property
     def steps(self) -> float:
         """Integration steps to a sample."""
-        return max((one.everywhere for one in self.fit.integration.values()), default=0)
+        return max((one.average for one in self.fit.integration.values()), default=0)
 
     def cost(self, widths: Mapping[str, float]) -> float:
         """Chi-squared at these widths, in units of what the fit leaves."""

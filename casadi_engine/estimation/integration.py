@@ -27,7 +27,6 @@ from casadi_engine.simulation.error_estimate import (
 from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
 from casadi_engine.simulation.observed import ObservedPropagator
 from casadi_engine.simulation.propagator import fineness_of
-from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 
 Array = NDArray[np.float64]
 
@@ -35,8 +34,6 @@ Array = NDArray[np.float64]
 SHIFT = 0.02
 # Integration errors below this share of the outputs' size are not pursued: they are near the rounding of long runs.
 _NEGLIGIBLE = 1e-9
-# Steps to a sample, on average, that corners may ask for in the middle of a search.
-_MIDDLE = 4.0
 
 
 def signed_errors(
@@ -71,32 +68,10 @@ def shift_of(record: RecordTerm, found: SignedError) -> float:
     return norm if np.isfinite(norm) else np.inf
 
 
-def resolve_corners(records: Sequence[RecordTerm], v: Array, nodes: Sequence[Array], misfit: float) -> None:
-    """Give shorter steps to records of linear cores in the middle of a search.
-
-    A corner that is passed between two steps makes the cost rough, and a search take many more steps of its own. A
-    place that asks for many steps everywhere is none that a search ends at: it keeps those that it has.
-    misfit : chi-squared per sample
-    """
-    for record, at in zip(records, nodes, strict=True):
-        before = record.propagator
-        if not isinstance(before, (ExponentialPropagator, ObservedPropagator)):
-            continue
-        shorten_steps([record], v, [at], misfit)
-        now: Any = record.propagator
-        if isinstance(now, RungeKuttaPropagator) or now.fineness.mean > _MIDDLE:
-            record.propagator = before
-
-
-def shorten_steps(
-    records: Sequence[RecordTerm], v: Array, nodes: Sequence[Array], misfit: float = 1.0
-) -> bool:
-    """Give shorter steps to records whose integration moves the estimates; True if any has them now.
-
-    misfit : chi-squared per sample; that of a wrong model says how far its estimates are uncertain anyway
-    """
+def shorten_steps(records: Sequence[RecordTerm], v: Array, nodes: Sequence[Array]) -> bool:
+    """Give shorter steps to records whose integration moves the estimates; True if any has them now."""
     errors = signed_errors(records, v, nodes)
-    limit, changed = SHIFT * np.sqrt(max(misfit, 1.0) / len(records)), False
+    limit, changed = SHIFT / np.sqrt(len(records)), False
     for record, found in zip(records, errors, strict=True):
         if found is None:
             continue

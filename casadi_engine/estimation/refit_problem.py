@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.constraints import Priors
 from casadi_engine.estimation.coordinates import Coordinates
-from casadi_engine.estimation.integration import resolve_corners, shorten_steps
+from casadi_engine.estimation.integration import shorten_steps
 from casadi_engine.estimation.levenberg_marquardt import minimise
 from casadi_engine.estimation.options import initial_bounds, interval_length
 from casadi_engine.estimation.record import RecordTerm
@@ -114,13 +114,10 @@ class RefitProblem:
             place, _ = self._descended(counts, v, nodes, most, last=False)
             v, nodes = place.v, list(place.nodes)
             states = states or nodes
-            resolve_corners(self.records, v, nodes, self._misfit(place))
         self._as_fine_as(warm)
         place, status = self._descended(ladder[-1], v, nodes, most, last=True)
         for _ in range(_SHORTENED):
-            if status != "converged" or not shorten_steps(
-                self.records, place.v, place.nodes, self._misfit(place)
-            ):
+            if status != "converged" or not shorten_steps(self.records, place.v, place.nodes):
                 break
             place, status = self._descended(ladder[-1], place.v, list(place.nodes), most, last=True)
         return self._answer(place, states or list(place.nodes), status)
@@ -143,7 +140,7 @@ class RefitProblem:
         converged, (low, high) = False, self.bounds
         for _ in range(_CLOSINGS if last else 1):
             before = windows.best.squares.cost
-            unit = max(1.0, self._misfit(windows.best))  # of chi-squared, where the model is wrong
+            unit = max(1.0, 2 * before / self.count)  # of chi-squared, where the model is wrong
             fall = _FALL * unit if last else max(_HALF, _SHARE * before)
             found = minimise(
                 windows, v, low, high, fall=fall, steps=most, longest=self._longest, stop=self._late
@@ -161,10 +158,6 @@ class RefitProblem:
                 break
         self._steps += windows.evaluations
         return windows.best, "converged" if converged else f"the {most} steps over a horizon ran out"
-
-    def _misfit(self, place: Place) -> float:
-        """Chi-squared per sample."""
-        return 2 * place.squares.cost / self.count
 
     def _late(self, _: float = 0.0) -> bool:
         return time.perf_counter() > self.deadline

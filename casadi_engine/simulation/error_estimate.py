@@ -21,8 +21,6 @@ Propagator = LinearPropagator | Stepped
 
 # Of a scheme of fourth order: its error is this many times its difference from half the step.
 _RICHARDSON = 16 / 15
-# By how much local steps are finer where a corner is passed than equal ones for the same error.
-_FINEST = 8.0
 _EXPONENTIAL = "exponential Runge-Kutta steps of order 4"
 
 
@@ -48,10 +46,9 @@ class ErrorEstimate:
     mean: float | None = None
 
     @property
-    def everywhere(self) -> float:
-        """Integration steps to a sample that are about as fine where all samples have as many: local ones are finer
-        than that at their finest, where the error arises."""
-        return float(self.substeps) if self.mean is None else max(self.mean, self.substeps / _FINEST)
+    def average(self) -> float:
+        """Integration steps to a sample on average, as far as they are counted."""
+        return float(self.substeps) if self.mean is None else self.mean
 
     @property
     def largest(self) -> float:

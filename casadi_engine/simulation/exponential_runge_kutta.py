@@ -33,13 +33,12 @@ from casadi_engine.simulation.step_errors import carried_errors, errors_by_cell,
 
 # Steps to a sample at most: on average, and in one place.
 MOST_SUBSTEPS, MOST_IN_PLACES = 64, 2048
-# Feedback h |dw/ds q G| of a step above which an explicit scheme loses its accuracy, and soon its stability; what it is
-# brought down to; and one below which steps four times as long are tried at the next point, where all steps are fewer
-# by the last factor then. A trial point of a search that is far off may ask for the shortest steps there are, and would
-# else have all later ones pay for it; steps that change with every point would trouble the search.
-_STRONGEST, _WANTED, _EASY, _LONGER, _WASTE = 2.0, 1.4, 0.2, 4, 1.5
-# Into how many parts a step is cut at once at most; and by how much too long a step by its error may be.
-_FINER, _NEARLY = 16, 1.15
+# Feedback h |dw/ds q G| of a step above which an explicit scheme loses its accuracy, and soon its stability; and one
+# below which steps four times as long are tried at the next point. A trial point of a search that is far off may ask
+# for the shortest steps there are, and would else have all later ones pay for it.
+_STRONGEST, _EASY, _LONGER, _WASTE = 1.0, 0.2, 4, 1.5
+# Into how many parts a step is cut at once at most: by its feedback, and by its error.
+_FINER, _MUCH_FINER, _NEARLY = 4, 16, 0.2
 # A point that asks for more than so many times the steps of the point before it is not worth them: it is refused, and
 # the search comes nearer by a shorter step.
 _JUMP = 16
@@ -166,7 +165,8 @@ class ExponentialPropagator:
         counts = self.fineness.counts
         factor = (shares(errors) * ratio) ** 0.25
         # the next power of two, or the one before where that is nearly enough
-        finer = np.where(counts < MOST_IN_PLACES, counts * _power_of_two(factor / _NEARLY), counts)
+        wanted = 2 ** np.ceil(np.log2(np.clip(factor, 1.0, _MUCH_FINER)) - _NEARLY).astype(np.intp)
+        finer = np.where(counts < MOST_IN_PLACES, counts * wanted, counts)
         finer = _with_neighbours(finer)
         if _total(finer) > MOST_SUBSTEPS * len(counts) or (finer == counts).all():
             raise FloatingPointError("the laws ask for more integration steps than are allowed")
@@ -219,6 +219,7 @@ class ExponentialPropagator:
         self._begun = True
         counts = self.fineness.counts
         eased = np.where(feedback < _EASY, np.maximum(self._least, counts // _LONGER), counts)
+        # steps that change from point to point trouble a search: as long as they are not many too many they stay
         self._next = eased if _WASTE * _total(eased) < _total(counts) else counts
         value = self._outputs(made)
         if not (np.isfinite(made.steps.begun).all() and np.isfinite(value).all()):
@@ -253,8 +254,8 @@ class ExponentialPropagator:
             for entry, (law, signal, _) in enumerate(laws.pattern):
                 loop[:, signal] += last[:, law, None] * own[entry]
             most = loop.sum(axis=1).max(axis=0)  # no eigenvalue is larger
-            strong = np.flatnonzero(np.isfinite(most) & (most > _EASY))
-            if laws.size > 1 and len(strong):
+            strong = np.flatnonzero(np.isfinite(most) & (most > _EASY)) if laws.size > 1 else []
+            if len(strong):
                 most[strong] = np.abs(np.linalg.eigvals(loop[:, :, strong].transpose(2, 0, 1))).max(axis=1)
             found[steps] = np.where(np.isfinite(most), most, 0.0)
         return laid.by_cell(found)[: len(self.fineness.counts)]
@@ -265,10 +266,10 @@ class ExponentialPropagator:
         strong = (feedback > _STRONGEST) & (counts < MOST_IN_PLACES)
         if not strong.any():
             return None
-        needed = np.where(strong, counts * feedback / _WANTED, counts)
+        needed = np.where(strong, counts * feedback / _STRONGEST, counts)
         if self._begun and needed.sum() > _JUMP * _total(self._next):
             raise FloatingPointError("the laws are far stiffer here than at the point before")
-        finer = np.where(strong, counts * _power_of_two(feedback / _WANTED), counts)
+        finer = np.where(strong, counts * np.where(feedback > 2 * _STRONGEST, _FINER, 2), counts)
         finer = _with_neighbours(finer)
         return finer if _total(finer) <= MOST_SUBSTEPS * len(counts) else None
 
@@ -361,16 +362,11 @@ class ExponentialPropagator:
 
 
 def _with_neighbours(counts: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Steps, at least half those of the cells beside: a corner that moves a little still finds short ones."""
+    """Steps of cells with at least half those of the cells beside: a corner that moves a little still finds short ones."""
     wide = counts.copy()
     wide[1:] = np.maximum(wide[1:], counts[:-1] // 2)
     wide[:-1] = np.maximum(wide[:-1], counts[1:] // 2)
     return wide
-
-
-def _power_of_two(factor: Array) -> NDArray[np.intp]:
-    """The next one from 1 to 16."""
-    return 2 ** np.ceil(np.log2(np.clip(factor, 1.0, _FINER))).astype(np.intp)
 
 
 def _total(counts: NDArray[np.intp]) -> int:

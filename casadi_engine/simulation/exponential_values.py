@@ -94,7 +94,7 @@ class Machine:
         laws, n, order, layout = self._laws, matrices[0].n, laid.order, laid.layout
         p, at_law = np.array([one.p[0] for one in matrices]), n + 2 * matrices[0].m
         p = np.concatenate([p[:, :, :n], p[:, :, at_law:]], axis=2)
-        pattern, size = np.asarray(p.any(axis=0), dtype=np.bool_), min(_SWEEP, laid.steps)
+        pattern, size = p.any(axis=0), min(_SWEEP, laid.steps)
         entries = p.transpose(0, 2, 1)[:, pattern.T]  # as CasADi has them, by columns
         sweep = self._sweep(pattern, n, laid.given.shape[1], size)
         drive, flat = pushed(laid, matrices, v), laid.given.reshape(-1, laid.steps)
@@ -162,10 +162,10 @@ class _Sweep:
         self._outputs = [np.zeros((size, step.numel_out(i))) for i in range(step.n_out())]
         for i, array in enumerate(self._inputs):
             if array.size:
-                self._buffer.set_arg(i, memoryview(array.reshape(-1)))  # type: ignore[call-arg, arg-type]
+                self._buffer.set_arg(i, memoryview(array.reshape(-1)))
         for i, array in enumerate(self._outputs):
             if array.size:
-                self._buffer.set_res(i, memoryview(array.reshape(-1)))  # type: ignore[call-arg, arg-type]
+                self._buffer.set_res(i, memoryview(array.reshape(-1)))
 
     def __call__(self, *arguments: Array) -> list[Array]:
         for own, given in zip(self._inputs, arguments, strict=True):

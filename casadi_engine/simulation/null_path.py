@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -138,7 +137,7 @@ def null_path(model: Model, grid: Grid, p: Array, start: Array) -> NullPath:
     propagator = make_propagator(observed, bare, plan, none, ca.SX(ca.DM(p)), scale=scale)
     if isinstance(propagator, RungeKuttaPropagator):
         return _adaptive_path(model, grid, p, start)
-    path: Any = propagator.propagate(np.zeros(0), (start / scale)[None], 0)
+    path = propagator.propagate(np.zeros(0), (start / scale)[None], 0)
     if isinstance(propagator, ExponentialPropagator):
         path = _as_fine_as_wanted(propagator, path)
     rows = path.y[0].reshape(len(plan.samples), len(start), plan.b).transpose(1, 2, 0)

@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 from casadi_engine.model import Blueprint
-from casadi_engine.simulation import exponential_runge_kutta
 from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
 from casadi_engine.simulation.intervals import Intervals
-from casadi_engine.simulation.local_steps import Substeps
 from casadi_engine.simulation.split import split
 
 TOLERANCE = 1e-9
@@ -87,41 +85,3 @@ def test_first_and_second_derivatives_equal_casadis(made, name):
     )
     assert propagator.substeps == substeps
     assert max(found) < TOLERANCE
-
-
-@pytest.mark.parametrize("wide", [1, 1000], ids=["arrays", "machine"])
-def test_derivatives_with_steps_that_differ_from_cell_to_cell(made, monkeypatch, wide):
-    """Slopes and curvature against central differences of the same steps, some of a law's corner among them."""
-    monkeypatch.setattr(exponential_runge_kutta, "WIDE", wide)
-    rng = np.random.default_rng(5)
-    model = made.without_rates(bent_model(rng, laws=2, bent_outputs=True, through=True, bent_drives=True))
-    plan, z, scale = Intervals(3, 2, 2, np.arange(2)), ca.SX.sym("z", 3), made.scale(model)
-    grid = made.grid(rng.normal(size=(1, 11)), samples=11, step=0.05)
-    counts = np.array([1, 4, 1, 1, 2, 8, 1, 3, 1, 1])
-    propagator = ExponentialPropagator(
-        model, split(model), grid, plan, z, z * (1 + 0.3 * ca.sin(z)), scale=scale, substeps=Substeps(counts)
-    )
-    point, nodes = rng.uniform(0.5, 1.5, 3), rng.normal(size=(3, 3))
-    path = propagator.propagate(point, nodes, 1)
-    assert (propagator.fineness.counts == counts).all()
-    rho, lam = rng.normal(size=path.y[0].shape), rng.normal(size=path.end.shape)
-
-    def gradient(at):
-        own = propagator.propagate(at[:3], at[3:].reshape(3, 3), 1)
-        in_z = np.einsum("kbm,zkbm->z", rho, own.y[1:]) + np.einsum("nm,znm->z", lam, own.end_z)
-        starts = np.einsum("kbm,kbma->ma", rho, own.ys) + np.einsum("nm,mna->ma", lam, own.end_s)
-        return (rho * own.y[0]).sum() + (lam * own.end).sum(), np.concatenate([in_z, starts.ravel()])
-
-    at = np.concatenate([point, nodes.ravel()])
-    value, slopes = np.empty(len(at)), np.empty((len(at), len(at)))
-    for i in range(len(at)):
-        step = np.eye(len(at))[i] * 1e-5
-        (up, up_slope), (down, down_slope) = gradient(at + step), gradient(at - step)
-        value[i], slopes[i] = (up - down) / 2e-5, (up_slope - down_slope) / 2e-5
-    np.testing.assert_allclose(gradient(at)[1], value, rtol=1e-7, atol=1e-7)
-    zz, zs, ss = propagator.contraction(point, path, rho, lam)
-    np.testing.assert_allclose(zz, slopes[:3, :3], rtol=1e-6, atol=1e-6)
-    for m in range(3):
-        rows = slice(3 + 3 * m, 6 + 3 * m)
-        np.testing.assert_allclose(zs[:, :, m], slopes[:3, rows], rtol=1e-6, atol=1e-6)
-        np.testing.assert_allclose(ss[m], slopes[rows, rows], rtol=1e-6, atol=1e-6)
