@@ -26,6 +26,7 @@ from casadi_engine.simulation.candidate_sensitivities import (
     initial_direction,
     parameter_direction,
 )
+from casadi_engine.simulation.exponential_runge_kutta import MOST_SUBSTEPS
 from casadi_engine.simulation.grid import Grid, lay_grid
 from casadi_engine.simulation.intervals import Observation, cut
 from casadi_engine.simulation.null_path import NullPath, null_path
@@ -134,6 +135,12 @@ def _null_of(fit: Fit) -> NullModel:
     }
     first = {name: np.array([e.value for e in starts[name].values()]) for name in names}
     at_bound = tuple(name for name in fit.free if fit.estimates[name].at_bound is not False)
+    # steps that a fit took in places are more than an integrator of whole samples may take
+    steps = {
+        name: min(about.substeps, MOST_SUBSTEPS)
+        for name, about in fit.integration.items()
+        if about.substeps > 0
+    }
     return null_at(
         fit.model,
         fit.data,
@@ -142,6 +149,7 @@ def _null_of(fit: Fit) -> NullModel:
         first,
         held_starts=held,
         held_parameters=at_bound,
+        steps=steps,
     )
 
 
@@ -175,8 +183,12 @@ def null_at(
     *,
     held_starts: Mapping[str, tuple[str, ...]] | None = None,
     held_parameters: Sequence[str] = (),
+    steps: Mapping[str, int] | None = None,
 ) -> NullModel:
-    """The null model at z : (nz,) and first states record -> (n,), parameters and states in their units."""
+    """The null model at z : (nz,) and first states record -> (n,), parameters and states in their units.
+
+    steps : record -> steps to a sample of its exponential integrator; left out, the fewest that are stable
+    """
     refuse_jumps(model)
     pmap = compile(parameters, model.parameter_names, tuple(r.name for r in data))  # type: ignore[arg-type]
     z = np.asarray(z, dtype=float)
@@ -196,6 +208,7 @@ def null_at(
                 moved,
                 np.asarray(first[record.name], dtype=float),
                 held,
+                (steps or {}).get(record.name),
             )
         )
     units = tuple(unit_of(parameters, name) for name in pmap.free)
@@ -243,9 +256,10 @@ def _record(
     moved: Array,
     first: Array,
     held: tuple[str, ...],
+    steps: int | None,
 ) -> RecordNull:
     measured = tuple(out.name for out in model.outputs if out.name in record)
-    path = null_path(model, lay_grid(model, record, outputs=measured), p, first)
+    path = null_path(model, lay_grid(model, record, outputs=measured), p, first, steps=steps)
     grid = path.grid
     out = path.function([model.output_expressions])(*path.at_samples().arguments)[0]
     simulated = at_measurements(path, np.broadcast_to(out, (len(model.outputs), grid.samples))[None])

@@ -230,7 +230,7 @@ class Refitter:
         A corner's width is a bias: friction that sticks creeps. Chi-squared at the fit's own values tells which width
         is felt, as far as the integrator can follow; where it is the first, the fit is made again with a sharper one.
         """
-        steps = max((one.average for one in fit.integration.values()), default=0)
+        steps = max((one.substeps for one in fit.integration.values()), default=0)
         allowed = min(MOST_SUBSTEPS, _STEPS / sum(map(_samples, self.data)))
         most = int(math.log(max(allowed / max(steps, 1), 1.0), FACTOR) + 1e-9)
         if not steps or not most:

@@ -36,8 +36,8 @@ Array = NDArray[np.float64]
 # Corners are sharpened by this factor, at most so often, as long as chi-squared feels it by more than this: a quarter
 # is a bias of half a standard error at most.
 FACTOR, SHARPER, FELT = 4.0, 4, 0.25
-# The least factor that is worth a fit of its own; and the most that one simulation is sharpened by.
-_WORTH, _SHARPEST = 1.4, FACTOR**2
+# The least factor that is worth a fit of its own.
+_WORTH = 1.4
 # Steps of the integrator over all records that a sharper corner may cost.
 _STEPS = 1e6
 # Intervals into which a record is cut then: the integrator takes them side by side.
@@ -112,9 +112,9 @@ class Motion:
         return [record.grid.samples for record in self._problem.records]
 
     @property
-    def steps(self) -> float:
-        """Integration steps to a sample."""
-        return max((one.average for one in self.fit.integration.values()), default=0)
+    def steps(self) -> int:
+        """Most integration steps to a sample."""
+        return max((one.substeps for one in self.fit.integration.values()), default=0)
 
     def cost(self, widths: Mapping[str, float]) -> float:
         """Chi-squared at these widths, in units of what the fit leaves."""
@@ -212,7 +212,7 @@ def _refitted(
 def _sharper(motion: Motion, widths: Mapping[str, float]) -> dict[str, float] | None:
     """The widest widths that the data do not tell from sharper ones; None where the integrator can follow none."""
     allowed = min(MOST_SUBSTEPS, _STEPS / sum(motion.samples))
-    limit = min(allowed / max(motion.steps, 1), _SHARPEST)
+    limit = allowed / max(motion.steps, 1)
     if limit < _WORTH:
         return None
     # by factors, and at last as sharp as the integrator can follow

@@ -73,7 +73,7 @@ def shorten_steps(records: Sequence[RecordTerm], v: Array, nodes: Sequence[Array
     errors = signed_errors(records, v, nodes)
     limit, changed = SHIFT / np.sqrt(len(records)), False
     for record, found in zip(records, errors, strict=True):
-        if found is None:
+        if found is None or record.limited:
             continue
         shift = shift_of(record, found)
         largest = float(np.abs(found.off).max(initial=0.0))

@@ -15,11 +15,11 @@ from casadi_engine.estimation.loss import Loss
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.simulation.discretisation import Method
+from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
 from casadi_engine.simulation.gain import GainPlan
 from casadi_engine.simulation.grid import Grid, lay_grid
 from casadi_engine.simulation.intervals import Intervals, Observation, cut
 from casadi_engine.simulation.linear import LinearPropagator
-from casadi_engine.simulation.local_steps import Substeps
 from casadi_engine.simulation.propagator import after_missing, fineness_of, make_propagator, starts_afresh
 from casadi_engine.simulation.runge_kutta import Fineness, RungeKuttaPropagator
 from casadi_engine.simulation.shared_core import Cores
@@ -163,7 +163,7 @@ class RecordTerm:
         method: Method,
         grid: Grid | None = None,
         cores: Cores | None = None,
-        steps: int | float | Fineness | Substeps | None = None,
+        steps: int | float | Fineness | None = None,
         scale: Array | None = None,
     ) -> None:
         self.experiment, self.model = experiment, model
@@ -188,6 +188,7 @@ class RecordTerm:
         if isinstance(gain, np.ndarray) and starts_afresh(model, gain, self.scale):
             self.observation.leave_out(after_missing(self.grid))
         self.weight = self.observation.valid.astype(float)
+        self._most: int | None = None
         self.last_error: Any = None  # the integration error that was estimated last, and where
         self._single: tuple[Any, RecordTerm] | None = None
         self._common: float | None = None  # the weight, where all samples count and count alike
@@ -207,17 +208,32 @@ class RecordTerm:
     def single(self) -> RecordTerm:
         """The same record as one interval, for simulation; made once for one fineness of the integration."""
         steps = fineness_of(self.propagator)
-        if self._single is None or self._single[0] != steps:
+        if self._single is None or self._single[0] != steps or self._single[1].limited != self.limited:
             self._single = (steps, self.again(gain=self.gain))
         return self._single[1]
 
     def again(self, *, gain: Array | GainPlan | None, length: int | None = None) -> RecordTerm:
         """The same record in intervals of another length (None: one), predicted with another gain or simulated."""
-        return RecordTerm(
+        other = RecordTerm(
             self.model, self.experiment, *self.symbols,
             length=length, gain=gain, method=self.method, grid=self.grid, scale=self.scale,
             steps=fineness_of(self.propagator),
         )  # fmt: skip
+        if self._most is not None:
+            other.limit_steps(self._most)
+        return other
+
+    @property
+    def limited(self) -> bool:
+        """True if points that ask for too many integration steps are refused."""
+        return self._most is not None
+
+    def limit_steps(self, most: int) -> None:
+        """Refuse points at which nonlinear laws ask for more than ``most`` integration steps to a sample."""
+        self._most = most
+        inner = getattr(self.propagator, "states", self.propagator)
+        if isinstance(inner, ExponentialPropagator):
+            inner.most = most
 
     @property
     def count(self) -> int:

@@ -9,7 +9,7 @@ import numpy as np
 
 from casadi_engine.errors import SimulationError
 from casadi_engine.simulation.event_propagator import EventPropagator
-from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
+from casadi_engine.simulation.exponential_runge_kutta import MOST_SUBSTEPS, ExponentialPropagator
 from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.linear import LinearPropagator
@@ -29,7 +29,6 @@ class ErrorEstimate:
     """Largest estimated error of each output over the record, in the output's unit and relative to its largest value.
 
     substeps : most integration steps to a sample; 0 for a linear model, which is solved exactly
-    mean : steps to a sample on average, where they differ from sample to sample
     tolerance : relative, that was asked for; integrator : what the steps are, in words
     shift : the most by which the error moves an estimate of a fit, in standard errors; None outside of fits
     steps : number of all steps, of an integrator that chooses them itself; ``substeps`` is -1 then
@@ -43,12 +42,6 @@ class ErrorEstimate:
     integrator: str = _EXPONENTIAL
     shift: float | None = None
     steps: int | None = None
-    mean: float | None = None
-
-    @property
-    def average(self) -> float:
-        """Integration steps to a sample on average, as far as they are counted."""
-        return float(self.substeps) if self.mean is None else self.mean
 
     @property
     def largest(self) -> float:
@@ -64,8 +57,6 @@ class ErrorEstimate:
         if self.substeps == 0:
             return "integration: exact"
         steps = "one step" if self.substeps == 1 else f"{self.substeps} steps"
-        if self.mean is not None and self.mean < self.substeps:
-            steps = f"up to {steps} ({self.mean:.3g} on average)"
         errors = ", ".join(
             f"{name} {value:.1e}" for name, value in zip(self.outputs, self.relative, strict=True)
         )
@@ -88,7 +79,6 @@ class ErrorEstimate:
             "integrator": self.integrator,
             "substeps": self.substeps,
             **({} if self.steps is None else {"steps": self.steps}),
-            **({} if self.mean is None else {"mean": self.mean}),
             "tolerance": self.tolerance,
             "relative": dict(zip(self.outputs, self.relative, strict=True)),
             "absolute": dict(zip(self.outputs, self.absolute, strict=True)),
@@ -114,18 +104,20 @@ def signed_error(propagator: Stepped, z: Array, nodes: Array) -> SignedError:
     integrated side by side, which a single run is not.
     """
     z = np.asarray(z, dtype=float)
-    if not isinstance(propagator, EventPropagator):
+    if isinstance(propagator, RungeKuttaPropagator):
         path = propagator.propagate(z, nodes, 1)
-        off, cells = propagator.arising(z, path)  # type: ignore[arg-type]
+        off, cells = propagator.arising(z, path)
         return SignedError(off, path.y[0], cells)
+    # The coarse path first: it may have refined its steps for stability.
     coarse = propagator.propagate(z, nodes, 1 if len(nodes) > 1 else 0)
     fine = propagator.finer(2).propagate(z, nodes, 0)
     off = fine.y[0] - coarse.y[0]
     if len(nodes) > 1:
+        ends = np.broadcast_to(coarse.end_s, (len(nodes), nodes.shape[1], nodes.shape[1]))
         own = fine.end - coarse.end
         carried = np.zeros_like(nodes)
         for k in range(len(nodes) - 1):
-            carried[k + 1] = coarse.end_s[k] @ carried[k] + own[:, k]
+            carried[k + 1] = ends[k] @ carried[k] + own[:, k]
         off = off + np.einsum("kbma,ma->kbm", coarse.ys, carried)
     return SignedError(_RICHARDSON * off, fine.y[0])
 
@@ -172,23 +164,23 @@ def summed_up(
         words = propagator.fineness.scheme.name
     if isinstance(propagator, EventPropagator):
         words = f"explicit steps of order 8 that follow the error, {propagator.events} events"
-    mean = (
-        propagator.fineness.mean
-        if isinstance(propagator, (ExponentialPropagator, ObservedPropagator))
-        else None
-    )
-    return ErrorEstimate(outputs, tuple(absolute), relative, propagator.substeps, tolerance, words, mean=mean)
+    return ErrorEstimate(outputs, tuple(absolute), relative, propagator.substeps, tolerance, words)
 
 
 def shortened(propagator: Stepped, found: SignedError, ratio: float) -> Stepped | None:
     """The propagator with steps for an error about ``ratio`` times smaller; None where they would be too many."""
+    if isinstance(propagator, RungeKuttaPropagator):
+        assert found.cells is not None
+        try:
+            return propagator.adapted(found.cells, ratio)
+        except FloatingPointError:
+            return None
     if isinstance(propagator, EventPropagator):
         return None if propagator.finest else propagator.finer(2)
-    assert found.cells is not None
-    try:
-        return propagator.adapted(found.cells, ratio)
-    except FloatingPointError:
+    if propagator.substeps >= MOST_SUBSTEPS:
         return None
+    wanted = propagator.substeps * 2 ** max(1, math.ceil(math.log2(max(ratio, 1.0)) / 4))
+    return propagator.refined(min(wanted, MOST_SUBSTEPS))
 
 
 def refined_to(

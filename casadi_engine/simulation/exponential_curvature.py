@@ -6,228 +6,163 @@ the weighted sum is, added over all steps,
     r P_ab c + r P_a c_b + r P_b c_a + omega w_ab,
 
 c being the step's factors (state, drives, law torques) and w_ab the laws' own curvature along the signals'
-sensitivities. All of it is matrix products over runs of intervals.
+sensitivities. All of it is matrix products over the whole record.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.simulation import jets
-from casadi_engine.simulation.exponential_slopes import Linearised
-from casadi_engine.simulation.exponential_step import STAGE_NODES, STAGES
+from casadi_engine.simulation.exponential_pushes import Pushes
+from casadi_engine.simulation.exponential_step import STAGES
 from casadi_engine.simulation.jets import Array
+from casadi_engine.simulation.sample_rows import from_rows
+
+if TYPE_CHECKING:
+    from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator, ExponentialTrajectory
 
 Parts = tuple[Array, Array, Array]
 
-# Numbers that are worked out together.
-_PART = 2_000_000
+# Stages whose curvature is worked out together: their sensitivities then stay in the cache.
+_PART = 24
 
 
-def contracted(made: Linearised, z: Array, maps: Array, chained: Array, weights: Array, lam: Array) -> Parts:
-    """(z, z) (nz, nz), (z, start) (nz, n, M) and (start, start) (M, n, n), with matrices of second order.
+def contracted(
+    made: ExponentialPropagator, z: Array, path: ExponentialTrajectory, rho: Array, lam: Array
+) -> Parts:
+    """(z, z) (nz, nz), (z, start) (nz, n, M) and (start, start) (M, n, n) at a path of second order.
 
-    maps, chained : see `Linearised.maps` and `chain`; weights : (L, ny, M) of the outputs; lam : (n, M) of the ends
+    rho : (R*ny, b, M) weights of the outputs; lam : (n, M) weights of the ends
     """
-    laid, nz, n = made.laid, made.nz, made.matrices[0].n
-    mu = _adjoint(made, maps, weights, lam)
-    rows, omega = _adjoint_of_steps(made, mu[laid.layout.after].T)
-    total, zz = _along(made, z, chained, rows, omega)
-    cross = _crossed_outputs(made, chained, weights)
-    total[:, n:] += cross
-    total[:, :, n:] += cross.swapaxes(1, 2)
+    n, weights = made.n, from_rows(made.intervals, rho, made.ny)
+    rows, omega = _adjoint(made, path, weights, lam)
+    total, zz = _by_laws(made, z, path, omega)
     zz += total[:, n:, n:].sum(axis=0)
-    if nz:
-        drives = _crossed_drives(made, rows, weights)
-        zz += _by_matrices(made, rows) + _by_outputs(made, weights) + drives + drives.T
-    return zz, np.ascontiguousarray(total[:, n:, :n].transpose(1, 2, 0)), total[:, :n, :n]
+    zs = np.ascontiguousarray(total[:, n:, :n].transpose(1, 2, 0))
+    if made.nz:
+        cross, crossed = _crossed(made, z, path, rows, weights)
+        zz += _by_matrices(made, z, path, rows) + _by_outputs(made, z, path, weights) + cross + cross.T
+        zs += crossed
+    return zz, zs, total[:, :n, :n]
 
 
-def _adjoint(made: Linearised, maps: Array, weights: Array, lam: Array) -> Array:
-    """(K+M, n) what the states at the steps' starts, and at the intervals' ends, are worth."""
-    laid, n = made.laid, maps.shape[1]
-    layout, c = laid.layout, made.matrices[0].c[0]
-    mu = np.zeros((layout.steps + layout.intervals, n))
-    mu[layout.at[: laid.plan.length]] = weights.transpose(0, 2, 1) @ c
-    mu[layout.steps :] += lam.T
-    for own, after, _ in reversed(laid.rows):
-        mu[own] += (mu[after][:, None] @ maps[own][:, :, :n])[:, 0]
-    return mu
+class _Backward:
+    """One step of the adjoint: from what is wanted of its rows to what its state and laws are worth."""
 
+    def __init__(self, made: ExponentialPropagator, path: ExponentialTrajectory) -> None:
+        p, n, ns, nw = path.matrices.p[0], made.n, made.laws.size, made.laws.count
+        at_law = n + 2 * path.matrices.m
+        self.n, self.ns, self.nw = n, ns, nw
+        self.free = np.ascontiguousarray(p[:, :n].T)
+        self.turn = np.ascontiguousarray(p[:n, at_law:].T)
+        self.feeds = [
+            np.ascontiguousarray(p[n + (i + 1) * ns :, at_law + i * nw : at_law + (i + 1) * nw].T)
+            for i in range(STAGES - 1)
+        ]
+        self.slopes, self.pattern = path.slopes[0], made.laws.pattern
 
-def _adjoint_of_steps(made: Linearised, nu: Array) -> tuple[Array, Array]:
-    """What the rows of each step (n + 4 ns, K) and its laws (4 nw, K) are worth; nu : (n, K) that of its end."""
-    ns, nw, n = made.laws.size, made.laws.count, len(nu)
-    rows, omega = np.empty((n + STAGES * ns, nu.shape[1])), np.empty((STAGES * nw, nu.shape[1]))
-    rows[:n] = nu
-    for jet, steps in zip(made.matrices, made.laid.groups, strict=True):
-        at_law = n + 2 * jet.m
-        turn = jet.p[0][:, at_law:].T
-        omega[:, steps] = turn[:, :n] @ nu[:, steps]
+    def laws(self, k: int, rows: Array, torques: Array) -> None:
+        """Fill the stages' parts of rows (n + 4 ns, ., M), of which the first n are given, and add to the torques
+        (4 nw, ., M) of what the laws are worth what the rows after them say."""
+        n, ns, nw = self.n, self.ns, self.nw
         for i in range(STAGES - 1, -1, -1):
-            worth, behind = slice(i * nw, (i + 1) * nw), slice(n + (i + 1) * ns, None)
-            omega[worth, steps] += turn[worth, behind] @ rows[behind, steps]
-            eta = np.zeros((ns, omega[worth, steps].shape[1]))
-            for entry, (law, signal, _) in enumerate(made.laws.pattern):
-                eta[signal] += made.by_signal[i, entry, steps] * omega[i * nw + law, steps]
-            rows[n + i * ns : n + (i + 1) * ns, steps] = eta
-    return rows, omega
+            torque, eta = torques[i * nw : (i + 1) * nw], rows[n + i * ns : n + (i + 1) * ns]
+            if i < STAGES - 1:
+                behind = rows[n + (i + 1) * ns :]
+                torque += (self.feeds[i] @ behind.reshape(len(behind), -1)).reshape(torque.shape)
+            eta[:] = 0.0
+            for entry, (law, signal, _) in enumerate(self.pattern):
+                eta[signal] += self.slopes[k, i, entry] * torque[law]
 
 
-@dataclass(frozen=True)
-class _Run:
-    """A run of intervals: their steps in order of time, where each interval begins among them, and by step the slopes
-    of signals s (k, 4 ns, .) and torques (k, 4 nw, .) by (x, z), and pull (k, nz, n + 4 nw) = r P_z of [x; w]."""
-
-    intervals: slice
-    steps: NDArray[np.intp]
-    begins: NDArray[np.intp]
-    s: Array
-    torques: Array
-    pull: Array
-
-
-def _runs(made: Linearised, rows: Array) -> Iterator[_Run]:
-    """The record in runs of intervals."""
-    laid, jet, nz = made.laid, made.matrices[0], made.nz
-    wide, sizes = jet.n + nz, np.bincount(laid.layout.interval[laid.order], minlength=laid.plan.m)
-    ends = np.cumsum(sizes)
-    signals, laws = STAGES * made.laws.size, STAGES * made.laws.count
-    each = (signals + laws) * 2 * wide + nz * (jet.n + laws)
-    chosen = np.r_[0 : jet.n, jet.n + 2 * jet.m : jet.p.shape[2]]
-    pulls = [
-        np.ascontiguousarray(one.p[1 : 1 + nz][:, :, chosen].transpose(1, 0, 2)) for one in made.matrices
-    ]
-    first = 0
-    while first < laid.plan.m:
-        begin = ends[first] - sizes[first]
-        last = max(first + 1, int(np.searchsorted(ends, begin + _PART // each, side="right")))
-        steps = laid.order[begin : ends[last - 1]]
-        s, torques = np.empty((len(steps), signals, wide)), np.empty((len(steps), laws, wide))
-        pull = np.empty((len(steps), nz, jet.n + laws))
-        for level in np.unique(laid.level[steps]).tolist():
-            own = np.flatnonzero(laid.level[steps] == level)
-            in_s, in_torques, _ = made.part(level, steps[own])
-            s[own], torques[own] = in_s.transpose(2, 0, 1), in_torques.transpose(2, 0, 1)
-            pull[own] = (rows[:, steps[own]].T @ pulls[level].reshape(len(rows), -1)).reshape(
-                len(own), *pull.shape[1:]
-            )
-        yield _Run(slice(first, last), steps, ends[first:last] - sizes[first:last] - begin, s, torques, pull)
-        first = last
+def _adjoint(
+    made: ExponentialPropagator, path: ExponentialTrajectory, weights: Array, lam: Array
+) -> tuple[Array, Array]:
+    """The adjoint of each step's rows, (K, n + 4 ns, M), and of the stages' laws, (K, 4, nw, M)."""
+    n, nw, count, sub = made.n, made.laws.count, made.intervals.m, made.substeps
+    c, back = np.ascontiguousarray(path.matrices.c[0].T), _Backward(made, path)
+    rows = np.empty((made.steps, path.matrices.p.shape[1], count))
+    omega = np.empty((made.steps, STAGES * nw, count))
+    mu = np.array(lam)
+    for k in range(made.steps - 1, -1, -1):
+        row, torques = rows[k], omega[k]
+        row[:n] = mu
+        np.matmul(back.turn, mu, out=torques)
+        back.laws(k, row, torques)
+        mu = back.free @ row
+        if k % sub == 0:
+            mu += c @ weights[k // sub]
+    return rows, omega.reshape(made.steps, STAGES, nw, count)
 
 
-def _along(made: Linearised, z: Array, chained: Array, rows: Array, omega: Array) -> tuple[Array, Array]:
-    """What the matrices' slopes and the laws' curvature give along the sensitivities: (M, n+nz, n+nz) by (start, z),
-    and (nz, nz) by the laws' own z alone."""
-    laws, nz, n, ns = made.laws, made.nz, chained.shape[1], made.laws.size
-    total, own = np.zeros((made.laid.plan.m, n + nz, n + nz)), np.zeros((nz, nz))
-    bends, pairs = _bends(made, z, omega), list(zip(*laws.bends, strict=True))
-    for (a, b), bend in zip(pairs, bends, strict=True):
-        if a >= ns:
-            i, j = laws.active[a - ns], laws.active[b - ns]
-            own[i, j] += bend.sum()
-            own[j, i] = own[i, j]
-    for run in _runs(made, rows):
-        here = chained[run.steps]
-        along, torques = run.s[:, :, :n] @ here, run.torques[:, :, :n] @ here
-        along[:, :, n:] += run.s[:, :, n:]
-        torques[:, :, n:] += run.torques[:, :, n:]
-        part = total[run.intervals]
-        if nz:
-            cross = run.pull[:, :, :n] @ here + run.pull[:, :, n:] @ torques
-            summed = np.add.reduceat(cross, run.begins, axis=0)
-            part[:, n:] += summed
-            part[:, :, n:] += summed.swapaxes(1, 2)
-        if len(bends):
-            _bend(
-                part,
-                along.reshape(len(here), STAGES, ns, -1),
-                bends[:, :, run.steps],
-                pairs,
-                run.begins,
-                n + laws.active,
-            )
-    return total, own
+def _crossed(
+    made: ExponentialPropagator, z: Array, path: ExponentialTrajectory, rows: Array, weights: Array
+) -> tuple[Array, Array]:
+    """Sums of r P_a c_b over all steps: for b in z, (nz, nz) with a down, and for b in the starts, (nz, n, M).
 
-
-def _bends(made: Linearised, z: Array, omega: Array) -> Array:
-    """(pairs, 4, K) second derivatives of the laws along the record, weighted."""
-    laws, laid = made.laws, made.laid
-    worth = omega.reshape(STAGES, laws.count, -1)
-    found = [
-        laws.curvature(made.steps.s[:, i], laid.given[node], z, worth[i])
-        for i, node in enumerate(STAGE_NODES)
-    ]
-    return np.array(found).swapaxes(0, 1)
-
-
-def _bend(
-    total: Array,
-    along: Array,
-    bends: Array,
-    pairs: list[tuple[int, int]],
-    begins: NDArray[np.intp],
-    places: NDArray[np.intp],
-) -> None:
-    """Add to total (I, C, C) what the laws' curvature gives in the steps of some intervals.
-
-    along : (k, 4, ns, C) sensitivities of the signals; bends : (pairs, 4, k); places : of the laws' own z among C
+    The steps' own sensitivities c_b are not needed: a second adjoint carries r P_a back to what moves them.
     """
-    ns, ends = along.shape[2], np.append(begins[1:], len(along))
-    for i, (begin, end) in enumerate(zip(begins, ends, strict=True)):
-        own = along[begin:end].reshape(-1, ns, along.shape[3])
-        for (a, b), bend in zip(pairs, bends[:, :, begin:end].swapaxes(1, 2), strict=True):
-            if a >= ns:
-                continue
-            weight = bend.reshape(-1)
-            if b >= ns:
-                column = weight @ own[:, a]
-                total[i, :, places[b - ns]] += column
-                total[i, places[b - ns], :] += column
-                continue
-            bent = own[:, a].T @ (weight[:, None] * own[:, b])
-            total[i] += bent if a == b else bent + bent.T
+    n, m, nz, nw, count = made.n, path.matrices.m, made.nz, made.laws.count, made.intervals.m
+    p, c = path.matrices.p, path.matrices.c
+    samples, _, first, _ = made.drive_columns(z)
+    pushes, back = Pushes(made, path.steps, path.matrices, z), _Backward(made, path)
+    span, outputs = pushes.span(), None if jets.is_constant(c) else c[1 : 1 + nz]
+    if outputs is not None:
+        span = slice(0, nz)
+    chosen = np.r_[0:n, n + 2 * m : p.shape[2]]
+    picked = p[1 : 1 + nz][span][:, :, chosen]
+    pull = np.ascontiguousarray(picked.transpose(2, 0, 1)).reshape(-1, p.shape[1])
+    size = len(picked)
+    nu = np.zeros((n, size, count))
+    moved, direct = (
+        np.zeros((p.shape[1], size, pushes.high - pushes.low)),
+        np.zeros((size, len(made.laws.active))),
+    )
+    own = np.empty((p.shape[1], size, count))
+    pulled = np.empty((len(chosen), size, count))
+    by_z = path.slopes[1].reshape(made.steps, STAGES, len(made.laws.active), nw, count)
+    for k in range(made.steps - 1, -1, -1):
+        np.matmul(pull, rows[k], out=pulled.reshape(len(pull), count))
+        own[:n] = nu
+        torques = pulled[n:]
+        torques += (back.turn @ nu.reshape(n, -1)).reshape(torques.shape)
+        back.laws(k, own, torques)
+        moved += own @ pushes.at(k).transpose(0, 2, 1)
+        if len(made.laws.active):
+            worth = torques.reshape(STAGES, nw, size, count)
+            direct += np.einsum("iwzm,iawm->za", worth, by_z[k])
+        nu = (back.free @ own.reshape(len(own), -1)).reshape(n, size, count)
+        nu += pulled[:n]
+        if outputs is not None and k % made.substeps == 0:
+            nu += np.einsum("zyi,ym->izm", outputs, weights[k // made.substeps])
+    cross, crossed = np.zeros((nz, nz)), np.zeros((nz, n, count))
+    cross[span, pushes.span()] = moved.sum(axis=0)
+    cross[span, made.laws.active] += direct
+    crossed[span] = nu.transpose(1, 0, 2)
+    for row, index in enumerate(samples.active):
+        force = np.matmul(rows, first[row].transpose(0, 2, 1)).sum(axis=0)
+        cross[:, index] += p[1 : 1 + nz, :, n : n + 2 * m].reshape(nz, -1) @ force.ravel()
+        slope = made.drive_samples(first[row])
+        force = np.matmul(weights, slope.transpose(0, 2, 1)).sum(axis=0)
+        cross[:, index] += path.matrices.d[1 : 1 + nz].reshape(nz, -1) @ force.ravel()
+    return cross, crossed
 
 
-def _crossed_outputs(made: Linearised, chained: Array, weights: Array) -> Array:
-    """(M, nz, n+nz) what slopes of the outputs' matrix give along the states' sensitivities."""
-    laid, c, nz = made.laid, made.matrices[0].c, made.nz
-    found = np.zeros((laid.plan.m, nz, chained.shape[2]))
-    if jets.is_constant(c):
-        return found
-    for at, weight in zip(laid.layout.at[: laid.plan.length], weights, strict=True):
-        found += np.einsum("zyi,ym->mzi", c[1 : 1 + nz], weight) @ chained[at]
-    return found
-
-
-def _crossed_drives(made: Linearised, rows: Array, weights: Array) -> Array:
-    """(nz, nz) what slopes of the matrices give along those of the drives."""
-    laid, columns, nz = made.laid, made.columns, made.nz
-    cross = np.zeros((nz, nz))
-    for row, index in enumerate(columns.samples.active):
-        for jet, steps in zip(made.matrices, laid.groups, strict=True):
-            force = rows[:, steps] @ columns.first[row][:, steps].T
-            cross[:, index] += jet.p[1 : 1 + nz, :, jet.n : jet.n + 2 * jet.m].reshape(nz, -1) @ force.ravel()
-        force = np.einsum("lym,ilm->yi", weights, laid.at_samples(columns.first[row]))
-        cross[:, index] += made.matrices[0].d[1 : 1 + nz].reshape(nz, -1) @ force.ravel()
-    return cross
-
-
-def _by_matrices(made: Linearised, rows: Array) -> Array:
+def _by_matrices(made: ExponentialPropagator, z: Array, path: ExponentialTrajectory, rows: Array) -> Array:
     """What the second derivatives of the step's matrices and of the drives give, (nz, nz)."""
-    nz, active = made.nz, made.columns.samples.active
-    zz = np.zeros((nz, nz))
-    for jet, steps in zip(made.matrices, made.laid.groups, strict=True):
-        outer = rows[:, steps] @ made.factors(steps).T
-        zz += _square(nz, jet.p[1 + nz :].reshape(len(jet.p) - 1 - nz, -1) @ outer.ravel())
-        if len(active):
-            force = jet.p[0][:, jet.n : jet.n + 2 * jet.m].T @ rows[:, steps]
-            bent = np.einsum("pik,ik->p", made.columns.second[:, :, steps], force)
-            zz[np.ix_(active, active)] += _square(len(active), bent)
+    n, nz, p, m = made.n, made.nz, path.matrices.p, path.matrices.m
+    samples, _, _, second = made.drive_columns(z)
+    outer = np.matmul(rows, path.steps.columns.transpose(0, 2, 1)).sum(axis=0)
+    i, _ = jets.pairs(nz)
+    zz = _square(nz, p[1 + nz :].reshape(len(i), -1) @ outer.ravel())
+    if len(samples.active):
+        force = p[0][:, n : n + 2 * m].T @ rows
+        bent = second.reshape(len(second), -1) @ force.ravel()
+        zz[np.ix_(samples.active, samples.active)] += _square(len(samples.active), bent)
     return zz
 
 
@@ -240,18 +175,71 @@ def _square(size: int, pairs: Array) -> Array:
     return full
 
 
-def _by_outputs(made: Linearised, weights: Array) -> Array:
+def _by_laws(
+    made: ExponentialPropagator, z: Array, path: ExponentialTrajectory, omega: Array
+) -> tuple[Array, Array]:
+    """What the laws' curvature gives: (M, n+nz, n+nz) along the sensitivities, and (nz, nz) by z alone."""
+    n, nz, ns, count, laws = made.n, made.nz, made.laws.size, made.intervals.m, made.laws
+    wide, own = n + nz, np.zeros((nz, nz))
+    total = np.zeros((count, wide, wide))
+    s, given = made.law_columns(path.steps)
+    multipliers = np.ascontiguousarray(omega.transpose(2, 0, 1, 3)).reshape(laws.count, -1)
+    bends = laws.curvature(s, given, z, multipliers)
+    if not len(bends):
+        return total, own
+    bends = bends.reshape(len(bends), made.steps * STAGES, count)
+    pairs = list(zip(*laws.bends, strict=True))
+    for (a, b), bend in zip(pairs, bends, strict=True):
+        if a >= ns:
+            i, j = laws.active[a - ns], laws.active[b - ns]
+            own[i, j] += bend.sum()
+            own[j, i] = own[i, j]
+    along = path.ds.reshape(-1, ns, wide, count)
+    for first in range(0, len(along), _PART):
+        part = slice(first, first + _PART)
+        _bend(total, along[part], bends[:, part].transpose(0, 2, 1), pairs, n + laws.active)
+    return total, own
+
+
+def _bend(
+    total: Array, along: Array, bends: Array, pairs: list[tuple[int, int]], places: NDArray[np.intp]
+) -> None:
+    """Add to total (M, C, C) what the laws' curvature gives at some of the stages.
+
+    along : (stages, ns, C, M) sensitivities of the signals; bends : (pairs, M, stages)
+    """
+    ns = along.shape[1]
+    # One contiguous (M, stages, C) for each signal.
+    sides = [np.ascontiguousarray(along[:, a].transpose(2, 0, 1)) for a in range(ns)]
+    bent: list[Array | None] = [None] * ns
+    for (a, b), bend in zip(pairs, bends, strict=True):
+        if a >= ns:
+            continue
+        if b >= ns:
+            column = (bend[:, None, :] @ sides[a])[:, 0]
+            total[:, :, places[b - ns]] += column
+            total[:, places[b - ns], :] += column
+            continue
+        for one, other in {(a, b), (b, a)}:
+            more = bend[:, :, None] * sides[other]
+            before = bent[one]
+            bent[one] = more if before is None else np.add(before, more, out=before)
+    for side, weighted in zip(sides, bent, strict=True):
+        if weighted is not None:
+            total += side.transpose(0, 2, 1) @ weighted
+
+
+def _by_outputs(made: ExponentialPropagator, z: Array, path: ExponentialTrajectory, weights: Array) -> Array:
     """What the second derivatives of the outputs' matrices and of the drives in them give, (nz, nz)."""
-    nz, laid, columns = made.nz, made.laid, made.columns
-    c, d, active = made.matrices[0].c, made.matrices[0].d, columns.samples.active
+    nz, c, d = made.nz, path.matrices.c, path.matrices.d
+    samples, _, _, second = made.drive_columns(z)
+    x, v = made.at_samples(path.steps, z)
     zz = np.zeros((nz, nz))
     if c[1 + nz :].any() or d[1 + nz :].any():
-        x = made.steps.begun[:, laid.layout.at[: laid.plan.length]]
-        v = laid.at_samples(columns.value)
-        pairs = np.tensordot(c[1 + nz :], np.einsum("lym,ilm->yi", weights, x))
-        zz += _square(nz, pairs + np.tensordot(d[1 + nz :], np.einsum("lym,ilm->yi", weights, v)))
-    if d[0].any() and len(active):
-        force = np.einsum("yi,lym->ilm", d[0], weights)
-        bent = np.array([np.vdot(force, laid.at_samples(part)) for part in columns.second])
-        zz[np.ix_(active, active)] += _square(len(active), bent)
+        pairs = np.tensordot(c[1 + nz :], np.einsum("pym,pim->yi", weights, x))
+        zz += _square(nz, pairs + np.tensordot(d[1 + nz :], np.einsum("pym,pim->yi", weights, v)))
+    if d[0].any() and len(samples.active):
+        force = d[0].T @ weights
+        bent = np.array([np.vdot(force, made.drive_samples(part)) for part in second])
+        zz[np.ix_(samples.active, samples.active)] += _square(len(samples.active), bent)
     return zz

@@ -12,7 +12,6 @@ without laws the step is the exact one.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -26,8 +25,6 @@ from casadi_engine.simulation import jets
 from casadi_engine.simulation.discretisation import DiscreteCore
 from casadi_engine.simulation.exponential import balance
 from casadi_engine.simulation.jets import Array
-
-Phi = list[Array]
 
 STAGES = 4
 # Number of each stage's place among the nodes 0, h/2, h.
@@ -86,23 +83,18 @@ class StepCore:
         self.first = self._core.first[self._drive_columns]
         self._nz = int(z.numel())
 
-    def at(
-        self, z: NDArray[np.float64], order: int, step: float, q: Array, counts: Sequence[int] = (1,)
-    ) -> list[StepMatrices]:
-        """The matrices at z : (nz,) of the steps that are one of so many parts of ``step`` [s]; signals q : (ns, n)."""
+    def at(self, z: NDArray[np.float64], order: int, step: float, q: Array) -> StepMatrices:
+        """The matrices of a step [s] at z : (nz,), for signals q : (ns, n)."""
         a, b, c, d = self._core.matrices(z, order)
         if not (np.isfinite(a).all() and np.isfinite(b).all() and np.isfinite(jets.norm(a))):
             raise FloatingPointError("the linear core is not finite here")
         if self._nz == 0:
             order = 0
-        both = step * np.concatenate([b[:, :, self._drive_columns], b[:, :, self._law_columns]], axis=2)
-        through, nz = np.ascontiguousarray(d[:, :, self._drive_columns]), self._nz if order else 0
-        return [
-            StepMatrices(
-                _krogstad(half, whole, both / count, q, self.first, nz), c, through, a.shape[1], self.m, order
-            )
-            for count, (half, whole) in zip(counts, phi_pairs(a * step, counts, nz), strict=True)
-        ]
+        drive, law = b[:, :, self._drive_columns], b[:, :, self._law_columns]
+        p = _krogstad(a * step, drive * step, law * step, q, self.first, self._nz if order else 0)
+        return StepMatrices(
+            p, c, np.ascontiguousarray(d[:, :, self._drive_columns]), a.shape[1], self.m, order
+        )
 
 
 @dataclass(frozen=True)
@@ -114,11 +106,12 @@ class _CoreModel:
     name: str
 
 
-def _krogstad(half: Phi, whole: Phi, both: Array, q: Array, first: NDArray[np.bool_], d: int) -> Array:
-    """The jet of P; half, whole : phi_0 .. of a half and a whole step; both : jet of h [B, G]; q : (ns, n)."""
-    k, n, _ = both.shape
-    ns, m = len(q), len(first)
-    nw = both.shape[2] - m
+def _krogstad(z: Array, b: Array, g: Array, q: Array, first: NDArray[np.bool_], d: int) -> Array:
+    """The jet of P; z, b, g : jets of h A, h B, h G; q : (ns, n)."""
+    k, n, m = b.shape
+    ns, nw = len(q), g.shape[2]
+    half, whole = phi_pair(z, d)
+    both = np.concatenate([b, g], axis=2)
     # phi_1 .. phi_3 of the step, then phi_1 and phi_2 of its half, all on [B, G]
     stack = np.concatenate([*whole[1:], *half[1:]], axis=1)
     phi1, phi2, phi3, half1, half2 = np.split(jets.product(stack, both, d), 5, axis=1)
@@ -155,29 +148,25 @@ def _krogstad(half: Phi, whole: Phi, both: Array, q: Array, first: NDArray[np.bo
     return p
 
 
-def phi_pairs(z: Array, counts: Sequence[int], d: int) -> list[tuple[Phi, Phi]]:
-    """phi_0 .. phi_2 of z/(2 count) and phi_0 .. phi_3 of z/count for each of these numbers, jets in d parameters.
+def phi_pair(z: Array, d: int) -> tuple[list[Array], list[Array]]:
+    """phi_0 .. phi_2 of z/2 and phi_0 .. phi_3 of z, jets in d parameters.
 
     By the Taylor series of phi_3 and doubling of the argument: phi_k(2 z) = (phi_0(z) phi_k(z) + sum over j = 1 .. k
-    of phi_j(z) / (k - j)!) / 2**k. Half a step, and steps twice as long, come along the way.
+    of phi_j(z) / (k - j)!) / 2**k. The half step comes along the way.
     """
     scale = balance(z[0])
-    turn = 1.0 if scale is None else scale[:, None] / scale
-    found: dict[int, tuple[Phi, Phi]] = {}
-    for odd in {count // (count & -count) for count in counts}:
-        powers = {(count // odd).bit_length() - 1 for count in counts if count // (count & -count) == odd}
-        found.update({odd << power: pair for power, pair in _doublings(z / turn / odd, powers, d)})
-    return [
-        ([phi * turn for phi in half], [phi * turn for phi in whole])
-        for half, whole in (found[c] for c in counts)
-    ]
+    if scale is None:
+        return _phi_pair(z, d)
+    turn = scale[:, None] / scale
+    half, whole = _phi_pair(z / turn, d)
+    return [phi * turn for phi in half], [phi * turn for phi in whole]
 
 
-def _doublings(z: Array, powers: set[int], d: int) -> Iterator[tuple[int, tuple[Phi, Phi]]]:
-    """The same for numbers that are 2 to these powers, of a balanced jet."""
+def _phi_pair(z: Array, d: int) -> tuple[list[Array], list[Array]]:
+    """The same of a balanced jet."""
     size = jets.norm(z)
-    finest = max(1 + max(powers), math.ceil(math.log2(size / _RADIUS)) if size > 0 else 1)
-    small = z / 2.0**finest
+    doublings = max(1, math.ceil(math.log2(size / _RADIUS))) if size > 0 else 1
+    small = z / 2.0**doublings
     identity = np.eye(z.shape[1])
     phi = [np.zeros_like(z)]
     # Horner's rule for phi_3, then phi_k = z phi_{k+1} + 1/k!
@@ -189,19 +178,15 @@ def _doublings(z: Array, powers: set[int], d: int) -> Iterator[tuple[int, tuple[
         lower = jets.product(small, phi[0], d)
         lower[0] += identity / math.factorial(k)
         phi.insert(0, lower)
-    for power in range(finest - 1, min(powers) - 1, -1):
-        half, phi = phi, _doubled(phi, d)
-        if power in powers:
-            yield power, (half[:3], phi)
-
-
-def _doubled(half: Phi, d: int) -> Phi:
-    """phi_0 .. phi_3 of twice the argument."""
-    products = np.split(jets.product(half[0], np.concatenate(half, axis=2), d), 4, axis=2)
-    found = []
-    for k in range(4):
-        total = products[k]
-        for j in range(1, k + 1):
-            total = total + half[j] / math.factorial(k - j)
-        found.append(total / 2.0**k)
-    return found
+    half = phi
+    for _ in range(doublings):
+        half = phi
+        stacked = jets.product(half[0], np.concatenate(half, axis=2), d)
+        products = np.split(stacked, 4, axis=2)
+        phi = []
+        for k in range(4):
+            total = products[k]
+            for j in range(1, k + 1):
+                total = total + half[j] / math.factorial(k - j)
+            phi.append(total / 2.0**k)
+    return half[:3], phi

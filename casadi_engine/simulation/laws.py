@@ -6,16 +6,20 @@ What hangs on channels and time alone is worked out once for the record.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.simulation.grid import Grid
+from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.signals import in_signals
-from casadi_engine.simulation.step_layout import StepLayout
 from casadi_engine.simulation.tape import ArrayFunction
+
+# Places within a step at which the laws are evaluated.
+NODES = (0.0, 0.5, 1.0)
 
 
 class Laws:
@@ -72,23 +76,31 @@ class Laws:
         self._slopes = ArrayFunction([s, given, z], [picked, ca.densify(ca.jacobian(rest, free))])
         self._curvature: ArrayFunction | None = None
 
-    def given(self, layout: StepLayout, nodes: Sequence[float]) -> Array:
-        """What the laws take from channels and time at these shares of each step: (nodes, rows, K)."""
-        steps = slice(0, layout.steps)
-        low, rise = layout.low[:, steps], layout.high[:, steps] - layout.low[:, steps]
-        return np.array(
-            [
-                self._given(low + node * rise, (layout.time[steps] + node * layout.length[steps])[None])[0]
-                for node in nodes
-            ]
-        )
+    def given(self, grid: Grid, plan: Intervals, substeps: int) -> Array:
+        """What the laws take from channels and time: (steps, nodes, rows, M)."""
+        tail = np.repeat(grid.channels[:, -1:], plan.padded + 1 - grid.samples, axis=1)
+        u = np.concatenate([grid.channels, tail], axis=1)
+        first = np.array([[hold == "first"] for hold in grid.holds]).reshape(len(u), 1)
+        at = (np.arange(plan.length)[:, None] + plan.length * np.arange(plan.m)).ravel()
+        low, rise = u[:, at], np.where(first, u[:, np.minimum(at + 1, plan.padded)] - u[:, at], 0.0)
+        steps, rows = [], 0
+        for part in range(substeps):
+            for node in NODES:
+                share = (part + node) / substeps
+                time = np.asarray(grid.start + grid.step * (at + share), dtype=np.float64)
+                found = self._given(low + share * rise, time[None])[0]
+                rows = len(found)
+                steps.append(found.reshape(rows, plan.length, plan.m))
+        made = np.array(steps).reshape(substeps, len(NODES), rows, plan.length, plan.m)
+        ordered = made.transpose(3, 0, 1, 2, 4).reshape(plan.length * substeps, len(NODES), rows, plan.m)
+        return np.ascontiguousarray(ordered)
 
     def torques(self, z: Array) -> Callable[..., list[Array]]:
         """The function (signals (ns, N), given (rows, N)) -> [torques (nw, N)] at z, for an inner loop."""
         return self._value.bound(z)
 
-    def expression(self, s: ca.SX, given: ca.SX, z: ca.SX) -> ca.SX:
-        """(nw, 1) torques as an expression of these symbols."""
+    def expression(self, s: ca.SX, given: ca.SX, z: Array) -> ca.SX:
+        """(nw, 1) torques as an expression, z put in."""
         own, known, symbols, _, rest = self._symbols
         return ca.Function("torques", [own, known, symbols], [rest])(s, given, z)
 

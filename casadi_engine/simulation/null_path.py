@@ -10,7 +10,6 @@ import numpy as np
 from casadi_engine.model import Model
 from casadi_engine.simulation.adaptive import Adaptive
 from casadi_engine.simulation.drives import Drives
-from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator, ExponentialTrajectory
 from casadi_engine.simulation.finer_grid import around_instants, with_parts
 from casadi_engine.simulation.grid import Grid
 from casadi_engine.simulation.intervals import cut
@@ -23,9 +22,6 @@ from casadi_engine.simulation.tape import ArrayFunction
 
 # Of the steps that follow the error.
 _TOLERANCE = 1e-9
-# Of the largest value of a state, what all steps of the exponential integrator may be off by together, and how often
-# they are made shorter for it.
-_TOGETHER, _SHORTENED = 1e-4, 6
 # Of the largest value of a state, what the cubic in the middle between two points may be off by.
 _CUBIC = 1e-4
 # Parts that a cell is cut into where it is more, and points of a path for each of the record's at most.
@@ -119,11 +115,12 @@ class NullPath:
         return ArrayFunction(inputs, [ca.cse(stacked)])
 
 
-def null_path(model: Model, grid: Grid, p: Array, start: Array) -> NullPath:
+def null_path(model: Model, grid: Grid, p: Array, start: Array, *, steps: int | None = None) -> NullPath:
     """Simulate a record at p : (np,) from the state ``start`` : (n,) at its first sample, by single shooting.
 
-    Steps follow the error. A model that the exponential integrator does not serve, and any on unequal steps or with
-    equations that depend on time itself, gets points between its samples where the states bend there.
+    steps : to a sample of an exponential integrator, as in the fit whose path this is; None for the fewest that are
+    stable. Any model that is not integrated so, and any on unequal steps or with equations that depend on time itself,
+    is simulated by steps that follow the error, and gets points between its samples where the states bend there.
     Raises FloatingPointError where the states are not finite.
     """
     p, start = np.asarray(p, dtype=float), np.asarray(start, dtype=float)
@@ -134,33 +131,15 @@ def null_path(model: Model, grid: Grid, p: Array, start: Array) -> NullPath:
     plan = cut(bare, None)
     scale = np.array([state.scale for state in model.states])
     none = ca.SX(0, 1)
-    propagator = make_propagator(observed, bare, plan, none, ca.SX(ca.DM(p)), scale=scale)
+    propagator = make_propagator(observed, bare, plan, none, ca.SX(ca.DM(p)), scale=scale, steps=steps)
     if isinstance(propagator, RungeKuttaPropagator):
         return _adaptive_path(model, grid, p, start)
     path = propagator.propagate(np.zeros(0), (start / scale)[None], 0)
-    if isinstance(propagator, ExponentialPropagator):
-        path = _as_fine_as_wanted(propagator, path)
     rows = path.y[0].reshape(len(plan.samples), len(start), plan.b).transpose(1, 2, 0)
     x = np.ascontiguousarray(rows.reshape(len(start), -1)[:, : grid.samples])
     if not np.isfinite(x).all():
         raise FloatingPointError("the model's state is not finite here")
     return with_slope(model, grid, x, p)
-
-
-def _as_fine_as_wanted(
-    propagator: ExponentialPropagator, path: ExponentialTrajectory
-) -> ExponentialTrajectory:
-    """The path by steps whose errors are within the tolerance together, as far as there may be so many."""
-    for _ in range(_SHORTENED):
-        errors = propagator.errors_by_cell(np.zeros(0), path)
-        if errors.sum() <= _TOGETHER:
-            break
-        try:
-            propagator = propagator.adapted(errors, 2 * float(errors.sum()) / _TOGETHER)
-        except FloatingPointError:
-            break
-        path = propagator.propagate(np.zeros(0), path.x[0].T, 0)
-    return path
 
 
 def _adaptive_path(model: Model, grid: Grid, p: Array, start: Array) -> NullPath:

@@ -16,7 +16,6 @@ from casadi_engine.model import Model
 from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator, ExponentialTrajectory
 from casadi_engine.simulation.grid import Grid
 from casadi_engine.simulation.jets import Array
-from casadi_engine.simulation.local_steps import Substeps
 from casadi_engine.simulation.tape import ArrayFunction
 
 
@@ -80,38 +79,19 @@ class ObservedPropagator:
 
     @property
     def substeps(self) -> int:
-        """Most integration steps to a sample."""
+        """Integration steps to a sample."""
         return self.states.substeps
 
-    @property
-    def fineness(self) -> Substeps:
-        """Steps of each cell of the grid."""
-        return self.states.fineness
-
-    def _by(self, states: ExponentialPropagator) -> ObservedPropagator:
+    def refined(self, substeps: int) -> ObservedPropagator:
+        """The same propagator with another number of steps to a sample."""
         other = object.__new__(ObservedPropagator)
         other.__dict__.update(self.__dict__)
-        other.states = states
+        other.states = self.states.refined(substeps)
         return other
-
-    def refined(self, fineness: int | Substeps) -> ObservedPropagator:
-        """The same propagator with other steps, in each cell or as many everywhere."""
-        return self._by(self.states.refined(fineness))
 
     def finer(self, factor: int) -> ObservedPropagator:
         """The same propagator with every step cut into ``factor`` steps."""
-        return self._by(self.states.finer(factor))
-
-    def adapted(self, errors: Array, ratio: float) -> ObservedPropagator:
-        """See ``ExponentialPropagator.adapted``."""
-        return self._by(self.states.adapted(errors, ratio))
-
-    @np.errstate(all="ignore")
-    def arising(self, z: Array, path: ObservedTrajectory) -> tuple[Array, Array]:
-        """See ``ExponentialPropagator.arising``."""
-        off, cells = self.states.arising(z, path.states)
-        there = self._by_point((path.states.y[0] + off)[None])[0]
-        return self._by_rows(self._value(there, self._given, z)[0][None])[0] - path.y[0], cells
+        return self.refined(self.substeps * factor)
 
     def drives_at(self, z: Array) -> Array:
         """(m, N) drives of the model on the grid."""

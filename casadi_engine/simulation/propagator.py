@@ -22,7 +22,6 @@ from casadi_engine.simulation.grid import Grid
 from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.linear import LinearPropagator
-from casadi_engine.simulation.local_steps import Substeps
 from casadi_engine.simulation.observed import ObservedPropagator, with_states_shown
 from casadi_engine.simulation.runge_kutta import Fineness, RungeKuttaPropagator
 from casadi_engine.simulation.shared_core import Cores
@@ -49,14 +48,14 @@ class _GappyCore(GappyPredictor):
         return super().drives_at(z)[: self.shown]
 
 
-def fineness_of(propagator: object) -> float | Fineness | Substeps | None:
+def fineness_of(propagator: object) -> int | float | Fineness | None:
     """How finely a propagator integrates, for another one of the same grid; None for one that is exact."""
     if isinstance(propagator, RungeKuttaPropagator):
         return propagator.fineness
     if isinstance(propagator, EventPropagator):
         return propagator.tolerance
     if isinstance(propagator, (ExponentialPropagator, ObservedPropagator)):
-        return propagator.fineness
+        return propagator.substeps
     return None
 
 
@@ -85,7 +84,7 @@ def make_propagator(
     method: Method = "exact",
     gain: Array | Gain | None = None,
     used: Seen | None = None,
-    steps: int | float | Fineness | Substeps | None = None,
+    steps: int | float | Fineness | None = None,
     cores: Cores | None = None,
 ) -> LinearPropagator | GappyPredictor | Stepped:
     """Propagator of a model over one record.
@@ -131,14 +130,14 @@ def make_propagator(
             allowed='method="exact" without a gain',
             cure="take the linear form of the model, or leave the option out",
         )
-    least = steps if isinstance(steps, (int, Substeps)) else 1
+    whole = steps if isinstance(steps, int) else 1
     if parts is not None:
-        return ExponentialPropagator(model, parts, grid, intervals, z, physical, scale=scale, substeps=least)
+        return ExponentialPropagator(model, parts, grid, intervals, z, physical, scale=scale, substeps=whole)
     shown = with_states_shown(model)
     parts = split(shown)
     if parts is not None and parts.model.has_slot_laws:
         states = ExponentialPropagator(
-            shown, parts, grid, intervals, z, physical, scale=scale, substeps=least
+            shown, parts, grid, intervals, z, physical, scale=scale, substeps=whole
         )
         return ObservedPropagator(model, states, grid, z, physical)
     return RungeKuttaPropagator(model, grid, intervals, z, physical, scale=scale)

@@ -23,7 +23,6 @@ from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.sample_rows import from_rows, to_rows
 from casadi_engine.simulation.shown_outputs import ShownOutputs
 from casadi_engine.simulation.stage_slope import StageSlope
-from casadi_engine.simulation.step_errors import carried_errors, errors_by_cell, shares
 from casadi_engine.simulation.step_layout import StepLayout, lay_steps
 from casadi_engine.simulation.sweeps import Sweeps, advance
 from casadi_engine.simulation.tableau import (
@@ -166,7 +165,11 @@ class RungeKuttaPropagator:
         """
         now = self._fineness
         assert now is not None, "propagated at least once"
-        factor = np.clip((shares(errors) * ratio) ** (1 / now.scheme.order), 1.0, _FINER)
+        finite = np.isfinite(errors)
+        if not finite.any():
+            raise FloatingPointError("no step of the record can be compared with two of half its length")
+        share = np.where(finite, errors, np.inf) / max(float(errors[finite].mean()), 1e-300)
+        factor = np.clip((share * ratio) ** (1 / now.scheme.order), 1.0, _FINER)
         return self.refined(replace(now, counts=np.ceil(now.counts * factor).astype(np.intp)))
 
     def arising(self, z: Array, path: RungeKuttaTrajectory) -> tuple[Array, Array]:
@@ -175,7 +178,7 @@ class RungeKuttaPropagator:
         Each step is compared with two of half the length; what it is off by is carried through the later ones by the
         sensitivities. By cells it is the size of what arises there, relative to the largest state.
         """
-        layout, plan, n = self.layout, self.intervals, self.n
+        layout, plan, n, count = self.layout, self.intervals, self.n, self.intervals.m
         whole = np.flatnonzero(layout.part[: layout.steps] == 0)
         ends = whole
         for _ in range(self.slope.parts):
@@ -186,9 +189,20 @@ class RungeKuttaPropagator:
             x = advance(self.slope, self._scheme, z, path.begun[:, whole], low, middle, time, half)
             x = advance(self.slope, self._scheme, z, x, middle, high, time + half, half)
         own = self._scheme.richardson * (x - path.begun[:, ends]).T
-        states = carried_errors(layout, plan, own, ends, path.a, path.s[:, :, :n])
-        off = (path.out[..., :n] @ states[..., None])[..., 0]
-        return to_rows(plan, off.transpose(2, 0, 1)[None])[0], errors_by_cell(layout, own, path.begun)
+        carried, arises = np.zeros((2, layout.steps + count, n))
+        arises[ends] = own
+        for steps, after in layout:
+            carried[after] = (path.a[steps] @ carried[steps][..., None])[..., 0] + arises[after]
+        joined, last = np.zeros((count, n)), layout.steps + np.arange(count)
+        for i in range(count - 1):
+            joined[i + 1] = path.end_s[i] @ joined[i] + carried[last[i]]
+        at = layout.at[: plan.length]
+        each = carried[at] + (path.s[at, :, :n] @ joined[None, :, :, None])[..., 0]
+        off = (path.out[..., :n] @ each[..., None])[..., 0]
+        size = np.abs(path.begun).max(axis=1) + 1e-300
+        sizes = np.nan_to_num(np.abs(own / size).max(axis=-1), nan=np.inf, posinf=np.inf)
+        cells = np.bincount(layout.cell[whole], sizes, minlength=self.grid.samples - 1).astype(np.float64)
+        return to_rows(plan, off.transpose(2, 0, 1)[None])[0], cells
 
     def _lay(self, fineness: Fineness) -> None:
         if int(fineness.counts.sum()) > self._most + len(fineness.counts):

@@ -11,9 +11,7 @@ from casadi_engine.simulation.jets import Array
 def to_rows(plan: Intervals, y: Array) -> Array:
     """(., ny, L, M) to (., R*ny, b, M)."""
     rows = y[:, :, plan.samples[:, None] + plan.q * np.arange(plan.b)]
-    return np.ascontiguousarray(rows.transpose(0, 2, 1, 3, 4)).reshape(
-        len(y), y.shape[1] * len(plan.samples), plan.b, plan.m
-    )
+    return np.ascontiguousarray(rows.transpose(0, 2, 1, 3, 4)).reshape(len(y), -1, plan.b, plan.m)
 
 
 def from_rows(plan: Intervals, rho: Array, ny: int) -> Array:

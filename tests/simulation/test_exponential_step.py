@@ -12,7 +12,7 @@ from scipy.linalg import expm
 from casadi_engine.model import Blueprint
 from casadi_engine.simulation import jets
 from casadi_engine.simulation.exponential import phi_functions
-from casadi_engine.simulation.exponential_step import STAGES, StepCore, phi_pairs
+from casadi_engine.simulation.exponential_step import STAGES, StepCore, phi_pair
 
 
 def augmented_phi(z, highest):
@@ -30,7 +30,7 @@ def augmented_phi(z, highest):
 def test_phi_functions_of_step_and_half_equal_an_augmented_exponential(size):
     z = np.random.default_rng(1).normal(size=(4, 4)) - 2 * np.eye(4)
     z *= size / np.abs(z).sum(axis=0).max()
-    half, whole = phi_pairs(z[None], (1,), 0)[0]
+    half, whole = phi_pair(z[None], 0)
     for found, wanted in ((half, augmented_phi(z / 2, 2)), (whole, augmented_phi(z, 3))):
         assert len(found) == len(wanted)
         for one, other in zip(found, wanted, strict=True):
@@ -41,7 +41,7 @@ def test_phi_functions_of_step_and_half_equal_an_augmented_exponential(size):
 def test_their_derivatives_equal_those_of_the_exact_discretisation(order):
     rng = np.random.default_rng(2)
     z = 3 * rng.normal(size=(jets.count(3, order), 4, 4))
-    half, whole = phi_pairs(z, (1,), 3)[0]
+    half, whole = phi_pair(z, 3)
     for one, other in zip(whole[:3], phi_functions(z, 3), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-10)
     for one, other in zip(half, phi_functions(z / 2, 3), strict=True):
@@ -54,7 +54,7 @@ def test_badly_scaled_matrices_lose_no_digits(d):
     z = 2 * rng.normal(size=(jets.count(d, 2), 4, 4))
     scale = 2.0 ** np.array([18, -20, 0, 5])
     turn = scale[:, None] / scale
-    for parts, wanted in zip(phi_pairs(z * turn, (1,), d)[0], phi_pairs(z, (1,), d)[0], strict=True):
+    for parts, wanted in zip(phi_pair(z * turn, d), phi_pair(z, d), strict=True):
         for one, other in zip(parts, wanted, strict=True):
             np.testing.assert_allclose(one / turn, other, rtol=0, atol=1e-12 * np.abs(other).max())
 
@@ -69,7 +69,7 @@ def test_without_dynamics_the_scheme_is_the_classical_runge_kutta_rule():
     model = b.model()
     core = StepCore(model.linear, model, ca.SX(0, 1), ca.SX(0, 1), hold=(), scale=np.ones(1))
     h = 0.2
-    p = core.at(np.zeros(0), 0, h, np.ones((1, 1)))[0].p[0]
+    p = core.at(np.zeros(0), 0, h, np.ones((1, 1))).p[0]
     wanted = np.zeros((5, 5))
     wanted[:, 0] = 1.0
     wanted[0, 1:] = h * np.array([1, 2, 2, 1]) / 6
@@ -91,7 +91,7 @@ def test_the_scheme_integrates_torques_that_are_quadratic_in_time_exactly():
         model.linear, model, ca.SX(0, 1), ca.SX(0, 1), hold=("first",), scale=np.array([3.0, 0.2])
     )
     q = np.array([[0.0, 0.2]])
-    (made,) = core.at(np.zeros(0), 0, h, q)
+    made = core.at(np.zeros(0), 0, h, q)
     assert (core.drives, core.groups, core.constant, made.m) == ([(0,)], [(0,)], True, 2)
     a = np.array([[-0.7, -30], [1, 0]])
     v0, v1, coefficients = 1.3, -0.4, np.array([0.6, -2.0, 5.0])  # w(t) = c0 + c1 t + c2 t^2

@@ -8,7 +8,6 @@ import pytest
 
 from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.laws import Laws
-from casadi_engine.simulation.local_steps import LocalSteps
 
 X, U, T, P, Z = (
     ca.SX.sym("x", 3), ca.SX.sym("u", 2), ca.SX.sym("t"), ca.SX.sym("p", 3), ca.SX.sym("z", 4),
@@ -48,7 +47,7 @@ def test_laws_that_act_alike_are_one_and_know_their_signals_and_parameters():
 @pytest.mark.parametrize("substeps", [1, 3])
 def test_torques_slopes_and_curvature_equal_casadis(sampled, substeps):
     laws, grid, plan = sampled
-    laid = LocalSteps(grid, plan, laws, np.full(grid.samples - 1, substeps))
+    given = laws.given(grid, plan, substeps)
     z, rng = np.array([0.4, 1.2, 9.0, -0.3]), np.random.default_rng(1)
     held = ca.substitute(LAWS, P, PHYSICAL)
     value = ca.Function("value", [X, U, T, Z], [ca.vertcat(held[0] + held[1], held[2])])
@@ -59,7 +58,7 @@ def test_torques_slopes_and_curvature_equal_casadis(sampled, substeps):
         u = [np.interp(place, np.arange(9), grid.channels[0]), grid.channels[1, sample]]
         t = grid.start + 0.1 * place
         x = rng.normal(size=3)
-        s, known = laws.q @ x, laid.given[node][:, laid.order[step + 4 * substeps * interval]][:, None]
+        s, known = laws.q @ x, given[step, node][:, [interval]]
         wanted = np.array(value(x * SCALE, u, t, z)).ravel()
         np.testing.assert_allclose(laws.torques(z)(s[:, None], known)[0][:, 0], wanted, rtol=1e-12)
         by_signal, by_z = laws.slopes(s[:, None], known, z)
