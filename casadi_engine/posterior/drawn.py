@@ -52,20 +52,9 @@ class Drawn:
 def weighed(found: Weighted, count: int, random: np.random.Generator) -> Drawn:
     """From weighted draws."""
     index = found.resampled(count, random)
-    d = found.x.shape[1]
-    tail = np.empty(d)
-    for k in range(d):
-        order = np.argsort(found.x[:, k])
-        below = np.cumsum(found.weight[order])
-        sizes = [
-            kish(found.weight[order[part]]) / 0.05
-            for part in (below <= 0.05, below >= 0.95)
-            if found.weight[order[part]].sum() > 0
-        ]
-        tail[k] = min([*sizes, found.size])
     return Drawn(
         found.x[index], found.density[index], "importance", "few smooth optima", found.log_evidence, found.error,
-        None, np.full(d, found.size), tail, found.shape,
+        None, np.full(found.x.shape[1], found.size), found.tail, found.shape,
     )  # fmt: skip
 
 

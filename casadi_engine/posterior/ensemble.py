@@ -26,7 +26,7 @@ Progress = Callable[[int, int, float, float], Any]
 # or the evaluations are spent, and the second is still accepted then.
 GOAL, LARGEST, FEWEST = 1.01, 1.02, 400.0
 # Steps between two looks; looks at the beginning, after which lost walkers are set beside the others.
-BLOCK, EARLY = 100, 3
+BLOCK, EARLY = 100, 4
 # Components of the mixture that is proposed from, and the share of the steps that is.
 COMPONENTS, WHOLE = 12, 0.5
 # A walker so far below the best one, beside the half chi-squared of the dimensions, is lost.
@@ -85,12 +85,16 @@ def walk(
     random: np.random.Generator,
     *,
     most: int,
+    known: Mixture | None = None,
     progress: Progress | None = None,
 ) -> Chains:
-    """Walk from ``starts``, one (w, d) for each ensemble, until the walkers agree or ``most`` evaluations are spent."""
+    """Walk from ``starts``, one (w, d) for each ensemble, until the walkers agree or ``most`` evaluations are spent.
+
+    known : a proposal that was fitted to the density before
+    """
     states: list[Any] = list(starts)
     walkers, taken, found = sum(len(start) for start in starts), 0, None
-    proposal: Mixture | None = None
+    proposal = known
     for look in range(EARLY + 1):
         samplers = [_sampler(density, start, random, proposal) for start in starts]
         for k, sampler in enumerate(samplers):
@@ -101,6 +105,7 @@ def walk(
         if 0 < look < EARLY:
             been = np.concatenate([s.get_chain(flat=True, discard=BLOCK // 2) for s in samplers])
             proposal = around(been, COMPONENTS, random).guarded()
+            proposal = proposal if known is None else proposal.beside(known)
     for sampler in samplers:  # what was gathered on the way is forgotten
         sampler.reset()
     while found is None or (taken + BLOCK) * walkers <= most:

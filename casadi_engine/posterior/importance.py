@@ -16,8 +16,9 @@ LogDensity = Callable[[Array], Array]
 
 # Rounds in which the proposal learns, draws of each for a dimension, and draws of the last one in multiples of these.
 ROUNDS, EACH, LAST = 4, 100, 6
-# What weights have to be for their means to be trusted: the tail's shape, and the draws they are worth.
-LARGEST_SHAPE, FEWEST = 0.7, 400.0
+# What weights have to be for their means to be trusted: the tail's shape, and the draws they are worth, those of the
+# outer shares of the probability too.
+LARGEST_SHAPE, FEWEST, TAIL = 0.7, 400.0, 0.05
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Weighted:
     """Independent draws x (n, d) of ``proposal`` with their weights (n,), which sum to one.
 
     density : (n,) log densities; log_evidence, error : of the integral of the density, and its standard error
-    shape : k-hat; size : draws that they are worth; evaluations : of the density
+    shape : k-hat; size : draws that they are worth, tail : (d,) for the ends of a coordinate
     """
 
     x: Array
@@ -36,12 +37,12 @@ class Weighted:
     error: float
     shape: float
     size: float
-    evaluations: int
+    tail: Array
 
     @property
     def trusted(self) -> bool:
         """True if means of these draws can be trusted."""
-        return self.shape <= LARGEST_SHAPE and self.size >= FEWEST
+        return self.shape <= LARGEST_SHAPE and min(self.size, self.tail.min()) >= FEWEST
 
     def resampled(self, count: int, random: np.random.Generator) -> NDArray[np.intp]:
         """Numbers of ``count`` draws that weigh alike, in random order."""
@@ -56,12 +57,11 @@ def sample(density: LogDensity, start: Mixture, random: np.random.Generator) -> 
     The last round's proposal does not depend on its draws, so that its evidence has no bias.
     """
     d = start.centre.shape[1]
-    each, proposal, done = EACH * max(d, 3), start, 0
+    each, proposal = EACH * max(d, 3), start
     for _ in range(ROUNDS):
         wide = proposal.guarded()
         x = wide.draw(each, random)
         log_weight, shape = pareto_smoothed(density(x) - wide.log_density(x))
-        done += each
         if not np.isfinite(log_weight.max()):
             break
         weight = normalised(log_weight)
@@ -71,12 +71,22 @@ def sample(density: LogDensity, start: Mixture, random: np.random.Generator) -> 
     proposal = proposal.guarded()
     x = proposal.draw(LAST * each, random)
     at = density(x)
-    plain = at - proposal.log_density(x)
-    smooth, shape = pareto_smoothed(plain)
+    smooth, shape = pareto_smoothed(at - proposal.log_density(x))
     if not np.isfinite(smooth.max()):
         nothing = np.full(len(x), 1 / len(x))
-        return Weighted(x, at, nothing, proposal, -np.inf, np.inf, np.inf, 0.0, done + len(x))
+        return Weighted(x, at, nothing, proposal, -np.inf, np.inf, np.inf, 0.0, np.zeros(d))
     weight = normalised(smooth)
     size = kish(weight)
     error = float(np.sqrt(max(1 / size - 1 / len(x), 1e-300)))
-    return Weighted(x, at, weight, proposal, log_mean(smooth), error, shape, size, done + len(x))
+    return Weighted(x, at, weight, proposal, log_mean(smooth), error, shape, size, _tails(x, weight))
+
+
+def _tails(x: Array, weight: Array) -> Array:
+    """(d,) draws that weighted ones (n, d) are worth for the share of probability at either end, the smaller one."""
+    found = np.empty(x.shape[1])
+    for k, column in enumerate(x.T):
+        order = np.argsort(column)
+        below = np.cumsum(weight[order])
+        ends = (weight[order[below <= TAIL]], weight[order[below >= 1 - TAIL]])
+        found[k] = min(kish(end) / TAIL if end.sum() > 0 else 0.0 for end in ends)
+    return found

@@ -1,7 +1,7 @@
 """The likelihood of any model, the initial states integrated out by Laplace's method.
 
 The integral over the initial states is that of a normal density about their best values at each point of the
-parameters. For a linear model it is exact.
+parameters, with their prior as in ``spectral_likelihood``. For a linear model it is exact.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from casadi_engine.estimation.levenberg_marquardt import Squares
 from casadi_engine.estimation.single_shots import SingleShots
 from casadi_engine.posterior.modal import least_squares
-from casadi_engine.posterior.spectral_likelihood import REACH
 
 Array = NDArray[np.float64]
 
@@ -23,7 +22,7 @@ _STEPS, _FALL = 5, 0.02
 
 
 class LaplaceLikelihood:
-    """Log likelihood of records at parameters v (nv,) and noise levels (ny,), over the initial states' prior."""
+    """Log likelihood of records at parameters v (nv,) and noise levels (ny,), the initial states integrated out."""
 
     bins: tuple[int, int] | None = None
 
@@ -48,9 +47,7 @@ class LaplaceLikelihood:
         found = self._settled(v, sigma)
         if found is None:
             return -np.inf
-        squares, gram = found[0], found[1]
-        known = np.eye(len(gram)) + REACH**2 * gram
-        total = -0.5 * (squares + float(np.linalg.slogdet(known)[1]))
+        total = -0.5 * found[0]
         for (_, name), at in self._shots.places.items():
             total -= (at.stop - at.start) * float(np.log(self._level(sigma, name)))
         return total if np.isfinite(total) else -np.inf
@@ -64,7 +61,7 @@ class LaplaceLikelihood:
         found = self._settled(v, sigma)
         if found is None:
             return None
-        _, _, residual, slopes = found
+        _, residual, slopes = found
         rows = np.concatenate([residual[None], slopes[:, : self._size].T])
         starts = slopes[:, self._free]
         basis = np.linalg.qr(starts)[0] if starts.size else starts
@@ -77,8 +74,8 @@ class LaplaceLikelihood:
     def _level(self, sigma: Array, name: str) -> float:
         return float(sigma[self._outputs.index(name)])
 
-    def _settled(self, v: Array, sigma: Array) -> tuple[float, Array, Array, Array] | None:
-        """Chi-squared at the best initial states, their information, residual (K,) and slopes (K, nx)."""
+    def _settled(self, v: Array, sigma: Array) -> tuple[float, Array, Array] | None:
+        """Chi-squared at the best initial states, residual (K,) and slopes (K, nx)."""
         self._shots.weigh({name: self._level(sigma, name) for name in self._outputs})
         x = np.concatenate([v, self._best[self._size :]])
         x[self._free] += self._turn @ (v - self._at)
@@ -87,10 +84,10 @@ class LaplaceLikelihood:
                 try:
                     residual, slopes = self._shots.evaluate(x)
                     starts = slopes[:, self._free]
-                    squares, gram = least_squares(np.ascontiguousarray(starts.T), residual)
+                    squares = least_squares(np.ascontiguousarray(starts.T), residual)
                     if float(residual @ residual) - squares < _FALL:
                         break
                     x[self._free] -= np.linalg.lstsq(starts, residual, rcond=1e-10)[0]
                 except (FloatingPointError, np.linalg.LinAlgError):
                     return None
-        return squares, gram, residual, slopes
+        return squares, residual, slopes

@@ -64,6 +64,14 @@ class Mixture:
             np.concatenate([self.factor, np.sqrt(_WIDER) * self.factor]),
         )
 
+    def beside(self, other: Mixture) -> Mixture:
+        """Half of the draws from this one, half from the other."""
+        return Mixture(
+            np.concatenate([self.share, other.share]) / 2,
+            np.concatenate([self.centre, other.centre]),
+            np.concatenate([self.factor, other.factor]),
+        )
+
     def fitted(self, x: Array, weight: Array, rounds: int = 1) -> Mixture:
         """The mixture moved towards weighted draws x (n, d) by steps of expectation maximisation (Cappe et al. 2008)."""
         found = self

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg.lapack import dpotrf, dpotrs
 
 from casadi_engine.estimation.spectral import Bins, Response
 from casadi_engine.simulation.discretisation import Discretisation
@@ -16,15 +16,16 @@ from casadi_engine.simulation.exponential import balance
 
 Array = NDArray[np.float64]
 
-# Condition of the eigenvectors beyond which they are no basis to work with; a spring on the transients' Gram matrix.
-_SOUND, _SPRING = 1e7, 1e-13
+# Condition of the eigenvectors beyond which they are no basis to work with; springs on the transients' Gram
+# matrix, the weakest that lets it be factored.
+_SOUND, _SPRINGS = 1e7, (1e-13, 1e-10, 1e-7)
 
 
 class Transients:
     """A model at K bins: its residual without transients, and what these do.
 
-    rest : (ny, K, 2) real and imaginary parts; rows : (n, ny, K, 2) in a basis of their own; turn : (n, n) with
-    rows.T @ turn the same in the states; poles : (n,)
+    rest : (ny, K, 2) real and imaginary parts; rows : (n, ny, K, 2) that span these;
+    poles : (n,)
     """
 
     def __init__(self, discrete: Discretisation, bins: Bins, sigma: Array) -> None:
@@ -40,9 +41,11 @@ class Transients:
         real = half[self.poles[half].imag == 0]
         inverse = np.linalg.inv(vectors) / scale  # its rows make the states modes
         seen = (discrete.c[0] / sigma[:, None] * scale) @ vectors
-        self.turn = np.concatenate([inverse[real].real, inverse[pair].real, inverse[pair].imag])
+        turn = np.concatenate([inverse[real].real, inverse[pair].real, inverse[pair].imag])
         rows = self._rows(bins.z, seen, real, pair)
-        drive = self.turn @ discrete.g0[0] + _times_poles(self, discrete.g1[0], inverse, real, pair)
+        # the drive at the end of a step acts by z / (z - pole) = 1 + pole / (z - pole)
+        late = self.poles[:, None] * (inverse @ discrete.g1[0])
+        drive = turn @ discrete.g0[0] + np.concatenate([late[real].real, late[pair].real, late[pair].imag])
         count = len(bins.z)
         direct = (discrete.c[0] @ discrete.g1[0] + discrete.d[0]) / sigma[:, None]
         rest = np.empty(bins.measured.shape, complex)
@@ -60,7 +63,6 @@ class Transients:
         n, ny, count = len(discrete.f[0]), len(sigma), len(bins.z)
         self.rows = response.seen.reshape(n, ny, count, 2)
         self.rest = np.ascontiguousarray(response.forced(bins)[0]).view(np.float64).reshape(ny, count, 2)
-        self.turn = np.eye(n)
 
     def _rows(
         self, z: NDArray[np.complex128], seen: NDArray[np.complex128], real: NDArray[np.intp], pair: NDArray[np.intp]
@@ -81,36 +83,25 @@ class Transients:
         return rows
 
 
-def _times_poles(
-    self: Transients,
-    late: Array,
-    inverse: NDArray[np.complex128],
-    real: NDArray[np.intp],
-    pair: NDArray[np.intp],
-) -> Array:
-    """What the drive at the end of a step does to the modes, of a response z / (z - pole) = 1 + pole / (z - pole)."""
-    moved = self.poles[:, None] * (inverse @ late)
-    return np.concatenate([moved[real].real, moved[pair].real, moved[pair].imag])
-
-
-def least_squares(rows: Array, rest: Array) -> tuple[float, Array]:
-    """Sum of squares of a residual (L,) less the rows (n, L) at their best, and the rows' Gram matrix (n, n).
+def least_squares(rows: Array, rest: Array) -> float:
+    """Sum of squares of a residual (L,) less the rows (n, L) at their best.
 
     Raises FloatingPointError where a number is not finite.
     """
     if not len(rows):
-        return float(rest @ rest), np.zeros((0, 0))
+        return float(rest @ rest)
     gram = rows @ rows.T
-    size = np.sqrt(np.diag(gram))
-    size = np.where(size > 0, size, 1.0)
+    size = np.sqrt(gram.diagonal())
+    size[size == 0] = 1.0
     if not np.isfinite(size).all():
         raise FloatingPointError("the transients are not finite")
-    scaled = gram / np.outer(size, size) + _SPRING * np.eye(len(gram))
-    try:
-        factor = cho_factor(scaled, check_finite=False)
-    except LinAlgError:
-        factor = cho_factor(scaled + 1e3 * _SPRING * np.eye(len(gram)), check_finite=False)
+    gram /= size[:, None] * size
+    for spring in _SPRINGS:
+        gram.flat[:: len(gram) + 1] = 1.0 + spring
+        factor, failed = dpotrf(gram, lower=1)
+        if not failed:
+            break
     # twice: the first time takes away most of the speed, beside which the noise is rounding
-    left = rest - (cho_solve(factor, rows @ rest / size, check_finite=False) / size) @ rows
+    left = rest - (dpotrs(factor, rows @ rest / size, lower=1)[0] / size) @ rows
     pull = rows @ left / size
-    return float(left @ left - pull @ cho_solve(factor, pull, check_finite=False)), gram
+    return float(left @ left - pull @ dpotrs(factor, pull, lower=1)[0])

@@ -14,8 +14,9 @@ from casadi_engine.posterior.target import Target
 
 Array = NDArray[np.float64]
 
-# Starts along the weakest directions, in standard errors, and their number; others are drawn so many times as wide.
-ALONG, WEAK, WIDE = (3.0, 6.0, 12.0), 2, 5.0
+# Starts along the weakest directions, in standard errors, and their number; others are drawn so many times as wide,
+# in turn.
+ALONG, WEAK, WIDE = (3.0, 6.0, 12.0), 2, (4.0, 16.0)
 # Two optima are one within this distance, in squared standard errors; those so far below the best are left out.
 _SAME, _FAR = 0.05, 15.0
 # Between two modes the density falls by this (in its logarithm) below the lower one; it is looked at so many points.
@@ -113,8 +114,10 @@ def _starts(target: Target, fit: Fit, covariance: Array, random: np.random.Gener
         if optimum.status == "converged" and all(name in optimum.values for name in target.free):
             known.append(target.coordinates.of(np.array([optimum.values[name] for name in target.free])))
     lines = along(centre, covariance) if wide else along(centre, covariance)[:2]
-    factor = WIDE * np.linalg.cholesky(covariance)
-    around = [centre + factor @ random.standard_normal(target.nv) for _ in range(wide)]
+    factor = np.linalg.cholesky(covariance)
+    around = [
+        centre + WIDE[k % len(WIDE)] * factor @ random.standard_normal(target.nv) for k in range(wide)
+    ]
     return [centre, *known, *lines, *around]
 
 

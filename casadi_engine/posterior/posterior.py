@@ -71,10 +71,10 @@ def posterior(
 
     Notes
     -----
-    Initial states are integrated out: their prior is normal, ten times their scale wide, so that it is flat beside what
-    a record tells of them. For linear models on complete records the integral is exact, and chi-squared is computed
-    in the frequency bins in which the parameters act; all others enter when the draws are there. For other models it is
-    that of a normal density about the best initial states (Laplace).
+    Initial states are integrated out: their prior is flat in what they do to the outputs, whatever the states' units,
+    and for the evidence as wide as one sample tells (Kass & Wasserman 1995). For linear models on complete records the
+    integral is exact, and chi-squared is computed in the frequency bins in which the parameters act; all others enter
+    when the draws are there. For other models it is that of a normal density about the best initial states (Laplace).
 
     Importance sampling draws from a mixture of t-distributions at the optima, which learns from its draws (Cappe et al.
     2008), and is trusted if Pareto k-hat is at most 0.7 and the draws are worth 400 independent ones. An ensemble starts
@@ -131,13 +131,15 @@ def _drawn(
     tell: Callable[[str], Any],
 ) -> Drawn:
     """Draws by the method that is asked for, or by the first that can be trusted."""
-    why = "the searches ended at many optima"
+    why, known = "the searches ended at many optima", None
     if method == "importance" or (method == "auto" and not modes.rugged):
         tell("importance sampling")
         found = importance.sample(target.log_density, modes.mixture(), random)
         if found.trusted:
             return weighed(found, count, random)
-        why = f"Pareto k-hat {found.shape:.2g}, worth {found.size:.0f} independent draws"
+        known = found.proposal
+        worth = min(found.size, float(found.tail.min()))
+        why = f"importance sampling: Pareto k-hat {found.shape:.2g}, worth {worth:.0f} independent draws"
         if method == "importance":
             raise UntrustedPosteriorError(
                 "importance sampling does not describe this posterior",
@@ -149,7 +151,7 @@ def _drawn(
     tell("ensemble")
     starts = [dispersed(target, modes, random) for _ in range(2)]
     chains = ensemble.walk(
-        target.log_density, starts, random, most=most, progress=lambda *_: tell("ensemble") and False
+        target.log_density, starts, random, most=most, known=known, progress=lambda *_: tell("ensemble") and False
     )
     if not chains.trusted:
         worst = int(np.argmax(chains.rhat))

@@ -1,8 +1,10 @@
 """The likelihood of linear models on complete records, the initial states integrated out, by few frequency bins.
 
-Initial states enter linearly: with a flat prior their integral is the least sum of squares over them and the
-determinant of their information. In the frequency domain (``estimation.spectral``) they are t = x_0 + x_N, which is
-(1 + F^N) x_0 and what the drives add.
+Initial states enter linearly. Their prior is flat in what they do to the outputs (in orthonormal directions of these),
+so that nothing depends on whether a state is a twist or a torque: a flat prior of twists alone would prefer stiff
+shafts by orders of magnitude, as a stiff shaft leaves less room for them. Its width is that of one sample (unit
+information: Kass & Wasserman 1995). The integral is then the least sum of squares over the initial states, times what
+does not depend on the parameters.
 
 An engine's torque acts at its harmonics: most bins hold noise alone. Those in which the parameters act are chosen once
 by their share of the information, not by what was measured there, so that the likelihood of the chosen bins is one of
@@ -25,8 +27,6 @@ from casadi_engine.simulation.discretisation import Discretisation
 
 Array = NDArray[np.float64]
 
-# Standard deviation of the prior of an initial state, in multiples of the state's scale.
-REACH = 10.0
 # Share of the information in any direction that the bins that are left out may hold, and shares of bins to try.
 LEFT_OUT = 0.02
 # Growth of a state over a record from which its start says nothing.
@@ -35,7 +35,7 @@ _TRIED = 2.0 ** -np.arange(8.0, -0.5, -0.5)
 
 
 class SpectralLikelihood:
-    """Log likelihood of records at parameters v (nv,) and noise levels (ny,), over the initial states' prior.
+    """Log likelihood of records at parameters v (nv,) and noise levels (ny,), the initial states integrated out.
 
     bins : used and all
     """
@@ -47,6 +47,7 @@ class SpectralLikelihood:
         self._fixed = [not len(record.record.propagator.drives_active) for record in self._records]  # type: ignore[attr-defined]
         self._chosen: list[NDArray[np.intp] | None] = [None] * len(self._records)
         self._kept: dict[int, Bins] = {}
+        self._joint: dict[tuple[int, ...], Bins] = {}
         self._others = 0.0, 0.0, np.ones(1)  # of the bins left out: log likelihood, values of an output, levels
         self.outputs = len(self._records[0].sigma)
 
@@ -83,7 +84,8 @@ class SpectralLikelihood:
             part = [self._information([self._part(k, one, chosen[k]) for k, one in enumerate(own)]) for own in rows]
             if all(largest_share(w, p) <= left_out for w, p in zip(wholes, part, strict=True)):
                 break
-        self._chosen, self._kept, self._others = list(chosen), {}, (0.0, 0.0, sigma)
+        self._chosen, self._kept, self._joint = list(chosen), {}, {}
+        self._others = 0.0, 0.0, sigma
         count = sum(2 * (r.size - len(own)) for r, own in zip(self._records, chosen, strict=True))
         rest = self.full(points[0], sigma) - self.value(points[0], sigma)
         self._others = rest if np.isfinite(rest) else 0.0, float(count), sigma
@@ -160,26 +162,30 @@ class SpectralLikelihood:
         self, v: Array, discrete: Discretisation, members: list[int], sigma: Array, *, whole: bool
     ) -> float:
         own = [self._bins(k, v, whole=whole) for k in members]
-        joint = own[0] if len(own) == 1 else _joined(own)
+        joint = self._side_by_side(members, own, keep=not whole)
         model, ny = Transients(discrete, joint, sigma), len(sigma)
+        if not all(np.abs(model.poles).max(initial=0.0) ** bins.samples < _GROWTH for bins in own):
+            raise FloatingPointError("the states grow beyond what their start decides")
         total, at = 0.0, 0
         for bins in own:
             part = slice(at, at + len(bins.z))
             at = part.stop
             rows, rest = model.rows[:, :, part], model.rest[:, part].ravel()
-            squares, gram = least_squares(rows.reshape(len(rows), -1), rest)
-            total -= 0.5 * (squares + self._volume(model, gram, bins.samples))
+            total -= 0.5 * least_squares(rows.reshape(len(rows), -1), rest)
             total -= rest.size / ny * float(np.log(sigma).sum())
         return total
 
-    @staticmethod
-    def _volume(model: Transients, gram: Array, samples: int) -> float:
-        """Log determinant of what a record and the prior tell of its initial states."""
-        known = np.eye(len(gram)) + REACH**2 * (model.turn.T @ gram @ model.turn)
-        grown = model.poles**samples
-        if not np.abs(grown).max(initial=0.0) < _GROWTH:
-            raise FloatingPointError("the states grow beyond what their start decides")
-        return float(np.linalg.slogdet(known)[1] + 2 * np.log(np.abs(1 + grown)).sum())
+    def _side_by_side(self, members: list[int], own: list[Bins], *, keep: bool) -> Bins:
+        """The bins of several records, kept where they are the same for every v."""
+        if len(own) == 1:
+            return own[0]
+        key = tuple(members)
+        if keep and key in self._joint:
+            return self._joint[key]
+        joint = _joined(own)
+        if keep and all(self._fixed[k] for k in members):
+            self._joint[key] = joint
+        return joint
 
     # ---- slopes, for searches
 

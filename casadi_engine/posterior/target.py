@@ -83,6 +83,8 @@ class Target:
         self.start = np.clip(np.concatenate([self.coordinates.of(z), np.zeros(len(unknown))]), self.low, self.high)
         self.samples = sum(record.count for record in self.search.records)
         self._constant = -0.5 * self.samples * float(np.log(2 * np.pi))
+        # unit information for each initial state; see spectral_likelihood
+        self._constant -= 0.5 * sum(record.n * float(np.log1p(record.count)) for record in self.search.records)
         self._constant -= len(unknown) * float(np.log(2 * np.log(LEVELS)))
         self.likelihood = _likelihood(fit, self.search, self.start[: self.nv])
         self.evaluations = 0
