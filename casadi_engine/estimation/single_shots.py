@@ -66,7 +66,7 @@ class SingleShots:
             ]
         )
         self.lower, self.upper = self._search.lower[own], self._search.upper[own]
-        self.states = tuple(state.name for state in model.states)
+        self.states = tuple(state.name for state in search.model.states)
         self._sigma = dict.fromkeys(self._search.records[0].outputs, 1.0)
         self.places: dict[Place, slice] = {}
         self.index: dict[Place, NDArray[np.intp]] = {}

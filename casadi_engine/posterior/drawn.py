@@ -19,7 +19,8 @@ class Drawn:
     """Draws u (n, d) with their log densities (n,).
 
     method : "importance" or "ensemble", and why; log_evidence, error : with its standard error
-    rhat : (d,) or None; chains : (m, t, d) of an ensemble, before what was left out had its say; bulk, tail : (d,) effective sample sizes of all that was drawn; shape : Pareto k-hat or None
+    rhat : (d,) or None; bulk, tail : (d,) effective sample sizes of all that was drawn; shape : Pareto k-hat or None
+    chains : (m, t, d) of an ensemble, before what was left out had its say, or None
     """
 
     u: Array
@@ -45,15 +46,19 @@ class Drawn:
         chosen = index[np.minimum(np.searchsorted(np.cumsum(weight), places), len(index) - 1)]
         share = kish(weight) / len(weight)
         return replace(
-            self, u=self.u[chosen], density=self.density[chosen], bulk=share * self.bulk, tail=share * self.tail
+            self,
+            u=self.u[chosen],
+            density=self.density[chosen],
+            bulk=share * self.bulk,
+            tail=share * self.tail,
         )
 
 
-def weighed(found: Weighted, count: int, random: np.random.Generator) -> Drawn:
+def weighed(found: Weighted, why: str, count: int, random: np.random.Generator) -> Drawn:
     """From weighted draws."""
     index = found.resampled(count, random)
     return Drawn(
-        found.x[index], found.density[index], "importance", "few smooth optima", found.log_evidence, found.error,
+        found.x[index], found.density[index], "importance", why, found.log_evidence, found.error,
         None, np.full(found.x.shape[1], found.size), found.tail, found.shape,
     )  # fmt: skip
 
@@ -64,6 +69,14 @@ def thinned(chains: Chains, evidence: tuple[float, float], count: int, why: str)
     height = chains.density.T.reshape(-1)
     index = np.unique(np.linspace(0, len(flat) - 1, min(count, len(flat))).round().astype(int))
     return Drawn(
-        flat[index], height[index], "ensemble", why, *evidence, chains.rhat, chains.bulk, chains.tail, None,
+        flat[index],
+        height[index],
+        "ensemble",
+        why,
+        *evidence,
+        chains.rhat,
+        chains.bulk,
+        chains.tail,
+        None,
         chains.x,
     )

@@ -19,16 +19,17 @@ from casadi_engine.posterior.mixture import Mixture, around
 
 Array = NDArray[np.float64]
 LogDensity = Callable[[Array], Array]
-# (steps so far, evaluations so far, largest R-hat, smallest effective size) -> True to end
+# (steps so far, evaluations so far, largest R-hat, smallest effective size)
 Progress = Callable[[int, int, float, float], Any]
 
 # What chains have to be: their disagreement, and the draws they are worth; sampling goes on until the first is reached
 # or the evaluations are spent, and the second is still accepted then.
 GOAL, LARGEST, FEWEST = 1.01, 1.02, 400.0
 # Steps between two looks; looks at the beginning, after which lost walkers are set beside the others.
-BLOCK, EARLY = 100, 4
-# Components of the mixture that is proposed from, and the share of the steps that is.
-COMPONENTS, WHOLE = 12, 0.5
+BLOCK, EARLY = 100, 3
+# Components of the mixture that is proposed from, and the share of the steps that is. Walkers' draws go together: more
+# components would be fitted to single walkers.
+COMPONENTS, WHOLE = 4, 0.5
 # A walker so far below the best one, beside the half chi-squared of the dimensions, is lost.
 LOST = 12.0
 
@@ -79,44 +80,60 @@ def emcee() -> Any:
     return package
 
 
-def walk(
-    density: LogDensity,
-    starts: list[Array],
-    random: np.random.Generator,
-    *,
-    most: int,
-    known: Mixture | None = None,
-    progress: Progress | None = None,
-) -> Chains:
-    """Walk from ``starts``, one (w, d) for each ensemble, until the walkers agree or ``most`` evaluations are spent.
+@dataclass(frozen=True)
+class Explored:
+    """Where walkers have been before draws are kept.
+
+    states : (w, d) of each ensemble, where they are; proposal : a mixture fitted to the later ones
+    steps : of each walker
+    """
+
+    states: list[Array]
+    proposal: Mixture
+    steps: int
+
+
+def explore(
+    density: LogDensity, starts: list[Array], random: np.random.Generator, known: Mixture | None = None
+) -> Explored:
+    """Walk from ``starts``, one (w, d) for each ensemble, and forget it but for where the walkers came to.
 
     known : a proposal that was fitted to the density before
     """
     states: list[Any] = list(starts)
-    walkers, taken, found = sum(len(start) for start in starts), 0, None
-    proposal = known
-    for look in range(EARLY + 1):
-        samplers = [_sampler(density, start, random, proposal) for start in starts]
+    proposal, been = known, []
+    for _ in range(EARLY):
+        samplers = [_sampler(density, state, random, proposal) for state in states]
         for k, sampler in enumerate(samplers):
-            states[k] = sampler.run_mcmc(states[k], BLOCK, skip_initial_state_check=True)
-            if look < EARLY:
-                states[k] = _gathered(states[k], random)
-        taken += BLOCK
-        if 0 < look < EARLY:
-            been = np.concatenate([s.get_chain(flat=True, discard=BLOCK // 2) for s in samplers])
-            proposal = around(been, COMPONENTS, random).guarded()
-            proposal = proposal if known is None else proposal.beside(known)
-    for sampler in samplers:  # what was gathered on the way is forgotten
-        sampler.reset()
+            end = sampler.run_mcmc(states[k], BLOCK, skip_initial_state_check=True)
+            states[k] = _gathered(end, random)
+        been += [sampler.get_chain(flat=True, discard=BLOCK // 2) for sampler in samplers]
+        proposal = around(np.concatenate(been[len(been) // 3 :]), COMPONENTS, random).guarded()
+        proposal = proposal if known is None else proposal.beside(known)
+    assert proposal is not None
+    return Explored(states, proposal, EARLY * BLOCK)
+
+
+def walk(
+    density: LogDensity,
+    explored: Explored,
+    random: np.random.Generator,
+    *,
+    most: int,
+    progress: Progress | None = None,
+) -> Chains:
+    """Draw until the walkers agree, or so many evaluations are spent."""
+    samplers = [_sampler(density, state, random, explored.proposal) for state in explored.states]
+    states: list[Any] = list(explored.states)
+    walkers, taken, found = sum(len(state) for state in states), explored.steps, None
     while found is None or (taken + BLOCK) * walkers <= most:
         for k, sampler in enumerate(samplers):
             states[k] = sampler.run_mcmc(states[k], BLOCK, skip_initial_state_check=True)
         taken += BLOCK
         found = _looked_at(samplers, taken, walkers)
-        ended = progress is not None and progress(
-            taken, found.evaluations, float(found.rhat.max()), found.size
-        )
-        if ended or (found.rhat.max() <= GOAL and found.size >= FEWEST):
+        if progress is not None:
+            progress(taken, found.evaluations, float(found.rhat.max()), found.size)
+        if found.rhat.max() <= GOAL and found.size >= FEWEST:
             break
     return found
 
@@ -134,7 +151,7 @@ def _sampler(density: LogDensity, start: Array, random: np.random.Generator, pro
         chosen = [(move, (1 - WHOLE) * share) for move, share in chosen]
         chosen.append((moves.MHMove(propose), WHOLE))
     sampler = emcee().EnsembleSampler(*start.shape, density, moves=chosen, vectorize=True)
-    legacy = np.random.RandomState(int(random.integers(2**31)))  # noqa: NPY002 - emcee keeps its generator so
+    legacy = np.random.RandomState(int(random.integers(2**31)))
     sampler.random_state = legacy.get_state()
     return sampler
 
@@ -151,11 +168,11 @@ def _gathered(state: Any, random: np.random.Generator) -> Array:
 
 
 def _looked_at(samplers: list[Any], taken: int, walkers: int) -> Chains:
-    """The later half of what was kept, and what it is worth."""
+    """The later three quarters of what was kept, and what they are worth."""
     x = np.concatenate([sampler.get_chain().swapaxes(0, 1) for sampler in samplers])
     height = np.concatenate([sampler.get_log_prob().T for sampler in samplers])
-    half = x.shape[1] // 2
-    x, height = x[:, half:], height[:, half:]
+    first = x.shape[1] // 4
+    x, height = x[:, first:], height[:, first:]
     columns = [x[:, :, k] for k in range(x.shape[2])]
     accepted = float(np.mean([sampler.acceptance_fraction.mean() for sampler in samplers]))
     return Chains(

@@ -15,7 +15,9 @@ Array = NDArray[np.float64]
 LogDensity = Callable[[Array], Array]
 
 # Rounds in which the proposal learns, draws of each for a dimension, and draws of the last one in multiples of these.
-ROUNDS, EACH, LAST = 4, 100, 6
+ROUNDS, EACH, LAST = 8, 100, 6
+# Share of its draws that a proposal is worth when it has learnt enough.
+ENOUGH = 0.55
 # What weights have to be for their means to be trusted: the tail's shape, and the draws they are worth, those of the
 # outer shares of the probability too.
 LARGEST_SHAPE, FEWEST, TAIL = 0.7, 400.0, 0.05
@@ -44,6 +46,12 @@ class Weighted:
         """True if means of these draws can be trusted."""
         return self.shape <= LARGEST_SHAPE and min(self.size, self.tail.min()) >= FEWEST
 
+    @property
+    def words(self) -> str:
+        """How good they are."""
+        size = min(self.size, float(self.tail.min()))
+        return f"importance sampling: Pareto k-hat {self.shape:.2g}, worth {size:.0f} independent draws"
+
     def resampled(self, count: int, random: np.random.Generator) -> NDArray[np.intp]:
         """Numbers of ``count`` draws that weigh alike, in random order."""
         places = (np.arange(count) + random.random()) / count
@@ -65,7 +73,7 @@ def sample(density: LogDensity, start: Mixture, random: np.random.Generator) -> 
         if not np.isfinite(log_weight.max()):
             break
         weight = normalised(log_weight)
-        if shape <= 0.5 and kish(weight) > 0.7 * each:
+        if shape <= 0.5 and kish(weight) > ENOUGH * each:
             break
         proposal = proposal.fitted(x, weight, rounds=2)
     proposal = proposal.guarded()

@@ -30,7 +30,9 @@ class Mixture:
     def of(cls, share: Array, centre: Array, scale: Array) -> Mixture:
         """From scale matrices (k, d, d); shares need not sum to one."""
         share = np.asarray(share, dtype=float)
-        return cls(share / share.sum(), np.asarray(centre), np.linalg.cholesky(scale))
+        return cls(
+            share / share.sum(), np.asarray(centre), np.asarray(np.linalg.cholesky(scale), dtype=np.float64)
+        )
 
     def draw(self, count: int, random: np.random.Generator) -> Array:
         """(count, d) independent draws."""
@@ -73,7 +75,7 @@ class Mixture:
         )
 
     def fitted(self, x: Array, weight: Array, rounds: int = 1) -> Mixture:
-        """The mixture moved towards weighted draws x (n, d) by steps of expectation maximisation (Cappe et al. 2008)."""
+        """The mixture moved towards weighted draws x (n, d) by expectation maximisation (Cappe et al. 2008)."""
         found = self
         for _ in range(rounds):
             found = found._step(x, weight / weight.sum())

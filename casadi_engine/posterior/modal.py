@@ -65,7 +65,11 @@ class Transients:
         self.rest = np.ascontiguousarray(response.forced(bins)[0]).view(np.float64).reshape(ny, count, 2)
 
     def _rows(
-        self, z: NDArray[np.complex128], seen: NDArray[np.complex128], real: NDArray[np.intp], pair: NDArray[np.intp]
+        self,
+        z: NDArray[np.complex128],
+        seen: NDArray[np.complex128],
+        real: NDArray[np.intp],
+        pair: NDArray[np.intp],
     ) -> NDArray[np.complex128]:
         """(n, ny, K) responses to real coordinates of the modes: of pairs the real parts, then the imaginary ones."""
         first, last = len(real), len(real) + len(pair)

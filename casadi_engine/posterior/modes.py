@@ -39,15 +39,9 @@ class Modes:
     ended: NDArray[np.intp]
     searches: int
 
-    @property
-    def rugged(self) -> bool:
-        """True if there are more optima than the searches have told: many, or many that only one of them found."""
-        singles = int(np.sum((self.ended == 1) & (self.height > self.height[0] - 10)))
-        return len(self.at) > 8 or singles > max(2, self.searches // 8)
-
     def mixture(self) -> Mixture:
         """A proposal from the quadratics at the optima."""
-        scale = np.linalg.inv(self.information)
+        scale = np.asarray(np.linalg.inv(self.information), dtype=np.float64)
         mass = self.height + 0.5 * np.linalg.slogdet(scale)[1]
         share = np.exp(mass - mass.max())
         return Mixture.of(share / share.sum() + 0.3 / len(share), self.at, _WIDER * scale)
@@ -58,7 +52,7 @@ def find_modes(target: Target, fit: Fit, random: np.random.Generator, *, wide: i
     first = target.squares(target.start[: target.nv])
     if first is None or not _definite(first.matrix):
         return None
-    starts = _starts(target, fit, np.linalg.inv(first.matrix), random, wide)
+    starts = _starts(target, fit, inverse(first.matrix), random, wide)
     nv = target.nv
     low, high = target.low[:nv], target.high[:nv]
     found: list[tuple[Array, Array, float]] = []
@@ -73,7 +67,9 @@ def find_modes(target: Target, fit: Fit, random: np.random.Generator, *, wide: i
             continue
         found.append((end.x, end.squares.matrix, end.squares.cost))
         ended.append(1)
-    at = np.array([np.concatenate([x, target.start[nv:]]) for x, _, _ in found]).reshape(-1, len(target.start))
+    at = np.array([np.concatenate([x, target.start[nv:]]) for x, _, _ in found]).reshape(
+        -1, len(target.start)
+    )
     height = target.log_density(at)
     near = np.flatnonzero(height > height.max(initial=-np.inf) - _FAR)
     order = near[np.argsort(-height[near])]
@@ -81,6 +77,13 @@ def find_modes(target: Target, fit: Fit, random: np.random.Generator, *, wide: i
         return None
     information = np.array([target.information(found[k][1]) for k in order])
     return Modes(at[order], information, height[order], np.array(ended)[order], len(starts))
+
+
+def inverse(matrix: Array) -> Array:
+    """Of a symmetric matrix, by its scaled entries; directions without any information stay out of it."""
+    size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    scaled = np.linalg.pinv(matrix / np.outer(size, size), hermitian=True)
+    return np.asarray(scaled / np.outer(size, size), dtype=np.float64)
 
 
 def _definite(matrix: Array) -> bool:
@@ -107,7 +110,9 @@ def along(centre: Array, covariance: Array) -> list[Array]:
     ]
 
 
-def _starts(target: Target, fit: Fit, covariance: Array, random: np.random.Generator, wide: int) -> list[Array]:
+def _starts(
+    target: Target, fit: Fit, covariance: Array, random: np.random.Generator, wide: int
+) -> list[Array]:
     centre = target.start[: target.nv]
     known = []
     for optimum in fit.optima[1:]:
@@ -115,9 +120,7 @@ def _starts(target: Target, fit: Fit, covariance: Array, random: np.random.Gener
             known.append(target.coordinates.of(np.array([optimum.values[name] for name in target.free])))
     lines = along(centre, covariance) if wide else along(centre, covariance)[:2]
     factor = np.linalg.cholesky(covariance)
-    around = [
-        centre + WIDE[k % len(WIDE)] * factor @ random.standard_normal(target.nv) for k in range(wide)
-    ]
+    around = [centre + WIDE[k % len(WIDE)] * factor @ random.standard_normal(target.nv) for k in range(wide)]
     return [centre, *known, *lines, *around]
 
 

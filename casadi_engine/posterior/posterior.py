@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from casadi_engine.estimation.options import chosen, whole
 from casadi_engine.posterior import ensemble, importance
 from casadi_engine.posterior.bridge import bridge
 from casadi_engine.posterior.drawn import Drawn, thinned, weighed
-from casadi_engine.posterior.modes import Modes, along, find_modes, separate
+from casadi_engine.posterior.modes import Modes, along, find_modes, inverse, separate
 from casadi_engine.posterior.psis import log_mean, pareto_smoothed
 from casadi_engine.posterior.result import Posterior, made
 from casadi_engine.posterior.target import Target
@@ -26,7 +27,7 @@ METHODS = ("auto", "importance", "ensemble")
 # Shares of the information that may be left out of the likelihood that is drawn from, one tried after the other, and
 # the scatter of what is left out above which the next one is.
 LEFT_OUT, SCATTER = (0.05, 0.01, 0.0), 0.7
-# Draws at which nothing is left out, for the evidence and to see what it does; its scatter that the draws' weights follow.
+# Draws at which nothing is left out, for the evidence and to see what it does; scatter that the draws' weights follow.
 LOOKED_AT, FELT = 200, 0.1
 # Searches for other optima that start around the fit's, for each dimension; where an evaluation is a simulation, none.
 WIDE = 2
@@ -52,8 +53,8 @@ def posterior(
         the logarithm of a parameter whose lower bound is positive, else in its value; a normal prior of the set is
         taken as it is; ties and constraints hold. A noise level that was estimated is flat in its logarithm
     draws : number of draws that the result keeps
-    method : "importance" for few smooth optima, "ensemble" for many (extra "bayes"); "auto" takes the first where its
-        weights can be trusted
+    method : "importance" for few smooth optima, "ensemble" for walkers (extra "bayes"); "auto" takes the first that can
+        be trusted
     seed : of the random numbers; the same seed gives the same draws
     evaluations : of the likelihood by an ensemble, at most
     progress : None, or a function of (what is done, evaluations so far)
@@ -77,9 +78,11 @@ def posterior(
     when the draws are there. For other models it is that of a normal density about the best initial states (Laplace).
 
     Importance sampling draws from a mixture of t-distributions at the optima, which learns from its draws (Cappe et al.
-    2008), and is trusted if Pareto k-hat is at most 0.7 and the draws are worth 400 independent ones. An ensemble starts
-    from the optima and along the direction that the data tell least of, and is trusted if the rank-normalised split
-    R-hat of every walker's draws is at most 1.02 and they are worth 400 in the middle and in the tails.
+    2008), and is trusted if Pareto k-hat is at most 0.7 and the draws are worth 400 independent ones, in their tails
+    too. Where it is not, two ensembles of walkers start from the optima and along the directions that the data tell
+    least of, and importance sampling goes on from where they have been. If that is not to be trusted either, the
+    ensembles themselves draw until the rank-normalised split R-hat of every walker's draws is at most 1.02 and they are
+    worth 400 in the middle and in the tails.
 
     Examples
     --------
@@ -104,20 +107,20 @@ def posterior(
     first = target.squares(target.start[: target.nv])
     if first is None:
         raise _improper("the slopes at the optimum are not finite")
-    weak = along(target.start[: target.nv], np.linalg.pinv(first.matrix, hermitian=True))
-    for left_out in LEFT_OUT:
+    weak = along(target.start[: target.nv], inverse(first.matrix))
+    scatter, left = np.inf, list(LEFT_OUT)
+    while scatter > SCATTER:
         random = np.random.default_rng(seed)
-        target.choose([target.start[: target.nv], *weak[:2]], left_out)
+        target.choose([target.start[: target.nv], *weak[:2]], left.pop(0))
         tell("looking for optima")
         slow = target.likelihood.bins is None
-        modes = find_modes(target, fit, random, wide=0 if slow else WIDE * len(target.names) + 4)
-        if modes is None:
+        found = find_modes(target, fit, random, wide=0 if slow else WIDE * len(target.names) + 4)
+        if found is None:
             raise _improper("the optimum's information matrix is singular")
+        modes = found
         drawn = _drawn(target, modes, method, random, count, most, tell)
         tell("looking at all data")
         drawn, scatter = _with_all_data(target, drawn, random)
-        if scatter < SCATTER:
-            break
     return made(fit, target, modes, separate(modes, target), drawn, seed, time.process_time() - begun)
 
 
@@ -131,15 +134,13 @@ def _drawn(
     tell: Callable[[str], Any],
 ) -> Drawn:
     """Draws by the method that is asked for, or by the first that can be trusted."""
-    why, known = "the searches ended at many optima", None
-    if method == "importance" or (method == "auto" and not modes.rugged):
+    known, why = None, "asked for"
+    if method != "ensemble":
         tell("importance sampling")
         found = importance.sample(target.log_density, modes.mixture(), random)
         if found.trusted:
-            return weighed(found, count, random)
-        known = found.proposal
-        worth = min(found.size, float(found.tail.min()))
-        why = f"importance sampling: Pareto k-hat {found.shape:.2g}, worth {worth:.0f} independent draws"
+            return weighed(found, "few smooth optima", count, random)
+        known, why = found.proposal, found.words
         if method == "importance":
             raise UntrustedPosteriorError(
                 "importance sampling does not describe this posterior",
@@ -150,9 +151,22 @@ def _drawn(
     ensemble.emcee()
     tell("ensemble")
     starts = [dispersed(target, modes, random) for _ in range(2)]
-    chains = ensemble.walk(
-        target.log_density, starts, random, most=most, known=known, progress=lambda *_: tell("ensemble") and False
-    )
+    explored = ensemble.explore(target.log_density, starts, random, known)
+    if method == "auto":
+        tell("importance sampling where the walkers have been")
+        found = importance.sample(target.log_density, explored.proposal, random)
+        if found.trusted:
+            return weighed(found, "from where an ensemble of walkers has been", count, random)
+        explored = replace(explored, proposal=found.proposal)
+        tell("ensemble")
+    return _by_walking(target, explored, random, count, most, why)
+
+
+def _by_walking(
+    target: Target, explored: ensemble.Explored, random: np.random.Generator, count: int, most: int, why: str
+) -> Drawn:
+    """Draws of an ensemble; raises UntrustedPosteriorError where its walkers do not agree."""
+    chains = ensemble.walk(target.log_density, explored, random, most=most)
     if not chains.trusted:
         worst = int(np.argmax(chains.rhat))
         raise UntrustedPosteriorError(
@@ -162,7 +176,6 @@ def _drawn(
             allowed=f"R-hat up to {ensemble.LARGEST:g}, and {ensemble.FEWEST:.0f} draws",
             cure=f"give more, evaluations={4 * most}, or narrower bounds or priors for what the data tell little of",
         )
-    tell("evidence")
     evidence = bridge(target.log_density, chains.x, chains.density, chains.size, random)
     return thinned(chains, evidence, count, why)
 
@@ -229,7 +242,10 @@ def _check(fit: Any) -> None:
     """Raise PosteriorError for what has no posterior here."""
     if not isinstance(fit, Fit):
         raise PosteriorError(
-            "a posterior needs a fit", seen=type(fit).__name__, allowed="a Fit", cure="give what ce.estimate returned"
+            "a posterior needs a fit",
+            seen=type(fit).__name__,
+            allowed="a Fit",
+            cure="give what ce.estimate returned",
         )
     if not fit.converged or not fit.free:
         raise PosteriorError(

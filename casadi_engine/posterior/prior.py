@@ -85,7 +85,11 @@ class Prior:
         """Density of one parameter at values in its unit, in its coordinate (v), without that of the tied ones."""
         if self._normal[k]:
             mean, sigma = self._mean[k], self._sigma[k]
-            slope = np.abs(values) if self._coordinates.log[k] else np.full_like(values, self._coordinates.scale[k])
+            slope = (
+                np.abs(values)
+                if self._coordinates.log[k]
+                else np.full_like(values, self._coordinates.scale[k])
+            )
             return np.asarray(
                 np.exp(-0.5 * ((values - mean) / sigma) ** 2) / (sigma * np.sqrt(2 * np.pi)) * slope
             )

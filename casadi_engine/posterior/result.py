@@ -99,7 +99,10 @@ class Posterior:
         number = isinstance(level, int | float | np.floating) and not isinstance(level, bool)
         if not number or not 0 < level < 1:
             raise PosteriorError(
-                "invalid `level`", seen=repr(level), allowed="a number between 0 and 1", cure="leave it out for 0.95"
+                "invalid `level`",
+                seen=repr(level),
+                allowed="a number between 0 and 1",
+                cure="leave it out for 0.95",
             )
         low, high = np.quantile(self[name], [(1 - level) / 2, (1 + level) / 2])
         return float(low), float(high)
@@ -183,26 +186,44 @@ def made(
         )
         for top, share, group in zip(tops, mass, groups, strict=True)
     ]
-    by_name = [
-        {} if part is None else dict(zip(names, np.asarray(part, dtype=float).tolist(), strict=True))
-        for part in (drawn.rhat, drawn.bulk, drawn.tail)
-    ]
-    words = target.prior.words | {
-        name: "flat in the logarithm, a factor 1000 about the fit's" for name in names[target.nv :]
-    }
+
+    def by_name(part: Array | None) -> dict[str, float]:
+        return {} if part is None else dict(zip(names, part.tolist(), strict=True))
+
+    levels = dict.fromkeys(names[target.nv :], "flat in the logarithm, a factor 1000 about the fit's")
     chains = None
     if drawn.chains is not None:
         m, t, d = drawn.chains.shape
         chains = target.values(drawn.chains.reshape(m * t, d)).reshape(m, t, d).transpose(2, 0, 1)
     return Posterior(
-        fit, names, target.units, values, drawn.density, drawn.method, drawn.why, tuple(found), modes.searches,
-        drawn.log_evidence, drawn.error, *by_name, drawn.shape, words, target.prior, target.evaluations,
-        target.likelihood.bins, seconds, seed, chains,
-    )  # fmt: skip
+        fit=fit,
+        names=names,
+        units=target.units,
+        values=values,
+        log_density=drawn.density,
+        method=drawn.method,
+        why=drawn.why,
+        modes=tuple(found),
+        searches=modes.searches,
+        log_evidence=drawn.log_evidence,
+        log_evidence_error=drawn.error,
+        rhat=by_name(drawn.rhat),
+        bulk=by_name(drawn.bulk),
+        tail=by_name(drawn.tail),
+        shape=drawn.shape,
+        priors=target.prior.words | levels,
+        prior=target.prior,
+        evaluations=target.evaluations,
+        bins=target.likelihood.bins,
+        seconds=seconds,
+        seed=seed,
+        chains=chains,
+    )
 
 
 def _masses(modes: Modes, groups: list[list[int]], u: Array) -> Array:
     """Shares of the draws that belong to each group of optima, by the quadratics at these."""
-    parts = Mixture.of(np.ones(len(modes.at)), modes.at, np.linalg.inv(modes.information)).parts(u)
+    scale = np.asarray(np.linalg.inv(modes.information), dtype=np.float64)
+    parts = Mixture.of(np.ones(len(modes.at)), modes.at, scale).parts(u)
     owner = np.argmax(parts, axis=0)
     return np.array([np.isin(owner, group).mean() for group in groups])

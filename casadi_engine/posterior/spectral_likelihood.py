@@ -14,6 +14,7 @@ its own. The others wait for the last draws (``full``).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from casadi_engine.estimation.spectral import Bins, Response, SpectralRecord
 from casadi_engine.estimation.spectral_search import largest_share
 from casadi_engine.posterior.modal import Transients, least_squares
 from casadi_engine.simulation.discretisation import Discretisation
+from casadi_engine.simulation.linear import LinearPropagator
 
 Array = NDArray[np.float64]
 
@@ -44,11 +46,15 @@ class SpectralLikelihood:
         """size : nv, of the vector of parameters."""
         self._records = [SpectralRecord(record) for record in records]
         self._size = size
-        self._fixed = [not len(record.record.propagator.drives_active) for record in self._records]  # type: ignore[attr-defined]
+        self._fixed = [not len(_linear(record.record).drives_active) for record in self._records]
         self._chosen: list[NDArray[np.intp] | None] = [None] * len(self._records)
         self._kept: dict[int, Bins] = {}
         self._joint: dict[tuple[int, ...], Bins] = {}
-        self._others = 0.0, 0.0, np.ones(1)  # of the bins left out: log likelihood, values of an output, levels
+        self._others = (
+            0.0,
+            0.0,
+            np.ones(1),
+        )  # of the bins left out: log likelihood, values of an output, levels
         self.outputs = len(self._records[0].sigma)
 
     @property
@@ -81,7 +87,9 @@ class SpectralLikelihood:
         for share in _TRIED:
             limit = order[max(int(share * len(order)) - 1, 0)]
             chosen = [np.flatnonzero(score >= limit) for score in scores]
-            part = [self._information([self._part(k, one, chosen[k]) for k, one in enumerate(own)]) for own in rows]
+            part = [
+                self._information([self._part(one, chosen[k]) for k, one in enumerate(own)]) for own in rows
+            ]
             if all(largest_share(w, p) <= left_out for w, p in zip(wholes, part, strict=True)):
                 break
         self._chosen, self._kept, self._joint = list(chosen), {}, {}
@@ -96,7 +104,7 @@ class SpectralLikelihood:
         record.sigma = sigma
         return record.columns(v, record.below(np.inf))[0][1:]
 
-    def _part(self, k: int, jacobian: Array, chosen: NDArray[np.intp]) -> Array:
+    def _part(self, jacobian: Array, chosen: NDArray[np.intp]) -> Array:
         """The same in some of the bins. Transients are projected out of these alone when it comes to the likelihood;
         what that costs beyond is less than what the bins lack."""
         return jacobian.reshape(len(jacobian), self.outputs, -1, 2)[:, :, chosen].reshape(len(jacobian), -1)
@@ -135,7 +143,7 @@ class SpectralLikelihood:
         """Records whose discrete matrices are the same."""
         found: dict[int, tuple[Discretisation, list[int]]] = {}
         for k, record in enumerate(self._records):
-            discrete = record.record.propagator.discretisation(v[record.record.active], 0)  # type: ignore[attr-defined]
+            discrete = _linear(record.record).discretisation(v[record.record.active], 0)
             found.setdefault(id(discrete), (discrete, []))[1].append(k)
         return found
 
@@ -207,7 +215,7 @@ class SpectralLikelihood:
     def _gram(self, k: int, v: Array, sigma: Array) -> Array:
         record, chosen = self._records[k].record, self._chosen[k]
         z = v[record.active]
-        discrete = record.propagator.discretisation(z, 1)  # type: ignore[attr-defined]
+        discrete = _linear(record).discretisation(z, 1)
         bins = self._records[k].bins(z, self._records[k].below(np.inf))
         if chosen is not None:
             bins = Bins(
@@ -217,9 +225,13 @@ class SpectralLikelihood:
         response = Response(discrete, bins, sigma)
         forced, free = response.forced(bins), response.free
         jump = free.best(forced[0].reshape(-1).view(np.float64))
-        flat = response.columns(bins, forced, jump, record.propagator.drives_active)  # type: ignore[attr-defined]
+        flat = response.columns(bins, forced, jump, _linear(record).drives_active)
         flat -= (flat @ free.rows.T) @ free.rows
         return np.asarray(flat @ flat.T)
+
+
+def _linear(record: RecordTerm) -> LinearPropagator:
+    return cast(LinearPropagator, record.propagator)
 
 
 def _joined(parts: list[Bins]) -> Bins:

@@ -22,7 +22,7 @@ def table(post: Posterior) -> str:
     for name, unit in zip(post.names, post.units, strict=True):
         own = post[name]
         ends = [post.interval(name, level / 100) for level in _LEVELS]
-        digits = _digits(float(np.median(own)), ends[-1])
+        digits = _digits(ends[-1])
         row = [name, _number(float(np.median(own)), digits)]
         row += [f"{_number(low, digits)} .. {_number(high, digits)}" for low, high in ends]
         row.append(unit)
@@ -39,7 +39,7 @@ def table(post: Posterior) -> str:
     )
 
 
-def _digits(middle: float, ends: tuple[float, float]) -> int:
+def _digits(ends: tuple[float, float]) -> int:
     """Digits after the point that show two of the interval's width; negative ones are zeros before it."""
     width = ends[1] - ends[0]
     if not width > 0:
@@ -91,14 +91,18 @@ def _priors(post: Posterior) -> str:
     kinds: dict[str, list[str]] = {}
     for name, words in post.priors.items():
         kind = words.split(",")[0]
-        kinds.setdefault("given, normal" if kind == "normal" else kind + " between the bounds", []).append(name)
+        kinds.setdefault("given, normal" if kind == "normal" else kind + " between the bounds", []).append(
+            name
+        )
     return "; ".join(f"{kind}: {', '.join(names)}" for kind, names in kinds.items())
 
 
 def _quality(post: Posterior) -> str:
     size = min([*post.bulk.values(), *post.tail.values()])
-    seen = f"Pareto k-hat {post.shape:.2f}" if post.shape is not None else f"R-hat {max(post.rhat.values()):.3f} at most"
-    where = "" if post.bins is None else f", in {post.bins[0]} of {post.bins[1]} frequency bins and then in all"
+    seen = f"R-hat {max(post.rhat.values()):.3f} at most" if post.rhat else f"Pareto k-hat {post.shape:.2f}"
+    where = (
+        "" if post.bins is None else f", in {post.bins[0]} of {post.bins[1]} frequency bins and then in all"
+    )
     return (
         f"quality: {seen}, worth {size:.0f} independent draws; {post.evaluations} evaluations{where}, "
         f"{post.seconds:.1f} s"

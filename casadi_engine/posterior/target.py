@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,7 +57,7 @@ class Target:
     """
 
     def __init__(self, fit: Fit) -> None:
-        levels = {name: sigma for name, (sigma, _) in fit.noise.items()}
+        levels: dict[str, Any] = {name: sigma for name, (sigma, _) in fit.noise.items()}
         method = str(fit.options.get("method", "exact"))
         self.search = evaluator(fit.model, fit.data, fit.parameters.copy(), Noise(**levels), method=method)
         self.coordinates: Coordinates = self.search.coordinates
@@ -80,11 +80,16 @@ class Target:
             np.concatenate([self.prior.high, reach]),
         )
         z = np.array([fit.values[name] for name in pmap.free])
-        self.start = np.clip(np.concatenate([self.coordinates.of(z), np.zeros(len(unknown))]), self.low, self.high)
+        self.start = np.clip(
+            np.concatenate([self.coordinates.of(z), np.zeros(len(unknown))]), self.low, self.high
+        )
         self.samples = sum(record.count for record in self.search.records)
         self._constant = -0.5 * self.samples * float(np.log(2 * np.pi))
         # unit information for each initial state; see spectral_likelihood
-        self._constant -= 0.5 * sum(record.n * float(np.log1p(record.count)) for record in self.search.records)
+        self._constant -= 0.5 * sum(
+            record.n * float(np.log1p(record.count)) for record in self.search.records
+        )
+        self._states = sum(record.n for record in self.search.records) / len(self._outputs)
         self._constant -= len(unknown) * float(np.log(2 * np.log(LEVELS)))
         self.likelihood = _likelihood(fit, self.search, self.start[: self.nv])
         self.evaluations = 0
@@ -108,7 +113,9 @@ class Target:
             return -np.inf
         self.evaluations += 1
         evaluate = self.likelihood.full if whole else self.likelihood.value
-        return prior + evaluate(v, self.sigma(u)) + self._constant
+        # what the initial states take of the samples does not tell of the noise
+        taken = self._states * float(u[self.nv :].sum())
+        return prior + evaluate(v, self.sigma(u)) + taken + self._constant
 
     def sigma(self, u: Array) -> Array:
         """(ny,) noise levels at u (d,)."""
@@ -148,10 +155,10 @@ class Target:
 def _likelihood(fit: Fit, search: Search, v: Array) -> Likelihood:
     if no_spectrum(search) is None and not _held(fit).any():
         return SpectralLikelihood(search.records, len(v))
-    first = {
-        record.experiment.name: np.array([one.value for one in fit.initial[record.experiment.name].values()]) / record.scale
-        for record in search.records
-    }
+    first = {}
+    for record in search.records:
+        states = fit.initial[record.experiment.name].values()
+        first[record.experiment.name] = np.array([one.value for one in states]) / record.scale
     held = {name: np.array([one.fixed for one in fit.initial[name].values()]) for name in first}
     return LaplaceLikelihood(SingleShots.over(search), first, v, held)
 
