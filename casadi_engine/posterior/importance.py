@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from casadi_engine.posterior.mixture import Mixture
 from casadi_engine.posterior.psis import kish, log_mean, normalised, pareto_smoothed
@@ -14,8 +15,9 @@ from casadi_engine.posterior.psis import kish, log_mean, normalised, pareto_smoo
 Array = NDArray[np.float64]
 LogDensity = Callable[[Array], Array]
 
-# Rounds in which the proposal learns, draws of each for a dimension, and draws of the last one in multiples of these.
-ROUNDS, EACH, LAST = 8, 100, 6
+# Rounds in which the proposal learns, draws of each for a dimension, draws of the last one in multiples of these, and
+# trials of a last one, the second of which has twice as many.
+ROUNDS, EACH, LAST, TRIALS = 6, 100, 6, 2
 # Share of its draws that a proposal is worth when it has learnt enough.
 ENOUGH = 0.55
 # What weights have to be for their means to be trusted: the tail's shape, and the draws they are worth, those of the
@@ -60,33 +62,63 @@ class Weighted:
 
 
 def sample(density: LogDensity, start: Mixture, random: np.random.Generator) -> Weighted:
-    """Draws from a mixture that starts from the modes and learns from its own draws.
+    """Draws from a mixture that starts from the modes and learns from all its draws.
 
-    The last round's proposal does not depend on its draws, so that its evidence has no bias.
+    The proposal of the last ones does not depend on them, so that their evidence has no bias.
     """
     d = start.centre.shape[1]
-    each, proposal = EACH * max(d, 3), start
+    each, learnt, proposal = EACH * max(d, 3), _Learnt(), start
     for _ in range(ROUNDS):
         wide = proposal.guarded()
         x = wide.draw(each, random)
-        log_weight, shape = pareto_smoothed(density(x) - wide.log_density(x))
-        if not np.isfinite(log_weight.max()):
+        share, shape = learnt.add(x, density(x), wide)
+        if shape <= 0.5 and share > ENOUGH:
             break
-        weight = normalised(log_weight)
-        if shape <= 0.5 and kish(weight) > ENOUGH * each:
+        proposal = learnt.refitted(proposal)
+    for trial in range(1, TRIALS + 1):
+        wide = proposal.guarded()
+        x = wide.draw(trial * LAST * each, random)
+        found = _weigh(x, density(x), wide)
+        if found.trusted or found.size < FEWEST / 4:
             break
-        proposal = proposal.fitted(x, weight, rounds=2)
-    proposal = proposal.guarded()
-    x = proposal.draw(LAST * each, random)
-    at = density(x)
-    smooth, shape = pareto_smoothed(at - proposal.log_density(x))
+        learnt.add(x, found.density, wide)
+        proposal = learnt.refitted(proposal)
+    return found
+
+
+class _Learnt:
+    """All draws so far, weighed by the mixture of all proposals that they came from (Cornuet et al. 2012)."""
+
+    def __init__(self) -> None:
+        self._x: list[Array] = []
+        self._density: list[Array] = []
+        self._proposals: list[Mixture] = []
+
+    def add(self, x: Array, density: Array, proposal: Mixture) -> tuple[float, float]:
+        """Take draws in; the share of them that they are worth by themselves, and k-hat."""
+        self._x.append(x)
+        self._density.append(density)
+        self._proposals.append(proposal)
+        smooth, shape = pareto_smoothed(density - proposal.log_density(x))
+        return (kish(normalised(smooth)) / len(x) if np.isfinite(smooth.max()) else 0.0), shape
+
+    def refitted(self, proposal: Mixture) -> Mixture:
+        """The proposal moved towards all draws."""
+        x, count = np.concatenate(self._x), np.array([len(own) for own in self._x], dtype=float)
+        parts = [np.log(n) + own.log_density(x) for n, own in zip(count, self._proposals, strict=True)]
+        smooth, _ = pareto_smoothed(np.concatenate(self._density) - logsumexp(parts, axis=0))
+        return proposal.fitted(x, normalised(smooth), rounds=3) if np.isfinite(smooth.max()) else proposal
+
+
+def _weigh(x: Array, density: Array, proposal: Mixture) -> Weighted:
+    smooth, shape = pareto_smoothed(density - proposal.log_density(x))
     if not np.isfinite(smooth.max()):
         nothing = np.full(len(x), 1 / len(x))
-        return Weighted(x, at, nothing, proposal, -np.inf, np.inf, np.inf, 0.0, np.zeros(d))
+        return Weighted(x, density, nothing, proposal, -np.inf, np.inf, np.inf, 0.0, np.zeros(x.shape[1]))
     weight = normalised(smooth)
     size = kish(weight)
     error = float(np.sqrt(max(1 / size - 1 / len(x), 1e-300)))
-    return Weighted(x, at, weight, proposal, log_mean(smooth), error, shape, size, _tails(x, weight))
+    return Weighted(x, density, weight, proposal, log_mean(smooth), error, shape, size, _tails(x, weight))
 
 
 def _tails(x: Array, weight: Array) -> Array:

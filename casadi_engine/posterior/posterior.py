@@ -26,7 +26,9 @@ Array = NDArray[np.float64]
 METHODS = ("auto", "importance", "ensemble")
 # Shares of the information that may be left out of the likelihood that is drawn from, one tried after the other, and
 # the scatter of what is left out above which the next one is.
-LEFT_OUT, SCATTER = (0.05, 0.01, 0.0), 0.7
+LEFT_OUT, SCATTER = (0.1, 0.02, 0.0), 1.0
+# Optima at which that is looked at.
+OPTIMA = 6
 # Draws at which nothing is left out, for the evidence and to see what it does; scatter that the draws' weights follow.
 LOOKED_AT, FELT = 200, 0.1
 # Searches for other optima that start around the fit's, for each dimension; where an evaluation is a simulation, none.
@@ -111,13 +113,15 @@ def posterior(
     scatter, left = np.inf, list(LEFT_OUT)
     while scatter > SCATTER:
         random = np.random.default_rng(seed)
-        target.choose([target.start[: target.nv], *weak[:2]], left.pop(0))
+        left_out = left.pop(0)
+        target.choose([target.start[: target.nv], *weak[:2]], left_out)
         tell("looking for optima")
         slow = target.likelihood.bins is None
         found = find_modes(target, fit, random, wide=0 if slow else WIDE * len(target.names) + 4)
         if found is None:
             raise _improper("the optimum's information matrix is singular")
         modes = found
+        target.choose([*modes.at[:OPTIMA, : target.nv], *weak[:2]], left_out)
         drawn = _drawn(target, modes, method, random, count, most, tell)
         tell("looking at all data")
         drawn, scatter = _with_all_data(target, drawn, random)

@@ -50,11 +50,8 @@ class SpectralLikelihood:
         self._chosen: list[NDArray[np.intp] | None] = [None] * len(self._records)
         self._kept: dict[int, Bins] = {}
         self._joint: dict[tuple[int, ...], Bins] = {}
-        self._others = (
-            0.0,
-            0.0,
-            np.ones(1),
-        )  # of the bins left out: log likelihood, values of an output, levels
+        # of the bins left out: log likelihood, values of an output, their mean square, at which noise levels
+        self._others: tuple[float, float, float, Array] = (0.0, 0.0, 1.0, np.ones(1))
         self.outputs = len(self._records[0].sigma)
 
     @property
@@ -93,10 +90,12 @@ class SpectralLikelihood:
             if all(largest_share(w, p) <= left_out for w, p in zip(wholes, part, strict=True)):
                 break
         self._chosen, self._kept, self._joint = list(chosen), {}, {}
-        self._others = 0.0, 0.0, sigma
+        self._others = 0.0, 0.0, 1.0, sigma
         count = sum(2 * (r.size - len(own)) for r, own in zip(self._records, chosen, strict=True))
         rest = self.full(points[0], sigma) - self.value(points[0], sigma)
-        self._others = rest if np.isfinite(rest) else 0.0, float(count), sigma
+        rest = rest if np.isfinite(rest) else 0.0
+        squares = -2 * (rest + count * float(np.log(sigma).sum()))
+        self._others = rest, float(count), squares / max(count * self.outputs, 1), sigma
 
     def _columns(self, k: int, v: Array, sigma: Array) -> Array:
         """Slopes (na, 2 ny K) of one record in all bins, the transients projected out."""
@@ -120,9 +119,9 @@ class SpectralLikelihood:
 
     def value(self, v: Array, sigma: Array) -> float:
         """Log likelihood in the chosen bins, that of the others as at the first point; -inf where there is none."""
-        rest, count, level = self._others
+        rest, count, square, level = self._others
         ratio = level / sigma
-        rest += float(np.sum(count * np.log(ratio) - 0.5 * count * (ratio**2 - 1)))
+        rest += float(np.sum(count * (np.log(ratio) - 0.5 * square * (ratio**2 - 1))))
         return self._log(v, sigma, whole=False) + rest
 
     def full(self, v: Array, sigma: Array) -> float:
