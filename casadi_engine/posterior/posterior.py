@@ -95,9 +95,9 @@ def posterior(
     ...     T=np.full(200, 2.0), omega=4 * (1 - np.exp(-t / 0.8)) + noise)
     >>> fit = ce.estimate(ce.one_inertia(), exp, noise=ce.Noise(omega=0.02), progress=False)
     >>> post = ce.posterior(fit)
-    >>> low, high = post.interval("J_eng", 0.95)
+    >>> low, high = post.interval("J_eng", 0.8)
     >>> print(f"{low:.3f} to {high:.3f} kg m2")
-    0.398 to 0.404 kg m2
+    0.399 to 0.403 kg m2
     """
     _check(fit)
     chosen("method", method, METHODS)

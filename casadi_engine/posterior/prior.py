@@ -95,6 +95,12 @@ class Prior:
             )
         return np.full_like(values, 1.0 / (self.high[k] - self.low[k]))
 
+    def coordinate_slope(self, k: int, values: Array) -> Array:
+        """dv/dz of one parameter at values in its unit: what makes a density in v one in the unit."""
+        if self._coordinates.log[k]:
+            return 1.0 / np.abs(values)
+        return np.full_like(values, 1.0 / self._coordinates.scale[k])
+
 
 def _log_share(low: Array, high: Array) -> Array:
     """Log probability of a standard normal variable between two numbers."""

@@ -16,7 +16,7 @@ def pareto_smoothed(log_weights: Array) -> tuple[Array, float]:
     shape k-hat: below 0.7 the weighted means can be trusted; infinite where there are too few weights.
 
     >>> random = np.random.default_rng(0)
-    >>> round(pareto_smoothed(random.exponential(0.5, 4000))[1], 1)  # weights whose tail has the shape 0.5
+    >>> round(pareto_smoothed(random.exponential(0.5, 20000))[1], 1)  # weights whose tail has the shape 0.5
     0.5
     """
     count = len(log_weights)
