@@ -154,8 +154,8 @@ def _prediction(found: Predictive, post: Posterior | None) -> Sketch:
         top, bottom = sketch.panel(2 * k), sketch.panel(2 * k + 1)
         for panel, base in ((top, np.zeros_like(middle)), (bottom, middle)):
             if measured is not None:
-                style = {"color": panels.MEASURED, "linewidth": 0.7, "label": "measured"}
-                panel.plot(at, (measured - base)[inside], **style)
+                left = (measured - base)[inside]
+                panel.plot(at, left, color=panels.MEASURED, linewidth=0.7, label="measured")
             panel.fill_between(
                 at, (low - base)[inside], (high - base)[inside], color=panels.PREDICTED, alpha=0.6,
                 label="95 % of the posterior's simulations",
