@@ -1,4 +1,4 @@
-"""The response of a discrete linear model at many frequencies from its poles, and the sum of squares that it leaves.
+"""The response of a discrete linear model at many frequencies from its poles, and what its transients do.
 
 ``estimation.spectral`` works for every matrix, and gives slopes; this gives values alone, several times as fast, where
 the eigenvectors are a good basis.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpotrf, dpotrs
 
 from casadi_engine.estimation.spectral import Bins, Response
 from casadi_engine.simulation.discretisation import Discretisation
@@ -16,16 +15,15 @@ from casadi_engine.simulation.exponential import balance
 
 Array = NDArray[np.float64]
 
-# Condition of the eigenvectors beyond which they are no basis to work with; springs on the transients' Gram
-# matrix, the weakest that lets it be factored.
-_SOUND, _SPRINGS = 1e7, (1e-13, 1e-10, 1e-7)
+# Condition of the eigenvectors beyond which they are no basis to work with.
+_SOUND = 1e7
 
 
 class Transients:
     """A model at K bins: its residual without transients, and what these do.
 
-    rest : (ny, K, 2) real and imaginary parts; rows : (n, ny, K, 2) that span these;
-    poles : (n,)
+    rest : (ny, K, 2) real and imaginary parts; rows : (n, ny, K, 2) in a basis of their own; turn : (n, n) with
+    turn.T @ rows the same in the states; poles : (n,)
     """
 
     def __init__(self, discrete: Discretisation, bins: Bins, sigma: Array) -> None:
@@ -41,7 +39,7 @@ class Transients:
         real = half[self.poles[half].imag == 0]
         inverse = np.linalg.inv(vectors) / scale  # its rows make the states modes
         seen = (discrete.c[0] / sigma[:, None] * scale) @ vectors
-        turn = np.concatenate([inverse[real].real, inverse[pair].real, inverse[pair].imag])
+        self.turn = turn = np.concatenate([inverse[real].real, inverse[pair].real, inverse[pair].imag])
         rows = self._rows(bins.z, seen, real, pair)
         # the drive at the end of a step acts by z / (z - pole) = 1 + pole / (z - pole)
         late = self.poles[:, None] * (inverse @ discrete.g1[0])
@@ -62,6 +60,7 @@ class Transients:
         response = Response(discrete, bins, sigma)
         n, ny, count = len(discrete.f[0]), len(sigma), len(bins.z)
         self.rows = response.seen.reshape(n, ny, count, 2)
+        self.turn = np.eye(n)
         self.rest = np.ascontiguousarray(response.forced(bins)[0]).view(np.float64).reshape(ny, count, 2)
 
     def _rows(
@@ -85,27 +84,3 @@ class Transients:
         np.subtract(right, left, out=rows[last:])
         rows[last:] *= -1j
         return rows
-
-
-def least_squares(rows: Array, rest: Array) -> float:
-    """Sum of squares of a residual (L,) less the rows (n, L) at their best.
-
-    Raises FloatingPointError where a number is not finite.
-    """
-    if not len(rows):
-        return float(rest @ rest)
-    gram = rows @ rows.T
-    size = np.sqrt(gram.diagonal())
-    size[size == 0] = 1.0
-    if not np.isfinite(size).all():
-        raise FloatingPointError("the transients are not finite")
-    gram /= size[:, None] * size
-    for spring in _SPRINGS:
-        gram.flat[:: len(gram) + 1] = 1.0 + spring
-        factor, failed = dpotrf(gram, lower=1)
-        if not failed:
-            break
-    # twice: the first time takes away most of the speed, beside which the noise is rounding
-    left = rest - (dpotrs(factor, rows @ rest / size, lower=1)[0] / size) @ rows
-    pull = rows @ left / size
-    return float(left @ left - pull @ dpotrs(factor, pull, lower=1)[0])

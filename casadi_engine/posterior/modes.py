@@ -16,7 +16,9 @@ Array = NDArray[np.float64]
 
 # Starts along the weakest directions, in standard errors, and their number; others are drawn so many times as wide,
 # in turn.
-ALONG, WEAK, WIDE = (3.0, 6.0, 12.0), 2, (4.0, 16.0)
+ALONG, WEAK, WIDE = (3.0, 6.0, 12.0), 2, (4.0, 16.0, 40.0)
+# Other optima from which searches start again, and how far below the best they may be for that.
+_AGAIN, _NEAR = 3, 10.0
 # Two optima are one within this distance, in squared standard errors; those so far below the best are left out.
 _SAME, _FAR = 0.05, 15.0
 # Between two modes the density falls by this (in its logarithm) below the lower one; it is looked at so many points.
@@ -57,16 +59,27 @@ def find_modes(target: Target, fit: Fit, random: np.random.Generator, *, wide: i
     low, high = target.low[:nv], target.high[:nv]
     found: list[tuple[Array, Array, float]] = []
     ended: list[int] = []
-    for start in starts:
+
+    def search(start: Array) -> None:
         end = minimise(target.squares, np.clip(start, low, high), low, high, fall=_FALL, steps=_STEPS)
         if end is None or not end.converged or not _definite(end.squares.matrix):
-            continue
+            return
         same = _place(found, end.x)
-        if same is not None:
+        if same is None:
+            found.append((end.x, end.squares.matrix, end.squares.cost))
+            ended.append(1)
+        else:
             ended[same] += 1
-            continue
-        found.append((end.x, end.squares.matrix, end.squares.cost))
-        ended.append(1)
+
+    for start in starts:
+        search(start)
+    if wide and len(found) > 1:  # from the rivals, as from the fit's own
+        lowest = min(cost for _, _, cost in found)
+        rivals = sorted((one for one in found[1:] if one[2] < lowest + _NEAR), key=lambda one: one[2])
+        again = [at for x, matrix, _ in rivals[:_AGAIN] for at in along(x, inverse(matrix))]
+        starts += again
+        for start in again:
+            search(start)
     at = np.array([np.concatenate([x, target.start[nv:]]) for x, _, _ in found]).reshape(
         -1, len(target.start)
     )

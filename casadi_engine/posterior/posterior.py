@@ -32,7 +32,7 @@ OPTIMA = 6
 # Draws at which nothing is left out, for the evidence and to see what it does; scatter that the draws' weights follow.
 LOOKED_AT, FELT = 200, 0.1
 # Searches for other optima that start around the fit's, for each dimension; where an evaluation is a simulation, none.
-WIDE = 2
+WIDE = 4
 
 
 def posterior(
@@ -74,10 +74,10 @@ def posterior(
 
     Notes
     -----
-    Initial states are integrated out: their prior is flat in what they do to the outputs, whatever the states' units,
-    and for the evidence as wide as one sample tells (Kass & Wasserman 1995). For linear models on complete records the
-    integral is exact, and chi-squared is computed in the frequency bins in which the parameters act; all others enter
-    when the draws are there. For other models it is that of a normal density about the best initial states (Laplace).
+    Initial states are integrated out: their prior is normal, as the states along the record are in the fit and half as
+    wide again. For linear models on complete records the integral is exact (the prior is that of the sum of first and
+    last state), and chi-squared is computed in the frequency bins in which the parameters act; all others enter when
+    the draws are there. For other models it is that of a normal density about the best initial states (Laplace).
 
     Importance sampling draws from a mixture of t-distributions at the optima, which learns from its draws (Cappe et al.
     2008), and is trusted if Pareto k-hat is at most 0.7 and the draws are worth 400 independent ones, in their tails
@@ -117,7 +117,7 @@ def posterior(
         target.choose([target.start[: target.nv], *weak[:2]], left_out)
         tell("looking for optima")
         slow = target.likelihood.bins is None
-        found = find_modes(target, fit, random, wide=0 if slow else WIDE * len(target.names) + 4)
+        found = find_modes(target, fit, random, wide=0 if slow else WIDE * len(target.names) + 6)
         if found is None:
             raise _improper("the optimum's information matrix is singular")
         modes = found

@@ -1,10 +1,7 @@
 """The likelihood of linear models on complete records, the initial states integrated out, by few frequency bins.
 
-Initial states enter linearly. Their prior is flat in what they do to the outputs (in orthonormal directions of these),
-so that nothing depends on whether a state is a twist or a torque: a flat prior of twists alone would prefer stiff
-shafts by orders of magnitude, as a stiff shaft leaves less room for them. Its width is that of one sample (unit
-information: Kass & Wasserman 1995). The integral is then the least sum of squares over the initial states, times what
-does not depend on the parameters.
+In the frequency domain (``estimation.spectral``) initial states enter by t = x_0 + x_N, the sum of the first and the
+last one, linearly: with a normal prior of t (``states``) their integral is exact.
 
 An engine's torque acts at its harmonics: most bins hold noise alone. Those in which the parameters act are chosen once
 by their share of the information, not by what was measured there, so that the likelihood of the chosen bins is one of
@@ -23,7 +20,8 @@ from casadi_engine.estimation.levenberg_marquardt import Squares
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.spectral import Bins, Response, SpectralRecord
 from casadi_engine.estimation.spectral_search import largest_share
-from casadi_engine.posterior.modal import Transients, least_squares
+from casadi_engine.posterior.modal import Transients
+from casadi_engine.posterior.states import StatePrior
 from casadi_engine.simulation.discretisation import Discretisation
 from casadi_engine.simulation.linear import LinearPropagator
 
@@ -39,11 +37,12 @@ _TRIED = 2.0 ** -np.arange(8.0, -0.5, -0.5)
 class SpectralLikelihood:
     """Log likelihood of records at parameters v (nv,) and noise levels (ny,), the initial states integrated out.
 
-    bins : used and all
+    bins : used and all; states : of each record, the prior of t
     """
 
-    def __init__(self, records: Sequence[RecordTerm], size: int) -> None:
-        """size : nv, of the vector of parameters."""
+    def __init__(self, records: Sequence[RecordTerm], size: int, states: Sequence[StatePrior]) -> None:
+        """size : nv, of the vector of parameters; states : the prior of those of each record"""
+        self.states = [one.of_sum() for one in states]
         self._records = [SpectralRecord(record) for record in records]
         self._size = size
         self._fixed = [not len(_linear(record.record).drives_active) for record in self._records]
@@ -174,11 +173,12 @@ class SpectralLikelihood:
         if not all(np.abs(model.poles).max(initial=0.0) ** bins.samples < _GROWTH for bins in own):
             raise FloatingPointError("the states grow beyond what their start decides")
         total, at = 0.0, 0
-        for bins in own:
+        for k, bins in zip(members, own, strict=True):
             part = slice(at, at + len(bins.z))
             at = part.stop
             rows, rest = model.rows[:, :, part], model.rest[:, part].ravel()
-            total -= 0.5 * least_squares(rows.reshape(len(rows), -1), rest)
+            known = StatePrior(model.turn @ self.states[k].mean, model.turn @ self.states[k].factor)
+            total -= 0.5 * sum(known.marginal(rows.reshape(len(rows), -1), rest))
             total -= rest.size / ny * float(np.log(sigma).sum())
         return total
 
@@ -221,12 +221,15 @@ class SpectralLikelihood:
                 bins.samples, bins.z[chosen], bins.share[chosen], np.ascontiguousarray(bins.drives[:, chosen]),
                 np.ascontiguousarray(bins.slopes[..., chosen]), np.ascontiguousarray(bins.measured[:, chosen]),
             )  # fmt: skip
-        response = Response(discrete, bins, sigma)
-        forced, free = response.forced(bins), response.free
-        jump = free.best(forced[0].reshape(-1).view(np.float64))
-        flat = response.columns(bins, forced, jump, _linear(record).drives_active)
-        flat -= (flat @ free.rows.T) @ free.rows
-        return np.asarray(flat @ flat.T)
+        response, known = Response(discrete, bins, sigma), self.states[k]
+        forced = response.forced(bins)
+        rest = np.ascontiguousarray(forced[0].reshape(-1)).view(np.float64)
+        best = known.best(response.seen, rest)
+        flat = response.columns(bins, forced, best, _linear(record).drives_active)
+        flat[0] += known.mean @ response.seen
+        seen = known.factor.T @ response.seen
+        cross = seen @ flat.T
+        return np.asarray(flat @ flat.T - cross.T @ np.linalg.solve(np.eye(len(seen)) + seen @ seen.T, cross))
 
 
 def _linear(record: RecordTerm) -> LinearPropagator:

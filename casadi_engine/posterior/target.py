@@ -16,6 +16,7 @@ from casadi_engine.estimation.spectral_start import no_spectrum
 from casadi_engine.posterior.laplace_likelihood import LaplaceLikelihood
 from casadi_engine.posterior.prior import Prior
 from casadi_engine.posterior.spectral_likelihood import SpectralLikelihood
+from casadi_engine.posterior.states import state_prior
 from casadi_engine.problem.noise import Noise
 
 Array = NDArray[np.float64]
@@ -85,11 +86,6 @@ class Target:
         )
         self.samples = sum(record.count for record in self.search.records)
         self._constant = -0.5 * self.samples * float(np.log(2 * np.pi))
-        # unit information for each initial state; see spectral_likelihood
-        self._constant -= 0.5 * sum(
-            record.n * float(np.log1p(record.count)) for record in self.search.records
-        )
-        self._states = sum(record.n for record in self.search.records) / len(self._outputs)
         self._constant -= len(unknown) * float(np.log(2 * np.log(LEVELS)))
         self.likelihood = _likelihood(fit, self.search, self.start[: self.nv])
         self.evaluations = 0
@@ -113,9 +109,7 @@ class Target:
             return -np.inf
         self.evaluations += 1
         evaluate = self.likelihood.full if whole else self.likelihood.value
-        # what the initial states take of the samples does not tell of the noise
-        taken = self._states * float(u[self.nv :].sum())
-        return prior + evaluate(v, self.sigma(u)) + taken + self._constant
+        return prior + evaluate(v, self.sigma(u)) + self._constant
 
     def sigma(self, u: Array) -> Array:
         """(ny,) noise levels at u (d,)."""
@@ -153,14 +147,15 @@ class Target:
 
 
 def _likelihood(fit: Fit, search: Search, v: Array) -> Likelihood:
-    if no_spectrum(search) is None and not _held(fit).any():
-        return SpectralLikelihood(search.records, len(v))
-    first = {}
+    first, states = {}, []
     for record in search.records:
-        states = fit.initial[record.experiment.name].values()
-        first[record.experiment.name] = np.array([one.value for one in states]) / record.scale
+        name = record.experiment.name
+        first[name] = np.array([one.value for one in fit.initial[name].values()]) / record.scale
+        states.append(state_prior(record, v, first[name]))
+    if no_spectrum(search) is None and not _held(fit).any():
+        return SpectralLikelihood(search.records, len(v), states)
     held = {name: np.array([one.fixed for one in fit.initial[name].values()]) for name in first}
-    return LaplaceLikelihood(SingleShots.over(search), first, v, held)
+    return LaplaceLikelihood(SingleShots.over(search), first, v, held, states)
 
 
 def _held(fit: Fit) -> NDArray[np.bool_]:

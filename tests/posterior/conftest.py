@@ -8,6 +8,7 @@ import pytest
 import casadi_engine as ce
 from casadi_engine.posterior.target import Target
 
+SCALE = 100.0  # of the speed, as the model declares it
 DATA = Path(__file__).resolve().parents[2] / "data"
 
 
@@ -49,6 +50,28 @@ def _run_up(seed=1, sigma=0.02, gap=False):
 def run_up():
     """Makes a record of an inertia that a torque sets going."""
     return _run_up
+
+
+def _closed_form(record, inertia, damper, sigma, likelihood):
+    """Log likelihood of the run-up but for its constants, its initial speed integrated over the likelihood's prior."""
+    time, speed = record["omega"].time, record["omega"].values
+    seen = np.isfinite(speed)
+    decay = np.exp(-damper / inertia * time)[seen]
+    rest, rows = 2.0 / damper * (1 - decay) - speed[seen], SCALE * decay
+    states = likelihood.states
+    if isinstance(states, list):  # the prior is that of the first speed plus the last, at 2 s
+        (states,) = states
+        last = np.exp(-damper / inertia * 2.0)
+        rows = rows / (1 + last)
+        rest = rest - 2.0 / damper * (1 - last) * rows / SCALE
+    whole = states.marginal(rows[None] / sigma, rest / sigma)
+    return -0.5 * sum(whole) - seen.sum() * np.log(sigma)
+
+
+@pytest.fixture(scope="session")
+def closed_form():
+    """Log likelihood of a run-up, by its equation."""
+    return _closed_form
 
 
 @pytest.fixture(scope="session")

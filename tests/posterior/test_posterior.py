@@ -7,23 +7,17 @@ import pytest
 
 import casadi_engine as ce
 from casadi_engine.errors import PosteriorError, UntrustedPosteriorError
+from casadi_engine.posterior.target import Target
 
 SIGMA = 0.02
 
 
-def by_quadrature(record, count=121):
+def by_quadrature(record, closed_form, likelihood, count=81):
     """Mean and standard deviation of inertia and damper, and the log evidence, with uniform cells."""
-    time, speed = record["omega"].time, record["omega"].values
     one, two = np.linspace(0.392, 0.410, count), np.linspace(0.494, 0.506, count)
-    logs = np.empty((count, count))
-    for i, inertia in enumerate(one):
-        for j, damper in enumerate(two):
-            decay = np.exp(-damper / inertia * time)
-            rest, free = speed - 2.0 / damper * (1 - decay), decay / np.linalg.norm(decay)
-            logs[i, j] = -0.5 * (rest @ rest - (free @ rest) ** 2) / SIGMA**2
-    # flat in log J from 1e-6 to 1e3 and in C from 0 to 1e5; the initial speed by unit information
-    density = logs - np.log(one)[:, None] - np.log(np.log(1e9)) - np.log(1e5) - 0.5 * np.log(201)
-    density -= 200 * np.log(SIGMA * np.sqrt(2 * np.pi))
+    logs = np.array([[closed_form(record, a, b, SIGMA, likelihood) for b in two] for a in one])
+    # flat in log J from 1e-6 to 1e3 and in C from 0 to 1e5
+    density = logs - np.log(one)[:, None] - np.log(np.log(1e9)) - np.log(1e5) - 100 * np.log(2 * np.pi)
     top = density.max()
     weight = np.exp(density - top)
     evidence = top + np.log(weight.sum() * (one[1] - one[0]) * (two[1] - two[0]))
@@ -36,8 +30,8 @@ def by_quadrature(record, count=121):
     return means, spreads, evidence
 
 
-def test_mean_spread_and_evidence_are_those_of_quadrature(run_up, post):
-    means, spreads, evidence = by_quadrature(run_up())
+def test_mean_spread_and_evidence_are_those_of_quadrature(run_up, closed_form, post):
+    means, spreads, evidence = by_quadrature(run_up(), closed_form, Target(post.fit).likelihood)
     found = post
     for name, mean, spread in zip(("J_eng", "C_eng"), means, spreads, strict=True):
         assert found[name].mean() == pytest.approx(mean, abs=4 * spread / np.sqrt(1000))
@@ -99,13 +93,13 @@ def test_bounds_ties_and_constraints_hold(run_up):
     assert tied["J_eng"].std() < 0.001
 
 
-def test_a_normal_prior_counts_once(run_up):
+def test_a_normal_prior_counts_once(run_up, closed_form, post):
     pars = ce.one_inertia().parameters()
     pars["J_eng"].set(prior=(0.41, 0.001))
     found = ce.posterior(
         ce.estimate(ce.one_inertia(), run_up(), parameters=pars, noise=ce.Noise(omega=SIGMA), progress=False)
     )
-    (mean, _), (spread, _), _ = by_quadrature(run_up())
+    (mean, _), (spread, _), _ = by_quadrature(run_up(), closed_form, Target(post.fit).likelihood)
     weight = np.array([spread**-2, 0.001**-2])
     assert found["J_eng"].mean() == pytest.approx(weight @ [mean, 0.41] / weight.sum(), abs=2e-4)
     assert found["J_eng"].std() == pytest.approx(weight.sum() ** -0.5, rel=0.1)
