@@ -1,6 +1,7 @@
 """posterior: against quadrature, and what it refuses."""
 
 import json
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -52,7 +53,7 @@ def test_an_unknown_noise_level_is_part_of_it(run_up, gap):
 
 def test_ensemble_and_importance_sampling_agree(fit, post):
     pytest.importorskip("emcee")
-    walked = ce.posterior(fit, method="ensemble", evaluations=15_000)
+    walked = ce.posterior(fit, method="ensemble", evaluations=9_000)
     assert walked.method == "ensemble"
     assert max(walked.rhat.values()) <= 1.02
     for name in post.names:
@@ -105,7 +106,8 @@ def test_a_normal_prior_counts_once(run_up, closed_form, post):
     assert found["J_eng"].std() == pytest.approx(weight.sum() ** -0.5, rel=0.1)
 
 
-def test_a_nonlinear_model_has_one_too():
+def test_a_nonlinear_model_has_one_too(monkeypatch):
+    monkeypatch.setattr(import_module("casadi_engine.posterior.importance"), "EACH", 50)
     blueprint = ce.Blueprint("drag")
     speed = blueprint.state("v", scale=10.0)
     drag, push = blueprint.parameter("k", 0.02, min=1e-4, max=1.0), blueprint.input("F")
@@ -200,6 +202,7 @@ def test_draws_that_cannot_be_trusted_are_no_answer(fit, monkeypatch):
     from casadi_engine.posterior import ensemble, importance
 
     monkeypatch.setattr(importance, "FEWEST", 1e9)
+    monkeypatch.setattr(importance, "EACH", 30)
     with pytest.raises(
         UntrustedPosteriorError, match=r"importance sampling does not describe.*seen: .*k-hat"
     ):

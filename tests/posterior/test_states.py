@@ -40,7 +40,7 @@ def test_a_record_is_the_prior_of_its_own_states(two_masses):
 
 
 def test_without_states_along_the_record_their_size_stands_for_them(two_masses):
-    fit, target = two_masses
+    _, target = two_masses
     single = target.search.records[0].single()
     prior = state_prior(single, target.start, np.array([1.2, 1.2, 0.1]))
     np.testing.assert_allclose(prior.factor, 1.5 * np.diag([1.2, 1.2, 1.0]))
