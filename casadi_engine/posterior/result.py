@@ -175,17 +175,14 @@ def made(
     """The result from draws."""
     values = target.values(drawn.u)
     names = target.names
-    mass = _masses(modes, groups, drawn.u)
-    tops = target.values(modes.at[[group[0] for group in groups]])
+    tops = modes.at[[group[0] for group in groups]]
+    height = target.full(tops)
+    of_each = zip(target.values(tops), _masses(modes, groups, drawn.u), height, groups, strict=True)
     found = [
-        Mode(
-            dict(zip(names, top.tolist(), strict=True)),
-            float(share),
-            float(modes.height[0] - modes.height[group[0]]),
-            len(group),
-        )
-        for top, share, group in zip(tops, mass, groups, strict=True)
+        Mode(dict(zip(names, top.tolist(), strict=True)), float(share), float(height.max() - own), len(group))
+        for top, share, own, group in of_each
     ]
+    found.sort(key=lambda mode: mode.below)
 
     def by_name(part: Array | None) -> dict[str, float]:
         return {} if part is None else dict(zip(names, part.tolist(), strict=True))
