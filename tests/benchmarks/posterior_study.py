@@ -215,12 +215,12 @@ def referee(folder: Path) -> dict[str, Any]:
     post = ce.posterior(fit)
     ours = time.process_time() - begun
     target = Target(fit)
-    target.choose([target.start], 0.02)
+    target.choose([target.start], 0.1)
     prior = target.prior.log_density(target.start)
     width = target.high - target.low
     sampler = dynesty.NestedSampler(
         lambda u: float(target.log_density(u[None])[0]) - prior, lambda unit: target.low + unit * width,
-        len(width), nlive=200, rstate=np.random.default_rng(0), sample="rwalk",
+        len(width), nlive=150, rstate=np.random.default_rng(0), sample="rwalk",
     )  # fmt: skip
     begun = time.process_time()
     sampler.run_nested(dlogz=0.1, print_progress=False)
@@ -247,7 +247,7 @@ def judged(answer: dict[str, Any]) -> str:
     apart = max(abs(one["median"][k] - two["median"][k]) / one["spread"][k] for k in one["median"])
     wider = [two["spread"][k] / one["spread"][k] for k in one["spread"]]
     return (
-        f"- One B6 against dynesty (200 live points, on the bins that hold 98 % of the information): log evidence "
+        f"- One B6 against dynesty (150 live points, on the bins that hold 90 % of the information): log evidence "
         f"{one['log_evidence']:.2f} ± {one['error']:.2f} here, {two['log_evidence']:.2f} ± {two['error']:.2f} there; "
         f"medians {apart:.2f} standard deviations apart at most, spreads {min(wider):.2f} to {max(wider):.2f} of ours; "
         f"{one['evaluations']} evaluations and {one['seconds']:.0f} s CPU here, {two['evaluations']} and "
