@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from casadi_engine.identifiability import choose_experiments, identifiability, profile
     from casadi_engine.model import Blueprint, Model, crankshaft, one_inertia, two_mass
     from casadi_engine.parameters import Parameters
+    from casadi_engine.posterior import posterior
     from casadi_engine.problem import Noise, Problem, load_problem
     from casadi_engine.report import load_result, plot, report
     from casadi_engine.validation import validate
@@ -41,6 +42,7 @@ __all__ = [
     "one_inertia",
     "orders",
     "plot",
+    "posterior",
     "profile",
     "read_experiment",
     "repair",
@@ -62,6 +64,7 @@ import_at_first_use(
         "casadi_engine.identifiability": ("choose_experiments", "identifiability", "profile"),
         "casadi_engine.model": ("Blueprint", "Model", "crankshaft", "one_inertia", "two_mass"),
         "casadi_engine.parameters": ("Parameters",),
+        "casadi_engine.posterior": ("posterior",),
         "casadi_engine.problem": ("Noise", "Problem", "load_problem"),
         "casadi_engine.report": ("load_result", "plot", "report"),
         "casadi_engine.validation": ("validate",),

@@ -86,6 +86,16 @@ class NotIdentifiableError(EstimationError):
     """The data leave directions of the free parameters undetermined."""
 
 
+class PosteriorError(EstimationError):
+    """A posterior was asked for that does not exist, or with options that do not fit."""
+
+
+class UntrustedPosteriorError(PosteriorError):
+    """The draws of a posterior do not agree, or are too few: they are no answer."""
+
+    exit_code = 3
+
+
 class StudyError(EstimationError):
     """A study's pieces or its checkpoint cannot be used."""
 

@@ -41,6 +41,7 @@ from casadi_engine.discrepancy.random_families import (
 )
 from casadi_engine.discrepancy.requests import Request, check_alpha, read_request
 from casadi_engine.discrepancy.score import Scores, score
+from casadi_engine.discrepancy.spectral_line import strongest_line
 from casadi_engine.distributions import normal_isf
 from casadi_engine.effects.candidate import Known
 from casadi_engine.errors import EstimationError
@@ -50,6 +51,8 @@ from casadi_engine.model.term import NotApplicable
 
 # Degrees of freedom below which a score tells little.
 _FEW = 5
+# Share by which steps may differ and still be called equal.
+_EQUAL = 1e-3
 # Candidates that are printed.
 _SHOWN = 10
 
@@ -318,6 +321,19 @@ def _cannot_tell(scores: Scores) -> tuple[str, ...]:
     )
 
 
+def _line(record: Any, output: str, e: Array) -> dict[str, float]:
+    """The test for a line in the spectrum of a coloured residual: what comes back at one frequency is no noise."""
+    length, index = record.length[output], record.index[output]
+    full, valid = np.zeros(length), np.zeros(length, dtype=bool)
+    full[index], valid[index] = e, True
+    time = record.time[output]
+    gap = np.diff(time) / np.diff(index)
+    found = strongest_line(full, valid) if len(time) > 1 and np.ptp(gap) < _EQUAL * gap.mean() else None
+    if found is None:
+        return {}
+    return {f"{record.name}/{output}/line at {found.frequency / gap.mean():.3g} Hz": found.p}
+
+
 def _leftover(screened: Screened) -> Leftover:
     """Half of the remaining false-alarm rate each for whiteness and for families.
 
@@ -344,6 +360,8 @@ def _leftover(screened: Screened) -> Leftover:
             )
             if p is not None:
                 tests[f"{record.name}/{output}/whiteness"] = p
+            if (record.name, output) in choice.noise.colour:
+                tests |= _line(record, output, e)
     white = len(tests)
     found, families = family_candidates(null)
     scores = score(compress(null, found, choice.noise, scatter=choice.scatter)) if found else None

@@ -20,6 +20,16 @@ Array = NDArray[np.float64]
 Place = tuple[str, str]
 
 
+def evaluator(
+    model: Model, data: Sequence[Experiment], parameters: Parameters, noise: Noise, *, method: str = "exact"
+) -> Search:
+    """A search's problem that is evaluated alone; raises what ``estimate`` raises for such arguments."""
+    return Search(
+        model, tuple(data), parameters, noise, interval="auto", initial=None, loss=read_loss("square"),
+        ties="substitute", method=method, max_iterations=1, tolerance=1e-9, warm=None, progress=None,
+    )  # fmt: skip
+
+
 class SingleShots:
     """Simulated (predicted, with a gain) residuals of records at x = [coordinates of z (nv,); first states, scaled].
 
@@ -37,10 +47,17 @@ class SingleShots:
         *,
         method: str = "exact",
     ) -> None:
-        self._search = Search(
-            model, tuple(data), parameters, noise, interval="auto", initial=None, loss=read_loss("square"),
-            ties="substitute", method=method, max_iterations=1, tolerance=1e-9, warm=None, progress=None,
-        )  # fmt: skip
+        self._lay(evaluator(model, data, parameters, noise, method=method))
+
+    @classmethod
+    def over(cls, search: Search) -> SingleShots:
+        """Those of a search that is set up."""
+        found = cls.__new__(cls)
+        found._lay(search)
+        return found
+
+    def _lay(self, search: Search) -> None:
+        self._search = search
         self.free = self._search.pmap.free
         own = np.concatenate(
             [
@@ -49,7 +66,7 @@ class SingleShots:
             ]
         )
         self.lower, self.upper = self._search.lower[own], self._search.upper[own]
-        self.states = tuple(state.name for state in model.states)
+        self.states = tuple(state.name for state in search.model.states)
         self._sigma = dict.fromkeys(self._search.records[0].outputs, 1.0)
         self.places: dict[Place, slice] = {}
         self.index: dict[Place, NDArray[np.intp]] = {}

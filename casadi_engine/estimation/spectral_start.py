@@ -46,14 +46,19 @@ class Begun:
 
 def in_full(search: Search) -> str | None:
     """Why a search has to be on all samples from its start; None if it can begin in the frequency domain."""
+    if search.problem.nv and search.problem.user.count:
+        return "constraints hold the parameters"
+    return no_spectrum(search)
+
+
+def no_spectrum(search: Search) -> str | None:
+    """Why chi-squared is not to be had in the frequency domain; None if it is."""
     if search.loss.robust:
         return "the loss is robust"
     if not search.problem.nv:
         return "no parameter is free"
     if search.predictor.kind != "none":
         return "a predictor corrects the states"
-    if search.problem.user.count:
-        return "constraints hold the parameters"
     if any(np.isfinite(low).any() or np.isfinite(high).any() for low, high, _ in search._initial):
         return "initial states are given, or have bounds"
     return next((why for why in map(_record_in_full, search.records) if why), None)

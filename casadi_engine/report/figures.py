@@ -34,8 +34,8 @@ OVERVIEW = 4
 def plot(result: Any, *, path: Any = None, what: str = "overview") -> Figure:
     """Draw a result and return the matplotlib Figure; with ``path`` (.png, .svg, .pdf) also write it.
 
-    result : a Fit, a Validation, a Simulated, a Prediction, a Repair, an Experiment, Orders, Modes, a Reduction, or a
-        loaded result
+    result : a Fit, a Validation, a Simulated, a Prediction, a Repair, a Posterior, an Experiment, Orders, Modes, a
+        Reduction, or a loaded result
     what : "overview", or one of the figures that ``figures(result)`` lists
 
     Raises ResultError for an unknown kind or figure, OutputError when the file cannot be written.

@@ -1,0 +1,64 @@
+"""Lines in the spectrum of a residual: what comes back at one frequency is no noise, whatever its colour.
+
+Thomson's harmonic test (Spectrum estimation and harmonic analysis, Proc. IEEE 70, 1982): orthogonal tapers give several
+estimates of the amplitude at a frequency. A sine makes them agree; noise, coloured or not, makes them scatter, if its
+spectrum is smooth over the tapers' bandwidth. The ratio is F-distributed with 2 and 2K - 2 degrees of freedom.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from casadi_engine.discrepancy.linear_algebra import Array
+
+# Time times half bandwidth of the tapers; of these the first ones leak least.
+_HALF, _TAPERS = 4.0, 7
+# Samples from which a line can be told from noise, and that a spectrum is taken of at most.
+_FEWEST, _MOST = 64, 2**17
+# Independent frequencies for each one of the discrete Fourier transform: a maximum is looked for between them too.
+_BETWEEN = 3.0
+# Periods in the record from which something comes back.
+_PERIODS = 3
+
+
+@dataclass(frozen=True)
+class Line:
+    """frequency : of the strongest line, in cycles per sample; p : how often noise has one as clear anywhere."""
+
+    frequency: float
+    p: float
+
+
+def strongest_line(residual: Array, valid: Array) -> Line | None:
+    """The clearest line in a residual (N,) on equal steps; None where there are too few samples, or holes in them.
+
+    valid : (N,) bool
+    """
+    inside = np.flatnonzero(valid)
+    if len(inside) < _FEWEST or len(inside) != inside[-1] - inside[0] + 1:
+        return None
+    from scipy.signal.windows import dpss
+
+    own = residual[inside][:_MOST]
+    own = own - own.mean()
+    scale = float(np.abs(own).max())
+    if not scale > 0:
+        return None
+    own = own / scale
+    tapers = dpss(len(own), _HALF, _TAPERS)
+    size = 2 ** math.ceil(math.log2(2 * len(own)))
+    spectra = np.fft.rfft(tapers * own, size)
+    level = tapers.sum(axis=1)
+    mean = (level @ spectra) / (level @ level)
+    left = (np.abs(spectra - level[:, None] * mean) ** 2).sum(axis=0)
+    ratio = (_TAPERS - 1) * np.abs(mean) ** 2 * (level @ level) / np.maximum(left, 1e-300)
+    frequency = np.arange(len(ratio)) / size
+    # as many as there are within the record, but for what is slower than three periods of it
+    seen = (frequency * len(own) >= _PERIODS) & (frequency <= 0.5)
+    best = int(np.argmax(np.where(seen, ratio, 0.0)))
+    # the upper tail of F(2, 2K - 2) in closed form
+    tail = (1 + ratio[best] / (_TAPERS - 1)) ** (1 - _TAPERS)
+    return Line(float(frequency[best]), float(min(1.0, tail * _BETWEEN * len(own) / 2)))

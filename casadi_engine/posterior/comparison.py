@@ -1,0 +1,95 @@
+"""compare: which of several models the records ask for, by the evidence of their posteriors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from casadi_engine.errors import PosteriorError
+from casadi_engine.posterior.result import Posterior
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Models of the same records by their evidence.
+
+    log_evidence, error : name -> log evidence and its standard error; probability : name -> that of the model, if all
+    were as probable before the records were seen. The best one is the first
+    """
+
+    log_evidence: Mapping[str, float]
+    error: Mapping[str, float]
+    probability: Mapping[str, float]
+
+    def __str__(self) -> str:
+        best = next(iter(self.log_evidence.values()))
+        wide = max(len("model"), *(len(name) for name in self.log_evidence))
+        lines = [f"{'model':{wide}s}  log evidence      below the best  probability"]
+        for name, own in self.log_evidence.items():
+            error = f"± {self.error[name]:.2g}"
+            lines.append(
+                f"{name:{wide}s}  {own:12.2f} {error:7s}  {best - own:10.2f}  {100 * self.probability[name]:10.3g} %"
+            )
+        return "\n".join(lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers, ready for JSON."""
+        return {
+            "log_evidence": dict(self.log_evidence),
+            "error": dict(self.error),
+            "probability": dict(self.probability),
+        }
+
+
+def compare(posteriors: Mapping[str, Posterior]) -> Comparison:
+    """Compare models of the same records by the evidence of their posteriors; name -> Posterior.
+
+    The evidence falls with the width of the priors: bounds that are far too wide count against a parameter.
+
+    Raises PosteriorError for fewer than two, for what is no posterior, or for posteriors of different records.
+    """
+    kinds = isinstance(posteriors, Mapping) and all(isinstance(one, Posterior) for one in posteriors.values())
+    if not kinds or len(posteriors) < 2:
+        raise PosteriorError(
+            "there is nothing to compare",
+            seen=f"{len(posteriors)} posteriors" if kinds else type(posteriors).__name__,
+            allowed="name -> Posterior, two or more",
+            cure='give compare({"two masses": one, "seven": other})',
+        )
+    first, *others = posteriors.items()
+    for name, post in others:
+        if not _alike(first[1], post):
+            raise PosteriorError(
+                "posteriors of different records cannot be compared",
+                seen=f"{first[0]}: {_records(first[1])}; {name}: {_records(post)}",
+                allowed="fits of the same samples of the same outputs",
+                cure="fit every model to the same records",
+            )
+    order = sorted(posteriors, key=lambda name: -posteriors[name].log_evidence)
+    logs = np.array([posteriors[name].log_evidence for name in order])
+    share = np.exp(logs - logs.max())
+    return Comparison(
+        dict(zip(order, logs.tolist(), strict=True)),
+        {name: posteriors[name].log_evidence_error for name in order},
+        dict(zip(order, (share / share.sum()).tolist(), strict=True)),
+    )
+
+
+def _alike(one: Posterior, other: Posterior) -> bool:
+    """True if both explain the same numbers."""
+    traces, others = one.fit.traces, other.fit.traces
+    if list(traces) != list(others) or any(list(traces[name]) != list(others[name]) for name in traces):
+        return False
+    return all(
+        np.array_equal(trace.measured, others[record][output].measured, equal_nan=True)
+        for record, outputs in traces.items()
+        for output, trace in outputs.items()
+    )
+
+
+def _records(post: Posterior) -> str:
+    outputs = sorted({output for own in post.fit.traces.values() for output in own})
+    return f"{', '.join(post.fit.traces)} ({', '.join(outputs)}, {post.fit.n} samples)"

@@ -1,0 +1,153 @@
+"""The optima of a posterior: searches from the fit's own, along what the data tell least of, and from around."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.estimation.fit import Fit
+from casadi_engine.estimation.levenberg_marquardt import minimise
+from casadi_engine.posterior.mixture import Mixture
+from casadi_engine.posterior.target import Target
+
+Array = NDArray[np.float64]
+
+# Starts along the weakest directions, in standard errors, and their number; others are drawn so many times as wide,
+# in turn.
+ALONG, WEAK, WIDE = (3.0, 6.0, 12.0), 2, (4.0, 16.0, 40.0)
+# Other optima from which searches start again, and how far below the best they may be for that.
+_AGAIN, _NEAR = 3, 10.0
+# Two optima are one within this distance, in squared standard errors; those so far below the best are left out.
+_SAME, _FAR = 0.05, 15.0
+# Between two modes the density falls by this (in its logarithm) below the lower one; it is looked at so many points.
+_DIP, _LOOKS = 1.0, 9
+_STEPS, _FALL = 60, 1e-3
+# Proposals are wider than the quadratic at an optimum foretells.
+_WIDER = 1.5
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Optima at (k, d), the best first; information (k, d, d); height : (k,) log densities.
+
+    ended : (k,) searches that ended at each; searches : all of them
+    """
+
+    at: Array
+    information: Array
+    height: Array
+    ended: NDArray[np.intp]
+    searches: int
+
+    def mixture(self) -> Mixture:
+        """A proposal from the quadratics at the optima."""
+        scale = np.asarray(np.linalg.inv(self.information), dtype=np.float64)
+        mass = self.height + 0.5 * np.linalg.slogdet(scale)[1]
+        share = np.exp(mass - mass.max())
+        return Mixture.of(share / share.sum() + 0.3 / len(share), self.at, _WIDER * scale)
+
+
+def find_modes(target: Target, fit: Fit, random: np.random.Generator, *, wide: int) -> Modes | None:
+    """The optima that searches lead to; ``wide`` of them start around. None where the data do not hold a parameter."""
+    first = target.squares(target.start[: target.nv])
+    if first is None or not _definite(first.matrix):
+        return None
+    starts = _starts(target, fit, inverse(first.matrix), random, wide)
+    nv = target.nv
+    low, high = target.low[:nv], target.high[:nv]
+    found: list[tuple[Array, Array, float]] = []
+    ended: list[int] = []
+
+    def search(start: Array) -> None:
+        end = minimise(target.squares, np.clip(start, low, high), low, high, fall=_FALL, steps=_STEPS)
+        if end is None or not end.converged or not _definite(end.squares.matrix):
+            return
+        same = _place(found, end.x)
+        if same is None:
+            found.append((end.x, end.squares.matrix, end.squares.cost))
+            ended.append(1)
+        else:
+            ended[same] += 1
+
+    for start in starts:
+        search(start)
+    if wide and len(found) > 1:  # from the rivals, as from the fit's own
+        lowest = min(cost for _, _, cost in found)
+        rivals = sorted((one for one in found[1:] if one[2] < lowest + _NEAR), key=lambda one: one[2])
+        again = [at for x, matrix, _ in rivals[:_AGAIN] for at in along(x, inverse(matrix))]
+        starts += again
+        for start in again:
+            search(start)
+    at = np.array([np.concatenate([x, target.start[nv:]]) for x, _, _ in found]).reshape(
+        -1, len(target.start)
+    )
+    height = target.log_density(at)
+    near = np.flatnonzero(height > height.max(initial=-np.inf) - _FAR)
+    order = near[np.argsort(-height[near])]
+    if not len(order):
+        return None
+    information = np.array([target.information(found[k][1]) for k in order])
+    return Modes(at[order], information, height[order], np.array(ended)[order], len(starts))
+
+
+def inverse(matrix: Array) -> Array:
+    """Of a symmetric matrix, by its scaled entries; directions without any information stay out of it."""
+    size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    scaled = np.linalg.pinv(matrix / np.outer(size, size), hermitian=True)
+    return np.asarray(scaled / np.outer(size, size), dtype=np.float64)
+
+
+def _definite(matrix: Array) -> bool:
+    size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    return bool(np.isfinite(matrix).all() and np.linalg.eigvalsh(matrix / np.outer(size, size))[0] > 1e-11)
+
+
+def _place(found: list[tuple[Array, Array, float]], x: Array) -> int | None:
+    for k, (at, matrix, _) in enumerate(found):
+        moved = x - at
+        if moved @ matrix @ moved < _SAME:
+            return k
+    return None
+
+
+def along(centre: Array, covariance: Array) -> list[Array]:
+    """Points to either side of a point along the weakest directions."""
+    values, vectors = np.linalg.eigh(covariance)
+    return [
+        centre + side * far * np.sqrt(values[k]) * vectors[:, k]
+        for k in np.argsort(values)[::-1][:WEAK]
+        for far in ALONG
+        for side in (-1.0, 1.0)
+    ]
+
+
+def _starts(
+    target: Target, fit: Fit, covariance: Array, random: np.random.Generator, wide: int
+) -> list[Array]:
+    centre = target.start[: target.nv]
+    known = []
+    for optimum in fit.optima[1:]:
+        if optimum.status == "converged" and all(name in optimum.values for name in target.free):
+            known.append(target.coordinates.of(np.array([optimum.values[name] for name in target.free])))
+    lines = along(centre, covariance) if wide else along(centre, covariance)[:2]
+    factor = np.linalg.cholesky(covariance)
+    around = [centre + WIDE[k % len(WIDE)] * factor @ random.standard_normal(target.nv) for k in range(wide)]
+    return [centre, *known, *lines, *around]
+
+
+def separate(modes: Modes, target: Target) -> list[list[int]]:
+    """Optima (their numbers) that belong together, as no dip of the density lies between them: one list for a mode."""
+    groups: list[list[int]] = []
+    share = np.linspace(0, 1, _LOOKS + 2)[1:-1, None]
+    for k, at in enumerate(modes.at):
+        for group in groups:
+            best = group[0]
+            line = target.log_density(modes.at[best] + share * (at - modes.at[best]))
+            if line.min() > min(modes.height[best], modes.height[k]) - _DIP:
+                group.append(k)
+                break
+        else:
+            groups.append([k])
+    return groups

@@ -1,0 +1,276 @@
+"""posterior: the distribution of a fit's parameters, given its records and priors."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.errors import PosteriorError, UntrustedPosteriorError
+from casadi_engine.estimation.fit import Fit
+from casadi_engine.estimation.options import chosen, whole
+from casadi_engine.posterior import ensemble, importance
+from casadi_engine.posterior.bridge import bridge
+from casadi_engine.posterior.drawn import Drawn, thinned, weighed
+from casadi_engine.posterior.modes import Modes, along, find_modes, inverse, separate
+from casadi_engine.posterior.psis import log_mean, pareto_smoothed
+from casadi_engine.posterior.result import Posterior, made
+from casadi_engine.posterior.target import Target
+
+Array = NDArray[np.float64]
+
+METHODS = ("auto", "importance", "ensemble")
+# Shares of the information that may be left out of the likelihood that is drawn from, one tried after the other, and
+# the scatter of what is left out above which the next one is.
+LEFT_OUT, SCATTER = (0.1, 0.02, 0.0), 1.0
+# Optima at which that is looked at.
+OPTIMA = 6
+# Draws at which nothing is left out, for the evidence and to see what it does; scatter that the draws' weights follow.
+LOOKED_AT, FELT = 200, 0.1
+# Searches for other optima that start around the fit's, for each dimension; where an evaluation is a simulation, none.
+WIDE = 4
+
+
+def posterior(
+    fit: Fit,
+    *,
+    draws: int = 1000,
+    method: str = "auto",
+    seed: int = 0,
+    evaluations: int = 60_000,
+    progress: Callable[[str, int], Any] | None = None,
+) -> Posterior:
+    """The distribution of the free parameters and unknown noise levels of a fit, given its records and priors.
+
+    Unlike standard errors it does not take the likelihood for a quadratic: it holds where there are several optima,
+    bounds, or a curved valley.
+
+    Parameters
+    ----------
+    fit : a converged Fit with the loss "square", without a predictor. Its bounds are the prior's: flat between them in
+        the logarithm of a parameter whose lower bound is positive, else in its value; a normal prior of the set is
+        taken as it is; ties and constraints hold. A noise level that was estimated is flat in its logarithm
+    draws : number of draws that the result keeps
+    method : "importance" for few smooth optima, "ensemble" for walkers (extra "bayes"); "auto" takes the first that can
+        be trusted
+    seed : of the random numbers; the same seed gives the same draws
+    evaluations : of the likelihood by an ensemble, at most
+    progress : None, or a function of (what is done, evaluations so far)
+
+    Returns
+    -------
+    Posterior : draws, intervals, optima with their mass, evidence
+
+    Raises
+    ------
+    PosteriorError : no fit, a fit that did not converge, a parameter without bounds, a direction that the data do not
+        determine, or options that do not fit
+    UntrustedPosteriorError : the draws do not agree or are too few; nothing is returned then
+    MissingDependencyError : an ensemble is needed, and emcee is not installed
+
+    Notes
+    -----
+    Initial states are integrated out: their prior is normal, as the states along the record are in the fit and half as
+    wide again. For linear models on complete records the integral is exact (the prior is that of the sum of first and
+    last state), and chi-squared is computed in the frequency bins in which the parameters act; all others enter when
+    the draws are there. For other models it is that of a normal density about the best initial states (Laplace).
+
+    Importance sampling draws from a mixture of t-distributions at the optima, which learns from its draws (Cappe et al.
+    2008), and is trusted if Pareto k-hat is at most 0.7 and the draws are worth 400 independent ones, in their tails
+    too. Where it is not, two ensembles of walkers start from the optima and along the directions that the data tell
+    least of, and importance sampling goes on from where they have been. If that is not to be trusted either, the
+    ensembles themselves draw until the rank-normalised split R-hat of every walker's draws is at most 1.02 and they are
+    worth 400 in the middle and in the tails.
+
+    Examples
+    --------
+    >>> import numpy as np, casadi_engine as ce
+    >>> t = np.arange(200) * 0.01
+    >>> noise = 0.02 * np.random.default_rng(1).standard_normal(200)
+    >>> exp = ce.Experiment.from_arrays("run_up", time=t, units={"T": "N m", "omega": "rad/s"}, hold="zero",
+    ...     T=np.full(200, 2.0), omega=4 * (1 - np.exp(-t / 0.8)) + noise)
+    >>> fit = ce.estimate(ce.one_inertia(), exp, noise=ce.Noise(omega=0.02), progress=False)
+    >>> post = ce.posterior(fit)
+    >>> low, high = post.interval("J_eng", 0.8)
+    >>> print(f"{low:.3f} to {high:.3f} kg m2")
+    0.399 to 0.403 kg m2
+    """
+    _check(fit)
+    chosen("method", method, METHODS)
+    count, seed = whole("draws", draws, 100), whole("seed", seed, 0)
+    most = whole("evaluations", evaluations, 1000)
+    begun = time.process_time()
+    target = Target(fit)
+    tell = _teller(progress, target)
+    first = target.squares(target.start[: target.nv])
+    if first is None:
+        raise _improper("the slopes at the optimum are not finite")
+    weak = along(target.start[: target.nv], inverse(first.matrix))
+    scatter, left = np.inf, list(LEFT_OUT)
+    while scatter > SCATTER:
+        random = np.random.default_rng(seed)
+        left_out = left.pop(0)
+        target.choose([target.start[: target.nv], *weak[:2]], left_out)
+        tell("looking for optima")
+        slow = target.likelihood.bins is None
+        found = find_modes(target, fit, random, wide=0 if slow else WIDE * len(target.names) + 6)
+        if found is None:
+            raise _improper("the optimum's information matrix is singular")
+        modes = found
+        target.choose([*modes.at[:OPTIMA, : target.nv], *weak[:2]], left_out)
+        drawn = _drawn(target, modes, method, random, count, most, tell)
+        tell("looking at all data")
+        drawn, scatter = _with_all_data(target, drawn, random)
+    return made(fit, target, modes, separate(modes, target), drawn, seed, time.process_time() - begun)
+
+
+def _drawn(
+    target: Target,
+    modes: Modes,
+    method: str,
+    random: np.random.Generator,
+    count: int,
+    most: int,
+    tell: Callable[[str], Any],
+) -> Drawn:
+    """Draws by the method that is asked for, or by the first that can be trusted."""
+    known, why = None, "asked for"
+    if method != "ensemble":
+        tell("importance sampling")
+        found = importance.sample(target.log_density, modes.mixture(), random)
+        if found.trusted:
+            return weighed(found, "few smooth optima", count, random)
+        known, why = found.proposal, found.words
+        if method == "importance":
+            raise UntrustedPosteriorError(
+                "importance sampling does not describe this posterior",
+                seen=why,
+                allowed=f"k-hat up to {importance.LARGEST_SHAPE:g}, and {importance.FEWEST:.0f} draws",
+                cure='take method="ensemble", which crosses many optima and curved valleys',
+            )
+    ensemble.emcee()
+    tell("ensemble")
+    starts = [dispersed(target, modes, random) for _ in range(2)]
+    explored = ensemble.explore(target.log_density, starts, random, known)
+    if method == "auto":
+        tell("importance sampling where the walkers have been")
+        found = importance.sample(target.log_density, explored.proposal, random)
+        if found.trusted:
+            return weighed(found, "from where an ensemble of walkers has been", count, random)
+        explored = replace(explored, proposal=found.proposal)
+        tell("ensemble")
+    return _by_walking(target, explored, random, count, most, why)
+
+
+def _by_walking(
+    target: Target, explored: ensemble.Explored, random: np.random.Generator, count: int, most: int, why: str
+) -> Drawn:
+    """Draws of an ensemble; raises UntrustedPosteriorError where its walkers do not agree."""
+    chains = ensemble.walk(target.log_density, explored, random, most=most)
+    if not chains.trusted:
+        worst = int(np.argmax(chains.rhat))
+        raise UntrustedPosteriorError(
+            "the walkers of the ensemble do not agree yet",
+            seen=f"R-hat {chains.rhat[worst]:.3f} of {target.names[worst]}, worth {chains.size:.0f} independent draws "
+            f"after {chains.evaluations} evaluations",
+            allowed=f"R-hat up to {ensemble.LARGEST:g}, and {ensemble.FEWEST:.0f} draws",
+            cure=f"give more, evaluations={4 * most}, or narrower bounds or priors for what the data tell little of",
+        )
+    evidence = bridge(target.log_density, chains.x, chains.density, chains.size, random)
+    return thinned(chains, evidence, count, why)
+
+
+def dispersed(target: Target, modes: Modes, random: np.random.Generator) -> Array:
+    """Where the walkers of an ensemble (w, d) start: half about the optima, half far along the weakest directions."""
+    d = len(target.names)
+    walkers = 2 * (d + 1)
+    factor = np.linalg.cholesky(np.linalg.inv(modes.information))
+    values, vectors = np.linalg.eigh(np.linalg.inv(modes.information[0]))
+    found: list[Array] = []
+    for tried in range(100 * walkers):
+        k = int(random.integers(len(modes.at)))
+        at = modes.at[k] + factor[k] @ random.standard_normal(d)
+        if len(found) % 2:
+            weak = np.argsort(values)[::-1][: min(2, d)]
+            far = random.uniform(-8, 8, len(weak)) * np.sqrt(values[weak]) / (1 + tried // (10 * walkers))
+            at = at + vectors[:, weak] @ far
+        if np.isfinite(target.log_density(at[None])[0]):
+            found.append(at)
+        if len(found) == walkers:
+            break
+    return np.array(found)
+
+
+def _with_all_data(target: Target, drawn: Drawn, random: np.random.Generator) -> tuple[Drawn, float]:
+    """The draws and their evidence with what was left out, and the scatter of its log likelihood over them."""
+    bins = target.likelihood.bins
+    if bins is None or bins[0] == bins[1]:
+        return drawn, 0.0
+    some = random.choice(len(drawn.u), min(LOOKED_AT, len(drawn.u)), replace=False)
+    ratio = target.full(drawn.u[some]) - drawn.density[some]
+    scatter = float(ratio.std())
+    if scatter > FELT:
+        rest = np.setdiff1d(np.arange(len(drawn.u)), some)
+        ratio = np.concatenate([ratio, target.full(drawn.u[rest]) - drawn.density[rest]])
+        smooth, _ = pareto_smoothed(ratio)
+        drawn = drawn.reweighed(np.concatenate([some, rest]), smooth, random)
+    error = scatter / np.sqrt(len(ratio))
+    return drawn.with_evidence(log_mean(ratio), error), scatter
+
+
+def _teller(progress: Callable[[str, int], Any] | None, target: Target) -> Callable[[str], Any]:
+    if progress is not None and not callable(progress):
+        raise PosteriorError(
+            "invalid `progress`",
+            seen=repr(progress),
+            allowed="None, or a function of (what is done, evaluations so far)",
+            cure="leave it out",
+        )
+    return lambda words: progress(words, target.evaluations) if progress is not None else None
+
+
+def _improper(seen: str) -> PosteriorError:
+    return PosteriorError(
+        "the data leave a direction of the parameters open, so that its posterior is the bounds alone",
+        seen=seen,
+        allowed="free parameters that the data or priors determine",
+        cure="fix one of these parameters, tie it, give it a prior, or add a record that excites it",
+    )
+
+
+def _check(fit: Any) -> None:
+    """Raise PosteriorError for what has no posterior here."""
+    if not isinstance(fit, Fit):
+        raise PosteriorError(
+            "a posterior needs a fit",
+            seen=type(fit).__name__,
+            allowed="a Fit",
+            cure="give what ce.estimate returned",
+        )
+    if not fit.converged or not fit.free:
+        raise PosteriorError(
+            "a posterior needs a fit that converged, with free parameters",
+            seen=fit.status if fit.free else "no free parameter",
+            allowed="a converged fit",
+            cure="fit again with other start values, more iterations, or more free parameters",
+        )
+    if fit.options.get("loss", "square") != "square":
+        raise PosteriorError(
+            "a posterior needs the likelihood of normal noise",
+            seen=f"loss={fit.options['loss']}",
+            allowed='loss="square"',
+            cure='fit again with loss="square", outliers masked',
+        )
+    if fit.innovations is not None:
+        raise PosteriorError(
+            "the posterior of a model with a predictor is not available",
+            seen=f"a gain, {fit.innovations.kind}",
+            allowed="a fit whose noise is that of the measurement alone",
+            cure="fit again with ce.Noise(output=sigma), without gain or process noise",
+        )
+    if fit.undetermined:
+        raise _improper("; ".join(direction.text for direction in fit.undetermined))

@@ -1,0 +1,226 @@
+"""Posterior: draws of a fit's parameters and what they say, as numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.errors import PosteriorError
+from casadi_engine.estimation.fit import Fit
+from casadi_engine.parameters import near_matches
+from casadi_engine.posterior.drawn import Drawn
+from casadi_engine.posterior.mixture import Mixture
+from casadi_engine.posterior.modes import Modes
+from casadi_engine.posterior.prior import Prior
+from casadi_engine.posterior.target import Target
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Mode:
+    """One mode: the parameters' values at its highest point, its share of the draws, and the optima that it joins.
+
+    below : how much lower its log density is than that of the highest one
+    """
+
+    values: Mapping[str, float]
+    mass: float
+    below: float
+    optima: int
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """The answer of ``posterior``.
+
+    Attributes
+    ----------
+    fit : what it started from
+    names, units : of the free parameters and unknown noise levels, d of them; a noise level is ``sigma(output)``
+    values : (n, d) draws in these units, all of which weigh alike
+    log_density : (n,) of prior and likelihood
+    method : "importance" or "ensemble"; why : what decided
+    modes : the highest one first; searches : that looked for optima
+    log_evidence, log_evidence_error : log of the probability density of the records given model and prior, and its
+        standard error
+    rhat : name -> rank-normalised split R-hat; empty where the draws are independent
+    bulk, tail : name -> effective sample size in the middle and in the tails
+    shape : Pareto k-hat of the weights, None for an ensemble
+    priors : name -> the prior in words
+    evaluations : of the likelihood; bins : frequency bins in use and of all, None where samples were used
+    seconds : processor time; seed : of the random numbers
+    """
+
+    fit: Fit
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Array
+    log_density: Array
+    method: str
+    why: str
+    modes: tuple[Mode, ...]
+    searches: int
+    log_evidence: float
+    log_evidence_error: float
+    rhat: Mapping[str, float]
+    bulk: Mapping[str, float]
+    tail: Mapping[str, float]
+    shape: float | None
+    priors: Mapping[str, str]
+    prior: Prior
+    evaluations: int
+    bins: tuple[int, int] | None
+    seconds: float
+    seed: int
+    chains: Array | None = field(default=None, repr=False)
+
+    @property
+    def draws(self) -> dict[str, Array]:
+        """Name -> (n,) draws in the parameter's unit; those of one number belong together."""
+        return {name: self.values[:, k] for k, name in enumerate(self.names)}
+
+    def __getitem__(self, name: str) -> Array:
+        if name not in self.names:
+            raise PosteriorError(
+                "the posterior has no such parameter",
+                seen=repr(name),
+                allowed=near_matches(str(name), self.names),
+                cure="name a free parameter of the fit, or sigma(output) of a noise level that it estimated",
+            )
+        return self.values[:, self.names.index(name)]
+
+    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+        """The interval that holds the parameter with this probability, as much on either side, in its unit."""
+        number = isinstance(level, int | float | np.floating) and not isinstance(level, bool)
+        if not number or not 0 < level < 1:
+            raise PosteriorError(
+                "invalid `level`",
+                seen=repr(level),
+                allowed="a number between 0 and 1",
+                cure="leave it out for 0.95",
+            )
+        low, high = np.quantile(self[name], [(1 - level) / 2, (1 + level) / 2])
+        return float(low), float(high)
+
+    @property
+    def median(self) -> dict[str, float]:
+        """Name -> median."""
+        return {name: float(np.median(own)) for name, own in self.draws.items()}
+
+    def __str__(self) -> str:
+        from casadi_engine.posterior.summary import summary
+
+        return summary(self)
+
+    def table(self) -> str:
+        """Median and intervals of every parameter, as text."""
+        from casadi_engine.posterior.summary import table
+
+        return table(self)
+
+    def predictive(self, data: Any = None, *, draws: int = 60, seed: int = 0) -> Any:
+        """What the posterior foretells of a record's outputs; see ``predictive``."""
+        from casadi_engine.posterior.predictive import predictive
+
+        return predictive(self, data, draws=draws, seed=seed)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and lists, ready for JSON; the draws among them."""
+        return {
+            "names": list(self.names),
+            "units": list(self.units),
+            "draws": {name: own.tolist() for name, own in self.draws.items()},
+            "intervals": {
+                name: {str(level): list(self.interval(name, level / 100)) for level in (50, 80, 95)}
+                for name in self.names
+            },
+            "median": self.median,
+            "modes": [
+                {"values": dict(one.values), "mass": one.mass, "below": one.below, "optima": one.optima}
+                for one in self.modes
+            ],
+            "log_evidence": self.log_evidence,
+            "log_evidence_error": self.log_evidence_error,
+            "method": self.method,
+            "why": self.why,
+            "rhat": dict(self.rhat),
+            "bulk": dict(self.bulk),
+            "tail": dict(self.tail),
+            "pareto_k": None if self.shape is None or not np.isfinite(self.shape) else self.shape,
+            "priors": dict(self.priors),
+            "searches": self.searches,
+            "evaluations": self.evaluations,
+            "frequency_bins": None if self.bins is None else list(self.bins),
+            "seconds": self.seconds,
+            "seed": self.seed,
+        }
+
+    def to_inference_data(self) -> dict[str, Any]:
+        """What ``arviz.from_dict(**...)`` takes: posterior and sample statistics, (chain, draw) each; no dependency."""
+        chains = self.values.T[:, None] if self.chains is None else self.chains
+        found: dict[str, Any] = {"posterior": dict(zip(self.names, chains, strict=True))}
+        if self.chains is None:
+            found["sample_stats"] = {"lp": self.log_density[None]}
+        return found
+
+
+def made(
+    fit: Fit, target: Target, modes: Modes, groups: list[list[int]], drawn: Drawn, seed: int, seconds: float
+) -> Posterior:
+    """The result from draws."""
+    values = target.values(drawn.u)
+    names = target.names
+    tops = modes.at[[group[0] for group in groups]]
+    height = target.full(tops)
+    of_each = zip(target.values(tops), _masses(modes, groups, drawn.u), height, groups, strict=True)
+    found = [
+        Mode(dict(zip(names, top.tolist(), strict=True)), float(share), float(height.max() - own), len(group))
+        for top, share, own, group in of_each
+    ]
+    found.sort(key=lambda mode: mode.below)
+
+    def by_name(part: Array | None) -> dict[str, float]:
+        return {} if part is None else dict(zip(names, part.tolist(), strict=True))
+
+    levels = dict.fromkeys(names[target.nv :], "flat in the logarithm, a factor 1000 about the fit's")
+    chains = None
+    if drawn.chains is not None:
+        m, t, d = drawn.chains.shape
+        chains = target.values(drawn.chains.reshape(m * t, d)).reshape(m, t, d).transpose(2, 0, 1)
+    return Posterior(
+        fit=fit,
+        names=names,
+        units=target.units,
+        values=values,
+        log_density=drawn.density,
+        method=drawn.method,
+        why=drawn.why,
+        modes=tuple(found),
+        searches=modes.searches,
+        log_evidence=drawn.log_evidence,
+        log_evidence_error=drawn.error,
+        rhat=by_name(drawn.rhat),
+        bulk=by_name(drawn.bulk),
+        tail=by_name(drawn.tail),
+        shape=drawn.shape,
+        priors=target.prior.words | levels,
+        prior=target.prior,
+        evaluations=target.evaluations,
+        bins=target.likelihood.bins,
+        seconds=seconds,
+        seed=seed,
+        chains=chains,
+    )
+
+
+def _masses(modes: Modes, groups: list[list[int]], u: Array) -> Array:
+    """Shares of the draws that belong to each group of optima, by the quadratics at these."""
+    scale = np.asarray(np.linalg.inv(modes.information), dtype=np.float64)
+    parts = Mixture.of(np.ones(len(modes.at)), modes.at, scale).parts(u)
+    owner = np.argmax(parts, axis=0)
+    return np.array([np.isin(owner, group).mean() for group in groups])

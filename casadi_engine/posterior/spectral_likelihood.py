@@ -1,0 +1,248 @@
+"""The likelihood of linear models on complete records, the initial states integrated out, by few frequency bins.
+
+In the frequency domain (``estimation.spectral``) initial states enter by t = x_0 + x_N, the sum of the first and the
+last one, linearly: with a normal prior of t (``states``) their integral is exact.
+
+An engine's torque acts at its harmonics: most bins hold noise alone. Those in which the parameters act are chosen once
+by their share of the information, not by what was measured there, so that the likelihood of the chosen bins is one of
+its own. The others wait for the last draws (``full``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.estimation.levenberg_marquardt import Squares
+from casadi_engine.estimation.record import RecordTerm
+from casadi_engine.estimation.spectral import Bins, Response, SpectralRecord
+from casadi_engine.estimation.spectral_search import largest_share
+from casadi_engine.posterior.modal import Transients
+from casadi_engine.posterior.states import StatePrior
+from casadi_engine.simulation.discretisation import Discretisation
+from casadi_engine.simulation.linear import LinearPropagator
+
+Array = NDArray[np.float64]
+
+# Share of the information in any direction that the bins that are left out may hold, and shares of bins to try.
+LEFT_OUT = 0.02
+# Growth of a state over a record from which its start says nothing.
+_GROWTH = 1e8
+_TRIED = 2.0 ** -np.arange(8.0, -0.5, -0.5)
+
+
+class SpectralLikelihood:
+    """Log likelihood of records at parameters v (nv,) and noise levels (ny,), the initial states integrated out.
+
+    bins : used and all; states : of each record, the prior of t
+    """
+
+    def __init__(self, records: Sequence[RecordTerm], size: int, states: Sequence[StatePrior]) -> None:
+        """size : nv, of the vector of parameters; states : the prior of those of each record"""
+        self.states = [one.of_sum() for one in states]
+        self._records = [SpectralRecord(record) for record in records]
+        self._size = size
+        self._fixed = [not len(_linear(record.record).drives_active) for record in self._records]
+        self._chosen: list[NDArray[np.intp] | None] = [None] * len(self._records)
+        self._kept: dict[int, Bins] = {}
+        self._joint: dict[tuple[int, ...], Bins] = {}
+        # of the bins left out: log likelihood, values of an output, their mean square, at which noise levels
+        self._others: tuple[float, float, float, Array] = (0.0, 0.0, 1.0, np.ones(1))
+        self.outputs = len(self._records[0].sigma)
+
+    @property
+    def bins(self) -> tuple[int, int]:
+        """Number of bins in use, and of all."""
+        whole = sum(record.size for record in self._records)
+        used = sum(
+            record.size if own is None else len(own)
+            for record, own in zip(self._records, self._chosen, strict=True)
+        )
+        return used, whole
+
+    # ---- which bins
+
+    def choose(self, points: Sequence[Array], sigma: Array, left_out: float = LEFT_OUT) -> None:
+        """Take the fewest bins that leave out little of the information at any of the points v."""
+        wholes, scores = [], [np.zeros(record.size) for record in self._records]
+        rows = [[self._columns(k, v, sigma) for k in range(len(self._records))] for v in points]
+        for own in rows:
+            whole = self._information(own)
+            wholes.append(whole)
+            size = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+            turn = np.linalg.pinv(whole / np.outer(size, size), rcond=1e-12) / np.outer(size, size)
+            for k, (record, jacobian) in enumerate(zip(self._records, own, strict=True)):
+                active = record.record.active
+                bent = turn[np.ix_(active, active)] @ jacobian
+                score = (bent * jacobian).sum(axis=0).reshape(self.outputs, -1, 2).sum(axis=(0, 2))
+                scores[k] = np.maximum(scores[k], score)
+        order = np.sort(np.concatenate(scores))[::-1]
+        for share in _TRIED:
+            limit = order[max(int(share * len(order)) - 1, 0)]
+            chosen = [np.flatnonzero(score >= limit) for score in scores]
+            part = [
+                self._information([self._part(one, chosen[k]) for k, one in enumerate(own)]) for own in rows
+            ]
+            if all(largest_share(w, p) <= left_out for w, p in zip(wholes, part, strict=True)):
+                break
+        self._chosen, self._kept, self._joint = list(chosen), {}, {}
+        self._others = 0.0, 0.0, 1.0, sigma
+        count = sum(2 * (r.size - len(own)) for r, own in zip(self._records, chosen, strict=True))
+        rest = self.full(points[0], sigma) - self.value(points[0], sigma)
+        rest = rest if np.isfinite(rest) else 0.0
+        squares = -2 * (rest + count * float(np.log(sigma).sum()))
+        self._others = rest, float(count), squares / max(count * self.outputs, 1), sigma
+
+    def _columns(self, k: int, v: Array, sigma: Array) -> Array:
+        """Slopes (na, 2 ny K) of one record in all bins, the transients projected out."""
+        record = self._records[k]
+        record.sigma = sigma
+        return record.columns(v, record.below(np.inf))[0][1:]
+
+    def _part(self, jacobian: Array, chosen: NDArray[np.intp]) -> Array:
+        """The same in some of the bins. Transients are projected out of these alone when it comes to the likelihood;
+        what that costs beyond is less than what the bins lack."""
+        return jacobian.reshape(len(jacobian), self.outputs, -1, 2)[:, :, chosen].reshape(len(jacobian), -1)
+
+    def _information(self, rows: Sequence[Array]) -> Array:
+        found = np.zeros((self._size, self._size))
+        for record, own in zip(self._records, rows, strict=True):
+            active = record.record.active
+            found[np.ix_(active, active)] += own @ own.T
+        return found
+
+    # ---- the likelihood
+
+    def value(self, v: Array, sigma: Array) -> float:
+        """Log likelihood in the chosen bins, that of the others as at the first point; -inf where there is none."""
+        rest, count, square, level = self._others
+        ratio = level / sigma
+        rest += float(np.sum(count * (np.log(ratio) - 0.5 * square * (ratio**2 - 1))))
+        return self._log(v, sigma, whole=False) + rest
+
+    def full(self, v: Array, sigma: Array) -> float:
+        """The same in all bins."""
+        return self._log(v, sigma, whole=True)
+
+    def _log(self, v: Array, sigma: Array, *, whole: bool) -> float:
+        total = 0.0
+        with np.errstate(all="ignore"):
+            try:
+                for discrete, members in self._groups(v).values():
+                    total += self._of_group(v, discrete, members, sigma, whole=whole)
+            except (FloatingPointError, np.linalg.LinAlgError):
+                return -np.inf
+        return total if np.isfinite(total) else -np.inf
+
+    def _groups(self, v: Array) -> dict[int, tuple[Discretisation, list[int]]]:
+        """Records whose discrete matrices are the same."""
+        found: dict[int, tuple[Discretisation, list[int]]] = {}
+        for k, record in enumerate(self._records):
+            discrete = _linear(record.record).discretisation(v[record.record.active], 0)
+            found.setdefault(id(discrete), (discrete, []))[1].append(k)
+        return found
+
+    def _bins(self, k: int, v: Array, *, whole: bool) -> Bins:
+        if not whole and k in self._kept:
+            return self._kept[k]
+        record, chosen = self._records[k], self._chosen[k]
+        bins = record.bins(v[record.record.active], record.below(np.inf))
+        if whole or chosen is None:
+            return bins
+        bins = Bins(
+            bins.samples,
+            bins.z[chosen],
+            bins.share[chosen],
+            np.ascontiguousarray(bins.drives[:, chosen]),
+            bins.slopes[:0],
+            np.ascontiguousarray(bins.measured[:, chosen]),
+        )
+        if self._fixed[k]:
+            self._kept[k] = bins
+        return bins
+
+    def _of_group(
+        self, v: Array, discrete: Discretisation, members: list[int], sigma: Array, *, whole: bool
+    ) -> float:
+        own = [self._bins(k, v, whole=whole) for k in members]
+        joint = self._side_by_side(members, own, keep=not whole)
+        model, ny = Transients(discrete, joint, sigma), len(sigma)
+        if not all(np.abs(model.poles).max(initial=0.0) ** bins.samples < _GROWTH for bins in own):
+            raise FloatingPointError("the states grow beyond what their start decides")
+        total, at = 0.0, 0
+        for k, bins in zip(members, own, strict=True):
+            part = slice(at, at + len(bins.z))
+            at = part.stop
+            rows, rest = model.rows[:, :, part], model.rest[:, part].ravel()
+            known = StatePrior(model.turn @ self.states[k].mean, model.turn @ self.states[k].factor)
+            total -= 0.5 * sum(known.marginal(rows.reshape(len(rows), -1), rest))
+            total -= rest.size / ny * float(np.log(sigma).sum())
+        return total
+
+    def _side_by_side(self, members: list[int], own: list[Bins], *, keep: bool) -> Bins:
+        """The bins of several records, kept where they are the same for every v."""
+        if len(own) == 1:
+            return own[0]
+        key = tuple(members)
+        if keep and key in self._joint:
+            return self._joint[key]
+        joint = _joined(own)
+        if keep and all(self._fixed[k] for k in members):
+            self._joint[key] = joint
+        return joint
+
+    # ---- slopes, for searches
+
+    def squares(self, v: Array, sigma: Array) -> Squares | None:
+        """Half the sum of squares in the chosen bins, with slopes; None where the model cannot be evaluated."""
+        matrix, gradient, cost = np.zeros((self._size, self._size)), np.zeros(self._size), 0.0
+        with np.errstate(all="ignore"):
+            for k, record in enumerate(self._records):
+                active = record.record.active
+                try:
+                    gram = self._gram(k, v, sigma)
+                except (FloatingPointError, np.linalg.LinAlgError):
+                    return None
+                cost += 0.5 * float(gram[0, 0])
+                gradient[active] += gram[1:, 0]
+                matrix[np.ix_(active, active)] += gram[1:, 1:]
+        return Squares(cost, gradient, matrix) if np.isfinite(cost) and np.isfinite(matrix).all() else None
+
+    def _gram(self, k: int, v: Array, sigma: Array) -> Array:
+        record, chosen = self._records[k].record, self._chosen[k]
+        z = v[record.active]
+        discrete = _linear(record).discretisation(z, 1)
+        bins = self._records[k].bins(z, self._records[k].below(np.inf))
+        if chosen is not None:
+            bins = Bins(
+                bins.samples, bins.z[chosen], bins.share[chosen], np.ascontiguousarray(bins.drives[:, chosen]),
+                np.ascontiguousarray(bins.slopes[..., chosen]), np.ascontiguousarray(bins.measured[:, chosen]),
+            )  # fmt: skip
+        response, known = Response(discrete, bins, sigma), self.states[k]
+        forced = response.forced(bins)
+        rest = np.ascontiguousarray(forced[0].reshape(-1)).view(np.float64)
+        best = known.best(response.seen, rest)
+        flat = response.columns(bins, forced, best, _linear(record).drives_active)
+        flat[0] += known.mean @ response.seen
+        seen = known.factor.T @ response.seen
+        cross = seen @ flat.T
+        return np.asarray(flat @ flat.T - cross.T @ np.linalg.solve(np.eye(len(seen)) + seen @ seen.T, cross))
+
+
+def _linear(record: RecordTerm) -> LinearPropagator:
+    return cast(LinearPropagator, record.propagator)
+
+
+def _joined(parts: list[Bins]) -> Bins:
+    """The bins of several records side by side."""
+    return Bins(
+        max(part.samples for part in parts),
+        np.concatenate([part.z for part in parts]),
+        np.concatenate([part.share for part in parts]),
+        np.concatenate([part.drives for part in parts], axis=1),
+        parts[0].slopes[:0],
+        np.concatenate([part.measured for part in parts], axis=1),
+    )

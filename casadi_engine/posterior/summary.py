@@ -1,0 +1,109 @@
+"""A posterior on one screen."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from casadi_engine.posterior.result import Posterior
+
+# Modes with a smaller share of the draws are not shown, and of the others at most so many.
+_SMALL, _SHOWN = 0.01, 4
+_LEVELS = (50, 80, 95)
+
+
+def table(post: Posterior) -> str:
+    """Median and intervals, with R-hat where there are chains, and the effective sample size."""
+    head = ["parameter", "median", *(f"{level} % interval" for level in _LEVELS), "unit"]
+    head += ["R-hat", "ESS"] if post.rhat else ["ESS"]
+    rows = [head]
+    for name, unit in zip(post.names, post.units, strict=True):
+        own = post[name]
+        ends = [post.interval(name, level / 100) for level in _LEVELS]
+        digits = _digits(ends[-1])
+        row = [name, _number(float(np.median(own)), digits)]
+        row += [f"{_number(low, digits)} .. {_number(high, digits)}" for low, high in ends]
+        row.append(unit)
+        size = min(post.bulk[name], post.tail[name])
+        row += [f"{post.rhat[name]:.3f}"] if post.rhat else []
+        rows.append([*row, f"{size:.0f}"])
+    wide = [max(len(row[k]) for row in rows) for k in range(len(head))]
+    return "\n".join(
+        "  ".join(
+            cell.ljust(w) if k in (0, 5) else cell.rjust(w)
+            for k, (cell, w) in enumerate(zip(row, wide, strict=True))
+        ).rstrip()
+        for row in rows
+    )
+
+
+def _digits(ends: tuple[float, float]) -> int:
+    """Digits after the point that show two of the interval's width; negative ones are zeros before it."""
+    width = ends[1] - ends[0]
+    if not width > 0:
+        return 6
+    return int(1 - np.floor(np.log10(width)))
+
+
+def _number(value: float, digits: int) -> str:
+    """A number with so many digits after the point; as a power of ten where that is too long."""
+    size = np.floor(np.log10(abs(value))) if value else 0.0
+    if size >= 7 or size < -4:
+        return f"{value:.{max(int(size) + digits, 1)}e}"
+    return f"{value:.{max(digits, 0)}f}"
+
+
+def summary(post: Posterior) -> str:
+    """What was found, how, and what it means."""
+    records = post.fit.data
+    head = f"Posterior of {len(post.names)} parameters given {len(records)} record{'s' * (len(records) > 1)}"
+    lines = [f"{head}: {len(post.values)} draws, {post.method}", "", table(post), ""]
+    lines += _modes(post)
+    lines.append(f"log evidence: {post.log_evidence:.2f} ± {post.log_evidence_error:.2g}")
+    lines.append(f"prior: {_priors(post)}")
+    lines.append(_quality(post))
+    return "\n".join(lines)
+
+
+def _modes(post: Posterior) -> list[str]:
+    shown = [one for one in post.modes if one.mass >= _SMALL][:_SHOWN]
+    joined = sum(one.optima for one in post.modes)
+    if len(shown) < 2:
+        many = f" that joins {joined} optima of the density" if joined > 1 else ""
+        return [f"one mode{many}, found by {post.searches} searches"]
+    lines = [f"{len(shown)} modes, found by {post.searches} searches: an interval may have gaps"]
+    for one in shown:
+        values = ", ".join(f"{name} {one.values[name]:.4g}" for name in _apart(post))
+        lines.append(f"  {100 * one.mass:5.1f} % of the mass about {values}")
+    return lines
+
+
+def _apart(post: Posterior) -> list[str]:
+    """The parameters in which the first two modes differ most, in standard deviations of the draws."""
+    first, second = post.modes[0].values, post.modes[1].values
+    far = [abs(second[name] - first[name]) / max(float(post[name].std()), 1e-300) for name in post.names]
+    return [post.names[k] for k in np.argsort(far)[::-1][:3]]
+
+
+def _priors(post: Posterior) -> str:
+    kinds: dict[str, list[str]] = {}
+    for name, words in post.priors.items():
+        kind = words.split(",")[0]
+        kinds.setdefault("given, normal" if kind == "normal" else kind + " between the bounds", []).append(
+            name
+        )
+    return "; ".join(f"{kind}: {', '.join(names)}" for kind, names in kinds.items())
+
+
+def _quality(post: Posterior) -> str:
+    size = min([*post.bulk.values(), *post.tail.values()])
+    seen = f"R-hat {max(post.rhat.values()):.3f} at most" if post.rhat else f"Pareto k-hat {post.shape:.2f}"
+    where = (
+        "" if post.bins is None else f", in {post.bins[0]} of {post.bins[1]} frequency bins and then in all"
+    )
+    return (
+        f"quality: {seen}, worth {size:.0f} independent draws; {post.evaluations} evaluations{where}, "
+        f"{post.seconds:.1f} s"
+    )

@@ -1,0 +1,163 @@
+"""What is drawn from: the log density of free parameters and unknown noise levels, given the records of a fit."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.estimation.coordinates import Coordinates
+from casadi_engine.estimation.fit import Fit
+from casadi_engine.estimation.levenberg_marquardt import Squares
+from casadi_engine.estimation.search import Search
+from casadi_engine.estimation.single_shots import SingleShots, evaluator
+from casadi_engine.estimation.spectral_start import no_spectrum
+from casadi_engine.posterior.laplace_likelihood import LaplaceLikelihood
+from casadi_engine.posterior.prior import Prior
+from casadi_engine.posterior.spectral_likelihood import SpectralLikelihood
+from casadi_engine.posterior.states import state_prior
+from casadi_engine.problem.noise import Noise
+
+Array = NDArray[np.float64]
+
+# A noise level that is not known is flat in its logarithm, this factor to either side of what the fit found.
+LEVELS = 1000.0
+
+
+class Likelihood(Protocol):
+    """Of records at v (nv,) and noise levels (ny,), the initial states integrated out; see ``SpectralLikelihood``."""
+
+    @property
+    def bins(self) -> tuple[int, int] | None:
+        """Number of frequency bins in use and of all, None where samples are used."""
+        ...
+
+    def choose(self, points: list[Array], sigma: Array, left_out: float = ...) -> None:
+        """Leave out what says little at these points."""
+        ...
+
+    def value(self, v: Array, sigma: Array) -> float:
+        """Log likelihood, but for what does not depend on v and sigma."""
+        ...
+
+    def full(self, v: Array, sigma: Array) -> float:
+        """The same with nothing left out."""
+        ...
+
+    def squares(self, v: Array, sigma: Array) -> Squares | None:
+        """Half the sum of squares with slopes."""
+        ...
+
+
+class Target:
+    """Log density over u (d,): the coordinates v of the parameters, then logarithms of noise levels over the fit's.
+
+    names, units : of the d numbers as they are printed; low, high : (d,) bounds of u; start : (d,) of the fit
+    evaluations : of the likelihood so far
+    """
+
+    def __init__(self, fit: Fit) -> None:
+        levels: dict[str, Any] = {name: sigma for name, (sigma, _) in fit.noise.items()}
+        method = str(fit.options.get("method", "exact"))
+        self.search = evaluator(fit.model, fit.data, fit.parameters.copy(), Noise(**levels), method=method)
+        self.coordinates: Coordinates = self.search.coordinates
+        pmap = self.search.pmap
+        self.prior = Prior(pmap, self.coordinates)
+        self._outputs = self.search.records[0].outputs
+        self._sigma = np.array([levels[name] for name in self._outputs])
+        unknown = [k for k, name in enumerate(self._outputs) if fit.noise[name][1]]
+        self._unknown, self.nv = np.array(unknown, dtype=np.intp), len(pmap.free)
+        self.free = pmap.free
+        self.names = (*pmap.free, *(f"sigma({self._outputs[k]})" for k in unknown))
+        units = {out.name: out.unit for out in fit.model.outputs}
+        self.units = tuple(
+            [fit.parameters[name.split("@")[0]].unit for name in pmap.free]
+            + [units[self._outputs[k]] for k in unknown]
+        )
+        reach = np.full(len(unknown), np.log(LEVELS))
+        self.low, self.high = (
+            np.concatenate([self.prior.low, -reach]),
+            np.concatenate([self.prior.high, reach]),
+        )
+        z = np.array([fit.values[name] for name in pmap.free])
+        self.start = np.clip(
+            np.concatenate([self.coordinates.of(z), np.zeros(len(unknown))]), self.low, self.high
+        )
+        self.samples = sum(record.count for record in self.search.records)
+        self._constant = -0.5 * self.samples * float(np.log(2 * np.pi))
+        self._constant -= len(unknown) * float(np.log(2 * np.log(LEVELS)))
+        self.likelihood = _likelihood(fit, self.search, self.start[: self.nv])
+        self.evaluations = 0
+
+    # ---- densities
+
+    def log_density(self, u: Array) -> Array:
+        """(k,) at u (k, d): of prior and likelihood, in what is left of the data."""
+        return np.array([self._one(row, whole=False) for row in u])
+
+    def full(self, u: Array) -> Array:
+        """(k,) of all data."""
+        return np.array([self._one(row, whole=True) for row in u])
+
+    def _one(self, u: Array, *, whole: bool) -> float:
+        v = u[: self.nv]
+        prior = self.prior.log_density(v)
+        if not np.isfinite(prior) or (np.abs(u[self.nv :]) > np.log(LEVELS)).any():
+            return -np.inf
+        if self.search.problem.user.count and self.search.constraints.violated(v):
+            return -np.inf
+        self.evaluations += 1
+        evaluate = self.likelihood.full if whole else self.likelihood.value
+        return prior + evaluate(v, self.sigma(u)) + self._constant
+
+    def sigma(self, u: Array) -> Array:
+        """(ny,) noise levels at u (d,)."""
+        found = self._sigma.copy()
+        found[self._unknown] *= np.exp(u[self.nv :])
+        return found
+
+    def squares(self, v: Array) -> Squares | None:
+        """Half of chi-squared and normal priors at the fit's noise levels, with slopes in v."""
+        found = self.likelihood.squares(v, self._sigma)
+        if found is None:
+            return None
+        cost, gradient, _, matrix = self.search.problem.priors.evaluate(v)
+        return Squares(found.cost + cost, found.gradient + gradient, found.matrix + matrix)
+
+    def choose(self, points: list[Array], left_out: float) -> None:
+        """Leave out data that hold less than this share of the information at any of the points v."""
+        self.likelihood.choose(points, self._sigma, left_out)
+
+    def information(self, matrix: Array) -> Array:
+        """(d, d) of u from that of v (nv, nv): a noise level is known by the number of its samples."""
+        found = np.zeros((len(self.names),) * 2)
+        found[: self.nv, : self.nv] = matrix
+        counts = self.search.levels.counts[self._unknown]
+        found[range(self.nv, len(found)), range(self.nv, len(found))] = 2.0 * counts
+        return found
+
+    # ---- numbers as they are printed
+
+    def values(self, u: Array) -> Array:
+        """(k, d) in the parameters' units, at u (k, d)."""
+        z = np.array([self.coordinates.values(row[: self.nv]) for row in u]).reshape(len(u), self.nv)
+        levels = np.exp(u[:, self.nv :]) * self._sigma[self._unknown]
+        return np.concatenate([z, levels], axis=1)
+
+
+def _likelihood(fit: Fit, search: Search, v: Array) -> Likelihood:
+    first, states = {}, []
+    for record in search.records:
+        name = record.experiment.name
+        first[name] = np.array([one.value for one in fit.initial[name].values()]) / record.scale
+        states.append(state_prior(record, v, first[name]))
+    if no_spectrum(search) is None and not _held(fit).any():
+        return SpectralLikelihood(search.records, len(v), states)
+    held = {name: np.array([one.fixed for one in fit.initial[name].values()]) for name in first}
+    return LaplaceLikelihood(SingleShots.over(search), first, v, held, states)
+
+
+def _held(fit: Fit) -> NDArray[np.bool_]:
+    """Initial states that are known."""
+    return np.array([one.fixed for states in fit.initial.values() for one in states.values()], dtype=bool)

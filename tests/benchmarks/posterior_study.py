@@ -1,0 +1,295 @@
+"""Is the posterior calibrated? Simulation-based: parameters drawn from the prior, records, fit, posterior, rank.
+
+    OPENBLAS_NUM_THREADS=1 python tests/benchmarks/posterior_study.py [NAME ...] [--count N] [--write] [--referee]
+
+NAME : A, A_quiet, B, B6, B6_quiet, described in VARIANTS; all of them if none is given. The parameters are drawn flat
+in their logarithms between bounds, which are the prior; the rank of the truth among the draws is then uniform, and an
+interval of 80 % holds the truth in 80 % (Talts et al. 2018). Every finished simulation goes into a checkpoint beside
+this file (`posterior-*.jsonl`, --folder for another place): a study that was stopped goes on with the same command.
+`--write` puts the dated table into POSTERIOR.md; `--referee` compares log evidence and medians of one B6 with dynesty.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import json
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+HERE = Path(__file__).parent
+if str(HERE) not in sys.path:
+    sys.path.insert(0, str(HERE))
+
+from calibration_cases import _two_mass_source, simulate  # noqa: E402
+from cases import (  # noqa: E402
+    CRANKSHAFT,
+    CRANKSHAFT_TRUTH,
+    SIX,
+    STARTS_FILE,
+    TWO_MASS,
+    TWO_MASS_TRUTH,
+    Case,
+    Record,
+    kept_channels,
+)
+from ours import TWO_MASS_NAMES, experiments, model_of, parameters_of  # noqa: E402
+
+import casadi_engine as ce  # noqa: E402
+from casadi_engine.errors import CasadiEngineError  # noqa: E402
+from casadi_engine.estimation.study import study  # noqa: E402
+
+Rows = list[dict[str, Any]]
+SETTING = {"version": 1, "draws": 999}
+LEVELS = (50, 80, 95)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """words : what it is; count : simulations of the full study; sigma : of the noise [rad/s]; width : factor of the
+    bounds to either side of the thesis's values; records : of the crankshaft, none for two masses"""
+
+    words: str
+    count: int
+    sigma: float
+    width: float
+    records: tuple[str, ...] = ()
+
+
+_SIX = tuple(f"{kind}_{rpm}rpm" for rpm in (1000, 1200, 1400) for kind in ("normal", "misfire"))
+VARIANTS = {
+    "A": Variant("A: two masses, noise 0.1 rad/s", 1000, 0.1, 1.2),
+    "A_quiet": Variant("A: two masses, noise 0.01 rad/s", 1000, 0.01, 1.2),
+    "B": Variant("B: crankshaft, one record, noise 0.1 rad/s", 500, 0.1, 1.3, ("normal_1200rpm",)),
+    "B6": Variant("B6: crankshaft, six records, noise 0.1 rad/s", 200, 0.1, 1.3, _SIX),
+    "B6_quiet": Variant("B6: crankshaft, six records, noise 0.01 rad/s", 200, 0.01, 1.3, _SIX),
+}
+
+
+def drawn(name: str, seed: int) -> tuple[Case, np.ndarray]:
+    """The case with its thesis's values, records of other ones, and these values."""
+    variant = VARIANTS[name]
+    random = np.random.default_rng([15, list(VARIANTS).index(name), seed])
+    shape, nominal = (CRANKSHAFT, CRANKSHAFT_TRUTH) if variant.records else (TWO_MASS, TWO_MASS_TRUTH)
+    ties = SIX if variant.records else {}
+    plain = Case(
+        name, shape, nominal, tuple(SIX) if variant.records else shape.names, (), ties, sigma=variant.sigma
+    )
+    values = plain.true_values * variant.width ** random.uniform(-1, 1, len(plain.free))
+    records = []
+    for key in variant.records or ("misfire_1200rpm",):
+        if variant.records:
+            source, start = (
+                kept_channels(f"crankshaft/{key}.csv.gz"),
+                np.array(json.loads(STARTS_FILE.read_text())[key]),
+            )
+        else:
+            source, start = _two_mass_source()
+        noise = variant.sigma * random.standard_normal(source.samples)
+        speed, drives = simulate(shape, plain.full(values), start, source, noise)
+        records.append(Record(key, drives, speed, source.channels | {"omega": speed}))
+    return Case(name, shape, nominal, plain.free, tuple(records), ties, sigma=variant.sigma), values
+
+
+def fit_of(case: Case, seed: int) -> ce.Fit:
+    """The fit from a start within 10 % of the thesis's values, between the bounds that the truth was drawn from."""
+    model, names = model_of(case)
+    width = VARIANTS[case.name].width
+    start = case.true_values * (1 + 0.1 * np.random.default_rng([16, seed]).uniform(-1, 1, len(case.free)))
+    parameters = parameters_of(case, model, names, start)
+    for name, value in zip(case.free, case.true_values.tolist(), strict=True):
+        parameters[names[name]].set(min=value / width, max=value * width)
+    return ce.estimate(
+        model, experiments(case), parameters=parameters, noise=ce.Noise(omega=case.sigma), progress=False
+    )
+
+
+def row(piece: dict[str, Any]) -> dict[str, Any]:
+    """One simulation as plain numbers: piece = {"variant": name, "seed": number}."""
+    case, truth = drawn(piece["variant"], piece["seed"])
+    begun = time.process_time()
+    fit = fit_of(case, piece["seed"])
+    answer: dict[str, Any] = {"status": fit.status, "fit": time.process_time() - begun}
+    names = TWO_MASS_NAMES if case.shape.size == 2 else {key: key for key in case.free}
+    values = dict(zip(case.free, truth.tolist(), strict=True))
+    errors = {key: fit.stderr[names[key]] for key in case.free}
+    answer["z"] = {
+        key: None if error is None else (fit.values[names[key]] - values[key]) / error
+        for key, error in errors.items()
+    }
+    begun = time.process_time()
+    try:
+        post = ce.posterior(fit, draws=SETTING["draws"])
+    except CasadiEngineError as error:
+        return answer | {"refused": str(error), "seconds": time.process_time() - begun}
+    return answer | {
+        "seconds": time.process_time() - begun,
+        "rank": {key: float(np.mean(post[names[key]] < value)) for key, value in values.items()},
+        "method": post.method,
+        "why": post.why,
+        "evaluations": post.evaluations,
+        "modes": sum(mode.mass > 0.01 for mode in post.modes),
+        "size": min([*post.bulk.values(), *post.tail.values()]),
+        "log_evidence_error": post.log_evidence_error,
+    }
+
+
+def run(name: str, count: int, folder: Path) -> None:
+    """The first simulations of a variant; what the checkpoint holds is not done again."""
+    pieces = [{"variant": name, "seed": seed} for seed in range(count)]
+    study(row, pieces, name=name, setting=SETTING, checkpoint=folder / f"posterior-{name}.jsonl")
+
+
+def kept(name: str, folder: Path) -> Rows:
+    """The rows that a checkpoint holds."""
+    path = folder / f"posterior-{name}.jsonl"
+    lines = path.read_text("utf-8").splitlines(keepends=True) if path.exists() else []
+    return [json.loads(line)["row"] for line in lines[1:] if line.endswith("\n")]
+
+
+# ---- the table
+
+
+def uniform(ranks: np.ndarray) -> float:
+    """Probability of a larger distance from uniform (Kolmogorov & Smirnov), if ranks are."""
+    from scipy.stats import kstest
+
+    return float(kstest(ranks, "uniform").pvalue)
+
+
+def table(found: dict[str, Rows]) -> str:
+    """The study as Markdown."""
+    head = ["variant", "parameter", "simulations", *(f"in {level} %" for level in LEVELS), "± of these",
+            "uniform (p)", "95 % of the fit's ±"]  # fmt: skip
+    lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
+    for name, rows in found.items():
+        good = [one for one in rows if "rank" in one]
+        for key in good[0]["rank"] if good else ():
+            ranks = np.array([one["rank"][key] for one in good])
+            inside = [np.mean(np.abs(ranks - 0.5) <= level / 200) for level in LEVELS]
+            far = [abs(one["z"][key]) <= 1.96 for one in good if one["z"][key] is not None]
+            spread = [np.sqrt(level / 100 * (1 - level / 100) / len(ranks)) for level in LEVELS]
+            cells = [VARIANTS[name].words, key, len(ranks), *(f"{100 * one:.1f} %" for one in inside),
+                     ", ".join(f"{100 * one:.1f}" for one in spread), f"{uniform(ranks):.2f}",
+                     f"{100 * np.mean(far):.1f} %" if far else "none claimed"]  # fmt: skip
+            lines.append("| " + " | ".join(map(str, cells)) + " |")
+    return "\n".join([*lines, "", *(joint(name, rows) for name, rows in found.items())])
+
+
+def joint(name: str, rows: Rows) -> str:
+    """What all parameters of a variant say together, and what it took."""
+    good = [one for one in rows if "rank" in one]
+    ranks = np.array([list(one["rank"].values()) for one in good])
+    inside = [np.mean(np.abs(ranks - 0.5) <= level / 200) for level in LEVELS]
+    seconds = np.array([one["seconds"] for one in rows])
+    shares = ", ".join(f"{100 * one:.1f} % in {level} %" for one, level in zip(inside, LEVELS, strict=True))
+    walked = sum(one["why"] != "few smooth optima" for one in good)
+    return (
+        f"- {VARIANTS[name].words}: {len(good)} of {len(rows)} answered, of the {VARIANTS[name].count} asked for; "
+        f"all parameters together: {shares}; CPU {np.median(seconds):.1f} s median, {seconds.max():.1f} s at most"
+        f"; {walked} by an ensemble of walkers; several modes in {sum(one['modes'] > 1 for one in good)}; "
+        f"median {np.median([one['evaluations'] for one in good]):.0f} evaluations."
+    )
+
+
+# ---- the referee
+
+
+def referee(folder: Path) -> dict[str, Any]:
+    """Log evidence and medians of one B6, by the package and by dynesty on the same density."""
+    path = folder / "posterior-referee.json"
+    if path.exists():
+        return dict(json.loads(path.read_text("utf-8")))
+    import dynesty
+
+    from casadi_engine.posterior.target import Target
+
+    case, _ = drawn("B6", 1)
+    fit = fit_of(case, 1)
+    begun = time.process_time()
+    post = ce.posterior(fit)
+    ours = time.process_time() - begun
+    target = Target(fit)
+    target.choose([target.start], 0.1)
+    prior = target.prior.log_density(target.start)
+    width = target.high - target.low
+    sampler = dynesty.NestedSampler(
+        lambda u: float(target.log_density(u[None])[0]) - prior, lambda unit: target.low + unit * width,
+        len(width), nlive=150, rstate=np.random.default_rng(0), sample="rwalk",
+    )  # fmt: skip
+    begun = time.process_time()
+    sampler.run_nested(dlogz=0.1, print_progress=False)
+    found = sampler.results
+    draws = target.values(found.samples_equal(rstate=np.random.default_rng(0)))
+    answer = {
+        "ours": {"log_evidence": post.log_evidence, "error": post.log_evidence_error, "seconds": ours,
+                 "evaluations": post.evaluations, "median": post.median,
+                 "spread": {name: float(post[name].std()) for name in post.names}},
+        "dynesty": {"log_evidence": float(found.logz[-1]), "error": float(found.logzerr[-1]),
+                    "seconds": time.process_time() - begun, "evaluations": int(found.ncall.sum()),
+                    "median": dict(zip(target.names, np.median(draws, axis=0).tolist(), strict=True)),
+                    "spread": dict(zip(target.names, draws.std(axis=0).tolist(), strict=True))},
+    }  # fmt: skip
+    part = path.with_suffix(".part")
+    part.write_text(json.dumps(answer, indent=1), "utf-8")
+    part.replace(path)
+    return answer
+
+
+def judged(answer: dict[str, Any]) -> str:
+    """What the referee says, as a line."""
+    one, two = answer["ours"], answer["dynesty"]
+    apart = max(abs(one["median"][k] - two["median"][k]) / one["spread"][k] for k in one["median"])
+    wider = [two["spread"][k] / one["spread"][k] for k in one["spread"]]
+    return (
+        f"- One B6 against dynesty (150 live points, on the bins that hold 90 % of the information): log evidence "
+        f"{one['log_evidence']:.2f} ± {one['error']:.2f} here, {two['log_evidence']:.2f} ± {two['error']:.2f} there; "
+        f"medians {apart:.2f} standard deviations apart at most, spreads {min(wider):.2f} to {max(wider):.2f} of ours; "
+        f"{one['evaluations']} evaluations and {one['seconds']:.0f} s CPU here, {two['evaluations']} and "
+        f"{two['seconds']:.0f} s there."
+    )
+
+
+def write(text: str) -> None:
+    """POSTERIOR.md: the table between its marks, what is said of it stays."""
+    path = HERE / "POSTERIOR.md"
+    begin, end = "<!-- begin of what posterior_study.py writes -->", "<!-- end -->"
+    old = path.read_text("utf-8") if path.exists() else f"# Is the posterior calibrated?\n\n{begin}\n{end}\n"
+    before, after = old.split(begin)[0], old.split(end)[1]
+    dated = f"{datetime.date.today():%Y-%m-%d}, `python tests/benchmarks/posterior_study.py --write`."
+    path.write_text(f"{before}{begin}\n\n{dated}\n\n{text}\n\n{end}{after}", "utf-8")
+
+
+def main() -> None:
+    """Run what is not done, print the table, write it if asked."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("names", nargs="*", metavar="NAME", default=[])
+    parser.add_argument("--count", type=int, help="simulations of each variant")
+    parser.add_argument("--folder", type=Path, default=HERE)
+    parser.add_argument(
+        "--kept", action="store_true", help="run nothing: the table of what the checkpoints hold"
+    )
+    parser.add_argument("--referee", action="store_true", help="compare one B6 with dynesty")
+    parser.add_argument("--write", action="store_true", help="write POSTERIOR.md from all checkpoints")
+    asked = parser.parse_args()
+    if not asked.kept:
+        for name in asked.names or VARIANTS:
+            run(name, asked.count or VARIANTS[name].count, asked.folder)
+    found = {name: rows for name in VARIANTS if (rows := kept(name, asked.folder))}
+    text = table(found)
+    if asked.referee or (asked.folder / "posterior-referee.json").exists():
+        text += "\n" + judged(referee(asked.folder))
+    print(text)
+    if asked.write:
+        write(text)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,52 @@
+"""A line is found in white and in coloured noise, and coloured noise has none more often than the test says."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from casadi_engine.discrepancy.spectral_line import strongest_line
+
+SAMPLES = 600
+
+
+def noise(seed, *, memory=0.0, count=SAMPLES):
+    white = np.random.default_rng(seed).standard_normal(count + 500)
+    return lfilter([np.sqrt(1 - memory**2)], [1, -memory], white)[500:]
+
+
+def line(residual):
+    return strongest_line(residual, np.ones(len(residual), dtype=bool))
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.9])
+@pytest.mark.parametrize("frequency", [0.015, 0.031, 0.2])
+def test_a_sine_is_found_at_its_frequency(frequency, memory):
+    t = np.arange(SAMPLES)
+    found = line(1.5 * np.sin(2 * np.pi * frequency * t + 0.4) + noise(3, memory=memory))
+    assert found.p < 1e-3
+    assert found.frequency == pytest.approx(frequency, abs=0.7 / SAMPLES)
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.8, 0.95])
+def test_noise_of_any_smooth_colour_has_a_line_as_often_as_it_is_said(memory):
+    p = np.array([line(noise(seed, memory=memory)).p for seed in range(400)])
+    assert (p < 0.05).mean() < 0.08
+    assert (p < 0.001).sum() <= 3
+
+
+def test_nothing_is_said_of_few_samples_holes_or_a_residual_that_never_moves():
+    residual = noise(1)
+    assert line(residual[:60]) is None
+    valid = np.ones(SAMPLES, dtype=bool)
+    valid[300] = False
+    assert strongest_line(residual, valid) is None
+    assert line(np.ones(SAMPLES)) is None
+
+
+def test_samples_that_are_missing_at_the_ends_are_left_out():
+    t = np.arange(SAMPLES)
+    residual = np.sin(2 * np.pi * 0.05 * t) + noise(2)
+    valid = np.ones(SAMPLES, dtype=bool)
+    valid[:10] = valid[-5:] = False
+    residual[~valid] = 1e6
+    assert strongest_line(residual, valid).frequency == pytest.approx(0.05, abs=0.001)

@@ -1,0 +1,67 @@
+"""Figures and tables of a posterior: what they draw, not how it looks."""
+
+import numpy as np
+import pytest
+
+import casadi_engine as ce
+from casadi_engine.posterior import Mode
+from casadi_engine.report import as_html, text
+from casadi_engine.report.figures import figures
+
+
+@pytest.fixture(scope="module")
+def post():
+    time = 0.02 * np.arange(100)
+    omega = 4 * (1 - np.exp(-time / 0.8)) + 0.05 * np.random.default_rng(1).standard_normal(100)
+    data = ce.Experiment.from_arrays(
+        "run", time=time, units={"T": "N m", "omega": "rad/s"}, hold="zero", T=np.full(100, 2.0), omega=omega
+    )
+    return ce.posterior(ce.estimate(ce.one_inertia(), data, progress=False), draws=300)
+
+
+def test_every_figure_is_drawn_with_labels(post):
+    made = figures(post)
+    assert list(made) == ["overview", "pairs", "modes", "prediction run"]
+    for name in made:
+        figure = ce.plot(post, what=name)
+        assert any(axes.get_xlabel() for axes in figure.axes)
+        assert any(axes.get_ylabel() for axes in figure.axes)
+
+
+def test_marginals_show_the_posterior_beside_the_prior_and_the_fits_error(post):
+    axes = ce.plot(post).axes
+    assert [one.get_title(loc="left") or one.get_title() for one in axes] == list(post.names)
+    labels = [line.get_label() for line in axes[0].lines]
+    assert {"posterior, its 95 % shaded", "the fit's error (cut)", "prior"} <= set(labels)
+    drawn = next(line for line in axes[0].lines if line.get_label().startswith("posterior"))
+    assert np.trapezoid(drawn.get_ydata(), drawn.get_xdata()) == pytest.approx(1.0, abs=0.02)
+    prior = next(line for line in axes[0].lines if line.get_label() == "prior")
+    inertia = np.asarray(prior.get_xdata())
+    np.testing.assert_allclose(prior.get_ydata(), 1 / (inertia * np.log(1e9)), rtol=1e-6)
+
+
+def test_pairs_mark_the_modes_that_have_mass(post):
+    from dataclasses import replace
+
+    small = Mode(dict.fromkeys(post.names, 1.0), 0.001, 6.0, 1)
+    several = replace(post, modes=(*post.modes, small))
+    for one in (post, several):
+        panel = ce.plot(one, what="pairs").axes[0]
+        assert sum(line.get_marker() == "x" for line in panel.lines) == 1
+    left, right = ce.plot(several, what="modes").axes
+    np.testing.assert_allclose(left.lines[0].get_ydata(), [0.0, 6.0])
+    assert [bar.get_height() for bar in right.patches] == pytest.approx([100.0, 0.1])
+
+
+def test_the_prediction_is_drawn_with_its_band(post):
+    figure = ce.plot(post, what="prediction run")
+    assert len(figure.axes) == 2
+    assert figure.axes[0].collections
+    assert ce.plot(post.predictive(draws=5)).axes[0].collections
+
+
+def test_it_has_words_and_a_table(post):
+    assert text(post) == str(post)
+    page = as_html(post)
+    assert all(name in page for name in post.names)
+    assert "Posterior by importance, 300 draws" in page
