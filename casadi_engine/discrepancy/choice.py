@@ -86,7 +86,25 @@ class Choice:
                 break
             here = made
             self.best = here.key
+        self._most_probable_first()
         self._with_colour()
+
+    def _most_probable_first(self) -> None:
+        """Let a structure of as many effects that the last levels of the noise make more probable take the place of the
+        chosen one: what is named first is to be what is most probable."""
+        for _ in range(_AGAIN if self.best else 0):
+            now = self.pool[self.best]
+            alike = [
+                t for t in self.pool.values() if len(t.effects) == len(now.effects) and t.beyond > BEYOND
+            ]
+            top = max(alike, key=lambda one: one.log, default=now)
+            if self._late() or top.log <= now.log + 1:
+                return
+            if self._station(top) is None:
+                self.failed[top.label] = "its fit of all data does not converge"
+                top.failed = True
+            else:
+                self.best = top.key
 
     def _with_colour(self) -> None:
         """Score beside the chosen structure with the colour that its residual has, where that waited."""
