@@ -103,6 +103,9 @@ def _found(stations: Sequence[Station], one: Addition, last: Station) -> FoundEf
     screened, lead = before.screened, here.lead
     assert lead is not None
     keys = [name for name in last.fit.estimates if name.partition("@")[0].startswith(f"{one.key}.")]
+    # the time of an event that does not happen in a record is no finding
+    ends = {f"{one.key}.{name}@{r.name}": r.span[1] for name in one.times for r in last.fit.data}
+    keys = [name for name in keys if last.fit.values[name] < ends.get(name, np.inf)]
     every = before.screened.null.parameters
     shift = dict(zip(every, screened.scores.shift[:, lead].tolist(), strict=True))
     names = [name for name in every if not is_carried(name)]

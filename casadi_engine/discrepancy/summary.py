@@ -30,6 +30,8 @@ ENOUGH = 3.3
 # Share of halves from which a score is stable; change of a level that is said.
 _OFTEN, _OTHER = 0.5, 0.05
 _SHIFTS, _TERMS, _NOTES = 6, 4, 3
+# Lines of one equation that are shown.
+_LONG = 4
 
 
 def summary(repair: Repair) -> str:
@@ -71,7 +73,8 @@ def headline(repair: Repair) -> str:
             f", which the repaired model does not fit: chi2/N {gaps.validation_after.gap.chi2_per_sample:.3g}"
         )
     verb = "is" if len(repair.effects) == 1 else "are"
-    return f"{names} {verb} missing{doubt}, {sure[repair.confirmed]}{misfit}"
+    tried = " (of what was tried)" if repair.stopped else ""
+    return f"{names} {verb} missing{tried}{doubt}, {sure[repair.confirmed]}{misfit}"
 
 
 def _tested(repair: Repair) -> list[str]:
@@ -248,7 +251,8 @@ def _equation(repair: Repair) -> list[str]:
         return []
     lines = ["Equation"]
     for term in repair.equation.terms[:_TERMS]:
-        lines += wrapped(f"  {term.strip()}", "      ")[:2]
+        shown = wrapped(f"  {term.strip()}", "      ")
+        lines += shown[:_LONG] + (["      ..."] if len(shown) > _LONG else [])
     return lines
 
 
