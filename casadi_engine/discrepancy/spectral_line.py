@@ -33,12 +33,13 @@ class Line:
 
 
 def strongest_line(residual: Array, valid: Array) -> Line | None:
-    """The clearest line in a residual (N,) on equal steps; None where there are too few samples, or holes in them.
+    """The clearest line in a residual (N,) on equal steps, in its longest run without a hole; None where that is short.
 
     valid : (N,) bool
     """
-    inside = np.flatnonzero(valid)
-    if len(inside) < _FEWEST or len(inside) != inside[-1] - inside[0] + 1:
+    runs = np.split(np.flatnonzero(valid), np.flatnonzero(np.diff(np.flatnonzero(valid)) > 1) + 1)
+    inside = max(runs, key=len)
+    if len(inside) < _FEWEST:
         return None
     from scipy.signal.windows import dpss
 

@@ -34,13 +34,23 @@ def test_noise_of_any_smooth_colour_has_a_line_as_often_as_it_is_said(memory):
     assert (p < 0.001).sum() <= 3
 
 
-def test_nothing_is_said_of_few_samples_holes_or_a_residual_that_never_moves():
+def test_nothing_is_said_of_few_samples_or_a_residual_that_never_moves():
     residual = noise(1)
     assert line(residual[:60]) is None
-    valid = np.ones(SAMPLES, dtype=bool)
-    valid[300] = False
-    assert strongest_line(residual, valid) is None
+    assert strongest_line(residual, np.arange(SAMPLES) % 50 > 0) is None
+    assert strongest_line(residual, np.zeros(SAMPLES, dtype=bool)) is None
     assert line(np.ones(SAMPLES)) is None
+
+
+def test_of_a_record_with_a_hole_the_longer_part_counts():
+    t = np.arange(SAMPLES)
+    residual = 2 * np.sin(2 * np.pi * 0.05 * t) + noise(2)
+    valid = t != 200
+    residual[200] = np.nan
+    found = strongest_line(residual, valid)
+    assert found == line(residual[201:])
+    assert found.frequency == pytest.approx(0.05, abs=0.002)
+    assert found.p < 1e-3
 
 
 def test_samples_that_are_missing_at_the_ends_are_left_out():
