@@ -5,6 +5,7 @@ No refit is made: the null fit gives residuals and slopes, one sweep all sensiti
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -331,7 +332,9 @@ def _line(record: Any, output: str, e: Array) -> dict[str, float]:
     found = strongest_line(full, valid) if len(time) > 1 and np.ptp(gap) < _EQUAL * gap.mean() else None
     if found is None:
         return {}
-    return {f"{record.name}/{output}/line at {found.frequency / gap.mean():.3g} Hz": found.p}
+    # no finer than one over the record's length
+    digits = max(0, math.ceil(math.log10(time[-1] - time[0])))
+    return {f"{record.name}/{output}/line at {found.frequency / gap.mean():.{digits}f} Hz": found.p}
 
 
 def _leftover(screened: Screened) -> Leftover:

@@ -19,7 +19,7 @@ _HALF, _TAPERS = 4.0, 7
 # Samples from which a line can be told from noise, and that a spectrum is taken of at most.
 _FEWEST, _MOST = 64, 2**17
 # Independent frequencies for each one of the discrete Fourier transform: a maximum is looked for between them too.
-_BETWEEN = 3.0
+_BETWEEN = 5.0
 # Periods in the record from which something comes back.
 _PERIODS = 3
 
@@ -50,7 +50,8 @@ def strongest_line(residual: Array, valid: Array) -> Line | None:
         return None
     own = own / scale
     tapers = dpss(len(own), _HALF, _TAPERS)
-    size = 2 ** math.ceil(math.log2(2 * len(own)))
+    # so fine that a clear line, whose ratio falls off fast beside it, is not missed between two frequencies
+    size = 2 ** math.ceil(math.log2(16 * len(own)))
     spectra = np.fft.rfft(tapers * own, size)
     level = tapers.sum(axis=1)
     mean = (level @ spectra) / (level @ level)
