@@ -24,7 +24,7 @@ def line(residual):
 @pytest.mark.parametrize("frequency", [0.015, 0.031, 0.2])
 def test_a_sine_is_found_at_its_frequency(frequency, memory):
     t = np.arange(SAMPLES)
-    found = line(1.5 * np.sin(2 * np.pi * frequency * t + 0.4) + noise(3, memory=memory))
+    found = line(2.0 * np.sin(2 * np.pi * frequency * t + 0.4) + noise(3, memory=memory))
     assert found.p < 1e-3
     assert found.frequency == pytest.approx(frequency, abs=0.7 / SAMPLES)
 
