@@ -163,8 +163,14 @@ class Choice:
                 self._told(here, tried, None)
                 return None
             best = self._timed("exchange", lambda: self._exchanged(best, here))  # noqa: B023
+            if not self._late() and self._timed("refit", lambda: self.refits.sharpened(best)):  # noqa: B023
+                tried = [self.pool[one.key] for one in tried]
+                continue
             if self._station(best) is not None:
                 break
+            if self.refits.blunted():
+                tried = [self.pool[one.key] for one in tried]
+                continue
             self.failed[best.label] = "its fit of all data does not converge"
             best.failed = True
         self._told(here, tried, best)

@@ -24,6 +24,7 @@ from casadi_engine.discrepancy.wording import BUDGET, USER
 from casadi_engine.effects.candidate import Known
 from casadi_engine.errors import EstimationError, ExperimentError
 from casadi_engine.estimation import Fit, estimate
+from casadi_engine.estimation.corner_widths import widths_of, with_widths
 from casadi_engine.estimation.estimate import _own, _records
 from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.options import as_number, whole
@@ -183,6 +184,7 @@ class _Job:
         )  # fmt: skip
         null_fit, pars = settle_scatter(null_fit, self.parameters, noise=self.noise, options=options)
         self.null_fit = null_fit
+        pars = with_widths(pars, widths_of(null_fit, pars))
         self.timing["null fit"] = time.perf_counter() - self.begun
         if null_fit.status == "interrupted" or not math.isfinite(null_fit.cost):
             return _no_answer(null_fit, self.portion, alpha, self.asked, self.timing, self.begun)

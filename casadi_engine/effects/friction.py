@@ -50,7 +50,7 @@ class _Rounded(Effect):
             return self
         signal, _ = motion(port)
         found = share * narrow(port.courses(signal), rounding(port, None))
-        return replace(self, width=found)  # type: ignore[type-var]
+        return replace(self, width=float(f"{found:.2g}"))  # type: ignore[type-var]
 
 
 @dataclass(frozen=True)

@@ -155,6 +155,11 @@ def _open_widths(model: Model, parameters: Parameters) -> dict[str, Any]:
     }
 
 
+def widths_of(fit: Fit, parameters: Parameters) -> dict[str, float]:
+    """The widths of corners that a fit found by the motion, where the set leaves them as they were declared."""
+    return {name: fit.parameters[name].value for name in _open_widths(fit.model, parameters)}
+
+
 def _untouched(parameter: Any, value: float) -> bool:
     own = parameter.vary or parameter.fixed_by_user or parameter.tie is not None
     return not own and bool(parameter.value == value)
