@@ -195,7 +195,8 @@ def unknown_of(screened: Screened) -> Unknown | None:
     if not alarms:
         return None
     family, course = leftover.family, leftover.course
-    for record, output, line in (name.split("/") for name in alarms if "/line at " in name):
+    if leftover.line is not None:
+        record, output, line = leftover.line.rsplit("/", 2)
         words = f"the spectrum of the residual of {output} in {record} has a {line}: something acts, or is picked up"
         return Unknown(f"{words} by the sensor, at that frequency", alarms)
     if family is None or course is None or family.name not in alarms:

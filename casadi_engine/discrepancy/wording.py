@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 
-from casadi_engine.estimation.summary import count
+from casadi_engine.estimation.summary import count, number, with_error
 from casadi_engine.experiment.units import NOT_STATED
+from casadi_engine.model.declared_units import seconds_in
 from casadi_engine.model.port_units import is_speed
 
 if TYPE_CHECKING:
@@ -101,3 +102,30 @@ def acting_at(model: Model, port: str) -> str:
     """``a torque at PORT``, in the words of what acts there."""
     acts = model.ports[port].quantity if port in model.ports.names else "torque"
     return f"{'an' if acts[0] in 'aeiou' else 'a'} {acts} at {port}"
+
+
+def acts_as(one: FoundEffect, name: str, model: Model) -> str:
+    """What a "torque" is at a port where none acts: `` (a force)``; "" for anything else."""
+    known = model.ports[one.at].quantity if one.at in model.ports.names else "torque"
+    return f" (a {known})" if name.rpartition(".")[2] == "torque" != known else ""
+
+
+def right_value(one: FoundEffect, repair: Repair) -> str:
+    """A parameter that was stated wrong, as the data have it: ``m_s = 356.5 ± 1.8 kg, stated 300``; "" for others."""
+    port = repair.model.ports[one.at] if one.at in repair.model.ports.names else None
+    stated = None if port is None else repair.fit.estimates.get(port.parameter)
+    if port is None or not port.parameter or stated is None:
+        return ""
+    by_share = next(iter(one.parameters)).endswith(".share")
+    factor, size = (stated.value, one.amplitude) if by_share else (1.0, one.amplitude)
+    error = None if size.stderr is None else abs(factor) * size.stderr
+    value = with_error(stated.value + factor * size.value, error)
+    return f"{port.parameter} = {value}{in_unit(stated.unit)}, stated {number(stated.value)}"
+
+
+def clock(model: Model, first: float, last: float) -> str:
+    """``from 16 to 20.9 h``: a part of a record [s] in the model's unit of time."""
+    unit = seconds_in(model.time_unit)
+    first, last = first / unit, last / unit
+    span = f"from {first:.4g} to {last:.4g}" if first < last else f"at {first:.4g}"
+    return f"{span} {model.time_unit}"

@@ -7,7 +7,7 @@ import pytest
 from casadi_engine.discrepancy.confirmation import PairedGain
 from casadi_engine.discrepancy.fresh_misfit import fresh_misfit, held_to_fresh_data
 from casadi_engine.discrepancy.repaired import Member, NextExperiment
-from casadi_engine.discrepancy.summary import headline, next_step
+from casadi_engine.discrepancy.verdict_words import headline, next_step
 from casadi_engine.estimation.fit import Estimate
 from casadi_engine.report.repaired_words import (
     effect_words,
@@ -127,7 +127,7 @@ def test_more_than_the_effects_explain_is_said(repaired, unnamed):
 def test_an_amplitude_without_error_and_parameters_that_stayed(repaired):
     key = next(iter(repaired.effects[0].parameters))
     bare = replace(repaired.effects[0], parameters={key: Estimate(0.004, None, "1")})
-    assert effect_words(bare, repaired.model).endswith("(coulomb_friction at coupling), torque 0.004")
+    assert effect_words(bare, repaired).endswith("(coulomb_friction at coupling), torque 0.004")
     still = replace(repaired, fit=replace(repaired.fit, estimates=dict(repaired.null_fit.estimates)))
     assert moved_parameters(still) == ""
 
