@@ -10,7 +10,7 @@ from casadi_engine.discrepancy.wording import USER, is_blind, twins
 from casadi_engine.estimation.summary import count
 
 if TYPE_CHECKING:
-    from casadi_engine.discrepancy.repaired import FoundEffect, NextExperiment, Repair
+    from casadi_engine.discrepancy.repaired import NextExperiment, Repair
 
 # Right in 95 % of records.
 ENOUGH = 3.3
@@ -28,23 +28,32 @@ def headline(repair: Repair) -> str:
     if repair.verdict == "unnamed":
         why = "no physical effect could be looked for" if blind else "no effect of the library names it"
         return f"something is missing, and {why}"
-    names = " and ".join(_called(one, repair) for one in repair.effects)
     sure = {True: "confirmed on fresh data", False: "not confirmed by fresh data", None: "unconfirmed"}
     others = [f"{m.name} at {m.at}" for one in repair.effects for m in one.members[1:]]
     doubt = (
         f", or {others[0] if len(others) == 1 else f'one of {count(len(others))} others'}" if others else ""
     )
-    verb = "is" if len(repair.effects) == 1 else "are"
-    tried = " (of what was tried)" if repair.stopped else ""
-    return f"{names} {verb} missing{tried}{doubt}, {sure[repair.confirmed]}{_on_fresh(repair)}"
+    tried = " (of what was tried)" if repair.stopped or "left out" in repair.options else ""
+    return f"{_named(repair)}{tried}{doubt}, {sure[repair.confirmed]}{_on_fresh(repair)}"
 
 
-def _called(one: FoundEffect, repair: Repair) -> str:
-    """An effect's name, and what it is where the name is of another world: friction at no machine."""
-    name = f"{one.name} at {one.at}"
-    port = repair.model.ports[one.at] if one.at in repair.model.ports.names else None
-    plain = port is None or (port.slot is not None and port.is_mechanical) or port.kind == "cylinder"
-    return name if plain else f"{name} ({one.sentence})"
+def _named(repair: Repair) -> str:
+    """What is missing, and which stated values are wrong.
+
+    Where a name is of another world, friction at what is no machine, it stands beside what it is.
+    """
+    missing, wrong = [], []
+    for one in repair.effects:
+        name = f"{one.name} at {one.at}"
+        port = repair.model.ports[one.at] if one.at in repair.model.ports.names else None
+        if port is not None and port.parameter:
+            wrong.append(f"{one.sentence} ({name})")
+        elif port is not None and port.slot is not None and not port.is_mechanical:
+            missing.append(f"{name} ({one.sentence})")
+        else:
+            missing.append(name)
+    verb = "is" if len(missing) == 1 else "are"
+    return " and ".join([*([f"{' and '.join(missing)} {verb} missing"] if missing else []), *wrong])
 
 
 def _on_fresh(repair: Repair) -> str:
@@ -57,7 +66,7 @@ def _on_fresh(repair: Repair) -> str:
         what = "which the repaired model does not fit" if repair.effects else "but fresh data do not fit"
         return f", {what}: {found}"
     if fresh_doubt(repair) is not None:
-        return f", but the errors of its parameters are large there: {found}"
+        return f", but fresh data agree only within the errors of its parameters: {found}"
     return ""
 
 

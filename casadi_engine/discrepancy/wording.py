@@ -23,7 +23,7 @@ LISTED, _TWINS = 6, 0.995
 
 def first_words(repair: Repair) -> list[str]:
     """What has to be known before the verdict is read: where nothing physical was tested, and what was not tried."""
-    said = []
+    said = [str(repair.options[key]) for key in ("hold", "left out") if key in repair.options]
     if is_blind(repair):
         said.append(
             f"{_why_blind(repair)}: wrong fixed parameters and sensor errors alone were tested. Where the model is "

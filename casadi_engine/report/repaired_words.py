@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from casadi_engine.discrepancy.confirmation import share_explained
-from casadi_engine.discrepancy.fresh_misfit import fresh_misfit
+from casadi_engine.discrepancy.fresh_misfit import fresh_doubt, fresh_misfit
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair
 from casadi_engine.discrepancy.verdict_words import next_step
 from casadi_engine.discrepancy.wording import acting_at, clock, first_words, in_unit, is_blind, right_value
@@ -40,7 +40,7 @@ def verdict_lines(repair: Repair) -> list[str]:
 def mood(repair: Repair) -> str:
     """Colour of the verdict: good where the answer stands, poor where something is open."""
     if repair.verdict == "nothing missing":
-        return "good" if fresh_misfit(repair) is None else "poor"
+        return "good" if fresh_misfit(repair) is None and fresh_doubt(repair) is None else "poor"
     return "good" if repair.verdict == "named" and repair.confirmed is not False else "poor"
 
 
