@@ -17,6 +17,7 @@ from casadi_engine.discrepancy.wording import (
     in_unit,
     right_value,
     si,
+    told,
 )
 from casadi_engine.estimation.summary import count, number, with_error, wrapped
 from casadi_engine.experiment.units import NOT_STATED
@@ -76,7 +77,7 @@ def _noise(repair: Repair) -> list[str]:
         if name in coloured:
             own.append(f"coloured, with innovations of sigma {sigma:.4g}{unit}")
         elif free or not own:
-            own.append(f"sigma {sigma:.4g}{unit} ({'estimated' if free else 'known'})")
+            own.append(f"sigma {sigma:.4g}{unit} (estimated)")
         words.append(f"{name} {', '.join(own)}")
     return words + [f"{kind} scatters by {100 * tau:.2g} %" for kind, tau in repair.noise.scatter.items()]
 
@@ -99,7 +100,7 @@ def _effect(one: FoundEffect, repair: Repair) -> list[str]:
     share = f"explains {100 * one.share_explained:.0f} % of the gap"
     lines = wrapped(f"  {one.sentence}: z = {one.z:.1f}, {chance}, {share}", "    ")
     lines += [
-        f"    {name} = {with_error(e.value, e.stderr)}{in_unit(e.unit)}{acts_as(one, name, repair.model)}"
+        f"    {name} = {told(e)}{in_unit(e.unit)}{acts_as(one, name, repair.model)}"
         for name, e in one.parameters.items()
     ]
     changed = right_value(one, repair)
@@ -205,10 +206,7 @@ def _shifts(repair: Repair) -> list[str]:
     lines = [f"{'Parameters':<20}{'without':>22}{'with':>22}"]
     for name in sorted(names, key=lambda n: -size[n])[:_SHIFTS]:
         before, after = old.estimates[name], new.estimates[name]
-        lines.append(
-            f"  {name:<18} {with_error(before.value, before.stderr):>21} {with_error(after.value, after.stderr):>21}"
-            f"{si(after.unit)}"
-        )
+        lines.append(f"  {name:<18} {told(before):>21} {told(after):>21}{si(after.unit)}")
     return lines
 
 

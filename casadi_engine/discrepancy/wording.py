@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 
-from casadi_engine.estimation.summary import count, number, with_error
+from casadi_engine.estimation.summary import BOUND_WORDS, count, number, with_error
 from casadi_engine.experiment.units import NOT_STATED
 from casadi_engine.model.declared_units import seconds_in
 from casadi_engine.model.port_units import is_speed
 
 if TYPE_CHECKING:
     from casadi_engine.discrepancy.repaired import FoundEffect, Member, Repair
+    from casadi_engine.estimation import Estimate
     from casadi_engine.model import Model
 
 # Who stopped a search.
@@ -102,6 +103,16 @@ def acting_at(model: Model, port: str) -> str:
     """``a torque at PORT``, in the words of what acts there."""
     acts = model.ports[port].quantity if port in model.ports.names else "torque"
     return f"{'an' if acts[0] in 'aeiou' else 'a'} {acts} at {port}"
+
+
+def told(one: Estimate) -> str:
+    """An estimate with its error; without one its 95 % interval, or that it is at a bound or has none."""
+    if one.stderr is not None or one.fixed:
+        return with_error(one.value, one.stderr)
+    why = f"{BOUND_WORDS[one.at_bound]} bound" if one.at_bound else "error not known"
+    if one.interval is not None:
+        why = f"{one.interval[0]:.4g} to {one.interval[1]:.4g}"
+    return f"{with_error(one.value, None)} ({why})"
 
 
 def acts_as(one: FoundEffect, name: str, model: Model) -> str:

@@ -47,7 +47,7 @@ def said(record, **asked):
 
 
 def test_a_limit_that_was_left_out_is_told(record):
-    """At its slowest fading the friction that fades is dry friction."""
+    """Where it fades least, friction that fades is dry friction."""
     found = said(record, effects=["stribeck_friction", "viscous_friction"])
     assert [one.name for one in found.effects] == ["stribeck_friction"]
     words = " ".join(str(found).split())
