@@ -100,12 +100,12 @@ def _effect(one: FoundEffect, repair: Repair) -> list[str]:
     share = f"explains {100 * one.share_explained:.0f} % of the gap"
     lines = wrapped(f"  {one.sentence}: z = {one.z:.1f}, {chance}, {share}", "    ")
     lines += [
-        f"    {name} = {told(e)}{in_unit(e.unit)}{acts_as(one, name, repair.model)}"
+        f"    {name} = {told(e, in_unit(e.unit))}{acts_as(one, name, repair.model)}"
         for name, e in one.parameters.items()
     ]
     changed = right_value(one, repair)
     lines += [f"    {changed}"] if changed else []
-    lines += [f"    {one.key}.{name} = {value:.6g}" for name, value in one.constants.items()]
+    lines += [f"    {one.key}.{name} = {value:.6g} (held)" for name, value in one.constants.items()]
     if len(one.members) > 1:
         text = ", ".join(
             f"{m.name} at {m.at} ({100 * m.probability:.0f} %, {m.rho:+.3f})" for m in one.members[1:]

@@ -105,14 +105,14 @@ def acting_at(model: Model, port: str) -> str:
     return f"{'an' if acts[0] in 'aeiou' else 'a'} {acts} at {port}"
 
 
-def told(one: Estimate) -> str:
-    """An estimate with its error; without one its 95 % interval, or that it is at a bound or has none."""
-    if one.stderr is not None or one.fixed:
-        return with_error(one.value, one.stderr)
-    why = f"{BOUND_WORDS[one.at_bound]} bound" if one.at_bound else "error not known"
+def told(one: Estimate, unit: str = "") -> str:
+    """An estimate with its error; without one its 95 % interval, or that it is held, at a bound, or not known."""
+    if one.stderr is not None:
+        return f"{with_error(one.value, one.stderr)}{unit}"
+    why = f"{BOUND_WORDS[one.at_bound]} bound" if one.at_bound else "held" if one.fixed else "error not known"
     if one.interval is not None:
         why = f"{one.interval[0]:.4g} to {one.interval[1]:.4g}"
-    return f"{with_error(one.value, None)} ({why})"
+    return f"{with_error(one.value, None)}{unit} ({why})"
 
 
 def acts_as(one: FoundEffect, name: str, model: Model) -> str:

@@ -91,8 +91,10 @@ def test_what_was_stated_is_not_said_to_be_estimated(heavier):
         (Estimate(2.0, None, "kg", at_bound="max"), "2 (upper bound)"),
         (Estimate(2.0, None, "kg", interval=(1.5, 4.0)), "2 (1.5 to 4)"),
         (Estimate(2.0, None, "kg"), "2 (error not known)"),
-        (Estimate(2.0, None, "kg", fixed=True), "2"),
+        (Estimate(2.0, None, "kg", fixed=True), "2 (held)"),
     ],
 )
 def test_an_estimate_says_why_it_has_no_error(estimate, words):
     assert told(estimate) == words
+    number, _, why = words.partition(" (")
+    assert told(estimate, " kg") == f"{number} kg{' (' if why else ''}{why}"
