@@ -12,6 +12,7 @@ from casadi_engine.discrepancy.answer import Answer
 from casadi_engine.discrepancy.assumed_pressure import carry, remarks, settle_scatter
 from casadi_engine.discrepancy.choice import TIME_UP, Choice
 from casadi_engine.discrepancy.fresh import Portions, portions
+from casadi_engine.discrepancy.input_hold import other_hold
 from casadi_engine.discrepancy.lower_rate import at_lower_rate
 from casadi_engine.discrepancy.noise_choice import ColourChoice, check_choice
 from casadi_engine.discrepancy.null_model import refuse_jumps
@@ -173,6 +174,25 @@ class _Job:
             self.search.stop()
 
     def run(
+        self, scores: Any, *, alpha: float, most: int, seconds: float, scatter: Any, jobs: int | None
+    ) -> Repair:
+        """The answer; that for another hold of the inputs where this is what the records ask for."""
+        how: dict[str, Any] = {"alpha": alpha, "most": most, "scatter": scatter, "jobs": jobs}
+        found = self._answered(scores, seconds=seconds, **how)
+        if self.search is None:
+            return found
+        memory = max(self.search.refits.levels.memory.values(), default=1.0)
+        other = other_hold(found, self.noise, self.options, memory)
+        if other is None:
+            return found
+        used = time.perf_counter() - self.begun
+        if not other.better or found.stopped or seconds < 2 * used:
+            return other.told(found, again=False)
+        self.tell("the search with another hold of the inputs")
+        self.portion = other.of(self.portion)
+        return other.told(self._answered(scores, seconds=seconds - used, **how), again=True)
+
+    def _answered(
         self, scores: Any, *, alpha: float, most: int, seconds: float, scatter: Any, jobs: int | None
     ) -> Repair:
         """The fit without effects, the search, the answer."""
