@@ -142,7 +142,7 @@ def _told(motion: Motion, widths: Mapping[str, float]) -> Fit:
         f"no fit with sharper ones was reached: estimates may be off by about {math.sqrt(change):.2g} standard errors; "
         "with_effect(..., sharp=True) keeps the corners as they are, and is fitted through its events"
     )
-    return replace(fit, messages=(*fit.messages, words))
+    return replace(fit, messages=(words, *fit.messages))
 
 
 def _open_widths(model: Model, parameters: Parameters) -> dict[str, Any]:
@@ -223,10 +223,13 @@ def _sharper(motion: Motion, widths: Mapping[str, float]) -> dict[str, float] | 
     # by factors, and at last as sharp as the integrator can follow
     shares = [FACTOR**k for k in range(SHARPER + 1) if FACTOR**k < limit / _WORTH] + [limit]
     levels = [{name: float(f"{width / share:.2g}") for name, width in widths.items()} for share in shares]
-    # the sharpest first: it asks for the finest steps, which the others then share
-    sharpest = motion.cost(levels[-1])
-    felt = (abs(motion.cost(level) - sharpest) >= FELT for level in levels[:-1])
-    return next((level for level, more in zip(levels, felt, strict=False) if not more), levels[-1])
+    try:
+        # the sharpest first: it asks for the finest steps, which the others then share
+        sharpest = motion.cost(levels[-1])
+        felt = (abs(motion.cost(level) - sharpest) >= FELT for level in levels[:-1])
+        return next((level for level, more in zip(levels, felt, strict=False) if not more), levels[-1])
+    except (FloatingPointError, np.linalg.LinAlgError):
+        return None  # what is sharper cannot be simulated
 
 
 def paths_of(
