@@ -35,6 +35,7 @@ from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
 from casadi_engine.simulation.exponential_runge_kutta import MOST_SUBSTEPS
+from casadi_engine.simulation.propagator import switches_with_states
 from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 
 FAILURES = (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError)
@@ -137,8 +138,13 @@ class Path:
         worth : the share of the samples that count as independent ones
         """
         refitter, before = self.refitter, self.refitter.share
-        _, _, own = self._problem(effects)
         wide = [refitter.rounded(one) for one in effects]
+        refitter.share = before / FACTOR
+        corners = wide != [refitter.rounded(one) for one in effects]
+        refitter.share = before
+        model, _, own = self._problem(effects)
+        if not corners or switches_with_states(model):
+            return before
         last, wider = math.nan, before
         felt = FELT * max(arrived.cost / max(own.count, 1), 1.0) / worth
         try:
@@ -146,8 +152,6 @@ class Path:
                 states = [path.x for path in own.paths(arrived.values, arrived.refit.nodes)]
                 for k in range(_followed(own) + 1):
                     refitter.share = before / FACTOR**k
-                    if k and wide == [refitter.rounded(one) for one in effects]:
-                        return before
                     cost = _cost_along(self._problem(effects)[2], arrived.values, states)
                     # what is left falls by the factor from one share to the next
                     if abs(cost - last) * FACTOR / (FACTOR - 1) < felt:
@@ -188,7 +192,9 @@ class Path:
         return self._made[key]
 
 
-def _begun(problem: RefitProblem, effects: Sequence[Addition], known: Mapping[str, float]) -> dict[str, float]:
+def _begun(
+    problem: RefitProblem, effects: Sequence[Addition], known: Mapping[str, float]
+) -> dict[str, float]:
     """Values from which a refit starts: those that are known, and of the other amplitudes what is hoped for."""
     found = dict(known)
     for one in effects:

@@ -149,7 +149,7 @@ class Refitter:
 
         base : the fit without effects; start : values and initial states
         """
-        self.base = self.base or base
+        self.base = base if self.base is None else self.base
         model = self.extended(effects)
         pars = self.parameters_of(model, effects)
         fit = self._try(model, pars, start)
@@ -222,6 +222,8 @@ class Refitter:
     def rounded(self, one: Addition) -> Any:
         """An addition's effect with its corners as sharp as the motion without it passes them, times the share."""
         key = one.label, self.share
+        if self.base is None:
+            return one.candidate.source.effect
         if key not in self._narrow:
             self._narrow[key] = _narrowed(one, self.base, self._paths(), self.share)
         return self._narrow[key]
@@ -240,7 +242,7 @@ class Refitter:
         if self._motion is None:
             try:
                 with np.errstate(all="ignore"):
-                    self._motion = [] if self.base is None else paths_of(self.base)
+                    self._motion = paths_of(self.base)
             except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
                 self._motion = []
         return self._motion
@@ -291,10 +293,10 @@ def _time(start: float, span: tuple[float, float]) -> tuple[float, float, float]
     return (start, low, high) if start <= high else (high + behind, high, high + 2 * behind)
 
 
-def _narrowed(one: Addition, base: Fit | None, paths: Sequence[NullPath], share: float) -> Any:
+def _narrowed(one: Addition, base: Fit, paths: Sequence[NullPath], share: float) -> Any:
     """An addition's effect with the corners that these simulations can follow."""
     effect = one.candidate.source.effect
-    if base is None or not paths:
+    if not paths:
         return effect
     model = base.model
     view = PortView(model, model.ports[one.candidate.port], partial(courses, paths), effect=effect.name)

@@ -111,7 +111,9 @@ class Refits:
         self.path = Path(refitter, dict(noise.sigma), deadline)
         self.levels = Levels(dict(noise.sigma), {}, max(noise.scatter.values(), default=0.0))
         self.pool: dict[Key, Tried] = {}
-        self._wide: tuple[float, dict[Key, Tried]] | None = None  # share and pool before corners were sharpened
+        self._wide: tuple[float, dict[Key, Tried]] | None = (
+            None  # share and pool before corners were sharpened
+        )
         self._blunt = False
         self._late, self._tell = late, tell
 

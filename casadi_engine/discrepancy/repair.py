@@ -25,7 +25,7 @@ from casadi_engine.discrepancy.wording import BUDGET, USER
 from casadi_engine.effects.candidate import Known
 from casadi_engine.errors import EstimationError, ExperimentError
 from casadi_engine.estimation import Fit, estimate
-from casadi_engine.estimation.corner_widths import widths_of, with_widths
+from casadi_engine.estimation.corner_widths import ROUNDED, widths_of, with_widths
 from casadi_engine.estimation.estimate import _own, _records
 from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.options import as_number, whole
@@ -219,6 +219,7 @@ class _Job:
         if not null_fit.converged and not search.best:
             return _no_answer(null_fit, self.portion, alpha, self.asked, self.timing, self.begun)
         told = remarks(search.chosen.fit, scatter)
+        told += [words for words in null_fit.messages if words.startswith(ROUNDED)]
         if not null_fit.converged:  # a wrong model may have a valley without end; the right one has none
             told.append(
                 f"the fit without effects has {null_fit.status}; effects were looked for from where it ended"

@@ -43,4 +43,4 @@ def narrow(courses: Sequence[NDArray[np.float64]], wide: float) -> float:
     if not len(found):
         return wide
     width = max(_SHARE * float(np.median(found)), _LEAST * largest)
-    return float(f"{width:.2g}")
+    return min(wide, float(f"{width:.2g}"))

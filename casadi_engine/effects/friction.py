@@ -49,7 +49,10 @@ class _Rounded(Effect):
         if self.width is not None:
             return self
         signal, _ = motion(port)
-        found = share * narrow(port.courses(signal), rounding(port, None))
+        # at a coupling to the ground as at the inertia behind it: by the motion, not by what a port is
+        wide = SPEED_WIDTH * port.typical(signal)
+        found = narrow(port.courses(signal), wide)
+        found = share * (found if found < wide else rounding(port, None))
         return replace(self, width=float(f"{found:.2g}"))  # type: ignore[type-var]
 
 

@@ -36,6 +36,8 @@ Array = NDArray[np.float64]
 # Corners are sharpened by this factor, at most so often, as long as chi-squared feels it by more than this: a quarter
 # is a bias of half a standard error at most.
 FACTOR, SHARPER, FELT = 4.0, 4, 0.25
+# How the message begins that says so.
+ROUNDED = "the data feel how corners are rounded"
 # The least factor that is worth a fit of its own.
 _WORTH = 1.4
 # Steps of the integrator over all records that a sharper corner may cost.
@@ -138,7 +140,7 @@ def _told(motion: Motion, widths: Mapping[str, float]) -> Fit:
         return fit
     names = ", ".join(f"{name} = {width:.2g}" for name, width in widths.items())
     words = (
-        f"the data feel how corners are rounded ({names}: twice as wide they change chi-squared by {change:.2g}), and "
+        f"{ROUNDED} ({names}: twice as wide they change chi-squared by {change:.2g}), and "
         f"no fit with sharper ones was reached: estimates may be off by about {math.sqrt(change):.2g} standard errors; "
         "with_effect(..., sharp=True) keeps the corners as they are, and is fitted through its events"
     )
