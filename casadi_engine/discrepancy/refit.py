@@ -239,13 +239,13 @@ class Refitter:
 
     def _paths(self) -> list[NullPath]:
         """The simulation of the base; none where that fails: then corners stay as they are declared."""
-        if self._motion is None:
+        if self._motion is None and self.base is not None:
             try:
                 with np.errstate(all="ignore"):
                     self._motion = paths_of(self.base)
             except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
                 self._motion = []
-        return self._motion
+        return self._motion or []
 
     def parameters_of(self, model: Model, effects: Sequence[Addition]) -> Parameters:
         pars = self.parameters.copy().extended(model)

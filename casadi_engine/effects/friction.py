@@ -49,10 +49,9 @@ class _Rounded(Effect):
         if self.width is not None:
             return self
         signal, _ = motion(port)
-        # at a coupling to the ground as at the inertia behind it: by the motion, not by what a port is
-        wide = SPEED_WIDTH * port.typical(signal)
-        found = narrow(port.courses(signal), wide)
-        found = share * (found if found < wide else rounding(port, None))
+        # by the motion alone: a spring to the ground moves as the mass on it does
+        found = narrow(port.courses(signal), _math.inf)
+        found = share * (found if found < _math.inf else rounding(port, None))
         return replace(self, width=float(f"{found:.2g}"))  # type: ignore[type-var]
 
 
