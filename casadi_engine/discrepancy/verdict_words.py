@@ -133,7 +133,10 @@ def _of_class(repair: Repair) -> str:
         return "record data that tell the members of the class apart"
     lead, others = f"{one.name} at {one.at}", twins(one)
     tried = "no other input or sensor and no longer record that could be tried by simulation tells them apart"
-    choose = f'decide by what you know of the system: ce.repair(..., without=["{one.members[1].name}"])'
+    rival = one.members[1]
+    # the same effect at two ports is left out by its port alone
+    how = f'at="{one.at}"' if rival.name == one.name else f'without=["{rival.name}"]'
+    choose = f"decide by what you know of the system: ce.repair(..., {how})"
     if others:
         names = [lead, *(f"{m.name} at {m.at}" for m in others)]
         alike = f"{', '.join(names[:-1])} and {names[-1]} are one and the same in data of this kind"

@@ -82,6 +82,10 @@ def test_the_two_are_as_probable_and_both_are_named(repair):
     assert mass == pytest.approx(spring, abs=0.02)
     assert mass + spring > 0.8  # the law that fades says less than it costs
     assert found.key.endswith("coulomb_friction")
+    assert repair.next_experiment is None  # nothing splits one law
+    said = " ".join(str(repair).split())
+    assert "are one and the same in data of this kind (correlation 1 or -1)" in said
+    assert f'ce.repair(..., at="{found.at}")' in said
     assert abs(found.amplitude.value - DRY) < 3 * found.amplitude.stderr
 
 
