@@ -29,7 +29,8 @@ from casadi_engine.discrepancy.null_model import (
 from casadi_engine.discrepancy.refit import Addition, Refitter
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.errors import CasadiEngineError
-from casadi_engine.estimation.corner_widths import FACTOR, FELT
+from casadi_engine.estimation.corner_widths import FACTOR as SHARPER_BY
+from casadi_engine.estimation.corner_widths import FELT
 from casadi_engine.estimation.refit_entry import Refit, RefitProblem
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
@@ -139,7 +140,7 @@ class Path:
         """
         refitter, before = self.refitter, self.refitter.share
         wide = [refitter.rounded(one) for one in effects]
-        refitter.share = before / FACTOR
+        refitter.share = before / SHARPER_BY
         corners = wide != [refitter.rounded(one) for one in effects]
         refitter.share = before
         model, _, own = self._problem(effects)
@@ -151,10 +152,10 @@ class Path:
             with np.errstate(all="ignore"):
                 states = [path.x for path in own.paths(arrived.values, arrived.refit.nodes)]
                 for k in range(_followed(own) + 1):
-                    refitter.share = before / FACTOR**k
+                    refitter.share = before / SHARPER_BY**k
                     cost = _cost_along(self._problem(effects)[2], arrived.values, states)
                     # what is left falls by the factor from one share to the next
-                    if abs(cost - last) * FACTOR / (FACTOR - 1) < felt:
+                    if abs(cost - last) * SHARPER_BY / (SHARPER_BY - 1) < felt:
                         return wider
                     last, wider = cost, refitter.share
         except FAILURES:
@@ -207,7 +208,7 @@ def _followed(problem: RefitProblem) -> int:
     """How many times the integrator can follow corners that are sharper by the factor."""
     steps = max((getattr(record.propagator, "substeps", 1) for record in problem.records), default=1)
     allowed = min(MOST_SUBSTEPS, _INTEGRATED / sum(record.grid.samples for record in problem.records))
-    return min(int(math.log(max(allowed / steps, 1.0), FACTOR) + 1e-9), _SHARPER)
+    return min(int(math.log(max(allowed / steps, 1.0), SHARPER_BY) + 1e-9), _SHARPER)
 
 
 def _cost_along(problem: RefitProblem, values: Mapping[str, float], states: Sequence[Array]) -> float:
