@@ -36,8 +36,8 @@ from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
 from casadi_engine.simulation.exponential_runge_kutta import MOST_SUBSTEPS
-from casadi_engine.simulation.propagator import switches_with_states
-from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
+from casadi_engine.simulation.propagator import fineness_of, switches_with_states
+from casadi_engine.simulation.runge_kutta import Fineness, RungeKuttaPropagator
 
 FAILURES = (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError)
 _AT_BOUND = 1e-8
@@ -131,12 +131,12 @@ class Path:
             for record in problem.records:
                 record.set_sigma(np.array([levels[out.name] for out in model.outputs]))
 
-    def sharpness(self, effects: Sequence[Addition], arrived: Arrived, worth: float) -> float:
+    def sharpness(self, effects: Sequence[Addition], arrived: Arrived) -> float:
         """The share of the motion's widths at which the data do not tell corners from sharper ones.
 
         A corner's width is a bias: friction that sticks creeps. Chi-squared at the values where a refit arrived tells
-        which width is felt, as far as the integrator can follow.
-        worth : the share of the samples that count as independent ones
+        which width is felt, as far as the integrator can follow. Samples count as independent ones there: what a wide
+        corner leaves is coloured itself, and would excuse it.
         """
         refitter, before = self.refitter, self.refitter.share
         wide = [refitter.rounded(one) for one in effects]
@@ -147,7 +147,7 @@ class Path:
         if not corners or switches_with_states(model):
             return before
         last, wider = math.nan, before
-        felt = FELT * max(arrived.cost / max(own.count, 1), 1.0) / worth
+        felt = FELT * max(arrived.cost / max(own.count, 1), 1.0)
         try:
             with np.errstate(all="ignore"):
                 states = [path.x for path in own.paths(arrived.values, arrived.refit.nodes)]
@@ -206,9 +206,16 @@ def _begun(
 
 def _followed(problem: RefitProblem) -> int:
     """How many times the integrator can follow corners that are sharper by the factor."""
-    steps = max((getattr(record.propagator, "substeps", 1) for record in problem.records), default=1)
-    allowed = min(MOST_SUBSTEPS, _INTEGRATED / sum(record.grid.samples for record in problem.records))
-    return min(int(math.log(max(allowed / steps, 1.0), SHARPER_BY) + 1e-9), _SHARPER)
+    room, total = math.inf, 0.0
+    for record in problem.records:
+        fineness = fineness_of(record.propagator)
+        if isinstance(fineness, int):  # steps to every sample alike
+            room = min(room, MOST_SUBSTEPS / fineness)
+            total += fineness * record.grid.samples
+        elif isinstance(fineness, Fineness):
+            total += float(np.sum(fineness.counts))
+    room = min(room, _INTEGRATED / max(total, 1.0))
+    return min(int(math.log(max(room, 1.0), SHARPER_BY) + 1e-9), _SHARPER)
 
 
 def _cost_along(problem: RefitProblem, values: Mapping[str, float], states: Sequence[Array]) -> float:

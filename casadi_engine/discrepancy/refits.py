@@ -192,8 +192,7 @@ class Refits:
     def sharpened(self, best: Tried) -> bool:
         """Refit the best structure and its rivals with corners so sharp that the data do not tell them from sharper
         ones; False where they are."""
-        worth = 1.0 / max(self.levels.memory.values(), default=1.0)
-        share = self.path.sharpness(best.effects, best.arrived, max(worth, 1e-6))
+        share = self.path.sharpness(best.effects, best.arrived)
         if self._blunt or share >= self.refitter.share:
             return False
         self._wide = self.refitter.share, dict(self.pool)

@@ -99,7 +99,7 @@ def arrival(refitter, fit, one):
     refitter.base = fit
     there = refits.from_point([one], Start.of(fit))
     if there is not None:
-        refitter.share = refits.sharpness([one], there, 1.0)
+        refitter.share = refits.sharpness([one], there)
         there = refits.from_point([one], there) or there
     return Start.of(fit) if there is None else Start(there.values, there.initial, {}, there.settled)
 

@@ -84,7 +84,7 @@ def refit_of(model, data, noise, effect, port, *, parameters=None, starts=1):
     path = refits.Path(refitter, {name: sigma for name, (sigma, _) in fit.noise.items()})
     ends = [path.from_point([one], Start.of(fit)), path.from_windows([one])]
     best = min((end for end in ends if end is not None), key=lambda end: end.cost)
-    refitter.share = path.sharpness([one], best, 1.0)
+    refitter.share = path.sharpness([one], best)
     best = path.from_point([one], best) or best
     start = Start(best.values, best.initial, {}, best.settled)
     return fit, refitter(fit, [one], start=start), refitter
