@@ -79,8 +79,6 @@ def held_fit(
         except (CasadiEngineError, FloatingPointError) as error:
             fault = error
             continue
-        if made.status == "interrupted":
-            raise KeyboardInterrupt
         found = made if found is None else min(found, made, key=lambda one: (not one.converged, one.cost))
         if found.cost / found.n <= _POOR * _misfit(fit, noise):
             break

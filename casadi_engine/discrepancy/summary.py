@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from casadi_engine.discrepancy.fresh_misfit import fresh_misfit
 from casadi_engine.discrepancy.wording import (
+    AT_FAULT,
     LISTED,
     USER,
     acting_at,
@@ -282,6 +283,8 @@ def next_step(repair: Repair) -> str:
     """What to do with the answer, for the screen and for the page."""
     if repair.status == "interrupted":
         return "run it again and let it end; repair.fit is the best model so far"
+    if repair.status == AT_FAULT:
+        return "look at the data, as said above, and repair again"
     if repair.verdict is None:
         return "fix the baseline fit first: other start values, wider bounds, or more starts"
     if repair.stopped:

@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.deadline import Deadline, TimeUp, best_wanted, late, lifted
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.answer import make_fit
 from casadi_engine.estimation.corner_widths import follow_motion
+from casadi_engine.estimation.cut_short import GIVEN_UP, MANY
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.loss import read_loss
@@ -22,7 +24,7 @@ from casadi_engine.estimation.moved_jumps import refuse_moved_jumps
 from casadi_engine.estimation.multistart import attempts_from, best_of, distinct_optima, interrupted
 from casadi_engine.estimation.options import begun_at, chosen, small, whole
 from casadi_engine.estimation.parallel import checked_jobs
-from casadi_engine.estimation.search import Search
+from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.two_stages import bent_by_thinning, lower_search, on_whole_data, searched_on
 from casadi_engine.estimation.workers import Workers
 from casadi_engine.experiment import Experiment
@@ -146,14 +148,24 @@ def estimate(
             "neighbours": neighbours,
         },
     )
-    fit = run(arguments, starts, neighbours, begun)
+    try:
+        fit = run(arguments, starts, neighbours, begun)
+    except TimeUp:
+        if late():
+            raise
+        raise KeyboardInterrupt from None  # there is no point yet
 
     def again(pars: Parameters, warm: Fit, length: int) -> Fit:
         interval_of = length if interval == "auto" else interval
         changed = {"parameters": pars, "warm": warm, "interval": interval_of, "approach": "direct"}
         return run(arguments | changed, 1, 0, begun)
 
-    return follow_motion(fit, arguments["parameters"], again)
+    try:
+        return follow_motion(fit, arguments["parameters"], again)
+    except TimeUp:
+        if not best_wanted():
+            raise
+        return fit
 
 
 def _searched(
@@ -170,7 +182,7 @@ def _searched(
 ) -> Fit:
     """One estimate from its checked arguments; shown : options as the user gave them."""
     entered = time.perf_counter()
-    with Interrupts() as interrupts:
+    with Deadline(best=best_wanted()) as own, Interrupts(own.stop) as interrupts:
         report = _reporter(progress, starts + 2 * neighbours, arguments["max_iterations"])
         search = Search(**arguments, progress=report, interrupts=interrupts)
         setup = time.perf_counter() - entered
@@ -183,9 +195,9 @@ def _searched(
             why = bent_by_thinning(search, first)
             if why:
                 lower, first = why, search
-        own = arguments | {"data": first.data, "noise": first.noise}
+        changed = arguments | {"data": first.data, "noise": first.noise}
         several = jobs != 1 and starts + neighbours > 1
-        workers = Workers(own, jobs, interrupts, first.tell) if several else None
+        workers = Workers(changed, jobs, interrupts, first.tell) if several else None
         drawn = first.drawn(starts, seed)
         attempts = attempts_from(first, drawn, neighbours, outcomes=workers.outcomes if workers else None)
         if first is not search:
@@ -201,9 +213,30 @@ def _searched(
             **shown,
             "searched on": searched_on(search, best, lower),
         }
-        stopped = interrupted(attempts) or interrupts.stopped
-        fit = make_fit(search, best, optima, options, timing, begun, stopped=stopped, check=check)
-        return replace(fit, status="interrupted") if interrupts.stopped else fit
+        stopped = interrupted(attempts) or own.late
+        by = "the user" if interrupts.stopped or not own.late else "the time budget"
+        made = partial(make_fit, search, best, optima, options, timing, begun)
+        try:
+            if stopped:
+                raise TimeUp
+            fit = made(check=check)
+        except TimeUp:
+            if not own.best:
+                raise
+            with lifted():
+                fit = made(stopped=by, check=False)
+        fit = replace(fit, messages=(*fit.messages, *_given_up(attempts)))
+        return replace(fit, status="interrupted") if own.late else fit
+
+
+def _given_up(attempts: Sequence[Attempt]) -> tuple[str, ...]:
+    count = sum(attempt.solution.status == GIVEN_UP for attempt in attempts)
+    if not count:
+        return ()
+    return (
+        f"{count} of {len(attempts)} starts given up: each had cost {MANY:.0f} times as much as the best one, and was "
+        "not lower",
+    )
 
 
 def _own(model: Model, parameters: Any) -> Parameters:

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.deadline import TimeUp, ask
 from casadi_engine.model import Model
 from casadi_engine.simulation.drives import Drives
 from casadi_engine.simulation.grid import Grid
@@ -282,7 +283,7 @@ class RungeKuttaPropagator:
                     return found
                 self._finer(found)
             raise FloatingPointError("the model's state is not finite here")
-        except FloatingPointError:
+        except (FloatingPointError, TimeUp):
             # What no steps can evaluate, such as a root of less than 0, asks for none of the points to come.
             self._fineness, self.layout, self._sweeps = before
             raise
@@ -343,6 +344,7 @@ class RungeKuttaPropagator:
         s = np.zeros((layout.steps + plan.m, n, n + self.nz))
         s[layout.at[0], :, :n] = np.eye(n)
         for steps, after in layout:
+            ask()
             found = a[steps] @ s[steps]
             found[..., n:] += b[steps]
             s[after] = found

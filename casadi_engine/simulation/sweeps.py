@@ -10,6 +10,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from casadi_engine.deadline import ask
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.stage_slope import StageSlope
 from casadi_engine.simulation.step_layout import StepLayout
@@ -51,6 +52,7 @@ class Sweeps:
             return begun, None
         step = _array_step(self.slope, self.scheme).bound(z)
         for own, after in layout:
+            ask(len(after))
             begun[:, after] = step(begun[:, own], self._given[:, own])[0]
         return begun, None
 
@@ -72,6 +74,7 @@ class Sweeps:
             # The last sweep steps back over what is done rather than being of another length.
             first = min(k, steps - size)
             own = place[first : first + size].T.ravel()
+            ask(len(own))
             swept = np.asarray(sweep(begun[:, place[first]], self._given[:, own], many), dtype=float)
             begun[:, place[first + 1 : first + 1 + size].T.ravel()] = swept
 
@@ -97,6 +100,7 @@ class Sweeps:
         start, at, by_x, by_z = begun[:, :steps], [], [], []
         slopes: list[Array] = []
         for i in range(self.scheme.stages):
+            ask(steps)
             x = start if stages is None else stages[i]
             if stages is None:
                 for weight, slope in zip(self.scheme.a[i], slopes, strict=False):
@@ -123,6 +127,7 @@ def solve_stages(scheme: Tableau, function: object, x: Array, guess: Array, give
     size, n, count = guess.shape
     stages, before = guess, np.full(guess.shape, np.inf)
     for _ in range(_ITERATIONS):
+        ask(size * count)
         columns = np.ascontiguousarray(stages.transpose(1, 0, 2)).reshape(n, -1)
         value, slope = function(columns, given)  # type: ignore[operator]
         value = value.reshape(n, size, count).transpose(1, 0, 2)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import casadi_engine as ce
+from casadi_engine.deadline import Deadline
 from casadi_engine.discrepancy import choice as module
 from casadi_engine.discrepancy import refits
 from casadi_engine.discrepancy.choice import Choice, key_of
@@ -260,26 +261,29 @@ def test_an_interrupted_choice_has_the_best_fit_so_far(prepared, named):
 
 
 def test_without_time_there_is_no_round(prepared):
-    made = prepared(rubbing, budget=0.0)
-    made.choice.run(made.fit)
+    deadline = Deadline(0.0, spare=600.0)
+    made = prepared(rubbing, deadline=deadline)
+    with deadline, deadline.spared(0.5):
+        made.choice.run(made.fit)
     assert made.choice.best == frozenset()
+    assert made.choice.failed == {"any effect": "the time was up"}
     assert made.choice.rounds == []
     assert not any(text.startswith("refit") for text in made.said)
 
 
 def test_what_the_time_did_not_allow_is_listed(prepared, monkeypatch):
     """The best of what was refitted is kept all the same."""
-    made = prepared(rubbing)
-    refits = []
-    monkeypatch.setattr(Choice, "_late", lambda self: len(refits) > 0)
+    deadline = Deadline(spare=600.0)
+    made = prepared(rubbing, deadline=deadline)
     real = Choice._arrive
 
     def arrive(self, *args):
-        refits.append(args)
-        return real(self, *args)
+        real(self, *args)
+        deadline.stop()
 
     monkeypatch.setattr(Choice, "_arrive", arrive)
-    made.choice.run(made.fit)
+    with deadline:
+        made.choice.run(made.fit)
     assert len(made.choice.rounds) == 1
     late = "the time was up"
     assert made.choice.failed == {"quadratic_drag at pivot": late, "constant_torque at pivot": late}
