@@ -2,6 +2,8 @@
 
 import os
 import signal
+import threading
+import time
 from dataclasses import replace
 from importlib import import_module
 
@@ -11,7 +13,9 @@ import pytest
 import casadi_engine as ce
 from casadi_engine.deadline import ask
 from casadi_engine.discrepancy.choice import Choice
+from casadi_engine.errors import EstimationError
 from casadi_engine.estimation import estimate
+from casadi_engine.estimation.record import RecordTerm
 
 
 def rubbing(t, angle, rate):
@@ -103,3 +107,75 @@ def test_a_search_that_ends_by_itself_says_nothing_of_it(repaired):
     found = repaired()
     assert (found.stopped, found.not_searched) == ("", ())
     assert "not searched" not in str(found)
+
+
+# ---- a model that is slow on purpose: the whole repair would take minutes
+
+
+def busy(seconds):
+    """Keep the processor busy, in steps as an integration has them."""
+    end = time.process_time() + seconds
+    while time.process_time() < end:
+        ask()
+
+
+@pytest.fixture
+def slow(monkeypatch):
+    """Every evaluation of a record takes so long more."""
+    real = RecordTerm.evaluate
+
+    def of(seconds):
+        def evaluate(self, *arguments, **options):
+            busy(seconds)
+            return real(self, *arguments, **options)
+
+        monkeypatch.setattr(RecordTerm, "evaluate", evaluate)
+
+    return of
+
+
+def test_behind_its_budget_a_slow_repair_answers_within_two_seconds_of_the_processor(repaired, slow):
+    slow(0.02)
+    begun = time.process_time()
+    found = repaired(budget=1.0)
+    assert time.process_time() - begun < 1.0 + 2.0 + 0.5
+    assert found.stopped == "the time budget"
+    assert found.not_searched
+    assert "give it more time, budget=..." in str(found)
+
+
+def test_a_slow_fit_without_effects_gives_its_best_point(repaired, slow):
+    """There is no verdict then, and a fit to go on from."""
+    slow(0.15)
+    begun = time.process_time()
+    found = repaired(budget=1.0)
+    assert time.process_time() - begun < 1.0 + 2.0 + 0.5
+    assert (found.status, found.verdict, found.stopped) == ("interrupted", None, "the time budget")
+    assert np.isfinite(list(found.fit.values.values())).all()
+
+
+def test_without_time_for_one_evaluation_there_is_nothing_to_answer(repaired, slow):
+    slow(3.0)
+    begun = time.process_time()
+    with pytest.raises(EstimationError, match="the time was up before the model could be evaluated") as told:
+        repaired(budget=0.2)
+    assert "seen: budget=0.2" in str(told.value)
+    assert "do: give more time, or fewer samples" in str(told.value)
+    assert time.process_time() - begun < 0.2 + 1.0 + 0.5
+
+
+def test_ctrl_c_within_an_evaluation_is_answered_within_two_seconds(repaired, slow):
+    """No step of the search has to come to its end first."""
+
+    def press():
+        pressed.append(time.process_time())
+        os.kill(os.getpid(), signal.SIGINT)
+
+    slow(0.05)
+    pressed = []
+    timer = threading.Timer(2.0, press)
+    timer.start()
+    found = repaired()
+    timer.join()
+    assert time.process_time() - pressed[0] < 2.5
+    assert found.stopped == "the user"
