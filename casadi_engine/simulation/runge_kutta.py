@@ -206,6 +206,7 @@ class RungeKuttaPropagator:
         return to_rows(plan, off.transpose(2, 0, 1)[None])[0], cells
 
     def _lay(self, fineness: Fineness) -> None:
+        ask()
         if int(fineness.counts.sum()) > self._most + len(fineness.counts):
             raise FloatingPointError("the equations ask for more integration steps than are allowed")
         self._fineness, self._last = fineness, None

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.deadline import ask
 from casadi_engine.simulation.jets import Array
 
 # Rows of matrices up to which products of many of them are formed entry by entry.
@@ -92,11 +93,13 @@ def stage_sensitivities(scheme: Tableau, by_x: Array, by_z: Array) -> tuple[Arra
     else:
         slopes = _empty_like(by_x, wide)
         for i in range(scheme.stages):
+            ask()
             inner = identity + _summed(scheme.a[i, :i], slopes)
             slopes[i] = products(by_x[i], inner)
             slopes[i, ..., n:] += by_z[i]
     values = _empty_like(by_x, wide)
     for i in range(scheme.stages):
+        ask()
         values[i] = identity + _summed(scheme.a[i], slopes)
     return slopes, values
 
