@@ -18,6 +18,8 @@ from casadi_engine.simulation.jets import Array
 
 # Rows of matrices up to which products of many of them are formed entry by entry.
 _FEW = 4
+# Steps of which the sensitivities are made at once: beyond, what waits for an end is asked in between.
+_MANY = 65536
 # A norm that bounds the eigenvalues closely enough, and of how many matrices these are found where norms are larger.
 _SMALL, _WORST = 0.2, 16
 
@@ -83,6 +85,14 @@ def stage_sensitivities(scheme: Tableau, by_x: Array, by_z: Array) -> tuple[Arra
 
     by_x : (S, ..., n, n) and by_z : (S, ..., n, nz) derivatives of φ at the stages
     """
+    if by_x.ndim == 4 and by_x.shape[1] > _MANY:
+        parts = [
+            stage_sensitivities(scheme, by_x[:, k : k + _MANY], by_z[:, k : k + _MANY])
+            for k in range(0, by_x.shape[1], _MANY)
+        ]
+        slopes, values = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
+        return slopes, values
+    ask()
     n = by_x.shape[-1]
     wide = n + by_z.shape[-1]
     identity = np.zeros((n, wide))
@@ -93,13 +103,11 @@ def stage_sensitivities(scheme: Tableau, by_x: Array, by_z: Array) -> tuple[Arra
     else:
         slopes = _empty_like(by_x, wide)
         for i in range(scheme.stages):
-            ask()
             inner = identity + _summed(scheme.a[i, :i], slopes)
             slopes[i] = products(by_x[i], inner)
             slopes[i, ..., n:] += by_z[i]
     values = _empty_like(by_x, wide)
     for i in range(scheme.stages):
-        ask()
         values[i] = identity + _summed(scheme.a[i], slopes)
     return slopes, values
 
