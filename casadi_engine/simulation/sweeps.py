@@ -19,6 +19,8 @@ from casadi_engine.simulation.tape import ArrayFunction
 
 # From this number of intervals on, array operations step all of them faster than CasADi's machine does.
 _WIDE = 40
+# Steps that are made at once where none waits for another: beyond, what waits for an end is asked in between.
+_MANY = 65536
 # Steps of one sweep of the virtual machine.
 _SWEEP = 256
 # Newton's method: most iterations; change, relative to the state, after which the next would be below rounding.
@@ -160,6 +162,11 @@ def advance(
     length: Array,
 ) -> Array:
     """Ends (n, K) of K single steps from x (n, K), each whole (with all its parts); NaN where there is none."""
+    if x.shape[1] > _MANY:
+        parts = [slice(k, k + _MANY) for k in range(0, x.shape[1], _MANY)]
+        each = [(x[:, p], low[:, p], high[:, p], time[p], length[p]) for p in parts]
+        return np.concatenate([advance(slope, scheme, z, *own) for own in each], axis=1)
+    ask()
     nodes = dict.fromkeys(scheme.c.tolist())
     for part in range(slope.parts):
         which = np.full(len(time), part)
