@@ -42,6 +42,7 @@ _MAY_HIDE = (
 # Shares of the spare time behind a budget at which the tests beside the library have to be there, and the rest that an
 # answer can do without.
 _TESTS, _EXTRA = 0.75, 0.9
+_LEFT_OUT = {"leftover": "what no effect of the library names", "latent torque": "where something acts"}
 _UNTOLD = "the time was up before it could be told whether anything is missing"
 # Independent samples that a coloured residual has to be worth to be called noise.
 _SWINGS = 6.0
@@ -146,7 +147,7 @@ class Answer:
             with self.search.deadline.spared(share):
                 return self._timed(what, work)
         except TimeUp:
-            self.messages.append(f"{what}: not looked for, as the time was up")
+            self.messages.append(f"{_LEFT_OUT.get(what, what)}: not looked for, as the time was up")
             return None
 
     # ---- parts

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_engine.deadline import Deadline, TimeUp, best_wanted, late, left
+from casadi_engine.deadline import Deadline, TimeUp, ask, best_wanted, late, left
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.cut_short import so_far
 from casadi_engine.estimation.interrupts import Interrupts
@@ -79,6 +79,7 @@ def _outcome(piece: _Piece) -> Attempt | EstimationError | None:
     """In the worker: the problem is set up once for a fit. None where the time was over before the first point."""
     with Deadline(piece.seconds):
         try:
+            ask()
             if getattr(_own, "fit", None) != piece.fit:
                 _own.interrupts = Interrupts()
                 _own.search = Search(**piece.arguments, progress=None, interrupts=_own.interrupts)
@@ -88,4 +89,5 @@ def _outcome(piece: _Piece) -> Attempt | EstimationError | None:
         except EstimationError as error:
             return error
         except TimeUp:
-            return so_far(_own.search, piece.start, "interrupted") if _own.fit == piece.fit else None
+            known = getattr(_own, "fit", None) == piece.fit
+            return so_far(_own.search, piece.start, "interrupted") if known else None

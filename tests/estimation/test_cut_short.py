@@ -7,8 +7,10 @@ import pytest
 
 import casadi_engine as ce
 from casadi_engine.deadline import Deadline, TimeUp, ask
-from casadi_engine.estimation import cut_short, multistart
+from casadi_engine.estimation import cut_short, multistart, workers
 from casadi_engine.estimation.cut_short import GIVEN_UP, Starts, fineness_kept
+from casadi_engine.estimation.interrupts import Interrupts
+from casadi_engine.estimation.loss import read_loss
 from casadi_engine.estimation.search import Search
 from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 
@@ -89,7 +91,7 @@ def test_a_costly_start_that_is_lower_goes_on(record, monkeypatch):
 def search_of(record):
     return Search(
         swinging(), (record,), swinging().parameters(), None, interval="auto", initial=None,
-        loss=ce.estimation.loss.read_loss("square"), ties="substitute", method="exact", max_iterations=50,
+        loss=read_loss("square"), ties="substitute", method="exact", max_iterations=50,
         tolerance=1e-9, warm=None, progress=None,
     )  # fmt: skip
 
@@ -155,3 +157,34 @@ def test_a_fit_whose_time_is_over_is_interrupted_and_says_by_whom(record):
     assert fit.status == "interrupted"
     assert any(text.startswith("stopped by the time budget") for text in fit.messages)
     assert len(steps) == 3
+
+
+def test_a_process_whose_time_is_over_sends_what_it_has(record, monkeypatch):
+    """Nothing where that was before the first point, and its best point after it."""
+    arguments = {
+        "model": swinging(), "data": (record,), "parameters": swinging().parameters(), "noise": None,
+        "interval": "auto", "initial": None, "loss": read_loss("square"), "ties": "substitute", "method": "exact",
+        "max_iterations": 50, "tolerance": 1e-9, "warm": None,
+    }  # fmt: skip
+    start = np.array([1.0, 1.2])
+    assert workers._outcome(workers._Piece("one", arguments, start, True, 0.0)) is None
+    whole = workers._outcome(workers._Piece("one", arguments, start, True, math.inf))
+    assert whole.solution.status == "converged"
+
+    def run(self, z, **options):
+        real(self, z, **options)
+        raise TimeUp
+
+    real = Search.run
+    monkeypatch.setattr(Search, "run", run)
+    cut = workers._outcome(workers._Piece("one", arguments, start, True, math.inf))
+    assert (cut.solution.status, cut.cut) == ("interrupted", True)
+    np.testing.assert_allclose(cut.v, whole.v)
+
+
+def test_two_processes_without_time_have_no_outcome(record):
+    with Deadline(best=True) as deadline:
+        deadline.stop()
+        several = workers.Workers({}, 2, Interrupts())
+        with pytest.raises(TimeUp):
+            list(several.outcomes([np.zeros(2)] * 2, True))
