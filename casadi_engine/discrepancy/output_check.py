@@ -37,8 +37,9 @@ def refuse_still(model: Model, records: Sequence[Experiment]) -> None:
             values = np.unique(channel.values[channel.mask & np.isfinite(channel.values)])
             if len(values) > _VALUES or len(channel.values) < _FEW:
                 return
-            levels = " or ".join(f"{value:.6g}" for value in values)
-            seen.append(f"{out.name} of {record.name} is {levels or 'missing'} in all samples")
+            if len(values):
+                levels = " or ".join(f"{value:.6g}" for value in values)
+                seen.append(f"{out.name} of {record.name} is {levels} in all samples")
     if seen:
         raise ExperimentError(
             "no output moves, and nothing can be learnt from it",

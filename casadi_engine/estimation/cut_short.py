@@ -65,7 +65,7 @@ class Starts:
 
     def __init__(self, search: Search, *, finish: bool) -> None:
         self.search, self.finish = search, finish
-        self._best: tuple[float, float] | None = None  # merit and work
+        self._best: tuple[float, float] | None = None  # merit, and the least work that led to it
 
     def __call__(self, starts: list[Array], first: bool) -> Iterator[Attempt | EstimationError]:
         """The outcome of every start; once the time is over that of the last one, if it has any."""
@@ -91,9 +91,12 @@ class Starts:
             back()
             if self._best is not None and attempt.merit < self._best[0] - LOWER:
                 attempt, work = self._within(start, np.inf, first=first)
-        lower = attempt is not None and (self._best is None or attempt.merit < self._best[0])
-        if attempt is not None and lower and attempt.solution.status == "converged":
-            self._best = attempt.merit, work
+        if attempt is not None and attempt.solution.status == "converged":
+            merit, least = self._best or (np.inf, np.inf)
+            if attempt.merit < merit - LOWER:
+                self._best = attempt.merit, work
+            elif attempt.merit < merit + LOWER:  # the same optimum
+                self._best = min(merit, attempt.merit), min(least, work)
         return attempt
 
     def _within(self, start: Array, allowed: float, *, first: bool) -> tuple[Attempt | None, float]:
