@@ -48,6 +48,7 @@ class FreshChoice:
     tell: Callable[[str], None]
     messages: list[str]
     work: float = math.inf
+    _costly: bool = field(default=False, init=False)
 
     def run(self) -> Confirmation:
         """The first structure, in order of evidence, that fresh data do not refuse; unjudged once the time is over."""
@@ -68,7 +69,7 @@ class FreshChoice:
             # none of these structures adds physics: what they found is told, and not claimed
             return Confirmation((null,), (), None)
         before = self._on_fresh(null) if self.portion.fresh else None
-        if self.portion.fresh and before is None:
+        if self.portion.fresh and before is None and not self._costly:
             self.messages.append("the model without effects cannot be simulated on the fresh data")
         first: list[Station] | None = None
         blind: list[Station] | None = None  # the first one of which fresh data can say nothing
@@ -94,7 +95,7 @@ class FreshChoice:
                 return self._kept(stations, first, before, judged, after)
             self.messages.append(f"{search.pool[key].label}: {judged.why}")
         if blind is not None:
-            self.messages.append(_NO_RUN)
+            self.messages += [] if self._costly else [_NO_RUN]
             return self._kept(blind, first or blind, before, Judgement(None, None, False, _NO_RUN))
         return self._kept([null], first or [null], before)
 
@@ -123,6 +124,7 @@ class FreshChoice:
         except TimeUp:
             if late():
                 raise
+            self._costly = True
             names = " + ".join(one.label for one in station.effects) or "the model without effects"
             self.messages.append(
                 f"{names} was not judged on the fresh data: looking for its initial states there had cost more than "
