@@ -40,7 +40,7 @@ class Deadline:
     ) -> None:
         self.spare, self.work, self.best, self.clock, self.effort = spare, work, best, clock, effort
         self.end = clock() + seconds
-        self.done = 0.0
+        self.done, self.stopped = 0.0, False
         self.outer: Deadline | None = None
         self._more, self._passed = 0.0, math.inf  # spare time that holds now; effort when the end had come
         self._token: Token[Deadline | None] | None = None
@@ -56,6 +56,7 @@ class Deadline:
 
     def stop(self) -> None:
         """The time is over now; at any instant, also between two steps of the program by a signal."""
+        self.stopped = True
         self.end, self._passed = min(self.end, self.clock()), min(self._passed, self.effort())
 
     @property
@@ -108,6 +109,19 @@ def late() -> bool:
     """True once the time is over."""
     here = _current.get()
     return here is not None and here.late
+
+
+def was_stopped() -> bool:
+    """True if someone has stopped a deadline that holds here."""
+    here = _current.get()
+    while here is not None and not here.stopped:
+        here = here.outer
+    return here is not None
+
+
+def is_set() -> bool:
+    """True under a deadline."""
+    return _current.get() is not None
 
 
 def left() -> float:

@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from casadi_engine.deadline import Deadline, TimeUp, ask, best_wanted, late, left, lifted
+from casadi_engine.deadline import Deadline, TimeUp, ask, best_wanted, is_set, late, left, lifted, was_stopped
 
 
 class Hands:
@@ -39,6 +39,15 @@ def is_up():
 def test_without_one_there_is_time_for_ever():
     ask(1e9)
     assert (late(), left(), best_wanted()) == (False, math.inf, True)
+
+
+def test_whether_there_is_one():
+    assert not is_set()
+    with Deadline():
+        assert is_set()
+        with lifted():
+            assert not is_set()
+    assert not is_set()
 
 
 def test_time_is_up_at_the_end_and_not_before(clock):
@@ -104,8 +113,11 @@ def test_work_counts_in_all_that_are_around():
 def test_a_stop_ends_it_now_and_cannot_be_taken_back(clock):
     with Deadline(clock=clock) as deadline:
         assert not is_up()
+        assert not was_stopped()
         deadline.stop()
         assert is_up()
+        with Deadline(clock=clock):
+            assert was_stopped()
         deadline.stop()
         clock.now -= 50.0  # a clock that runs back revives nothing
         assert is_up()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_engine.deadline import Deadline, TimeUp, best_wanted, late, lifted
+from casadi_engine.deadline import Deadline, TimeUp, best_wanted, is_set, late, lifted, was_stopped
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.answer import make_fit
 from casadi_engine.estimation.corner_widths import follow_motion
@@ -182,7 +183,10 @@ def _searched(
 ) -> Fit:
     """One estimate from its checked arguments; shown : options as the user gave them."""
     entered = time.perf_counter()
-    with Deadline(best=best_wanted()) as own, Interrupts(own.stop) as interrupts:
+    within = is_set()  # then who set that deadline takes Ctrl-C too
+    own = Deadline(best=best_wanted())
+    interrupts = Interrupts(own.stop)
+    with own, nullcontext() if within else interrupts:
         report = _reporter(progress, starts + 2 * neighbours, arguments["max_iterations"])
         search = Search(**arguments, progress=report, interrupts=interrupts)
         setup = time.perf_counter() - entered
@@ -214,7 +218,7 @@ def _searched(
             "searched on": searched_on(search, best, lower),
         }
         stopped = interrupted(attempts) or own.late
-        by = "the user" if interrupts.stopped or not own.late else "the time budget"
+        by = "the time budget" if own.late and not was_stopped() else "the user"
         made = partial(make_fit, search, best, optima, options, timing, begun)
         try:
             if stopped:

@@ -146,17 +146,21 @@ def test_before_the_first_point_there_is_no_outcome(record):
 
 def test_a_fit_whose_time_is_over_is_interrupted_and_says_by_whom(record):
     steps = []
-    with Deadline(best=True) as deadline:
+    now = [0.0]
+    for by, end in (("the time budget", lambda _: now.append(9.0)), ("the user", Deadline.stop)):
+        steps.clear()
+        now[:] = [0.0]
+        with Deadline(5.0, best=True, clock=lambda: now[-1]) as deadline:
 
-        def progress(*_):
-            steps.append(1)
-            if len(steps) == 3:
-                deadline.stop()
+            def progress(*_, end=end, deadline=deadline):
+                steps.append(1)
+                if len(steps) == 3:
+                    end(deadline)
 
-        fit = ce.estimate(swinging(), record, progress=progress)
-    assert fit.status == "interrupted"
-    assert any(text.startswith("stopped by the time budget") for text in fit.messages)
-    assert len(steps) == 3
+            fit = ce.estimate(swinging(), record, progress=progress)
+        assert fit.status == "interrupted"
+        assert any(text.startswith(f"stopped by {by}: this is") for text in fit.messages)
+        assert len(steps) == 3
 
 
 def test_a_process_whose_time_is_over_sends_what_it_has(record, monkeypatch):
