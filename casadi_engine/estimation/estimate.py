@@ -209,7 +209,13 @@ def _searched(
         found = best_of(attempts)
         best = search.integrated(found)
         attempts = [best if attempt is found else attempt for attempt in attempts]
-        optima = distinct_optima(search, attempts, best)
+        try:
+            optima = distinct_optima(search, attempts, best)
+        except TimeUp:
+            if not own.best:
+                raise
+            with lifted():
+                optima = distinct_optima(search, attempts, best)
         timing = {"setup": setup, "solve": time.perf_counter() - entered - setup}
         options = {
             **{name: arguments[name] for name in ("ties", "method", "max_iterations", "tolerance")},
