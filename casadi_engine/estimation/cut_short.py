@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_engine.deadline import Deadline, TimeUp, best_wanted, late
+from casadi_engine.deadline import Deadline, TimeUp, ask, best_wanted, late, lifted
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.ipopt import Solution
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.simulation.propagator import fineness_of
 
 Array = NDArray[np.float64]
+Made = TypeVar("Made")
 
 # A start is given up that has cost so many times as much as the best one so far, and is not lower by this much of
 # -2 log likelihood.
@@ -22,6 +23,21 @@ MANY, LOWER = 20.0, 1.0
 GIVEN_UP = (
     f"not converged: given up, for it had cost {MANY:.0f} times as much as the best start and was not lower"
 )
+
+
+def in_time(work: Callable[[], Made], rest: Callable[[], Made] | None = None) -> Made:
+    """What ``work`` makes; once the time is over what ``rest`` does (the same work), which no deadline holds.
+
+    Raises TimeUp where the best so far is not wanted.
+    """
+    try:
+        ask()
+        return work()
+    except TimeUp:
+        if not best_wanted():
+            raise
+    with lifted():
+        return (rest or work)()
 
 
 def so_far(search: Search, z: Array, status: str) -> Attempt | None:

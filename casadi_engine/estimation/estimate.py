@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_engine.deadline import Deadline, TimeUp, best_wanted, is_set, late, lifted, was_stopped
+from casadi_engine.deadline import Deadline, TimeUp, best_wanted, is_set, late, was_stopped
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.answer import make_fit
 from casadi_engine.estimation.corner_widths import follow_motion
-from casadi_engine.estimation.cut_short import GIVEN_UP, MANY
+from casadi_engine.estimation.cut_short import GIVEN_UP, MANY, in_time
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.loss import read_loss
@@ -155,18 +155,18 @@ def estimate(
         if late():
             raise
         raise KeyboardInterrupt from None  # there is no point yet
+    return _with_sharp_corners(fit, arguments, lambda changed: run(arguments | changed, 1, 0, begun))
+
+
+def _with_sharp_corners(fit: Fit, arguments: Mapping[str, Any], run: Callable[[dict[str, Any]], Fit]) -> Fit:
+    """The fit with corners as sharp as the motion asks, as far as time allows."""
+    interval = arguments["interval"]
 
     def again(pars: Parameters, warm: Fit, length: int) -> Fit:
         interval_of = length if interval == "auto" else interval
-        changed = {"parameters": pars, "warm": warm, "interval": interval_of, "approach": "direct"}
-        return run(arguments | changed, 1, 0, begun)
+        return run({"parameters": pars, "warm": warm, "interval": interval_of, "approach": "direct"})
 
-    try:
-        return follow_motion(fit, arguments["parameters"], again)
-    except TimeUp:
-        if not best_wanted():
-            raise
-        return fit
+    return in_time(lambda: follow_motion(fit, arguments["parameters"], again), lambda: fit)
 
 
 def _searched(
@@ -209,13 +209,7 @@ def _searched(
         found = best_of(attempts)
         best = search.integrated(found)
         attempts = [best if attempt is found else attempt for attempt in attempts]
-        try:
-            optima = distinct_optima(search, attempts, best)
-        except TimeUp:
-            if not own.best:
-                raise
-            with lifted():
-                optima = distinct_optima(search, attempts, best)
+        optima = in_time(lambda: distinct_optima(search, attempts, best))
         timing = {"setup": setup, "solve": time.perf_counter() - entered - setup}
         options = {
             **{name: arguments[name] for name in ("ties", "method", "max_iterations", "tolerance")},
@@ -223,18 +217,11 @@ def _searched(
             **shown,
             "searched on": searched_on(search, best, lower),
         }
-        stopped = interrupted(attempts) or own.late
-        by = "the time budget" if own.late and not was_stopped() else "the user"
         made = partial(make_fit, search, best, optima, options, timing, begun)
-        try:
-            if stopped:
-                raise TimeUp
-            fit = made(check=check)
-        except TimeUp:
-            if not own.best:
-                raise
-            with lifted():
-                fit = made(stopped=by, check=False)
+        by = "the time budget" if own.late and not was_stopped() else "the user"
+        if interrupted(attempts):
+            own.stop()
+        fit = in_time(lambda: made(check=check), lambda: made(stopped=by, check=False))
         fit = replace(fit, messages=(*fit.messages, *_given_up(attempts)))
         return replace(fit, status="interrupted") if own.late else fit
 

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_engine.deadline import TimeUp, best_wanted, lifted
+from casadi_engine.deadline import TimeUp, best_wanted
 from casadi_engine.errors import EstimationError
-from casadi_engine.estimation.cut_short import Starts
+from casadi_engine.estimation.cut_short import Starts, in_time
 from casadi_engine.estimation.fit import Optimum
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import uncertainty
@@ -45,12 +45,10 @@ def attempts_from(
         try:
             if _tried(run, attempts, starts) and neighbours:
                 _follow(search, run, attempts, neighbours)
-            return _finished(search, attempts)
         except TimeUp:
             if not attempts or not best_wanted():
                 raise
-            with lifted():
-                return _finished(search, attempts)
+        return in_time(lambda: _finished(search, attempts))
     finally:
         search.close()
 
