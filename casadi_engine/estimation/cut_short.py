@@ -20,6 +20,8 @@ Made = TypeVar("Made")
 # A start is given up that has cost so many times as much as the best one so far, and is not lower by this much of
 # -2 log likelihood.
 MANY, LOWER = 20.0, 1.0
+# Units of work that any start may cost, a second or two: a search in the frequency domain integrates nothing.
+FREE = 1e6
 GIVEN_UP = (
     f"not converged: given up, for it had cost {MANY:.0f} times as much as the best start and was not lower"
 )
@@ -100,7 +102,7 @@ class Starts:
 
     def _run(self, start: Array, *, first: bool) -> Attempt | None:
         """One start; None where the time was over before it had come to anything."""
-        allowed = np.inf if self._best is None else MANY * self._best[1]
+        allowed = np.inf if self._best is None else max(MANY * self._best[1], FREE)
         back = fineness_kept(self.search)
         attempt, work = self._within(start, allowed, first=first)
         if attempt is not None and attempt.cut and not late():

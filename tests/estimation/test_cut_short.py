@@ -70,6 +70,15 @@ def test_no_start_is_given_up_where_all_are_quick(record):
     assert all(one.status != GIVEN_UP for one in fit.optima)
 
 
+def test_a_start_is_not_given_up_where_the_best_one_cost_nothing(record):
+    """As a search in the frequency domain, which integrates nothing."""
+    search = search_of(record)
+    run = Starts(search, finish=True)
+    run._best = (-math.inf, 0.0)
+    (found,) = run([search.drawn(2, 0)[1]], False)
+    assert found.solution.status == "converged"
+
+
 def test_a_costly_start_that_is_lower_goes_on(record, monkeypatch):
     """What it had come to is held against the best one so far."""
     search = search_of(record)
@@ -77,6 +86,7 @@ def test_a_costly_start_that_is_lower_goes_on(record, monkeypatch):
     with Deadline() as whole:
         assert search.run(starts[1], first=False).solution.status == "converged"
     monkeypatch.setattr(cut_short, "MANY", 0.7)
+    monkeypatch.setattr(cut_short, "FREE", 0.0)
     run = Starts(search, finish=True)
     run._best = (math.inf, whole.done)
     (found,) = run([starts[1]], False)
