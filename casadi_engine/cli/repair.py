@@ -37,11 +37,15 @@ HoldOut = Annotated[
 ]
 Effects = Annotated[
     list[str] | None,
-    typer.Option("--effects", metavar="NAME", help="Look for this effect alone; repeat for several."),
+    typer.Option(
+        "--effects", metavar="NAME", help="Look for this effect alone; NAME,NAME for several, or repeat."
+    ),
 ]
 Without = Annotated[
     list[str] | None,
-    typer.Option("--without", metavar="NAME", help="Do not look for this effect; repeatable."),
+    typer.Option(
+        "--without", metavar="NAME", help="Do not look for this effect; NAME,NAME for several, or repeat."
+    ),
 ]
 Budget = Annotated[
     float | None,
@@ -113,8 +117,8 @@ def _found(job: Job) -> Any:
             noise=problem.noise,
             alpha=job.options.extra["alpha"],
             holdout=job.options.extra["holdout"],
-            effects=job.options.extra["effects"] or None,
-            without=job.options.extra["without"] or (),
+            effects=_names(job.options.extra["effects"]) or None,
+            without=_names(job.options.extra["without"]),
             budget=job.options.extra["budget"],
             starts=max(STARTS, problem.starts),
             seed=job.options.seed,
@@ -126,3 +130,8 @@ def _found(job: Job) -> Any:
     except NotConvergedError as error:
         nothing_found(job, records, problem.parameters, error)
         raise
+
+
+def _names(given: list[str] | None) -> list[str]:
+    """Names from options that were repeated, joined by commas, or both."""
+    return [name for text in given or () for part in text.split(",") if (name := part.strip())]

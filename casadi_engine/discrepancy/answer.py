@@ -28,6 +28,7 @@ from casadi_engine.discrepancy.fresh import (
 from casadi_engine.discrepancy.fresh_choice import SEEN, Confirmation, FreshChoice
 from casadi_engine.discrepancy.fresh_misfit import held_to_fresh_data
 from casadi_engine.discrepancy.latent_torque import LatentTorque, latent_torques
+from casadi_engine.discrepancy.left_out import left_out_alike
 from casadi_engine.discrepancy.next_experiment import next_experiment
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.repaired import FoundEffect, Gaps, NextExperiment, Repair, Unknown, Verdict
@@ -100,7 +101,7 @@ class Answer:
             rounds=tuple(self.search.rounds),
             data=self.portion.data,
             fresh=self.portion.fresh,
-            options=self.options,
+            options=self._options(null, last) if found else self.options,
             blind=null.screened.request.blind,
         )
         return self._finished(blank, null, last, proof)
@@ -151,6 +152,11 @@ class Answer:
             return None
 
     # ---- parts
+
+    def _options(self, null: Station, last: Station) -> dict[str, Any]:
+        """What was asked for, and what that may have cost: effects left out that are like those found."""
+        words = self._timed("left out", lambda: left_out_alike(null, last))
+        return {**self.options, "left out": words} if words else self.options
 
     def _gaps(self, null: Station, last: Station, proof: Confirmation) -> Gaps:
         choice = last.screened.choice

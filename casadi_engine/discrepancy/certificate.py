@@ -195,11 +195,12 @@ def unknown_of(screened: Screened) -> Unknown | None:
     if not alarms:
         return None
     family, course = leftover.family, leftover.course
-    for record, output, line in (name.split("/") for name in alarms if "/line at " in name):
+    if leftover.line is not None:
+        record, output, line = leftover.line.rsplit("/", 2)
         words = f"the spectrum of the residual of {output} in {record} has a {line}: something acts, or is picked up"
         return Unknown(f"{words} by the sensor, at that frequency", alarms)
     if family is None or course is None or family.name not in alarms:
-        first = next(iter(alarms)).split("/")
+        first = next(iter(alarms)).rsplit("/", 2)
         return Unknown(f"the residual of {first[1]} in {first[0]} is not white", alarms)
     shape, like = next(iter(course.looks_like.items()))
     port = screened.null.model.ports[family.port]

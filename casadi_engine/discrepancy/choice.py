@@ -177,13 +177,27 @@ class Choice:
                 self._told(here, tried, None)
                 return None
             best = self._timed("exchange", lambda: self._exchanged(best, here))  # noqa: B023
+            if self._timed("refit", lambda: self._sharpened(best)):  # noqa: B023
+                tried = [self.pool[one.key] for one in tried]
+                continue
             if self._station(best) is not None:
                 break
+            if self.refits.blunted():
+                tried = [self.pool[one.key] for one in tried]
+                continue
             self.failed.setdefault(best.label, _NO_FIT)
             best.failed = True
             ask()
         self._told(here, tried, best)
         return best
+
+    def _sharpened(self, best: Tried) -> bool:
+        """See ``Refits.sharpened``; False once the time is over."""
+        try:
+            ask()
+            return self.refits.sharpened(best)
+        except TimeUp:
+            return False
 
     def _told(self, here: Tried, tried: Sequence[Tried], kept: Tried | None) -> None:
         order = sorted(tried, key=lambda one: -one.log)

@@ -30,7 +30,8 @@ from casadi_engine.parameters import Parameters
 from casadi_engine.problem.noise import Noise
 from casadi_engine.validation.held import parameters_for
 
-# Fresh data whose chi-squared per sample is so many times that of the fit are tried from other initial states too.
+# Fresh data whose chi-squared per sample is so many times that of the fit, and more than it is by chance, are tried
+# from other initial states too.
 _POOR = 1.1
 # Iterations for first states from which no path led to rest: a model that is far off has none that fit.
 _LOST, _MOST = 20, 60
@@ -74,13 +75,14 @@ def held_fit(
         try:
             made = estimate(
                 model, record, parameters=held, noise=Noise(**levels), method=method, warm=starts[number],
-                progress=False, max_iterations=most,
+                progress=False, max_iterations=most, interval=fit.options.get("interval", "auto"),
             )  # fmt: skip
         except (CasadiEngineError, FloatingPointError) as error:
             fault = error
             continue
         found = made if found is None else min(found, made, key=lambda one: (not one.converged, one.cost))
-        if found.cost / found.n <= _POOR * _misfit(fit, noise):
+        chance = max(_POOR, 1 + 3 * math.sqrt(2 / found.n))
+        if found.cost / found.n <= chance * _misfit(fit, noise):
             break
     if found is None:
         assert fault is not None

@@ -33,11 +33,8 @@ def fresh_misfit(repair: Repair) -> str | None:
         return None
     found = fresh.gap.chi2_per_sample
     left = found if fresh.within_errors is None else fresh.within_errors
-    ratio = left / own.chi2_per_sample
-    memory = MEMORY if repair.noise.colour else 1.0
-    chance = f_sf(ratio, max(fresh.gap.samples / memory, 1.0), max(own.samples / memory, 1.0))
     where = f"chi2/N is {found:.3g} there and {own.chi2_per_sample:.3g} on the data of the search"
-    if ratio > _LARGER and chance < _SURE:
+    if _beyond(repair, left):
         within = "" if left == found else f", {left:.3g} within the errors of the parameters"
         return (
             f"the fresh data do not fit: {where}{within}; something acts in them alone, or is still missing"
@@ -51,6 +48,35 @@ def fresh_misfit(repair: Repair) -> str | None:
     return None
 
 
+def fresh_doubt(repair: Repair) -> str | None:
+    """What to say where the gap on fresh data is beyond the noise, and errors of the parameters explain it."""
+    gaps = repair.gaps
+    after = None if gaps is None else gaps.validation_after
+    if gaps is None or after is None or after.within_errors is None or fresh_misfit(repair) is not None:
+        return None
+    if repair.verdict in (None, "unnamed") or repair.noise is None or repair.noise.scatter:
+        return None
+    found = after.gap.chi2_per_sample
+    if not _beyond(repair, found):
+        return None
+    return (
+        f"on the fresh data chi2/N is {found:.3g}, and {after.within_errors:.3g} within the errors of the parameters: "
+        "these are known too little to describe fresh data, and what they hide cannot be seen"
+    )
+
+
+def _beyond(repair: Repair, found: float) -> bool:
+    """True if a chi-squared per sample of the fresh data is larger than that of the search, beyond chance."""
+    gaps, noise = repair.gaps, repair.noise
+    if gaps is None or gaps.validation_after is None or noise is None:
+        return False
+    own = gaps.estimation_after.gap
+    memory = MEMORY if noise.colour else 1.0
+    fresh, known = (max(gap.samples / memory, 1.0) for gap in (gaps.validation_after.gap, own))
+    ratio = found / own.chi2_per_sample if own.chi2_per_sample > 0 else 0.0
+    return ratio > _LARGER and f_sf(ratio, fresh, known) < _SURE
+
+
 def held_to_fresh_data(repair: Repair) -> Repair:
     """The repair with what its model does not describe of the fresh data said first.
 
@@ -58,7 +84,8 @@ def held_to_fresh_data(repair: Repair) -> Repair:
     """
     misfit = fresh_misfit(repair)
     if misfit is None:
-        return repair
+        doubt = fresh_doubt(repair)
+        return repair if doubt is None else replace(repair, messages=(doubt, *repair.messages))
     gaps, confirmed = repair.gaps, repair.confirmed
     before = None if gaps is None else gaps.validation_before
     after = None if gaps is None else gaps.validation_after

@@ -8,6 +8,7 @@ what one step predicts. The better end counts.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import SimpleNamespace
@@ -29,16 +30,21 @@ from casadi_engine.discrepancy.null_model import (
 from casadi_engine.discrepancy.refit import Addition, Refitter
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.errors import CasadiEngineError
+from casadi_engine.estimation.corner_widths import FACTOR, FELT
 from casadi_engine.estimation.refit_entry import Refit, RefitProblem
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
+from casadi_engine.simulation.exponential_runge_kutta import MOST_SUBSTEPS
+from casadi_engine.simulation.propagator import switches_with_states
 from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 
 FAILURES = (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError)
 _AT_BOUND = 1e-8
 # Steps over one horizon: a model that explains the data takes ten, one that does not has not arrived after a hundred.
 _STEPS = 20
+# Corners are sharpened at most so often at once, as long as all records together are integrated in so many steps.
+_SHARPER, _INTEGRATED = 3, 1e5
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,12 +125,45 @@ class Path:
             for record in problem.records:
                 record.set_sigma(np.array([levels[out.name] for out in model.outputs]))
 
+    def sharpness(self, effects: Sequence[Addition], arrived: Arrived, worth: float) -> float:
+        """The share of the motion's widths at which the data do not tell corners from sharper ones.
+
+        A corner's width is a bias: friction that sticks creeps. Chi-squared at the values where a refit arrived tells
+        which width is felt, as far as the integrator can follow.
+        worth : the share of the samples that count as independent ones
+        """
+        refitter, before = self.refitter, self.refitter.share
+        wide = [refitter.rounded(one) for one in effects]
+        refitter.share = before / FACTOR
+        corners = wide != [refitter.rounded(one) for one in effects]
+        refitter.share = before
+        model, _, own = self._problem(effects)
+        if not corners or switches_with_states(model):
+            return before
+        last, wider = math.nan, before
+        felt = FELT * max(arrived.cost / max(own.count, 1), 1.0) / worth
+        try:
+            with np.errstate(all="ignore"):
+                states = [path.x for path in own.paths(arrived.values, arrived.refit.nodes)]
+                for k in range(_followed(own) + 1):
+                    refitter.share = before / FACTOR**k
+                    cost = _cost_along(self._problem(effects)[2], arrived.values, states)
+                    # what is left falls by the factor from one share to the next
+                    if abs(cost - last) * FACTOR / (FACTOR - 1) < felt:
+                        return wider
+                    last, wider = cost, refitter.share
+        except FAILURES:
+            pass  # sharper than the integrator can follow
+        finally:
+            refitter.share = before
+        return wider
+
     # ---- inside
 
     def _ended(self, effects: Sequence[Addition], start: Any, horizons: tuple[None] | None) -> Arrived | None:
         try:
             _, _, problem = self._problem(effects)
-            values = None if start is None else start.values
+            values = _begun(problem, effects, {} if start is None else start.values)
             # windows begin at the measured states, which a wrong simulation has lost
             initial = (None if start is None or horizons is None else start.initial) or None
             return _arrived(
@@ -134,16 +173,47 @@ class Path:
             return None
 
     def _problem(self, effects: Sequence[Addition]) -> tuple[Model, Parameters, RefitProblem]:
-        key = tuple((id(one.candidate), one.shared, _in_order(one.times)) for one in effects)
+        own = tuple((id(one.candidate), one.shared, _in_order(one.times)) for one in effects)
+        key = (self.refitter.share, *own)
         if key not in self._made:
             self._kept += effects  # alive, so that no other candidate takes its identity
             refitter = self.refitter
             model = refitter.extended(effects)
             pars = refitter.parameters_of(model, effects).unconstrained()
-            interval = refitter.options.get("interval", "auto")
+            interval = refitter.interval
             problem = RefitProblem(model, refitter.data, pars, levels=self.levels, interval=interval)
             self._made[key] = model, pars, problem
         return self._made[key]
+
+
+def _begun(
+    problem: RefitProblem, effects: Sequence[Addition], known: Mapping[str, float]
+) -> dict[str, float]:
+    """Values from which a refit starts: those that are known, and of the other amplitudes what is hoped for."""
+    found = dict(known)
+    for one in effects:
+        own = [name for name in problem.pmap.free if name.partition("@")[0] == one.amplitude]
+        found |= {name: one.start for name in own if name not in known}
+    return found
+
+
+def _followed(problem: RefitProblem) -> int:
+    """How many times the integrator can follow corners that are sharper by the factor."""
+    steps = max((getattr(record.propagator, "substeps", 1) for record in problem.records), default=1)
+    allowed = min(MOST_SUBSTEPS, _INTEGRATED / sum(record.grid.samples for record in problem.records))
+    return min(int(math.log(max(allowed / steps, 1.0), FACTOR) + 1e-9), _SHARPER)
+
+
+def _cost_along(problem: RefitProblem, values: Mapping[str, float], states: Sequence[Array]) -> float:
+    """Chi-squared of the run near known states (n, N); raises FloatingPointError where it has none."""
+    nodes = [
+        (x[:, :: record.plan.length][:, : record.plan.m] / record.scale[:, None]).T
+        for record, x in zip(problem.records, states, strict=True)
+    ]
+    cost = problem.cost_from(values, nodes)
+    if not math.isfinite(cost):
+        raise FloatingPointError("the simulation has no numbers")
+    return cost
 
 
 def _in_order(times: Mapping[str, Mapping[str, float]]) -> tuple[Any, ...]:

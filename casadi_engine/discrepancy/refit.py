@@ -16,28 +16,23 @@ from casadi_engine.discrepancy.compression import compress
 from casadi_engine.discrepancy.linear_algebra import basis, without
 from casadi_engine.discrepancy.noise_choice import NoiseChoice, scatter_of
 from casadi_engine.discrepancy.null_model import null_model
-from casadi_engine.discrepancy.selection import effective_samples
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.effects import Effect
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation import Estimate, Fit, estimate
-from casadi_engine.estimation.corner_widths import FACTOR, FELT, cost_along, courses, paths_of
+from casadi_engine.estimation.corner_widths import courses, paths_of
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.model.port_view import PortView
 from casadi_engine.parameters import Parameters
 from casadi_engine.problem.noise import Noise
-from casadi_engine.simulation.exponential_runge_kutta import MOST_SUBSTEPS
 from casadi_engine.simulation.null_path import NullPath
+from casadi_engine.simulation.propagator import switches_with_states
 
 # Iterations of one try; of one that holds an amplitude.
 _ITERATIONS, _FEWER = 60, 30
 # Intervals into which a record is cut for laws with sharp corners.
 _INTERVALS = 400
-# Corners are sharpened at most so often.
-_SHARPER = 3
-# And as long as all records together are not integrated in more steps than this.
-_STEPS = 1e5
 
 # Rise of chi-squared at which a smaller amplitude is as good; times that it is made smaller, by half at first, and by
 # as much as this while nothing rises.
@@ -127,17 +122,24 @@ def addition(
     return Addition(candidate, float(np.clip(start, bounds.min, bounds.max)), choices, times)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Refitter:
-    """What all refits share: the null fit's model, parameters, data and options of ``estimate``."""
+    """What all refits share: the null fit's model, parameters, data and options of ``estimate``.
+
+    base : the fit without effects, by whose motion the corners of laws are narrowed; share : of the width that this
+        motion gives, one for all effects, so that no structure gains by a sharper corner than its rivals have
+    """
 
     model: Model
     parameters: Parameters
     data: tuple[Experiment, ...]
     noise: Noise | None
     options: Mapping[str, Any] = field(default_factory=dict)
-    # label -> the effect as refits have it, with its corners narrowed, and the share of the first width
-    _narrow: dict[str, tuple[Any, float]] = field(default_factory=dict, repr=False)
+    base: Fit | None = None
+    share: float = 1.0
+    # (label, share) -> the effect as refits have it, with its corners narrowed
+    _narrow: dict[tuple[str, float], Any] = field(default_factory=dict, repr=False)
+    _motion: list[NullPath] | None = field(default=None, repr=False)
     # models by their effects, each with the effect added last, so that it keeps its identity
     _models: dict[tuple[Any, ...], tuple[Any, Model]] = field(default_factory=dict, repr=False)
 
@@ -145,9 +147,9 @@ class Refitter:
         """The fit with these effects, of all data and as the fit without effects was made, from where a refit arrived;
         None where it fails.
 
-        base : the fit without effects, by whose motion corners are narrowed; start : values and initial states
+        base : the fit without effects; start : values and initial states
         """
-        self._look(base, effects)
+        self.base = base if self.base is None else self.base
         model = self.extended(effects)
         pars = self.parameters_of(model, effects)
         fit = self._try(model, pars, start)
@@ -156,7 +158,7 @@ class Refitter:
             fit = _better(fit, self._try(model, pars, far))
         if fit is None or not fit.converged:
             return fit
-        return self._smallest(self._sharpened(fit, effects), effects, effects)
+        return self._smallest(fit, effects, effects)
 
     def _smallest(self, fit: Fit, effects: Sequence[Addition], new: Sequence[Addition]) -> Fit:
         """The fit with amplitudes that have no error, one larger than themselves, or rest on their upper bound, as
@@ -210,54 +212,40 @@ class Refitter:
         for one in effects:
             made = one.candidate.source
             values = dict(made.values) | {made.amplitude.name: one.start}
-            effect, _ = self._narrow.get(one.label, (made.effect, 1.0))
+            effect = self.rounded(one)
             key = (*key, (one.key, id(effect), tuple(sorted(values.items()))))
             if key not in self._models:
                 self._models[key] = (effect, model.with_effect(effect, at=one.candidate.port, values=values))
             _, model = self._models[key]
         return model
 
-    def _look(self, base: Fit, effects: Sequence[Addition]) -> None:
-        """Narrow the corners of effects that were not looked at yet, by the motion of the base."""
-        unknown = [one for one in effects if one.label not in self._narrow]
-        if unknown:
-            paths = paths_of(base)
-            self._narrow.update({one.label: (_narrowed(one, base.model, paths, 1.0), 1.0) for one in unknown})
+    def rounded(self, one: Addition) -> Any:
+        """An addition's effect with its corners as sharp as the motion without it passes them, times the share."""
+        key = one.label, self.share
+        if self.base is None:
+            return one.candidate.source.effect
+        if key not in self._narrow:
+            self._narrow[key] = _narrowed(one, self.base, self._paths(), self.share)
+        return self._narrow[key]
 
-    def _sharpened(self, fit: Fit, effects: Sequence[Addition]) -> Fit:
-        """The fit with corners so sharp that the data do not tell them from sharper ones.
+    @property
+    def interval(self) -> Any:
+        """The length of shooting intervals: short ones for laws whose corners ask for many steps of the integrator,
+        which all intervals take side by side."""
+        own = self.options.get("interval", "auto")
+        if own != "auto" or self.share == 1 or switches_with_states(self.model):
+            return own
+        return max(2, max(map(_samples, self.data)) // _INTERVALS)
 
-        A corner's width is a bias: friction that sticks creeps. Chi-squared at the fit's own values tells which width
-        is felt, as far as the integrator can follow; where it is the first, the fit is made again with a sharper one.
-        """
-        steps = max((one.substeps for one in fit.integration.values()), default=0)
-        allowed = min(MOST_SUBSTEPS, _STEPS / sum(map(_samples, self.data)))
-        most = int(math.log(max(allowed / max(steps, 1), 1.0), FACTOR) + 1e-9)
-        if not steps or not most:
-            return fit
-        paths, before = paths_of(fit), dict(self._narrow)
-        levels, costs = [before], [cost_along(fit, paths)]
-        for level in range(1, min(most, _SHARPER) + 1):
-            finer = dict(before)
-            for one in effects:
-                share = before[one.label][1] / FACTOR**level
-                finer[one.label] = (_narrowed(one, fit.model, paths, share), share)
-            if all(finer[one.label][0] == before[one.label][0] for one in effects):
-                return fit
-            self._narrow.update(finer)
-            levels.append(finer)
-            costs.append(cost_along(fit, paths_of(fit, self.extended(effects))))
-        worth = _independent(fit)
-        chosen = next(k for k, cost in enumerate(costs) if worth * abs(cost - costs[-1]) < FELT)
-        self._narrow.update(levels[chosen])
-        if not chosen:
-            return fit
-        model = self.extended(effects)
-        again = self._try(model, self.parameters_of(model, effects), Start.of(fit), short=True)
-        if again is not None and again.converged and merit(again) < merit(fit) + FELT:
-            return again
-        self._narrow.update(before)
-        return fit
+    def _paths(self) -> list[NullPath]:
+        """The simulation of the base; none where that fails: then corners stay as they are declared."""
+        if self._motion is None and self.base is not None:
+            try:
+                with np.errstate(all="ignore"):
+                    self._motion = paths_of(self.base)
+            except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
+                self._motion = []
+        return self._motion or []
 
     def parameters_of(self, model: Model, effects: Sequence[Addition]) -> Parameters:
         pars = self.parameters.copy().extended(model)
@@ -283,14 +271,11 @@ class Refitter:
         warm: Start | None,
         *,
         most: int = _ITERATIONS,
-        short: bool = False,
     ) -> Fit | None:
-        """One estimate of at most so many iterations; short : in short intervals, for laws that ask for many steps of
-        the integrator, which all intervals take side by side."""
+        """One estimate of at most so many iterations."""
         most = min(int(self.options.get("max_iterations", most)), most)
         options = dict(self.options) | {"max_iterations": most, "errors": "quadratic", "progress": False}
-        if short and options.get("interval", "auto") == "auto":
-            options["interval"] = max(2, max(_samples(one) for one in self.data) // _INTERVALS)
+        options["interval"] = self.interval
         try:
             with np.errstate(all="ignore"):
                 fit = estimate(model, self.data, parameters=pars, noise=self.noise, warm=warm, **options)
@@ -306,16 +291,12 @@ def _time(start: float, span: tuple[float, float]) -> tuple[float, float, float]
     return (start, low, high) if start <= high else (high + behind, high, high + 2 * behind)
 
 
-def _independent(fit: Fit) -> float:
-    """The share of a fit's samples that its residuals are worth: less than 1 where they are coloured."""
-    found = [trace.residual for traces in fit.traces.values() for trace in traces.values()]
-    left = [e[np.isfinite(e)] for e in found]
-    return sum(effective_samples(e) for e in left) / max(sum(map(len, left)), 1)
-
-
-def _narrowed(one: Addition, model: Model, paths: Sequence[NullPath], share: float) -> Any:
+def _narrowed(one: Addition, base: Fit, paths: Sequence[NullPath], share: float) -> Any:
     """An addition's effect with the corners that these simulations can follow."""
     effect = one.candidate.source.effect
+    if not paths:
+        return effect
+    model = base.model
     view = PortView(model, model.ports[one.candidate.port], partial(courses, paths), effect=effect.name)
     return effect.narrowed(view, share)
 

@@ -106,9 +106,14 @@ class Refits:
         tell: Callable[[str], None],
     ) -> None:
         self.refitter, self.null_fit, self.cylinders = refitter, null_fit, cylinders
+        refitter.base = null_fit
         self.path = Path(refitter, dict(noise.sigma))
         self.levels = Levels(dict(noise.sigma), {}, max(noise.scatter.values(), default=0.0))
         self.pool: dict[Key, Tried] = {}
+        self._wide: tuple[float, dict[Key, Tried]] | None = (
+            None  # share and pool before corners were sharpened
+        )
+        self._blunt = False
         self._tell = tell
 
     def tried(self, effects: tuple[Addition, ...], start: Start | None) -> list[Tried]:
@@ -182,6 +187,45 @@ class Refits:
                 made = None if again is None else self._counted(one.effects, again)
                 if made is not None and made.log > one.log:
                     self.pool[one.key] = made
+
+    def sharpened(self, best: Tried) -> bool:
+        """Refit the best structure and its rivals with corners so sharp that the data do not tell them from sharper
+        ones; False where they are."""
+        worth = 1.0 / max(self.levels.memory.values(), default=1.0)
+        share = self.path.sharpness(best.effects, best.arrived, max(worth, 1e-6))
+        if self._blunt or share >= self.refitter.share:
+            return False
+        self._wide = self.refitter.share, dict(self.pool)
+        self.refitter.share = share
+        if not self._again_sharp(best):
+            return not self.blunted()
+        sharp = self.pool[best.key]
+        least = best.log - abs(sharp.log - best.log) - math.log(FACTOR * len(self.pool))
+        rivals = [one for one in self.pool.values() if one.effects and one.log > least and one is not sharp]
+        for one in sorted(rivals, key=lambda one: -one.log):
+            if not late():
+                self._again_sharp(one)
+        self.weigh()
+        return True
+
+    def _again_sharp(self, tried: Tried) -> bool:
+        """Refit with the corners as they are now; what a wide one gained is no evidence, so that the end counts even
+        where it is less probable."""
+        self._tell(f"sharper corners: {tried.label}")
+        again = self.path.from_point(tried.effects, tried.arrived)
+        made = None if again is None else self._counted(tried.effects, again)
+        if made is not None:
+            self.pool[tried.key] = made
+        return made is not None
+
+    def blunted(self) -> bool:
+        """Take corners back to the widths before, for good: fits do not settle with sharper ones; False where there
+        were none."""
+        if self._wide is None:
+            return False
+        (self.refitter.share, self.pool), self._wide, self._blunt = self._wide, None, True
+        self.weigh()
+        return True
 
     def none(self, fit: Fit) -> Tried:
         """The null fit as a structure."""

@@ -13,6 +13,7 @@ from casadi_engine.discrepancy.answer import Answer
 from casadi_engine.discrepancy.assumed_pressure import carry, remarks, settle_scatter
 from casadi_engine.discrepancy.choice import TIME_UP, Choice
 from casadi_engine.discrepancy.fresh import Portions, portions
+from casadi_engine.discrepancy.input_hold import other_hold
 from casadi_engine.discrepancy.lower_rate import at_lower_rate
 from casadi_engine.discrepancy.noise_choice import ColourChoice, check_choice
 from casadi_engine.discrepancy.null_model import refuse_jumps
@@ -26,6 +27,7 @@ from casadi_engine.discrepancy.wording import AT_FAULT, BUDGET, USER
 from casadi_engine.effects.candidate import Known
 from casadi_engine.errors import EstimationError, ExperimentError
 from casadi_engine.estimation import Fit, estimate
+from casadi_engine.estimation.corner_widths import ROUNDED, widths_of, with_widths
 from casadi_engine.estimation.estimate import _own, _records
 from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.options import as_number, whole
@@ -185,6 +187,28 @@ class _Job:
         self.deadline.stop()
 
     def run(self, scores: Any, *, alpha: float, most: int, scatter: Any, jobs: int | None) -> Repair:
+        """The answer; that for another hold of the inputs where this is what the records ask for."""
+        how: dict[str, Any] = {"alpha": alpha, "most": most, "scatter": scatter, "jobs": jobs}
+        found = self._answered(scores, **how)
+        if self.search is None:
+            return found
+        memory = max(self.search.refits.levels.memory.values(), default=1.0)
+        portion = self.portion
+        try:
+            other = other_hold(found, self.noise, self.options, memory)
+            if other is None:
+                return found
+            used = time.perf_counter() - self.begun
+            if not other.better or found.stopped or self.deadline.left < used:
+                return other.told(found, again=False)
+            self.tell("the search with another hold of the inputs")
+            self.portion = other.of(portion)
+            return other.told(self._answered(scores, **how), again=True)
+        except TimeUp:  # there is an answer
+            self.portion = portion
+            return found
+
+    def _answered(self, scores: Any, *, alpha: float, most: int, scatter: Any, jobs: int | None) -> Repair:
         """The fit without effects, the search, the answer."""
         options = self.options
         with self.deadline.spared(_FIRST):
@@ -205,6 +229,7 @@ class _Job:
         if not null_fit.converged and not search.best:
             return self._no_answer(null_fit, alpha)
         told = remarks(search.chosen.fit, scatter)
+        told += [words for words in null_fit.messages if words.startswith(ROUNDED)]
         if not null_fit.converged:  # a wrong model may have a valley without end; the right one has none
             told.append(
                 f"the fit without effects has {null_fit.status}; effects were looked for from where it ended"
@@ -237,6 +262,7 @@ class _Job:
         self.null_fit = fit
         fit, pars = settle_scatter(fit, self.parameters, noise=self.noise, options=self.options)
         self.null_fit = fit
+        pars = with_widths(pars, widths_of(fit, pars))
         self.timing["null fit"] = time.perf_counter() - self.begun
         return fit, pars, own.done / self.several["starts"]
 

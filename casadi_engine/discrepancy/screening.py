@@ -5,7 +5,6 @@ No refit is made: the null fit gives residuals and slopes, one sweep all sensiti
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -18,31 +17,21 @@ from casadi_engine.discrepancy.compression import (
     Compressed,
     candidate_columns,
     compress,
-    scatter_columns,
 )
+from casadi_engine.discrepancy.leftover import Leftover, leftover
 from casadi_engine.discrepancy.library_candidates import library_candidates
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.noise_choice import (
     ColourChoice,
     NoiseChoice,
     choose_noise,
-    innovation_p,
     scatter_of,
-    white_p,
 )
-from casadi_engine.discrepancy.noise_model import NoiseModel, left_over
-from casadi_engine.discrepancy.null_distribution import NullDistribution, Row, library_rows, split_alpha
+from casadi_engine.discrepancy.noise_model import NoiseModel
+from casadi_engine.discrepancy.null_distribution import NullDistribution, library_rows, split_alpha
 from casadi_engine.discrepancy.null_model import NullModel, null_model
-from casadi_engine.discrepancy.random_families import (
-    Course,
-    Family,
-    family_candidates,
-    family_course,
-    family_row,
-)
 from casadi_engine.discrepancy.requests import Request, check_alpha, read_request
 from casadi_engine.discrepancy.score import Scores, score
-from casadi_engine.discrepancy.spectral_line import strongest_line
 from casadi_engine.distributions import normal_isf
 from casadi_engine.effects.candidate import Known
 from casadi_engine.errors import EstimationError
@@ -52,32 +41,8 @@ from casadi_engine.model.term import NotApplicable
 
 # Degrees of freedom below which a score tells little.
 _FEW = 5
-# Share by which steps may differ and still be called equal.
-_EQUAL = 1e-3
 # Candidates that are printed.
 _SHOWN = 10
-
-
-@dataclass(frozen=True, eq=False)
-class Leftover:
-    """Tests for what no effect of the library names.
-
-    tests : name -> p-value of a residual test ("record/output/whiteness") or of a family of functions; level : a
-    p-value below it is an alarm; family, course : the family of the smallest p-value and its function
-    """
-
-    tests: Mapping[str, float]
-    level: float
-    family: Family | None = None
-    family_p: float | None = None
-    course: Course | None = None
-
-    @property
-    def alarms(self) -> dict[str, float]:
-        """The tests that are rejected, the surest first."""
-        return dict(
-            sorted(((n, p) for n, p in self.tests.items() if p < self.level), key=lambda pair: pair[1])
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +114,7 @@ class Screened:
     @cached_property
     def leftover(self) -> Leftover:
         """The tests beside the library: whiteness of the residuals, and families of unknown functions."""
-        return _leftover(self)
+        return leftover(self)
 
     @property
     def alarm(self) -> bool:
@@ -320,66 +285,3 @@ def _cannot_tell(scores: Scores) -> tuple[str, ...]:
         f"strongly autocorrelated noise: few effective samples. The scores of {few} of {every} candidates have fewer "
         f"than {_FEW} degrees of freedom, so that these effects were not found says little; record for longer",
     )
-
-
-def _line(record: Any, output: str, e: Array) -> dict[str, float]:
-    """The test for a line in the spectrum of a coloured residual: what comes back at one frequency is no noise."""
-    length, index = record.length[output], record.index[output]
-    full, valid = np.zeros(length), np.zeros(length, dtype=bool)
-    full[index], valid[index] = e, True
-    time = record.time[output]
-    gap = np.diff(time) / np.diff(index)
-    found = strongest_line(full, valid) if len(time) > 1 and np.ptp(gap) < _EQUAL * gap.mean() else None
-    if found is None:
-        return {}
-    # no finer than one over the record's length
-    digits = max(0, math.ceil(math.log10(time[-1] - time[0])))
-    return {f"{record.name}/{output}/line at {found.frequency / gap.mean():.{digits}f} Hz": found.p}
-
-
-def _leftover(screened: Screened) -> Leftover:
-    """Half of the remaining false-alarm rate each for whiteness and for families.
-
-    Where the noise is coloured its innovations are to be white, but for a residual that is larger than the noise that
-    was stated: that is no noise.
-    """
-    rest = screened.alpha - screened.share
-    null, choice = screened.null, screened.choice
-    tests: dict[str, float] = {}
-    slopes = {record.name: dict(record.slopes) for record in null.records}
-    random = {r.name: scatter_columns(r, choice.scatter) for r in null.records} if choice.scatter else None
-    left = left_over(null, choice.noise, slopes, random)
-    for record in null.records:
-        for output in record.outputs:
-            held = record.slopes[output]
-            if random is not None:
-                held = np.concatenate([held, random[record.name][output]], axis=1)
-            e = left[record.name][output]
-            larger = (record.name, output) in choice.larger
-            p = (
-                white_p(record, output, e, held)
-                if larger
-                else innovation_p(record, output, e, held, choice.noise)
-            )
-            if p is not None:
-                tests[f"{record.name}/{output}/whiteness"] = p
-            if (record.name, output) in choice.noise.colour:
-                tests |= _line(record, output, e)
-    white = len(tests)
-    found, families = family_candidates(null)
-    scores = score(compress(null, found, choice.noise, scatter=choice.scatter)) if found else None
-    rows: list[tuple[Row, Family]] = []
-    for family in families if scores is not None else ():
-        row = family_row(scores, family)  # type: ignore[arg-type]
-        if row is not None:
-            rows.append((row, family))
-    level = 0.5 * rest / max(white, 1)
-    if not rows or scores is None:
-        return Leftover(tests, level)
-    law = NullDistribution([row for row, _ in rows], seed=screened.seed)
-    p_values = {row.name: float(row.p_value(scores.y[:, None])[0]) for row, _ in rows}
-    best, family = min(rows, key=lambda pair: p_values[pair[0].name])
-    pooled = law.pooled(p_values[best.name])
-    # on the scale of the whiteness tests
-    tests[family.name] = pooled * level / (0.5 * rest)
-    return Leftover(tests, level, family, pooled, family_course(scores, family))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -41,15 +42,13 @@ def strongest_line(residual: Array, valid: Array) -> Line | None:
     inside = max(runs, key=len)
     if len(inside) < _FEWEST:
         return None
-    from scipy.signal.windows import dpss
-
     own = residual[inside][:_MOST]
     own = own - own.mean()
     scale = float(np.abs(own).max())
     if not scale > 0:
         return None
     own = own / scale
-    tapers = dpss(len(own), _HALF, _TAPERS)
+    tapers = _tapers(len(own))
     # so fine that a clear line, whose ratio falls off fast beside it, is not missed between two frequencies
     size = 2 ** math.ceil(math.log2(16 * len(own)))
     spectra = np.fft.rfft(tapers * own, size)
@@ -64,3 +63,11 @@ def strongest_line(residual: Array, valid: Array) -> Line | None:
     # the upper tail of F(2, 2K - 2) in closed form
     tail = (1 + ratio[best] / (_TAPERS - 1)) ** (1 - _TAPERS)
     return Line(float(frequency[best]), float(min(1.0, tail * _BETWEEN * len(own) / 2)))
+
+
+@lru_cache(maxsize=4)
+def _tapers(length: int) -> Array:
+    """(K, N) orthogonal tapers; records of one search have few lengths, and long ones take a second."""
+    from scipy.signal.windows import dpss
+
+    return np.asarray(dpss(length, _HALF, _TAPERS))

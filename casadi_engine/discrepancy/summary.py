@@ -3,33 +3,31 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from casadi_engine.discrepancy.fresh_misfit import fresh_misfit
+from casadi_engine.discrepancy.assumed_pressure import is_carried
+from casadi_engine.discrepancy.verdict_words import headline, next_step
 from casadi_engine.discrepancy.wording import (
-    AT_FAULT,
     LISTED,
-    USER,
     acting_at,
+    acts_as,
+    clock,
     first_words,
     held_out,
     in_unit,
-    is_blind,
+    right_value,
     si,
-    twins,
+    told,
 )
 from casadi_engine.estimation.summary import count, number, with_error, wrapped
 from casadi_engine.experiment.units import NOT_STATED
 
 if TYPE_CHECKING:
-    from casadi_engine.discrepancy.repaired import FoundEffect, NextExperiment, Repair, Side
+    from casadi_engine.discrepancy.repaired import FoundEffect, Repair, Side
 
 LINES = 45
-# Right in 95 % of records.
-ENOUGH = 3.3
-# Share of halves from which a score is stable; change of a level that is said.
-_OFTEN, _OTHER = 0.5, 0.05
+# Change of a level that is said.
+_OTHER = 0.05
 _SHIFTS, _TERMS, _NOTES = 6, 4, 3
 # Lines of one equation that are shown.
 _LONG = 4
@@ -50,34 +48,6 @@ def summary(repair: Repair) -> str:
     return "\n".join(line.rstrip()[:100] for line in [*kept, *notes[:6], *last])
 
 
-def headline(repair: Repair) -> str:
-    """The verdict in a few words."""
-    if repair.verdict is None:
-        return f"no answer: {repair.status}"
-    blind = is_blind(repair)
-    if repair.verdict == "nothing missing":
-        shown = "nothing is missing that these data could show"
-        return "nothing was found, but no physical effect could be looked for" if blind else shown
-    if repair.verdict == "unnamed":
-        why = "no physical effect could be looked for" if blind else "no effect of the library names it"
-        return f"something is missing, and {why}"
-    names = " and ".join(f"{one.name} at {one.at}" for one in repair.effects)
-    sure = {True: "confirmed on fresh data", False: "not confirmed by fresh data", None: "unconfirmed"}
-    others = [f"{m.name} at {m.at}" for one in repair.effects for m in one.members[1:]]
-    doubt = (
-        f", or {others[0] if len(others) == 1 else f'one of {count(len(others))} others'}" if others else ""
-    )
-    gaps = repair.gaps
-    misfit = ""
-    if gaps is not None and gaps.validation_after is not None and fresh_misfit(repair) is not None:
-        misfit = (
-            f", which the repaired model does not fit: chi2/N {gaps.validation_after.gap.chi2_per_sample:.3g}"
-        )
-    verb = "is" if len(repair.effects) == 1 else "are"
-    tried = " (of what was tried)" if repair.stopped else ""
-    return f"{names} {verb} missing{tried}{doubt}, {sure[repair.confirmed]}{misfit}"
-
-
 def _tested(repair: Repair) -> list[str]:
     names = ", ".join(record.name for record in repair.data)
     fresh = ", ".join(record.name for record in repair.fresh)
@@ -85,20 +55,31 @@ def _tested(repair: Repair) -> list[str]:
     kind = f" ({held_out(repair)} held out)" if within.intersection(r.name for r in repair.fresh) else ""
     lines = [f"  data       {names}; fresh: {fresh or 'none'}{kind if fresh else ''}"]
     if repair.noise is not None:
-        units = {out.name: out.unit for out in repair.model.outputs}
-        words = [
-            f"{name} sigma {sigma:.4g}{si(units.get(name, '1'))} ({'estimated' if free else 'known'})"
-            for name, (sigma, free) in repair.noise.sigma.items()
-        ]
-        words += ["coloured"] if repair.noise.colour else []
-        words += [f"{kind} scatters by {100 * tau:.2g} %" for kind, tau in repair.noise.scatter.items()]
-        lines += [f"  noise      {'; '.join(words)}"]
+        lines += wrapped(f"  noise      {'; '.join(_noise(repair))}", "             ")
     if repair.threshold is not None:
         rate = f"false alarms {100 * repair.alpha:.3g} % over all tests"
         limit = f", |z| > {repair.threshold:.2f}" if repair.candidates else ""
         seconds = repair.timing.get("total", math.nan)
         lines += [f"  tested     {repair.candidates} candidates, {rate}{limit}; {number(seconds, '.2g')} s"]
     return lines
+
+
+def _noise(repair: Repair) -> list[str]:
+    """The noise of each output: what was stated, and what counts where that is something else."""
+    assert repair.noise is not None
+    units = {out.name: si(out.unit) for out in repair.model.outputs}
+    stated = {name: sigma for name, (sigma, free) in repair.null_fit.noise.items() if not free}
+    coloured = {key.rpartition("/")[2] for key in repair.noise.colour}
+    words = []
+    for name, (sigma, free) in repair.noise.sigma.items():
+        unit = units.get(name, "")
+        own = [f"sigma {stated[name]:.4g}{unit} (stated)"] if name in stated else []
+        if name in coloured:
+            own.append(f"coloured, with innovations of sigma {sigma:.4g}{unit}")
+        elif free or not own:
+            own.append(f"sigma {sigma:.4g}{unit} (estimated)")
+        words.append(f"{name} {', '.join(own)}")
+    return words + [f"{kind} scatters by {100 * tau:.2g} %" for kind, tau in repair.noise.scatter.items()]
 
 
 def _found(repair: Repair) -> list[str]:
@@ -110,18 +91,21 @@ def _found(repair: Repair) -> list[str]:
         if effects:
             lines += [title]
         for one in effects:
-            lines += _effect(one)
+            lines += _effect(one, repair)
     return lines
 
 
-def _effect(one: FoundEffect) -> list[str]:
+def _effect(one: FoundEffect, repair: Repair) -> list[str]:
     chance = "p < 1e-300" if one.p_value < 1e-300 else f"p = {one.p_value:.2g}"
     share = f"explains {100 * one.share_explained:.0f} % of the gap"
-    lines = wrapped(f"  {one.sentence}: z = {one.z:.1f}, {chance}, {share}{_stability(one)}", "    ")
+    lines = wrapped(f"  {one.sentence}: z = {one.z:.1f}, {chance}, {share}", "    ")
     lines += [
-        f"    {name} = {with_error(e.value, e.stderr)}{in_unit(e.unit)}" for name, e in one.parameters.items()
+        f"    {name} = {told(e, in_unit(e.unit))}{acts_as(one, name, repair.model)}"
+        for name, e in one.parameters.items()
     ]
-    lines += [f"    {one.key}.{name} = {value:.6g}" for name, value in one.constants.items()]
+    changed = right_value(one, repair)
+    lines += [f"    {changed}"] if changed else []
+    lines += [f"    {one.key}.{name} = {value:.6g} (held)" for name, value in one.constants.items()]
     if len(one.members) > 1:
         text = ", ".join(
             f"{m.name} at {m.at} ({100 * m.probability:.0f} %, {m.rho:+.3f})" for m in one.members[1:]
@@ -132,25 +116,11 @@ def _effect(one: FoundEffect) -> list[str]:
     return lines
 
 
-def _stability(one: FoundEffect) -> str:
-    """How often half of the data would choose it; of a class, whose members share the first place, nothing."""
-    if one.selection_frequency is None or len(one.members) > 1:
-        return ""
-    share = f"{100 * one.selection_frequency:.0f} %"
-    if one.selection_frequency < _OFTEN:
-        return f"; its score is the best in {share} of random halves of the data only: the refits decided"
-    return f", the best score in {share} of random halves of the data"
-
-
 def _where(repair: Repair) -> list[str]:
     where = repair.where
     if where is None:
         return []
-    first, last = where.time
-    words = [
-        f"record {where.record} "
-        + (f"from {first:.4g} to {last:.4g} s" if first < last else f"at {first:.4g} s")
-    ]
+    words = [f"record {where.record} {clock(repair.model, *where.time)}"]
     words += [] if where.cycles is None else [f"cycles {', '.join(map(str, where.cycles[:8]))}"]
     if where.crank_angle is not None:
         low, high = (math.degrees(a) for a in where.crank_angle)
@@ -230,20 +200,13 @@ def _gap_rows(title: str, repair: Repair, before: Side, after: Side) -> list[str
 def _shifts(repair: Repair) -> list[str]:
     if not repair.effects:
         return []
-    units = {name: e.unit for name, e in repair.fit.estimates.items()}
-    predicted: dict[str, float] = {}
-    for one in repair.effects:
-        for name, value in one.predicted_shift.items():
-            predicted[name] = predicted.get(name, 0.0) + value
-    names = [n for n in predicted if n in repair.fit.estimates and n in repair.null_fit.estimates]
-    size = {n: abs(predicted[n]) / max(repair.null_fit.stderr.get(n) or math.inf, 1e-300) for n in names}
-    lines = [f"{'Parameters':<20}{'without':>22}{'with':>22}{'predicted shift':>18}"]
+    old, new = repair.null_fit, repair.fit
+    names = [name for name in old.free if name in new.estimates and not is_carried(name)]
+    size = {n: abs(new.values[n] - old.values[n]) / max(old.stderr.get(n) or math.inf, 1e-300) for n in names}
+    lines = [f"{'Parameters':<20}{'without':>22}{'with':>22}"]
     for name in sorted(names, key=lambda n: -size[n])[:_SHIFTS]:
-        old, new = repair.null_fit.estimates[name], repair.fit.estimates[name]
-        lines.append(
-            f"  {name:<18} {with_error(old.value, old.stderr):>21} {with_error(new.value, new.stderr):>21}"
-            f"{predicted[name]:>+18.3g}{si(units[name])}"
-        )
+        before, after = old.estimates[name], new.estimates[name]
+        lines.append(f"  {name:<18} {told(before):>21} {told(after):>21}{si(after.unit)}")
     return lines
 
 
@@ -277,74 +240,3 @@ def _not_applicable(repair: Repair) -> list[str]:
     parts += [f"{count(len(at_ports) - LISTED)} more at other ports"] if len(at_ports) > LISTED else []
     parts += [f"{count(rest)} without a port of the right kind"] if rest else []
     return wrapped(f"Not applicable: {'; '.join(parts)}", "  ") if at_ports else []
-
-
-def next_step(repair: Repair) -> str:
-    """What to do with the answer, for the screen and for the page."""
-    if repair.status == "interrupted":
-        return "run it again and let it end; repair.fit is the best model so far"
-    if repair.status == AT_FAULT:
-        return "look at the data, as said above, and repair again"
-    if repair.verdict is None:
-        return "fix the baseline fit first: other start values, wider bounds, or more starts"
-    if repair.stopped:
-        more = "let it end" if repair.stopped == USER else "give it more time, budget=..."
-        return (
-            f"{more}, or look for less: ce.repair(..., effects=[...]); what was not searched is not excluded"
-        )
-    if repair.next_experiment is not None:
-        return _to_split(repair.next_experiment)
-    if fresh_misfit(repair) is not None:
-        return "look for what is missing in the fresh records: give them as data of the search"
-    if repair.verdict == "nothing missing":
-        if is_blind(repair):
-            return "give the model its ports as said above, and repair again: no physical effect was tested"
-        return "use the model; larger effects than those listed are excluded"
-    if repair.verdict == "unnamed":
-        return _without_name(repair)
-    if repair.verdict == "class":
-        return _of_class(repair)
-    if repair.unknown is not None:
-        return "look at the figures of the residuals after the repair: they hold more"
-    if repair.confirmed is None:
-        return "test it on data it has not seen: --validate FILE, or ce.repair(..., fresh=other_record)"
-    if repair.confirmed is False:
-        return "test it on more fresh data before you use it: those that were given do not confirm it"
-    return "go on with repair.fit, the repaired model: print(repair.fit)"
-
-
-def _to_split(made: NextExperiment) -> str:
-    """The experiment that would tell the members of a class apart, or at least help."""
-    names: Sequence[str] = made.splits or ("the class",)
-    enough = made.expected_separation >= ENOUGH
-    words = f"separation {made.expected_separation:.1f}, now {made.separation_now:.1f}; {ENOUGH} is enough"
-    if enough:
-        return f"to split {', '.join(names)}: {made.change} ({words})"
-    return f"{made.change}: of what was tried by simulation it helps most, but does not split the class ({words})"
-
-
-def _without_name(repair: Repair) -> str:
-    if is_blind(repair):
-        return "give the model its ports as said above, and repair again"
-    unknown = repair.unknown
-    if unknown is None or unknown.course is None:
-        curve = "the residuals and what they ask for at each port"
-    else:
-        known = unknown.port is not None and unknown.port in repair.model.ports.names
-        curve = f"the curve of the unknown {repair.model.ports[str(unknown.port)].quantity if known else 'torque'}"
-    return f"look at {curve}, ce.report(repair, 'repair.html'), and write an effect of your own (ten lines, ce.Effect)"
-
-
-def _of_class(repair: Repair) -> str:
-    """What is left to do where no experiment that was tried splits a class."""
-    one = next((e for e in repair.effects if len(e.members) > 1), None)
-    if one is None:
-        return "record data that tell the members of the class apart"
-    lead, others = f"{one.name} at {one.at}", twins(one)
-    tried = "no other input or sensor and no longer record that could be tried by simulation tells them apart"
-    choose = f'decide by what you know of the system: ce.repair(..., without=["{one.members[1].name}"])'
-    if others:
-        names = [lead, *(f"{m.name} at {m.at}" for m in others)]
-        alike = f"{', '.join(names[:-1])} and {names[-1]} are one and the same in data of this kind"
-        return f"{alike} (correlation 1 or -1), and {tried}: {choose}"
-    return f"{tried}; a record of another kind may, or {choose}"

@@ -6,12 +6,14 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 
-from casadi_engine.estimation.summary import count
+from casadi_engine.estimation.summary import BOUND_WORDS, count, number, with_error
 from casadi_engine.experiment.units import NOT_STATED
+from casadi_engine.model.declared_units import seconds_in
 from casadi_engine.model.port_units import is_speed
 
 if TYPE_CHECKING:
     from casadi_engine.discrepancy.repaired import FoundEffect, Member, Repair
+    from casadi_engine.estimation import Estimate
     from casadi_engine.model import Model
 
 # Who stopped a search.
@@ -24,7 +26,7 @@ LISTED, _TWINS = 6, 0.995
 
 def first_words(repair: Repair) -> list[str]:
     """What has to be known before the verdict is read: where nothing physical was tested, and what was not tried."""
-    said = []
+    said = [str(repair.options[key]) for key in ("hold", "left out") if key in repair.options]
     if is_blind(repair):
         said.append(
             f"{_why_blind(repair)}: wrong fixed parameters and sensor errors alone were tested. Where the model is "
@@ -103,3 +105,40 @@ def acting_at(model: Model, port: str) -> str:
     """``a torque at PORT``, in the words of what acts there."""
     acts = model.ports[port].quantity if port in model.ports.names else "torque"
     return f"{'an' if acts[0] in 'aeiou' else 'a'} {acts} at {port}"
+
+
+def told(one: Estimate, unit: str = "") -> str:
+    """An estimate with its error; without one its 95 % interval, or that it is held, at a bound, or not known."""
+    if one.stderr is not None:
+        return f"{with_error(one.value, one.stderr)}{unit}"
+    why = f"{BOUND_WORDS[one.at_bound]} bound" if one.at_bound else "held" if one.fixed else "error not known"
+    if one.interval is not None:
+        why = f"{one.interval[0]:.4g} to {one.interval[1]:.4g}"
+    return f"{with_error(one.value, None)}{unit} ({why})"
+
+
+def acts_as(one: FoundEffect, name: str, model: Model) -> str:
+    """What a "torque" is at a port where none acts: `` (a force)``; "" for anything else."""
+    known = model.ports[one.at].quantity if one.at in model.ports.names else "torque"
+    return f" (a {known})" if name.rpartition(".")[2] == "torque" != known else ""
+
+
+def right_value(one: FoundEffect, repair: Repair) -> str:
+    """A parameter that was stated wrong, as the data have it: ``m_s = 356.5 ± 1.8 kg, stated 300``; "" for others."""
+    port = repair.model.ports[one.at] if one.at in repair.model.ports.names else None
+    stated = None if port is None else repair.fit.estimates.get(port.parameter)
+    if port is None or not port.parameter or stated is None:
+        return ""
+    by_share = next(iter(one.parameters)).endswith(".share")
+    factor, size = (stated.value, one.amplitude) if by_share else (1.0, one.amplitude)
+    error = None if size.stderr is None else abs(factor) * size.stderr
+    value = with_error(stated.value + factor * size.value, error)
+    return f"{port.parameter} = {value}{in_unit(stated.unit)}, stated {number(stated.value)}"
+
+
+def clock(model: Model, first: float, last: float) -> str:
+    """``from 16 to 20.9 h``: a part of a record [s] in the model's unit of time."""
+    unit = seconds_in(model.time_unit)
+    first, last = first / unit, last / unit
+    span = f"from {first:.4g} to {last:.4g}" if first < last else f"at {first:.4g}"
+    return f"{span} {model.time_unit}"

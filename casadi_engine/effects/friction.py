@@ -49,8 +49,10 @@ class _Rounded(Effect):
         if self.width is not None:
             return self
         signal, _ = motion(port)
-        found = share * narrow(port.courses(signal), rounding(port, None))
-        return replace(self, width=found)  # type: ignore[type-var]
+        # by the motion alone: a spring to the ground moves as the mass on it does
+        found = narrow(port.courses(signal), _math.inf)
+        found = share * (found if found < _math.inf else rounding(port, None))
+        return replace(self, width=float(f"{found:.2g}"))  # type: ignore[type-var]
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,8 @@ Array = NDArray[np.float64]
 # Corners are sharpened by this factor, at most so often, as long as chi-squared feels it by more than this: a quarter
 # is a bias of half a standard error at most.
 FACTOR, SHARPER, FELT = 4.0, 4, 0.25
+# How the message begins that says so.
+ROUNDED = "the data feel how corners are rounded"
 # The least factor that is worth a fit of its own.
 _WORTH = 1.4
 # Steps of the integrator over all records that a sharper corner may cost.
@@ -138,11 +140,11 @@ def _told(motion: Motion, widths: Mapping[str, float]) -> Fit:
         return fit
     names = ", ".join(f"{name} = {width:.2g}" for name, width in widths.items())
     words = (
-        f"the data feel how corners are rounded ({names}: twice as wide they change chi-squared by {change:.2g}), and "
+        f"{ROUNDED} ({names}: twice as wide they change chi-squared by {change:.2g}), and "
         f"no fit with sharper ones was reached: estimates may be off by about {math.sqrt(change):.2g} standard errors; "
         "with_effect(..., sharp=True) keeps the corners as they are, and is fitted through its events"
     )
-    return replace(fit, messages=(*fit.messages, words))
+    return replace(fit, messages=(words, *fit.messages))
 
 
 def _open_widths(model: Model, parameters: Parameters) -> dict[str, Any]:
@@ -153,6 +155,11 @@ def _open_widths(model: Model, parameters: Parameters) -> dict[str, Any]:
         for one in model.effects
         if one.width and one.width in parameters and _untouched(parameters[one.width], declared[one.width])
     }
+
+
+def widths_of(fit: Fit, parameters: Parameters) -> dict[str, float]:
+    """The widths of corners that a fit found by the motion, where the set leaves them as they were declared."""
+    return {name: fit.parameters[name].value for name in _open_widths(fit.model, parameters)}
 
 
 def _untouched(parameter: Any, value: float) -> bool:
@@ -218,10 +225,13 @@ def _sharper(motion: Motion, widths: Mapping[str, float]) -> dict[str, float] | 
     # by factors, and at last as sharp as the integrator can follow
     shares = [FACTOR**k for k in range(SHARPER + 1) if FACTOR**k < limit / _WORTH] + [limit]
     levels = [{name: float(f"{width / share:.2g}") for name, width in widths.items()} for share in shares]
-    # the sharpest first: it asks for the finest steps, which the others then share
-    sharpest = motion.cost(levels[-1])
-    felt = (abs(motion.cost(level) - sharpest) >= FELT for level in levels[:-1])
-    return next((level for level, more in zip(levels, felt, strict=False) if not more), levels[-1])
+    try:
+        # the sharpest first: it asks for the finest steps, which the others then share
+        sharpest = motion.cost(levels[-1])
+        felt = (abs(motion.cost(level) - sharpest) >= FELT for level in levels[:-1])
+        return next((level for level, more in zip(levels, felt, strict=False) if not more), levels[-1])
+    except (FloatingPointError, np.linalg.LinAlgError):
+        return None  # what is sharper cannot be simulated
 
 
 def paths_of(

@@ -23,8 +23,10 @@ from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters, compile
 from casadi_engine.parameters.compiled import ParameterMap
+from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
 from casadi_engine.simulation.grid import lay_grid
 from casadi_engine.simulation.null_path import NullPath, with_slope
+from casadi_engine.simulation.observed import ObservedPropagator
 from casadi_engine.simulation.propagator import fineness_of, switches_with_states
 from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 from casadi_engine.simulation.shared_core import Cores
@@ -44,6 +46,8 @@ _SHORTENED = 4
 _TIME_UP = "the time was up"
 # Growth of a window from one horizon to the next.
 _GROWTH = 8
+# Propagators of a linear core.
+_CORES = ExponentialPropagator, ObservedPropagator
 
 
 class RefitProblem:
@@ -187,7 +191,15 @@ class RefitProblem:
         the integration that move no estimate; nodes : (M, n), near that run."""
         v = self.coordinates.of(np.array([values[name] for name in self.pmap.free]))
         for _ in range(1 + _SHORTENED):
-            residuals, nodes, _ = simulated(self.records, v, nodes)
+            try:
+                residuals, nodes, _ = simulated(self.records, v, nodes)
+            except FloatingPointError:
+                cores = [r for r in self.records if isinstance(r.propagator, _CORES)]
+                if not cores:
+                    raise
+                for record in cores:  # their steps are alike everywhere, and too long for a sharp corner
+                    record.step_in_places()
+                residuals, nodes, _ = simulated(self.records, v, nodes)
             if not shorten_steps(self.records, v, nodes):
                 break
         return float(sum(np.sum(r**2) for r in residuals))

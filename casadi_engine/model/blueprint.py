@@ -260,6 +260,7 @@ class Blueprint:
             drive_expressions=_column(value for _, _, value in drives.values()),
             laws=_column(self._laws.get(name, ca.SX(0)) for name in slots),
             output_expressions=outputs,
+            time_unit=self._time_unit or "s",
         )
         _check_symbols(model)
         if w.numel() and ca.depends_on(model.slot_laws, w):

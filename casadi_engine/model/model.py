@@ -37,6 +37,7 @@ class Model:
     output_expressions : (ny, 1) in (x, d, p); with effects at sensors also in (w, u, t)
     effects : the effects that were added by `with_effect`
     rates : names of the channels that an output shows at once; the output's own rate needs theirs
+    time_unit : in which the blueprint's odes were written, and in which times are told; all else runs in s
     """
 
     name: str
@@ -59,6 +60,7 @@ class Model:
     output_expressions: Any
     effects: tuple[Attachment, ...] = ()
     rates: tuple[str, ...] = ()
+    time_unit: str = "s"
 
     @property
     def channels(self) -> Any:

@@ -216,7 +216,7 @@ def _parameters(result: Repair) -> Section:
         (
             result,
             f"shift {one.key}",
-            f"Old parameters when {one.name} at {one.at} was added: predicted and found",
+            f"Old parameters when {one.name} at {one.at} was added",
         )
         for one in result.effects
         if one.found_shift and f"shift {one.key}" in known

@@ -98,7 +98,7 @@ def draw_matrix(panel: Panel, matrix: ClassMatrix) -> None:
 
 
 def draw_shift(panel: Panel, repair: Repair, effect: FoundEffect) -> None:
-    """Change of the old parameters when an effect was added: predicted by the score, and found, with 95 % intervals."""
+    """Change of the old parameters when an effect was added, with 95 % intervals."""
     names = [name for name in effect.found_shift if name in repair.fit.estimates]
     words: list[str] = []
     for place, name in enumerate(names):
@@ -106,14 +106,9 @@ def draw_shift(panel: Panel, repair: Repair, effect: FoundEffect) -> None:
         scale = abs(estimate.value) or 1.0
         error = panels.half_width(estimate)
         found = 100 * effect.found_shift[name] / scale
-        predicted = 100 * effect.predicted_shift.get(name, math.nan) / scale
         panel.errorbar(
             found, place, xerr=None if error is None else 100 * error / scale, color=panels.SIMULATED, capsize=3,
             markersize=5, label=None if words else "found by the refit, with its 95 % interval",
-        )  # fmt: skip
-        panel.plot(
-            predicted, place, "D", markerfacecolor="none", color=panels.PREDICTED, markersize=7,
-            label=None if words else "predicted by the score",
         )  # fmt: skip
         words.append(f"{name} = {number(estimate.value, '.4g')} {estimate.unit}")
     panel.axvline(0.0, color="0.4", linewidth=0.8, linestyle=":")

@@ -75,11 +75,7 @@ def _test_rows(before: Side, after: Side) -> list[tuple[str, str, str, str]]:
 
 
 def parameter_table(result: Repair) -> str:
-    """Parameters before and after, with the change that the score predicted."""
-    shifts: dict[str, float] = {}
-    for one in result.effects:
-        for name, value in one.predicted_shift.items():
-            shifts[name] = shifts.get(name, 0.0) + value
+    """Parameters before and after."""
     rows, kept = [], []
     for name, new in result.fit.estimates.items():
         old = result.null_fit.estimates.get(name)
@@ -94,13 +90,12 @@ def parameter_table(result: Repair) -> str:
                 f"{after}, at its {new.at_bound} bound" if new.at_bound else after,
                 new.unit,
                 "" if old is None else f"{new.value - old.value:+.3g}",
-                f"{shifts[name]:+.3g}" if name in shifts else "",
             )
         )
-    header = ("parameter", "before ± standard error", "after ± standard error", "unit", "change", "predicted")
-    caption = "Parameters; the change predicted by the score is a first step"
+    header = ("parameter", "before ± standard error", "after ± standard error", "unit", "change")
+    caption = "Parameters"
     caption += f". Fixed: {', '.join(kept)}" if kept else ""
-    return table(header, rows, right=(4, 5), caption=caption)
+    return table(header, rows, right=(4,), caption=caption)
 
 
 def p_text(value: float | None) -> str:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 
 from casadi_engine.discrepancy.confirmation import share_explained
-from casadi_engine.discrepancy.fresh_misfit import fresh_misfit
+from casadi_engine.discrepancy.fresh_misfit import fresh_doubt, fresh_misfit
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair
-from casadi_engine.discrepancy.summary import next_step
-from casadi_engine.discrepancy.wording import acting_at, first_words, in_unit, is_blind
+from casadi_engine.discrepancy.verdict_words import next_step
+from casadi_engine.discrepancy.wording import acting_at, clock, first_words, in_unit, is_blind, right_value
 from casadi_engine.estimation.summary import number, with_error
-from casadi_engine.model import Model
 from casadi_engine.report.panels import half_width
 
 # A parameter is named at the top if it moved by so many of its standard errors.
@@ -41,7 +40,7 @@ def verdict_lines(repair: Repair) -> list[str]:
 def mood(repair: Repair) -> str:
     """Colour of the verdict: good where the answer stands, poor where something is open."""
     if repair.verdict == "nothing missing":
-        return "good" if fresh_misfit(repair) is None else "poor"
+        return "good" if fresh_misfit(repair) is None and fresh_doubt(repair) is None else "poor"
     return "good" if repair.verdict == "named" and repair.confirmed is not False else "poor"
 
 
@@ -62,20 +61,22 @@ def _verdict(repair: Repair) -> str:
         if is_blind(repair):
             return f"Something is missing, and no physical effect could be looked for: {words}."
         return f"Something is missing that no effect of the library names: {words}."
-    return f"Something is missing: {' and '.join(effect_words(one, repair.model) for one in repair.effects)}."
+    return f"Something is missing: {' and '.join(effect_words(one, repair) for one in repair.effects)}."
 
 
-def effect_words(effect: FoundEffect, model: Model) -> str:
+def effect_words(effect: FoundEffect, repair: Repair) -> str:
     """An effect with its size: ``dry friction at coupling (coulomb_friction at coupling), torque 8.05 ± 0.07 N m``.
 
-    What an effect calls its torque is called by what acts at the port.
+    What an effect calls its torque is called by what acts at the port; of a wrong value the right one stands there.
     """
+    model = repair.model
     name = next(iter(effect.parameters)).rpartition(".")[2]
     known = model.ports[effect.at] if effect.at in model.ports.names else None
     name = known.quantity if known is not None and name == "torque" else name
     size = f"{name} {with_error(effect.amplitude.value, effect.amplitude.stderr)}"
     size = f"{size}{in_unit(effect.amplitude.unit)}"
-    return f"{effect.sentence} ({effect.name} at {effect.at}), {size}"
+    changed = right_value(effect, repair)
+    return f"{effect.sentence} ({effect.name} at {effect.at}), {changed or size}"
 
 
 def _class(effect: FoundEffect) -> str:
@@ -98,8 +99,7 @@ def _where(repair: Repair) -> str:
     place = repair.where
     if place is None:
         return ""
-    first, last = place.time
-    words = [f"in {place.record}" + (f" from {first:.4g} to {last:.4g} s" if first < last else "")]
+    words = [f"in {place.record} {clock(repair.model, *place.time)}"]
     if place.cycles:
         words.append(f"cycle{'s' if len(place.cycles) > 1 else ''} {_numbers(place.cycles)}")
     if place.crank_angle is not None:

@@ -98,13 +98,14 @@ def _whitening_matrix(
 ) -> sparse.csr_array:
     """Return the (n, n) matrix that turns a stretch of the process into white noise of one variance.
 
-    The first rows have less past than the order: they use the predictors of lower order, scaled.
+    The first rows have less past than the order: they use the predictors of lower order, scaled. A
+    stretch may be shorter than the order.
     """
     from scipy import sparse
 
     order = len(predictors) - 1
     rows, columns, entries = [], [], []
-    for j, predictor in enumerate(predictors[:-1]):
+    for j, predictor in enumerate(predictors[:-1][:size]):
         rows.append(np.full(j + 1, j))
         columns.append(np.arange(j, -1, -1))
         entries.append(predictor * np.sqrt(variances[-1] / variances[j]))

@@ -96,7 +96,11 @@ def one_piece(name, seed):
 def arrival(refitter, fit, one):
     """Where the path of refits ends from the fit without the effect, as a start of the fit of all data."""
     refits = path.Path(refitter, {name: sigma for name, (sigma, _) in fit.noise.items()})
+    refitter.base = fit
     there = refits.from_point([one], Start.of(fit))
+    if there is not None:
+        refitter.share = refits.sharpness([one], there, 1.0)
+        there = refits.from_point([one], there) or there
     return Start.of(fit) if there is None else Start(there.values, there.initial, {}, there.settled)
 
 

@@ -195,6 +195,23 @@ def test_options_reach_repair(folder, canned):
     assert result["arguments"]["alpha"] == 0.05
 
 
+def test_names_are_given_by_commas_or_by_repeating_the_option(folder, canned):
+    given = canned()
+    run(
+        folder,
+        "--effects",
+        "coulomb_friction, viscous_friction",
+        "--effects",
+        "backlash",
+        "--without",
+        "impulse",
+    )
+    assert given[0]["effects"] == ["coulomb_friction", "viscous_friction", "backlash"]
+    assert given[0]["without"] == ["impulse"]
+    run(folder)
+    assert (given[1]["effects"], given[1]["without"]) == (None, [])
+
+
 @pytest.mark.parametrize(
     ("status", "code"), [("the fit without effects has not converged", 3), ("interrupted", 130)]
 )

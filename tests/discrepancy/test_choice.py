@@ -292,6 +292,23 @@ def test_what_the_time_did_not_allow_is_listed(prepared, monkeypatch):
     assert made.choice.best == {DRY}
 
 
+def test_where_whole_fits_fail_with_sharp_corners_the_wider_ones_count_again(prepared, monkeypatch):
+    made = prepared(rubbing, ["coulomb_friction", Alike()], most=1)
+    real, shares = Choice._station, []
+
+    def station(self, tried):
+        shares.append(self.refitter.share)
+        return None if shares[-1] < 1 else real(self, tried)
+
+    monkeypatch.setattr(Choice, "_station", station)
+    monkeypatch.setattr("casadi_engine.discrepancy.path.FELT", 1e-9)  # whatever the data say
+    made.choice.run(made.fit)
+    assert shares[0] < 1 == shares[1]
+    assert made.choice.failed == {}
+    assert made.choice.best
+    assert made.choice.refitter.share == 1
+
+
 def test_a_structure_whose_whole_fit_fails_gives_way_to_the_next(prepared, monkeypatch):
     """And is said to have failed."""
     made = prepared(rubbing, ["coulomb_friction", Alike()], most=1)
@@ -302,6 +319,7 @@ def test_a_structure_whose_whole_fit_fails_gives_way_to_the_next(prepared, monke
         return None if tried.key == asked[0] else real(self, tried)
 
     monkeypatch.setattr(Choice, "_station", station)
+    monkeypatch.setattr(refits.Refits, "sharpened", lambda self, best: False)
     made.choice.run(made.fit)
     first, then = made.choice.pool[asked[0]], made.choice.best
     assert made.choice.failed == {first.label: "its fit of all data does not converge"}

@@ -79,11 +79,13 @@ def refit_of(model, data, noise, effect, port, *, parameters=None, starts=1):
     screened = screen(fit, [effect], at=[port])
     k = screened.order[0]
     scores = screened.scores
-    refitter = Refitter(model, pars, (data,), noise, OPTIONS)
+    refitter = Refitter(model, pars, (data,), noise, OPTIONS, base=fit)
     one = addition(screened.candidates[k], float(scores.amplitude[k]))
     path = refits.Path(refitter, {name: sigma for name, (sigma, _) in fit.noise.items()})
     ends = [path.from_point([one], Start.of(fit)), path.from_windows([one])]
     best = min((end for end in ends if end is not None), key=lambda end: end.cost)
+    refitter.share = path.sharpness([one], best, 1.0)
+    best = path.from_point([one], best) or best
     start = Start(best.values, best.initial, {}, best.settled)
     return fit, refitter(fit, [one], start=start), refitter
 

@@ -64,9 +64,12 @@ def test_samples_that_are_missing_at_the_ends_are_left_out():
     assert strongest_line(residual, valid).frequency == pytest.approx(0.05, abs=0.001)
 
 
-@pytest.mark.parametrize("hole", [False, True])
-def test_a_torque_that_comes_back_is_not_called_noise(hole):
-    """Of 0.4 N m at 1.7 Hz, which no effect of the library is."""
+@pytest.mark.parametrize(
+    ("hole", "options"),
+    [(False, {}), (True, {}), (False, {"colour": False}), (False, {"noise": ce.Noise(omega=0.01)})],
+)
+def test_a_torque_that_comes_back_is_not_called_noise(hole, options):
+    """Of 0.4 N m at 1.7 Hz, which no effect of the library is, nor a function of the speed."""
     t = np.arange(700) * 0.01
     torque = 2 + np.sin(2.1 * t + 0.2 * t**2)
     run = solve_ivp(
@@ -79,7 +82,9 @@ def test_a_torque_that_comes_back_is_not_called_noise(hole):
     data = ce.Experiment.from_arrays(
         "run", time=t, units={"T": "N m", "omega": "rad/s"}, T=torque, omega=speed
     )
-    found = ce.repair(ce.one_inertia(), data, effects=["coulomb_friction"], starts=1, progress=False)
+    found = ce.repair(
+        ce.one_inertia(), data, effects=["coulomb_friction"], starts=1, progress=False, **options
+    )
     assert found.verdict == "unnamed"
     assert "the spectrum of the residual of omega in run has a line at 1.7" in found.unknown.sentence
     assert "something acts, or is picked up by the sensor, at that frequency" in found.unknown.sentence

@@ -48,6 +48,9 @@ def test_friction_is_narrowed_by_the_motion_at_its_port_unless_its_width_was_giv
         assert effect.narrowed(fast).width == 0.5
         given = type(effect)(width=0.7)
         assert given.narrowed(slow) is given
+    # a coupling's twist rate that is the same motion has the same width
+    twisted = view_of("coupling", {"twist_rate": 2 * np.sin(2 * np.pi * 3 * TIME)})
+    assert effects.CoulombFriction().narrowed(twisted).width == effects.CoulombFriction().narrowed(slow).width
     assert effects.ConstantTorque().narrowed(slow) == effects.ConstantTorque()
 
 

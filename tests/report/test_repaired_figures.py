@@ -265,10 +265,10 @@ def test_a_law_over_a_signal_it_is_no_function_of_is_a_mean(repaired):
     assert not repaired_latent._single_valued(np.tile([1.0, -1.0], 20))
 
 
-def test_parameters_that_moved_stand_with_what_was_predicted(repaired):
+def test_parameters_that_moved_stand_with_their_intervals(repaired):
     words = texts(ce.plot(repaired, what="shift coupling.coulomb_friction"))
     assert "J_load = 0.17 kg m2" in words
-    assert "predicted by the score" in words
+    assert "found by the refit, with its 95 % interval" in words
     assert "what the model without coupling.coulomb_friction had wrong" in words
 
 

@@ -7,7 +7,7 @@ import pytest
 from casadi_engine.discrepancy.confirmation import PairedGain
 from casadi_engine.discrepancy.fresh_misfit import fresh_misfit, held_to_fresh_data
 from casadi_engine.discrepancy.repaired import Member, NextExperiment
-from casadi_engine.discrepancy.summary import headline, next_step
+from casadi_engine.discrepancy.verdict_words import headline, next_step
 from casadi_engine.estimation.fit import Estimate
 from casadi_engine.report.repaired_words import (
     effect_words,
@@ -127,7 +127,7 @@ def test_more_than_the_effects_explain_is_said(repaired, unnamed):
 def test_an_amplitude_without_error_and_parameters_that_stayed(repaired):
     key = next(iter(repaired.effects[0].parameters))
     bare = replace(repaired.effects[0], parameters={key: Estimate(0.004, None, "1")})
-    assert effect_words(bare, repaired.model).endswith("(coulomb_friction at coupling), torque 0.004")
+    assert effect_words(bare, repaired).endswith("(coulomb_friction at coupling), torque 0.004")
     still = replace(repaired, fit=replace(repaired.fit, estimates=dict(repaired.null_fit.estimates)))
     assert moved_parameters(still) == ""
 
@@ -159,6 +159,32 @@ def test_fresh_data_that_do_not_fit_are_no_reason_to_go_on(white):
         "Next: look for what is missing in the fresh records: give them as data of the search."
     )
     assert mood(changed) == "poor"
+
+
+def test_fresh_data_that_errors_of_the_parameters_explain_promise_no_more(white):
+    gaps = white.gaps
+    own = replace(gaps.estimation_after, gap=replace(gaps.estimation_after.gap, samples=28))
+    wide = replace(own.gap, chi2_per_sample=11.3, samples=12)
+    vague = replace(own, gap=wide, within_errors=0.7, parameters_p=0.2)
+    changed = replace(white, gaps=replace(gaps, estimation_after=own, validation_after=vague))
+    assert fresh_misfit(changed) is None
+    assert headline(changed) == (
+        "nothing is missing that these data could show, but fresh data agree only within the errors of its parameters: "
+        "chi2/N 11.3"
+    )
+    assert (
+        held_to_fresh_data(changed)
+        .messages[0]
+        .startswith("on the fresh data chi2/N is 11.3, and 0.7 within the errors of the parameters")
+    )
+    assert next_step(changed).startswith(
+        "record more before you use the model, or give the fresh records as data"
+    )
+    assert mood(changed) == "poor"
+    near = replace(vague, gap=replace(wide, chi2_per_sample=1.4))
+    said = replace(white, gaps=replace(gaps, estimation_after=own, validation_after=near))
+    assert headline(said) == "nothing is missing that these data could show"
+    assert mood(said) == "good"
 
 
 def test_a_gain_confirms_nothing_where_the_fresh_data_do_not_fit(repaired):

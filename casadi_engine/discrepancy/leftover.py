@@ -1,0 +1,147 @@
+"""Tests for what no effect of the library names: whiteness, lines in the spectrum, unknown functions of a signal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from casadi_engine.discrepancy.compression import compress, scatter_columns
+from casadi_engine.discrepancy.linear_algebra import Array, without
+from casadi_engine.discrepancy.noise_choice import innovation_p, white_p
+from casadi_engine.discrepancy.noise_model import left_over
+from casadi_engine.discrepancy.null_distribution import NullDistribution, Row
+from casadi_engine.discrepancy.random_families import (
+    Course,
+    Family,
+    family_candidates,
+    family_course,
+    family_row,
+)
+from casadi_engine.discrepancy.score import Scores, score
+from casadi_engine.discrepancy.spectral_line import strongest_line
+
+if TYPE_CHECKING:
+    from casadi_engine.discrepancy.screening import Screened
+
+# Share by which steps may differ and still be called equal.
+_EQUAL = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Leftover:
+    """Tests for what no effect of the library names.
+
+    tests : name -> p-value of a residual test ("record/output/whiteness", "record/output/line at ...") or of a family
+    of functions; level : a p-value below it is an alarm; family, course : the family of the smallest p-value and its
+    function; lines : test of a line -> what a sine of that frequency takes off chi-squared; drop : what the family does
+    """
+
+    tests: Mapping[str, float]
+    level: float
+    family: Family | None = None
+    family_p: float | None = None
+    course: Course | None = None
+    lines: Mapping[str, float] | None = None
+    drop: float = 0.0
+
+    @property
+    def alarms(self) -> dict[str, float]:
+        """The tests that are rejected, the surest first."""
+        return dict(
+            sorted(((n, p) for n, p in self.tests.items() if p < self.level), key=lambda pair: pair[1])
+        )
+
+    @property
+    def line(self) -> str | None:
+        """The line that is rejected and explains most; None without one, or where the family explains more."""
+        found = {name: drop for name, drop in (self.lines or {}).items() if name in self.alarms}
+        best = max(found, key=lambda name: found[name], default=None)
+        return best if best is not None and found[best] > self.drop else None
+
+
+def leftover(screened: Screened) -> Leftover:
+    """Half of the remaining false-alarm rate each for the residuals and for families.
+
+    Where the noise is coloured its innovations are to be white, but for a residual that is larger than the noise that
+    was stated: that is no noise. A line is none in noise of any colour.
+    """
+    rest = screened.alpha - screened.share
+    null, choice = screened.null, screened.choice
+    tests, lines = _residual_tests(screened)
+    found, families = family_candidates(null)
+    scores = score(compress(null, found, choice.noise, scatter=choice.scatter)) if found else None
+    rows: list[tuple[Row, Family]] = []
+    for family in families if scores is not None else ():
+        row = family_row(scores, family)  # type: ignore[arg-type]
+        if row is not None:
+            rows.append((row, family))
+    level = 0.5 * rest / max(len(tests), 1)
+    if not rows or scores is None:
+        return Leftover(tests, level, lines=lines)
+    law = NullDistribution([row for row, _ in rows], seed=screened.seed)
+    p_values = {row.name: float(row.p_value(scores.y[:, None])[0]) for row, _ in rows}
+    best, family = min(rows, key=lambda pair: p_values[pair[0].name])
+    pooled = law.pooled(p_values[best.name])
+    # on the scale of the residual tests
+    tests[family.name] = pooled * level / (0.5 * rest)
+    return Leftover(
+        tests, level, family, pooled, family_course(scores, family), lines, _explained(scores, best)
+    )
+
+
+def _explained(scores: Scores, row: Row) -> float:
+    """What the group of a family takes off chi-squared."""
+    return float(((row.frame.T @ scores.y) ** 2).sum())
+
+
+def _residual_tests(screened: Screened) -> tuple[dict[str, float], dict[str, float]]:
+    """Test -> p-value, of whiteness and of lines; line -> what it explains."""
+    null, choice = screened.null, screened.choice
+    tests: dict[str, float] = {}
+    lines: dict[str, float] = {}
+    slopes = {record.name: dict(record.slopes) for record in null.records}
+    random = {r.name: scatter_columns(r, choice.scatter) for r in null.records} if choice.scatter else None
+    left = left_over(null, choice.noise, slopes, random)
+    for record in null.records:
+        for output in record.outputs:
+            held = record.slopes[output]
+            if random is not None:
+                held = np.concatenate([held, random[record.name][output]], axis=1)
+            e = left[record.name][output]
+            larger = (record.name, output) in choice.larger
+            p = (
+                white_p(record, output, e, held)
+                if larger
+                else innovation_p(record, output, e, held, choice.noise)
+            )
+            if p is not None:
+                tests[f"{record.name}/{output}/whiteness"] = p
+            found = _line(record, output, e)
+            if found is not None:
+                name, chance, power = found
+                tests[name] = chance
+                lines[name] = power / choice.noise.sigma[output] ** 2
+    return tests, lines
+
+
+def _line(record: Any, output: str, e: Array) -> tuple[str, float, float] | None:
+    """The test for a line in the spectrum of a residual, its p-value, and the squares that a sine there explains."""
+    length, index = record.length[output], record.index[output]
+    full, valid = np.zeros(length), np.zeros(length, dtype=bool)
+    full[index], valid[index] = e, True
+    time = record.time[output]
+    gap = np.diff(time) / np.diff(index)
+    found = strongest_line(full, valid) if len(time) > 1 and np.ptp(gap) < _EQUAL * gap.mean() else None
+    if found is None:
+        return None
+    turns = 2 * math.pi * found.frequency * index
+    sine = np.linalg.qr(np.column_stack([np.cos(turns), np.sin(turns)]))[0]
+    left = without(sine, e[:, None])[:, 0]
+    # no finer than one over the record's length
+    digits = max(0, math.ceil(math.log10(time[-1] - time[0])))
+    name = f"{record.name}/{output}/line at {found.frequency / gap.mean():.{digits}f} Hz"
+    return name, found.p, float(e @ e - left @ left)

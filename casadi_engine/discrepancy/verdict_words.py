@@ -1,0 +1,143 @@
+"""The verdict of a repair in a few words, and what to do next: the first and the last line on the screen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from casadi_engine.discrepancy.fresh_misfit import fresh_doubt, fresh_misfit
+from casadi_engine.discrepancy.wording import AT_FAULT, USER, is_blind, twins
+from casadi_engine.estimation.summary import count
+
+if TYPE_CHECKING:
+    from casadi_engine.discrepancy.repaired import NextExperiment, Repair
+
+# Right in 95 % of records.
+ENOUGH = 3.3
+
+
+def headline(repair: Repair) -> str:
+    """The verdict in a few words, and what fresh data say against it."""
+    if repair.verdict is None:
+        return f"no answer: {repair.status}"
+    blind = is_blind(repair)
+    if repair.verdict == "nothing missing":
+        if blind:
+            return "nothing was found, but no physical effect could be looked for"
+        return f"nothing is missing that these data could show{_on_fresh(repair)}"
+    if repair.verdict == "unnamed":
+        why = "no physical effect could be looked for" if blind else "no effect of the library names it"
+        return f"something is missing, and {why}"
+    sure = {True: "confirmed on fresh data", False: "not confirmed by fresh data", None: "unconfirmed"}
+    others = [f"{m.name} at {m.at}" for one in repair.effects for m in one.members[1:]]
+    doubt = (
+        f", or {others[0] if len(others) == 1 else f'one of {count(len(others))} others'}" if others else ""
+    )
+    tried = " (of what was tried)" if repair.stopped or "left out" in repair.options else ""
+    return f"{_named(repair)}{tried}{doubt}, {sure[repair.confirmed]}{_on_fresh(repair)}"
+
+
+def _named(repair: Repair) -> str:
+    """What is missing, and which stated values are wrong.
+
+    Where a name is of another world, friction at what is no machine, it stands beside what it is.
+    """
+    missing, wrong = [], []
+    for one in repair.effects:
+        name = f"{one.name} at {one.at}"
+        port = repair.model.ports[one.at] if one.at in repair.model.ports.names else None
+        if port is not None and port.parameter:
+            wrong.append(f"{one.sentence} ({name})")
+        elif port is not None and port.slot is not None and not port.is_mechanical:
+            missing.append(f"{name} ({one.sentence})")
+        else:
+            missing.append(name)
+    verb = "is" if len(missing) == 1 else "are"
+    return " and ".join([*([f"{' and '.join(missing)} {verb} missing"] if missing else []), *wrong])
+
+
+def _on_fresh(repair: Repair) -> str:
+    """What the fresh data say against the model that is the answer."""
+    after = None if repair.gaps is None else repair.gaps.validation_after
+    if after is None:
+        return ""
+    found = f"chi2/N {after.gap.chi2_per_sample:.3g}"
+    if fresh_misfit(repair) is not None:
+        what = "which the repaired model does not fit" if repair.effects else "but fresh data do not fit"
+        return f", {what}: {found}"
+    if fresh_doubt(repair) is not None:
+        return f", but fresh data agree only within the errors of its parameters: {found}"
+    return ""
+
+
+def next_step(repair: Repair) -> str:
+    """What to do with the answer, for the screen and for the page."""
+    if repair.status == "interrupted":
+        return "run it again and let it end; repair.fit is the best model so far"
+    if repair.status == AT_FAULT:
+        return "look at the data, as said above, and repair again"
+    if repair.verdict is None:
+        return "fix the baseline fit first: other start values, wider bounds, or more starts"
+    if repair.stopped:
+        more = "let it end" if repair.stopped == USER else "give it more time, budget=..."
+        return (
+            f"{more}, or look for less: ce.repair(..., effects=[...]); what was not searched is not excluded"
+        )
+    if repair.next_experiment is not None:
+        return _to_split(repair.next_experiment)
+    if fresh_misfit(repair) is not None:
+        return "look for what is missing in the fresh records: give them as data of the search"
+    if repair.verdict == "nothing missing" and fresh_doubt(repair) is not None:
+        return "record more before you use the model, or give the fresh records as data too: its parameters are vague"
+    if repair.verdict == "nothing missing":
+        if is_blind(repair):
+            return "give the model its ports as said above, and repair again: no physical effect was tested"
+        return "use the model; larger effects than those listed are excluded"
+    if repair.verdict == "unnamed":
+        return _without_name(repair)
+    if repair.verdict == "class":
+        return _of_class(repair)
+    if repair.unknown is not None:
+        return "look at the figures of the residuals after the repair: they hold more"
+    if repair.confirmed is None:
+        return "test it on data it has not seen: --validate FILE, or ce.repair(..., fresh=other_record)"
+    if repair.confirmed is False:
+        return "test it on more fresh data before you use it: those that were given do not confirm it"
+    return "go on with repair.fit, the repaired model: print(repair.fit)"
+
+
+def _to_split(made: NextExperiment) -> str:
+    """The experiment that would tell the members of a class apart, or at least help."""
+    names: Sequence[str] = made.splits or ("the class",)
+    enough = made.expected_separation >= ENOUGH
+    words = f"separation {made.expected_separation:.1f}, now {made.separation_now:.1f}; {ENOUGH} is enough"
+    if enough:
+        return f"to split {', '.join(names)}: {made.change} ({words})"
+    return f"{made.change}: of what was tried by simulation it helps most, but does not split the class ({words})"
+
+
+def _without_name(repair: Repair) -> str:
+    if is_blind(repair):
+        return "give the model its ports as said above, and repair again"
+    unknown = repair.unknown
+    if unknown is None or unknown.course is None:
+        curve = "the residuals and what they ask for at each port"
+    else:
+        known = unknown.port is not None and unknown.port in repair.model.ports.names
+        curve = f"the curve of the unknown {repair.model.ports[str(unknown.port)].quantity if known else 'torque'}"
+    return f"look at {curve}, ce.report(repair, 'repair.html'), and write an effect of your own (ten lines, ce.Effect)"
+
+
+def _of_class(repair: Repair) -> str:
+    """What is left to do where no experiment that was tried splits a class."""
+    one = next((e for e in repair.effects if len(e.members) > 1), None)
+    if one is None:
+        return "record data that tell the members of the class apart"
+    lead, others = f"{one.name} at {one.at}", twins(one)
+    tried = "no other input or sensor and no longer record that could be tried by simulation tells them apart"
+    choose = f'decide by what you know of the system: ce.repair(..., without=["{one.members[1].name}"])'
+    if others:
+        names = [lead, *(f"{m.name} at {m.at}" for m in others)]
+        alike = f"{', '.join(names[:-1])} and {names[-1]} are one and the same in data of this kind"
+        return f"{alike} (correlation 1 or -1), and {tried}: {choose}"
+    return f"{tried}; a record of another kind may, or {choose}"

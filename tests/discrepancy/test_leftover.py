@@ -1,0 +1,54 @@
+"""What the residual tests say beside the library: which of them speaks."""
+
+import numpy as np
+import pytest
+
+import casadi_engine as ce
+from casadi_engine.discrepancy.certificate import unknown_of
+from casadi_engine.discrepancy.leftover import Leftover
+from casadi_engine.discrepancy.screening import screen
+
+LINE = "run/omega/line at 1.7 Hz"
+
+
+@pytest.mark.parametrize(
+    ("p", "line", "family", "wanted"),
+    [(1e-9, 900.0, 100.0, LINE), (1e-9, 100.0, 900.0, None), (0.5, 900.0, 100.0, None)],
+)
+def test_a_line_speaks_where_it_is_clear_and_explains_more_than_a_function_does(p, line, family, wanted):
+    tests = {LINE: p, "run/omega/whiteness": 1e-20, "a function of speed at engine": 0.0}
+    assert Leftover(tests, 1e-3, lines={LINE: line}, drop=family).line == wanted
+
+
+def test_there_is_no_line_without_one():
+    assert Leftover({"run/omega/whiteness": 1e-20}, 1e-3).line is None
+
+
+def screened(law):
+    """A torque that the model lacks, on one inertia in steps of a random torque; white noise of a stated level."""
+    rng = np.random.default_rng(3)
+    t = 0.02 * np.arange(500)
+    torque, w, seen = np.repeat(rng.uniform(-3, 3, 25), 20), 0.5, []
+    for k in range(len(t)):
+        seen.append(w)
+        for part in range(50):
+            s = t[k] + part * 4e-4
+            w += 4e-4 * (torque[k] - 0.5 * w + law(s, w)) / 0.4
+    omega = np.array(seen) + 0.01 * rng.standard_normal(len(t))
+    data = ce.Experiment.from_arrays(
+        "run/1", time=t, units={"T": "N m", "omega": "rad/s"}, hold={"T": "zero", "omega": "first"}, T=torque,
+        omega=omega,
+    )  # fmt: skip
+    fit = ce.estimate(ce.one_inertia(), data, noise=ce.Noise(omega=0.01), progress=False)
+    return screen(fit, "sensor_offset", colour=False)
+
+
+def test_a_torque_of_time_is_no_function_of_the_speed():
+    """The record's name may hold the sign that parts a test's name."""
+    words = unknown_of(screened(lambda s, w: 0.3 * np.sin(2 * np.pi * 1.7 * s))).sentence
+    assert words.startswith("the spectrum of the residual of omega in run/1 has a line at 1.7")
+
+
+def test_a_torque_of_the_speed_is_no_line():
+    words = unknown_of(screened(lambda s, w: 0.4 * np.sin(3 * w))).sentence
+    assert words.startswith("an unknown torque at engine that depends on its speed")

@@ -1,0 +1,93 @@
+"""Friction on a mass, and in the spring that holds it to the ground, is one law: no evidence can split the two."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import casadi_engine as ce
+
+M, C, K, DRY = 2.0, 1.5, 300.0, 0.8
+STEP = 0.01
+
+
+def carriage():
+    b = ce.Blueprint("carriage")
+    m, c, k = (
+        b.parameter("m", 1.5, unit="kg", min=0.1, max=20),
+        b.parameter("c", 1.0, unit="N s/m", min=0, max=50),
+        b.parameter("k", 250.0, unit="N/m", min=10, max=5000),
+    )
+    x, v = b.state("x", unit="m", scale=0.02), b.state("v", unit="m/s", scale=0.3)
+    mass = b.port("mass", "inertia", {"speed": v, "angle": x}, unit="N")
+    spring = b.port("spring", "coupling", {"twist": x, "twist_rate": v}, unit="N")
+    b.ode("x", v)
+    b.ode("v", (b.input("F", unit="N", scale=8) - c * v - k * x + mass - spring) / m)
+    b.output("pos", x, unit="m", scale=0.02)
+    return b.model()
+
+
+def to_rest(side):
+    """An event: the mass that moves to a side comes to rest."""
+
+    def speed(t, z):
+        return z[1]
+
+    speed.terminal, speed.direction = True, -side
+    return speed
+
+
+def pushed(push, side):
+    """The slopes of position and speed."""
+    return lambda t, z: (z[1], (push - C * z[1] - K * z[0] - DRY * side) / M)
+
+
+def moved(force):
+    """Positions (N,) under forces that are held, dry friction taken event by event."""
+    state, found = np.array([0.02, 0.3]), []
+    for push in force:
+        found.append(state[0])
+        now = 0.0
+        while now < STEP:
+            if state[1] == 0.0 and abs(push - K * state[0]) <= DRY:
+                break
+            side = np.sign(state[1]) or np.sign(push - K * state[0])
+            run = solve_ivp(
+                pushed(push, side), (now, STEP), state, events=to_rest(side), rtol=1e-9, atol=1e-12
+            )
+            now, state = run.t[-1], run.y[:, -1].copy()
+            if run.status == 1:
+                state[1] = 0.0
+    return np.array(found)
+
+
+@pytest.fixture(scope="module")
+def record():
+    rng = np.random.default_rng(3)
+    force = np.repeat(rng.uniform(-8, 8, 12), 50)
+    time = STEP * np.arange(len(force))
+    pos = moved(force) + 3e-4 * rng.standard_normal(len(force))
+    units = {"F": "N", "pos": "m"}
+    return ce.Experiment.from_arrays("swung", time=time, units=units, hold="zero", F=force, pos=pos)
+
+
+@pytest.fixture(scope="module")
+def repair(record):
+    return ce.repair(carriage(), record, effects=["coulomb_friction", "stribeck_friction"], progress=False)
+
+
+def test_the_two_are_as_probable_and_both_are_named(repair):
+    (found,) = repair.effects
+    known = {(one.name, one.at): one.probability for one in found.members}
+    mass, spring = known["coulomb_friction", "mass"], known["coulomb_friction", "spring"]
+    assert mass == pytest.approx(spring, abs=0.02)
+    assert mass + spring > 0.8  # the law that fades says less than it costs
+    assert found.key.endswith("coulomb_friction")
+    assert abs(found.amplitude.value - DRY) < 3 * found.amplitude.stderr
+
+
+@pytest.mark.parametrize("port", ["mass", "spring"])
+def test_one_port_alone_is_named_with_the_same_number(record, repair, port):
+    alone = ce.repair(carriage(), record, effects=["coulomb_friction"], at=port, progress=False)
+    assert [one.key for one in alone.effects] == [f"{port}.coulomb_friction"]
+    size, both = alone.effects[0].amplitude, repair.effects[0].amplitude
+    assert size.value == pytest.approx(both.value, abs=0.05 * both.stderr)

@@ -1,0 +1,100 @@
+"""Words for numbers of a repair: in the units and with the names of the system that is told of."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import casadi_engine as ce
+from casadi_engine.discrepancy.verdict_words import headline
+from casadi_engine.discrepancy.wording import acts_as, clock, told
+from casadi_engine.estimation import Estimate
+
+
+@pytest.fixture(scope="module")
+def cart():
+    """A mass of 3 kg stated as 2 kg, damped by 1 N s/m and, unsaid, by dry friction of 0.5 N; time in minutes."""
+    b = ce.Blueprint("cart", time_unit="min")
+    m, c = b.parameter("m", 2.0, unit="kg", vary=False), b.parameter("c", 0.5, unit="N s/m", min=0)
+    v, force = b.state("v", unit="m/s"), b.input("F", unit="N")
+    mass = b.port("cart", "inertia", {"speed": v}, unit="N")
+    b.ode("v", 60 * (force - c * v + mass) / m)
+    b.output("speed", v, unit="m/s")
+    return b.model()
+
+
+@pytest.fixture(scope="module")
+def record():
+    t = 0.02 * np.arange(800)
+    force = 4 * np.sin(0.9 * t) + 3 * np.sin(2.3 * t + 1) + 2 * np.sin(5.1 * t)
+    v, seen = 0.0, []
+    for k in range(len(t)):
+        seen.append(v)
+        for part in np.linspace(t[k], t[k] + 0.02, 100, endpoint=False):
+            v += 2e-4 * (np.interp(part + 1e-4, t, force) - 1.0 * v) / 3.0
+    speed = np.array(seen) + 0.01 * np.random.default_rng(2).standard_normal(len(t))
+    return ce.Experiment.from_arrays("run", time=t, units={"F": "N", "speed": "m/s"}, F=force, speed=speed)
+
+
+@pytest.fixture(scope="module")
+def heavier(cart, record):
+    asked = ["wrong_value", "coulomb_friction"]
+    return ce.repair(cart, record, effects=asked, noise=ce.Noise(speed=0.01), starts=1, progress=False)
+
+
+def joined(found):
+    return " ".join(str(found).split())
+
+
+def test_a_wrong_value_is_told_in_its_own_unit(heavier):
+    assert headline(heavier) == (
+        "the value of m is wrong (wrong_value at parameter_m), confirmed on fresh data"
+    )
+    words = joined(heavier)
+    size = heavier.effects[0].amplitude
+    assert 2 * (1 + size.value) == pytest.approx(3.0, abs=0.05)
+    told_mass = words.partition(" m = ")[2].partition(" kg, stated 2 ")[0]
+    value, error = (float(part) for part in told_mass.split(" ± "))
+    assert value == pytest.approx(2 * (1 + size.value), rel=1e-2)
+    assert error == pytest.approx(2 * size.stderr, rel=0.1)
+
+
+def test_time_is_told_as_the_model_has_it(cart, heavier):
+    assert clock(cart, 60.0, 90.0) == "from 1 to 1.5 min"
+    assert clock(ce.one_inertia(), 2.0, 2.0) == "at 2 s"
+    assert " min; " in joined(heavier).partition("Gap widest in record run from ")[2][:40]
+
+
+def test_a_force_is_no_torque(cart, heavier):
+    one = replace(heavier.effects[0], at="cart")
+    assert acts_as(one, "cart.coulomb_friction.torque", cart) == " (a force)"
+    assert acts_as(one, "cart.viscous_friction.coefficient", cart) == ""
+    assert acts_as(replace(one, at="engine"), "engine.coulomb_friction.torque", ce.one_inertia()) == ""
+
+
+def test_what_was_stated_is_not_said_to_be_estimated(heavier):
+    assert "noise speed sigma 0.01 m/s (stated) tested" in joined(heavier)
+    found = replace(heavier.noise, sigma={"speed": (0.02, True)})
+    larger = joined(replace(heavier, noise=found))
+    assert "noise speed sigma 0.01 m/s (stated), sigma 0.02 m/s (estimated)" in larger
+    coloured = joined(replace(heavier, noise=replace(found, colour={"run/speed": 2})))
+    assert "speed sigma 0.01 m/s (stated), coloured, with innovations of sigma 0.02 m/s" in coloured
+    free = replace(heavier.null_fit, noise={"speed": (0.01, True)})
+    own = joined(replace(heavier, noise=found, null_fit=free))
+    assert "noise speed sigma 0.02 m/s (estimated) tested" in own
+
+
+@pytest.mark.parametrize(
+    ("estimate", "words"),
+    [
+        (Estimate(2.0, 0.1, "kg"), "2.00 ± 0.10"),
+        (Estimate(2.0, None, "kg", at_bound="max"), "2 (upper bound)"),
+        (Estimate(2.0, None, "kg", interval=(1.5, 4.0)), "2 (1.5 to 4)"),
+        (Estimate(2.0, None, "kg"), "2 (error not known)"),
+        (Estimate(2.0, None, "kg", fixed=True), "2 (held)"),
+    ],
+)
+def test_an_estimate_says_why_it_has_no_error(estimate, words):
+    assert told(estimate) == words
+    number, _, why = words.partition(" (")
+    assert told(estimate, " kg") == f"{number} kg{' (' if why else ''}{why}"
