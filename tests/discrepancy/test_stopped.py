@@ -49,7 +49,9 @@ def test_ctrl_c_in_the_search_gives_the_best_so_far(repaired):
     assert (found.status, found.stopped) == ("answered", "the user")
     assert [one.key for one in found.effects] == ["pivot.coulomb_friction"]
     assert found.not_searched
-    assert set(found.not_searched) <= {"quadratic_drag at pivot", "constant_torque at pivot"}
+    # within the two seconds that are left fresh data may not be judged to their end, which is said too
+    rest = set(found.not_searched) - {"the fresh data"}
+    assert rest <= {"quadratic_drag at pivot", "constant_torque at pivot"}
     text = str(found)
     assert "Stopped by the user; not searched: " in text
     assert "what was not searched is not excluded" in " ".join(text.split("Next:")[1].split())
