@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from casadi_engine.deadline import TimeUp
 from casadi_engine.discrepancy.certificate import (
     class_matrix,
     equation_of,
@@ -39,13 +40,18 @@ _MAY_HIDE = (
     "what the noise is taken to be is coloured: an effect that the library lacks may hide in it; a level of the noise "
     "that is stated, ce.Noise(...), or colour=False has it judged"
 )
+# Shares of the spare time behind a budget at which the tests beside the library have to be there, and the rest that an
+# answer can do without.
+_TESTS, _EXTRA = 0.75, 0.9
+_LEFT_OUT = {"leftover": "what no effect of the library names", "latent torque": "where something acts"}
+_UNTOLD = "the time was up before it could be told whether anything is missing"
 # Independent samples that a coloured residual has to be worth to be called noise.
 _SWINGS = 6.0
 
 
 @dataclass
 class Answer:
-    """What the search found, to be put to the test and into words."""
+    """What the search found, to be put to the test and into words; work : of a start of the fit without effects."""
 
     search: Choice
     portion: Portions
@@ -55,18 +61,21 @@ class Answer:
     begun: float
     tell: Any
     messages: list[str] = field(default_factory=list)
+    work: float = math.inf
 
     def made(self) -> Repair:
         """The Repair."""
         null = self.search.null
         if self.portion.why is not None:
             self.messages.append(self.portion.why)
-        choice = FreshChoice(self.search, self.portion, self.tell, self.messages)
+        choice = FreshChoice(self.search, self.portion, self.tell, self.messages, self.work)
         proof = self._timed("confirm", choice.run)
         last = proof.kept[-1]
         found, withdrawn = self._timed("certificate", lambda: _effects(proof))
         cut = TIME_UP in self.search.failed.values()
-        unknown = self._timed("leftover", lambda: _unknown(last, null, found, withdrawn, cut=cut))
+        unknown = None if found else Unknown(_UNTOLD, {})
+        if self._in_time("leftover", lambda: last.screened.leftover, _TESTS) is not None:
+            unknown = _unknown(last, null, found, withdrawn, cut=cut)
         if null.screened.request.blind and not found:
             way = self.search.way(self.search.best)
             if way is not None and len(way) > 1:
@@ -102,9 +111,9 @@ class Answer:
         latent: tuple[LatentTorque, ...] = ()
         place = None
         if blank.verdict != "nothing missing":
-            latent = self._timed("latent torque", lambda: self._latent(null, last))
+            latent = self._in_time("latent torque", lambda: self._latent(null, last)) or ()
             place = place_of(screened.null, _noise_of_place(last), latent)
-        split = self._timed("next experiment", lambda: _split(proof.kept))
+        split = self._in_time("next experiment", lambda: _split(proof.kept))
         self.timing["total"] = time.perf_counter() - self.begun
         done = replace(
             blank,
@@ -132,6 +141,15 @@ class Answer:
         made = work()
         self.timing[what] = self.timing.get(what, 0.0) + time.perf_counter() - begun
         return made
+
+    def _in_time(self, what: str, work: Any, share: float = _EXTRA) -> Any:
+        """What an answer can do without; None where it is not there within a share of the spare time."""
+        try:
+            with self.search.deadline.spared(share):
+                return self._timed(what, work)
+        except TimeUp:
+            self.messages.append(f"{_LEFT_OUT.get(what, what)}: not looked for, as the time was up")
+            return None
 
     # ---- parts
 

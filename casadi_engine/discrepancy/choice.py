@@ -12,9 +12,11 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
+from casadi_engine.deadline import Deadline, TimeUp, ask, late
 from casadi_engine.discrepancy.assumed_pressure import settle_scatter
 from casadi_engine.discrepancy.events import by_one_step
 from casadi_engine.discrepancy.linearised import OneStep, one_step, without_effect
@@ -44,6 +46,9 @@ _NOTHING = 1.0
 _FIRST = 6
 # Why a refit was not tried.
 TIME_UP = "the time was up"
+# Shares of the spare time behind a budget at which whole fits, and the search for the colour of the noise, have to end.
+_FIT, _COLOUR = 0.35, 0.45
+_NO_FIT = "its fit of all data does not converge"
 
 
 @dataclass
@@ -54,13 +59,12 @@ class Choice:
     screen: Callable[[Fit], Screened]
     most: int
     tell: Callable[[str], None]
-    budget: float = math.inf
+    deadline: Deadline = field(default_factory=Deadline)
     cylinders: object = "assumed"
     rounds: list[Round] = field(default_factory=list)
     timing: dict[str, float] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
     best: Key = frozenset()
-    _begun: float = field(default_factory=time.perf_counter, repr=False)
     _stations: dict[Key, Station] = field(default_factory=dict, repr=False)
 
     def run(self, null_fit: Fit) -> None:
@@ -68,26 +72,31 @@ class Choice:
         self.null_fit = null_fit
         first = self._timed("score", lambda: self._screened(null_fit))
         self._stations[frozenset()] = Station(null_fit, (), first)
-        self.refits = Refits(
-            self.refitter, null_fit, first.noise, deadline=self._begun + self.budget,
-            cylinders=self.cylinders, late=self._late, tell=self.tell,
-        )  # fmt: skip
+        self.refits = Refits(self.refitter, null_fit, first.noise, cylinders=self.cylinders, tell=self.tell)
         here = self.refits.none(null_fit)
-        for _ in range(self.most):
-            station = self._stations[here.key]
-            if not self._asks(station.screened):
-                break
-            if self._late():
-                beside = f" beside {here.label}" if here.effects else ""
-                self.failed[f"any effect{beside}"] = TIME_UP
-                break
-            made = self._round(here, station)
-            if made is None:
-                break
-            here = made
-            self.best = here.key
-        self._most_probable_first()
+        with self.deadline.spared(0.0):
+            self._rounds(here)
         self._with_colour()
+
+    def _rounds(self, here: Tried) -> None:
+        """Rounds from a structure on, until no change is worth it or the time is over."""
+        beside = ""
+        try:
+            for _ in range(self.most):
+                station = self._stations[here.key]
+                if not self._asks(station.screened):
+                    break
+                beside = f" beside {here.label}" if here.effects else ""
+                ask()
+                made = self._round(here, station)
+                if made is None:
+                    break
+                here = made
+                self.best = here.key
+            self._most_probable_first()
+        except TimeUp:
+            if TIME_UP not in self.failed.values():
+                self.failed[f"any effect{beside}"] = TIME_UP
 
     def _most_probable_first(self) -> None:
         """Let a structure of as many effects that the last levels of the noise make more probable take the place of the
@@ -98,10 +107,10 @@ class Choice:
                 t for t in self.pool.values() if len(t.effects) == len(now.effects) and t.beyond > BEYOND
             ]
             top = max(alike, key=lambda one: one.log, default=now)
-            if self._late() or top.log <= now.log + 1:
+            if late() or top.log <= now.log + 1:
                 return
             if self._station(top) is None:
-                self.failed[top.label] = "its fit of all data does not converge"
+                self.failed.setdefault(top.label, _NO_FIT)
                 top.failed = True
             else:
                 self.best = top.key
@@ -111,7 +120,12 @@ class Choice:
         last = self.chosen
         if last.screened.choice.waits:
             self.tell("the colour of the noise")
-            screened = self._timed("score", lambda: coloured(last.screened, last.fit))
+            try:
+                with self.deadline.spared(_COLOUR):
+                    screened = self._timed("score", lambda: coloured(last.screened, last.fit))
+            except TimeUp:
+                self.failed["the colour of the noise"] = TIME_UP
+                return
             self._stations[self.best] = replace(last, screened=screened)
 
     @property
@@ -163,7 +177,7 @@ class Choice:
                 self._told(here, tried, None)
                 return None
             best = self._timed("exchange", lambda: self._exchanged(best, here))  # noqa: B023
-            if not self._late() and self._timed("refit", lambda: self.refits.sharpened(best)):  # noqa: B023
+            if self._timed("refit", lambda: self._sharpened(best)):  # noqa: B023
                 tried = [self.pool[one.key] for one in tried]
                 continue
             if self._station(best) is not None:
@@ -171,10 +185,19 @@ class Choice:
             if self.refits.blunted():
                 tried = [self.pool[one.key] for one in tried]
                 continue
-            self.failed[best.label] = "its fit of all data does not converge"
+            self.failed.setdefault(best.label, _NO_FIT)
             best.failed = True
+            ask()
         self._told(here, tried, best)
         return best
+
+    def _sharpened(self, best: Tried) -> bool:
+        """See ``Refits.sharpened``; False once the time is over."""
+        try:
+            ask()
+            return self.refits.sharpened(best)
+        except TimeUp:
+            return False
 
     def _told(self, here: Tried, tried: Sequence[Tried], kept: Tried | None) -> None:
         order = sorted(tried, key=lambda one: -one.log)
@@ -205,21 +228,22 @@ class Choice:
             order = [key for key in order if cost[key] < least]
         own = self._own_step(here, screened)
         todo, done = (order[:_FIRST] if self.refits.path.linear else order), list[tuple[str, str]]()
-        while todo and not self._late():
-            many = len(done) + len(todo)
-            for key in todo:
-                if self._late():
-                    self.failed[f"{key[0]} at {key[1]}"] = TIME_UP
-                    continue
-                self.tell(f"refit {len(done) + 1} of {many}: {key[0]} at {key[1]}")
-                self._from_all_sides(here, screened, families[key], at_here, own)
-                done.append(key)
-            rest = [key for key in order if key not in done]
-            todo = self._promising(here, screened, families, at_here, rest) if rest else []
-        keys = [self._key(here, key) for key in done]
-        self.refits.relevel([self.pool[key] for key in keys if key in self.pool])
-        self._around(here, screened, families)
-        return [self.pool[key] for key in keys if key in self.pool]
+        try:
+            while todo:
+                many = len(done) + len(todo)
+                for key in todo:
+                    ask()
+                    self.tell(f"refit {len(done) + 1} of {many}: {key[0]} at {key[1]}")
+                    done.append(key)
+                    self._from_all_sides(here, screened, families[key], at_here, own)
+                rest = [key for key in order if key not in done]
+                todo = self._promising(here, screened, families, at_here, rest) if rest else []
+            keys = [self._key(here, key) for key in done]
+            self.refits.relevel([self.pool[key] for key in keys if key in self.pool])
+            self._around(here, screened, families)
+        except TimeUp:  # the best of those that were tried
+            self.failed |= {f"{key[0]} at {key[1]}": TIME_UP for key in todo if key not in done}
+        return [self.pool[key] for key in map(partial(self._key, here), done) if key in self.pool]
 
     def _from_all_sides(
         self, here: Tried, screened: Screened, members: list[int], at_here: OneStep, own: OneStep | None
@@ -263,7 +287,7 @@ class Choice:
             self._try(here, small, Start(here.arrived.values, here.arrived.initial))
             known = self.pool.get(self._key(here, key))
         if known is None or known.arrived.cost > here.arrived.cost + _NESTED:
-            self.failed[f"{key[0]} at {key[1]}"] = TIME_UP if self._late() else "no refit of it arrives"
+            self.failed[f"{key[0]} at {key[1]}"] = TIME_UP if late() else "no refit of it arrives"
 
     def _rival(self, least: float, none: float, screened: Screened) -> float:
         """Chi-squared by one step up to which an effect may well be a rival of one with chi-squared ``least``."""
@@ -279,10 +303,11 @@ class Choice:
         for _ in range(_AGAIN):
             tried = [self.pool[k] for key in families if (k := self._key(here, key)) in self.pool]
             best = max(tried, key=lambda one: one.log, default=None)
-            if best is None or self._late():
+            if best is None or late():
                 return
             last = best.newest(here)
             for one in self._instead(best, last, screened, families):
+                ask()
                 self.tell(f"refit {one.label} from the parameters of {last.label}")
                 start = {n: v for n, v in best.arrived.values.items() if not n.startswith(f"{last.key}.")}
                 self._try(here, one, Start(start, best.arrived.initial))
@@ -328,16 +353,23 @@ class Choice:
         return [form for one in found for form in one.forms]
 
     def _exchanged(self, best: Tried, here: Tried) -> Tried:
-        """The structure after its members were exchanged one by one, and each was left out."""
+        """The structure after its members were exchanged one by one, and each was left out, as far as time allows."""
+        try:
+            return self._exchanged_for(best, here)
+        except TimeUp:
+            return best
+
+    def _exchanged_for(self, best: Tried, here: Tried) -> Tried:
         screened = self._stations[frozenset()].screened
         families = _families(screened)
-        while len(best.effects) > 1 and not self._late():
+        while len(best.effects) > 1 and not late():
             made: list[Tried] = []
             for member in best.effects:
                 rest = tuple(one for one in best.effects if one is not member)
                 others = {k: v for k, v in families.items() if k not in key_of(rest)}
                 start = {n: v for n, v in best.arrived.values.items() if not n.startswith(f"{member.key}.")}
                 for one in self._instead(best, member, screened, others):
+                    ask()
                     self.tell(f"exchange {member.label} for {one.label}")
                     made += self.refits.tried((*rest, one), Start(start, best.arrived.initial))
                 made += self.refits.tried(rest, Start(start, best.arrived.initial))
@@ -378,7 +410,15 @@ class Choice:
         return self.screen(fit)
 
     def _station(self, tried: Tried) -> Station | None:
-        """The structure fitted as the null model is, and screened; None where that does not converge."""
+        """The structure fitted as the null model is, and screened; None where that does not converge, or in time."""
+        try:
+            with self.deadline.spared(_FIT):
+                return self._fitted(tried)
+        except TimeUp:
+            self.failed[tried.label] = TIME_UP
+            return None
+
+    def _fitted(self, tried: Tried) -> Station | None:
         if tried.key not in self._stations:
             self.tell(f"fit with {tried.label}")
             start = Start(tried.arrived.values, tried.arrived.initial, {}, tried.arrived.settled)
@@ -422,15 +462,6 @@ class Choice:
             members = class_of(self.pool, key, own[-1], FACTOR)
             found.append(reached(found[-1], station, own, members))
         return found
-
-    def stop(self) -> None:
-        """Go on as if the time were up."""
-        self.budget = -math.inf
-        if hasattr(self, "path"):
-            self.path.stop()
-
-    def _late(self) -> bool:
-        return time.perf_counter() - self._begun > self.budget
 
     def _timed(self, what, work):  # type: ignore[no-untyped-def]
         begun = time.perf_counter()

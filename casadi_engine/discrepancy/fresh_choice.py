@@ -6,7 +6,8 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from casadi_engine.discrepancy.choice import Choice
+from casadi_engine.deadline import Deadline, TimeUp, late
+from casadi_engine.discrepancy.choice import TIME_UP, Choice
 from casadi_engine.discrepancy.fresh import Judgement, Portions, gap_of, judge
 from casadi_engine.discrepancy.fresh_fits import fresh_sides
 from casadi_engine.discrepancy.noise_model import NoiseModel
@@ -17,6 +18,9 @@ from casadi_engine.estimation import Fit
 _NO_RUN = "the repaired model cannot be simulated on the fresh data, which neither confirms nor refuses it"
 # A change of a gap that a person would see.
 SEEN = 0.1
+# Share of the spare time behind a budget at which fresh data have to be judged; evaluations of the model that they may
+# cost at least.
+_JUDGED, _EVALUATIONS = 0.6, 1000
 Pairs = list[tuple[Fit, NullModel]]
 
 
@@ -33,22 +37,39 @@ class Confirmation:
 
 @dataclass
 class FreshChoice:
-    """Structures put to the test of fresh data; messages : takes what they say of those that do not stand."""
+    """Structures put to the test of fresh data.
+
+    messages : takes what they say of those that do not stand; work : of a start of the fit without effects, which says
+    what a structure may cost here
+    """
 
     search: Choice
     portion: Portions
     tell: Callable[[str], None]
     messages: list[str]
+    work: float = math.inf
+    _costly: bool = field(default=False, init=False)
 
     def run(self) -> Confirmation:
-        """The first structure, in order of evidence, that fresh data do not refuse."""
+        """The first structure, in order of evidence, that fresh data do not refuse; unjudged once the time is over."""
+        search = self.search
+        try:
+            with search.deadline.spared(_JUDGED):
+                return self._judged_in_order()
+        except TimeUp:
+            self.messages.append("the fresh data were not looked at to their end, as the time was up")
+            search.failed["the fresh data"] = TIME_UP
+            stations = search.way(search.best) or [search.null]
+            return self._kept(stations, stations, None)
+
+    def _judged_in_order(self) -> Confirmation:
         search = self.search
         null = search.null
         if null.screened.request.blind and not _of_parameters(search):
             # none of these structures adds physics: what they found is told, and not claimed
             return Confirmation((null,), (), None)
         before = self._on_fresh(null) if self.portion.fresh else None
-        if self.portion.fresh and before is None:
+        if self.portion.fresh and before is None and not self._costly:
             self.messages.append("the model without effects cannot be simulated on the fresh data")
         first: list[Station] | None = None
         blind: list[Station] | None = None  # the first one of which fresh data can say nothing
@@ -74,7 +95,7 @@ class FreshChoice:
                 return self._kept(stations, first, before, judged, after)
             self.messages.append(f"{search.pool[key].label}: {judged.why}")
         if blind is not None:
-            self.messages.append(_NO_RUN)
+            self.messages += [] if self._costly else [_NO_RUN]
             return self._kept(blind, first or blind, before, Judgement(None, None, False, _NO_RUN))
         return self._kept([null], first or [null], before)
 
@@ -97,7 +118,28 @@ class FreshChoice:
     def _on_fresh(self, station: Station) -> Pairs | None:
         self.tell("fresh data")
         noise = station.screened.noise
-        return fresh_sides(station.fit, station.effects, self.portion, noise, self.search.refitter)
+        try:
+            with Deadline(work=self._allowed):
+                return fresh_sides(station.fit, station.effects, self.portion, noise, self.search.refitter)
+        except TimeUp:
+            if late():
+                raise
+            self._costly = True
+            names = " + ".join(one.label for one in station.effects) or "the model without effects"
+            self.messages.append(
+                f"{names} was not judged on the fresh data: looking for its initial states there had cost more than "
+                "a start of the fit without effects"
+            )
+            return None
+
+    @property
+    def _allowed(self) -> float:
+        """Work that one structure may cost on the fresh data: that of a start of the first fit, by samples."""
+        fresh, own = (
+            sum(len(record[name].time) for record in records for name in record.names)
+            for records in (self.portion.fresh, self.portion.data)
+        )
+        return max(self.work, _EVALUATIONS * own) * max(fresh / own, 1.0)
 
     def _of_structure(self, stations: list[Station], before: Pairs) -> tuple[Judgement, Pairs | None]:
         """What fresh data say of a structure, against none and against its parts; None where it cannot be simulated."""

@@ -80,8 +80,6 @@ def held_fit(
         except (CasadiEngineError, FloatingPointError) as error:
             fault = error
             continue
-        if made.status == "interrupted":
-            raise KeyboardInterrupt
         found = made if found is None else min(found, made, key=lambda one: (not one.converged, one.cost))
         chance = max(_POOR, 1 + 3 * math.sqrt(2 / found.n))
         if found.cost / found.n <= chance * _misfit(fit, noise):

@@ -103,8 +103,6 @@ class LowerRate:
             )  # fmt: skip
         except CasadiEngineError:
             return None
-        if found.status == "interrupted":
-            raise KeyboardInterrupt
         return found if found.converged else None
 
     def _gaps(self, gaps: Gaps, fit: Fit, noise: NoiseFound) -> Gaps:
@@ -195,8 +193,6 @@ def at_lower_rate(
     fit = estimate(
         model, lower.data, parameters=parameters, noise=own, warm=warm, progress=False, **dict(options)
     )
-    if fit.status == "interrupted":
-        raise KeyboardInterrupt
     if not fit.converged:
         return None
     return LowerRate(portion, lower, noise, own, null_fit, fit, dict(options), factor, share, lost)

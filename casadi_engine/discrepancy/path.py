@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from casadi_engine.deadline import TimeUp
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.null_model import (
     NullModel,
@@ -66,19 +67,13 @@ class Arrived:
 class Path:
     """Refits of one set of records at held noise levels; a model with its effects is set up once.
 
-    levels : output -> standard deviation of the noise; deadline : of time.perf_counter(), at which refits end
+    levels : output -> standard deviation of the noise
     """
 
-    def __init__(self, refitter: Refitter, levels: Mapping[str, float], deadline: float = math.inf) -> None:
-        self.refitter, self.levels, self.deadline = refitter, dict(levels), deadline
+    def __init__(self, refitter: Refitter, levels: Mapping[str, float]) -> None:
+        self.refitter, self.levels = refitter, dict(levels)
         self._made: dict[tuple[Any, ...], tuple[Model, Parameters, RefitProblem]] = {}
         self._kept: list[Addition] = []
-
-    def stop(self) -> None:
-        """End all refits, the one that runs too."""
-        self.deadline = -math.inf
-        for _, _, problem in self._made.values():
-            problem.deadline = self.deadline
 
     def from_point(self, effects: Sequence[Addition], start: Start | Arrived | None) -> Arrived | None:
         """The end of a refit from a point, None for the parameters' own values; None where the model fails."""
@@ -175,7 +170,7 @@ class Path:
             return _arrived(
                 problem, problem.run(start=values, initial=initial, horizons=horizons, most=_STEPS)
             )
-        except FAILURES:
+        except (*FAILURES, TimeUp):
             return None
 
     def _problem(self, effects: Sequence[Addition]) -> tuple[Model, Parameters, RefitProblem]:
@@ -188,7 +183,6 @@ class Path:
             pars = refitter.parameters_of(model, effects).unconstrained()
             interval = refitter.interval
             problem = RefitProblem(model, refitter.data, pars, levels=self.levels, interval=interval)
-            problem.deadline = self.deadline
             self._made[key] = model, pars, problem
         return self._made[key]
 

@@ -281,8 +281,6 @@ class Refitter:
                 fit = estimate(model, self.data, parameters=pars, noise=self.noise, warm=warm, **options)
         except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
             return None  # the model fails at this start: as good as not converged
-        if fit.status == "interrupted":
-            raise KeyboardInterrupt
         return fit
 
 

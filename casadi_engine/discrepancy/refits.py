@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from casadi_engine.deadline import late
 from casadi_engine.discrepancy.compression import scatter_columns
 from casadi_engine.discrepancy.evidence import Digest, Evidence, Levels, digest, evidence, levels_left
 from casadi_engine.discrepancy.linear_algebra import Array
@@ -92,7 +93,7 @@ def key_of(effects: Sequence[Addition]) -> Key:
 class Refits:
     """The pool of structures, and the refits that fill it.
 
-    noise : of the model without effects; late : True once the time is up; tell : takes what is being done, in words
+    noise : of the model without effects; tell : takes what is being done, in words
     """
 
     def __init__(
@@ -101,21 +102,19 @@ class Refits:
         null_fit: Fit,
         noise: NoiseModel,
         *,
-        deadline: float,
         cylinders: object,
-        late: Callable[[], bool],
         tell: Callable[[str], None],
     ) -> None:
         self.refitter, self.null_fit, self.cylinders = refitter, null_fit, cylinders
         refitter.base = null_fit
-        self.path = Path(refitter, dict(noise.sigma), deadline)
+        self.path = Path(refitter, dict(noise.sigma))
         self.levels = Levels(dict(noise.sigma), {}, max(noise.scatter.values(), default=0.0))
         self.pool: dict[Key, Tried] = {}
         self._wide: tuple[float, dict[Key, Tried]] | None = (
             None  # share and pool before corners were sharpened
         )
         self._blunt = False
-        self._late, self._tell = late, tell
+        self._tell = tell
 
     def tried(self, effects: tuple[Addition, ...], start: Start | None) -> list[Tried]:
         """The structure in the pool, after another refit of it from a start; empty where none has arrived."""
@@ -182,7 +181,7 @@ class Refits:
             one.arrived = replace(one.arrived, cost=evidence(one.digest, plain).cost)
         near = best.log - 0.5 * PART * max(self.pool[frozenset()].evidence.cost - best.evidence.cost, 0.0)
         for one in sorted(tried, key=lambda one: -one.log):
-            if not self._late() and one.log > near - math.log(FACTOR * len(tried)):
+            if not late() and one.log > near - math.log(FACTOR * len(tried)):
                 self._tell(f"go on with {one.label}")
                 again = self.path.from_point(one.effects, one.arrived)
                 made = None if again is None else self._counted(one.effects, again)
@@ -203,7 +202,7 @@ class Refits:
         least = best.log - abs(sharp.log - best.log) - math.log(FACTOR * len(self.pool))
         rivals = [one for one in self.pool.values() if one.effects and one.log > least and one is not sharp]
         for one in sorted(rivals, key=lambda one: -one.log):
-            if not self._late():
+            if not late():
                 self._again_sharp(one)
         self.weigh()
         return True

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from casadi_engine.deadline import Deadline, TimeUp
 from casadi_engine.discrepancy.answer import Answer
 from casadi_engine.discrepancy.assumed_pressure import carry, remarks, settle_scatter
 from casadi_engine.discrepancy.choice import TIME_UP, Choice
@@ -16,12 +17,13 @@ from casadi_engine.discrepancy.input_hold import other_hold
 from casadi_engine.discrepancy.lower_rate import at_lower_rate
 from casadi_engine.discrepancy.noise_choice import ColourChoice, check_choice
 from casadi_engine.discrepancy.null_model import refuse_jumps
+from casadi_engine.discrepancy.output_check import noise_alone, refuse_still, wild_samples
 from casadi_engine.discrepancy.progress import Progress, shown
 from casadi_engine.discrepancy.refit import Refitter
 from casadi_engine.discrepancy.repaired import Repair
 from casadi_engine.discrepancy.requests import check_alpha, left_out, read_request
 from casadi_engine.discrepancy.screening import Screened, screen_in_turn
-from casadi_engine.discrepancy.wording import BUDGET, USER
+from casadi_engine.discrepancy.wording import AT_FAULT, BUDGET, USER
 from casadi_engine.effects.candidate import Known
 from casadi_engine.errors import EstimationError, ExperimentError
 from casadi_engine.estimation import Fit, estimate
@@ -37,6 +39,10 @@ from casadi_engine.problem.noise import Noise
 from casadi_engine.simulation.grid import lay_grid
 
 _STARTS, _MOST = 4, 4
+# Behind a budget or a Ctrl-C an answer is made of what was found, within this share of the budget or so many seconds;
+# share of that time up to which the fit without effects and its scores may last, without which there is no answer.
+_SPARE, _LEAST_SPARE, _FIRST = 0.1, 2.0, 0.5
+_LOWER = "the time was up before the whole data were fitted: all values are those of records of a lower rate"
 
 
 def repair(
@@ -84,8 +90,9 @@ def repair(
         to cycle and differs a little in strength, timing and charge: these are estimated with priors. "assumed" for the
         cylinders with an assumed pressure, or None
     without : names of effects that are not to be looked for
-    budget : seconds after which no further effect is tried; the best answer so far is given, and what was not tried
-        is listed. None for no limit. Ctrl-C does the same; a second one ends at once, with the best fit so far
+    budget : seconds after which everything that runs is ended: the best answer so far is given, within a tenth of the
+        budget or 2 s, and what was not tried is listed. None for no limit. Ctrl-C does the same; a second one ends at
+        once, with the best fit so far
     most : effects at most; starts, neighbours, seed, jobs : of the fit without effects, as in ``estimate``
     progress : None for one line on a terminal, False for none, or a function of a text; it says what is being tried
         and, after a few refits, how long the others may take
@@ -118,6 +125,7 @@ def repair(
     check_choice(model, scatter, colour)
     for record in others:
         _check_fresh(model, record)
+    refuse_still(model, records)
     most, starts = whole("most", most, 1), whole("starts", starts, 1)
     neighbours, seed, jobs = whole("neighbours", neighbours, 0), whole("seed", seed, 0), checked_jobs(jobs)
     tell, done = shown(progress)
@@ -129,7 +137,11 @@ def repair(
         "interval": interval, "initial": initial, "method": method, "max_iterations": max_iterations,
     }  # fmt: skip
     several: dict[str, Any] = {"starts": starts, "neighbours": neighbours, "seed": seed}
-    job = _Job(carried.model, carried.parameters, portion, noise, options, several, tell, begun)
+    spare = max(_LEAST_SPARE, _SPARE * seconds) if math.isfinite(seconds) else _LEAST_SPARE
+    deadline = Deadline(seconds - (time.perf_counter() - begun), spare=spare)
+    job = _Job(
+        carried.model, carried.parameters, portion, noise, options, several, tell, begun, deadline, seconds
+    )
     job.asked = {"alpha": alpha, "holdout": holdout, "most": most, **several, **options}
 
     laws: Known = {}
@@ -139,11 +151,11 @@ def repair(
             fit, effects, at=at, alpha=alpha, colour=colour, scatter=scatter, seed=seed, known=laws
         )
 
-    with Interrupts(job.stop) as asked_to_stop:
+    with deadline, Interrupts(job.stop) as asked_to_stop:
         job.interrupts = asked_to_stop
         try:
-            return job.run(scores, alpha=alpha, most=most, seconds=seconds, scatter=scatter, jobs=jobs)
-        except KeyboardInterrupt:
+            return job.run(scores, alpha=alpha, most=most, scatter=scatter, jobs=jobs)
+        except (KeyboardInterrupt, TimeUp):
             return job.interrupted(alpha)
         finally:
             done()
@@ -161,6 +173,8 @@ class _Job:
     several: dict[str, Any]
     tell: Progress
     begun: float
+    deadline: Deadline
+    seconds: float
     asked: dict[str, Any] = field(default_factory=dict)
     timing: dict[str, float] = field(default_factory=dict)
     interrupts: Interrupts | None = None
@@ -170,82 +184,99 @@ class _Job:
     def stop(self) -> None:
         """End the search with what it has; called at the first Ctrl-C."""
         self.tell.stopping = True
-        if self.search is not None:
-            self.search.stop()
+        self.deadline.stop()
 
-    def run(
-        self, scores: Any, *, alpha: float, most: int, seconds: float, scatter: Any, jobs: int | None
-    ) -> Repair:
+    def run(self, scores: Any, *, alpha: float, most: int, scatter: Any, jobs: int | None) -> Repair:
         """The answer; that for another hold of the inputs where this is what the records ask for."""
         how: dict[str, Any] = {"alpha": alpha, "most": most, "scatter": scatter, "jobs": jobs}
-        found = self._answered(scores, seconds=seconds, **how)
+        found = self._answered(scores, **how)
         if self.search is None:
             return found
         memory = max(self.search.refits.levels.memory.values(), default=1.0)
-        other = other_hold(found, self.noise, self.options, memory)
-        if other is None:
+        portion = self.portion
+        try:
+            other = other_hold(found, self.noise, self.options, memory)
+            if other is None:
+                return found
+            used = time.perf_counter() - self.begun
+            if not other.better or found.stopped or self.deadline.left < used:
+                return other.told(found, again=False)
+            self.tell("the search with another hold of the inputs")
+            self.portion = other.of(portion)
+            return other.told(self._answered(scores, **how), again=True)
+        except TimeUp:  # there is an answer
+            self.portion = portion
             return found
-        used = time.perf_counter() - self.begun
-        if not other.better or found.stopped or seconds < 2 * used:
-            return other.told(found, again=False)
-        self.tell("the search with another hold of the inputs")
-        self.portion = other.of(self.portion)
-        return other.told(self._answered(scores, seconds=seconds - used, **how), again=True)
 
-    def _answered(
-        self, scores: Any, *, alpha: float, most: int, seconds: float, scatter: Any, jobs: int | None
-    ) -> Repair:
+    def _answered(self, scores: Any, *, alpha: float, most: int, scatter: Any, jobs: int | None) -> Repair:
         """The fit without effects, the search, the answer."""
-        self.tell(f"fit without effects, {self.several['starts']} starts")
-        data, options = self.portion.data, self.options
-        null_fit = estimate(
-            self.model, data, parameters=self.parameters, noise=self.noise, jobs=jobs, progress=False,
-            **self.several, **options,
-        )  # fmt: skip
-        null_fit, pars = settle_scatter(null_fit, self.parameters, noise=self.noise, options=options)
-        self.null_fit = null_fit
-        pars = with_widths(pars, widths_of(null_fit, pars))
-        self.timing["null fit"] = time.perf_counter() - self.begun
-        if null_fit.status == "interrupted" or not math.isfinite(null_fit.cost):
-            return _no_answer(null_fit, self.portion, alpha, self.asked, self.timing, self.begun)
-        lower = at_lower_rate(null_fit, pars, self.portion, self.noise, options)
-        searched, own_noise = (self.portion, self.noise) if lower is None else (lower.portion, lower.noise)
-        refitter = Refitter(self.model, pars, searched.data, own_noise, options)
-        self.search = search = Choice(refitter, scores, most, self.tell, seconds, scatter)
-        if self._stopped:
-            search.stop()
-        self._searched(search, null_fit if lower is None else lower.fit)
+        options = self.options
+        with self.deadline.spared(_FIRST):
+            null_fit, pars, work = self._null(jobs)
+            if null_fit.status == "interrupted" or not math.isfinite(null_fit.cost):
+                return self._no_answer(null_fit, alpha)
+            at_fault = noise_alone(null_fit) or wild_samples(null_fit)
+            if at_fault is not None:
+                return self._no_answer(null_fit, alpha, at_fault)
+            lower = at_lower_rate(null_fit, pars, self.portion, self.noise, options)
+            searched, own_noise = (
+                (self.portion, self.noise) if lower is None else (lower.portion, lower.noise)
+            )
+            refitter = Refitter(self.model, pars, searched.data, own_noise, options)
+            self.search = search = Choice(refitter, scores, most, self.tell, self.deadline, scatter)
+            self._searched(search, null_fit if lower is None else lower.fit)
         self.timing |= search.timing
         if not null_fit.converged and not search.best:
-            return _no_answer(null_fit, self.portion, alpha, self.asked, self.timing, self.begun)
+            return self._no_answer(null_fit, alpha)
         told = remarks(search.chosen.fit, scatter)
         told += [words for words in null_fit.messages if words.startswith(ROUNDED)]
         if not null_fit.converged:  # a wrong model may have a valley without end; the right one has none
             told.append(
                 f"the fit without effects has {null_fit.status}; effects were looked for from where it ended"
             )
-        made = Answer(search, searched, alpha, self.asked, self.timing, self.begun, self.tell, told).made()
+        answer = Answer(search, searched, alpha, self.asked, self.timing, self.begun, self.tell, told, work)
+        with self.deadline.spared(1.0):
+            made = answer.made()
         if lower is not None:
             self.tell("fits of the whole data")
             clock = time.perf_counter()
-            made = lower.told(made)
+            try:
+                with self.deadline.spared(1.0):
+                    made = lower.told(made)
+            except TimeUp:
+                made = replace(made, messages=(*made.messages, _LOWER))
+                search.failed["the whole data"] = TIME_UP
             self.timing["whole data"] = time.perf_counter() - clock
             self.timing["total"] = time.perf_counter() - self.begun
         missed = tuple(name for name, why in search.failed.items() if why == TIME_UP)
-        return replace(
-            made, stopped=(USER if self._stopped else BUDGET) if missed else "", not_searched=missed
-        )
+        return replace(made, stopped=self._by if missed else "", not_searched=missed)
+
+    def _null(self, jobs: int | None) -> tuple[Fit, Parameters, float]:
+        """The fit without effects, the parameters that later fits start from, and the work of a start."""
+        self.tell(f"fit without effects, {self.several['starts']} starts")
+        with Deadline(best=True) as own:
+            fit = estimate(
+                self.model, self.portion.data, parameters=self.parameters, noise=self.noise, jobs=jobs, progress=False,
+                **self.several, **self.options,
+            )  # fmt: skip
+        self.null_fit = fit
+        fit, pars = settle_scatter(fit, self.parameters, noise=self.noise, options=self.options)
+        self.null_fit = fit
+        pars = with_widths(pars, widths_of(fit, pars))
+        self.timing["null fit"] = time.perf_counter() - self.begun
+        return fit, pars, own.done / self.several["starts"]
 
     @property
-    def _stopped(self) -> bool:
-        return self.interrupts is not None and self.interrupts.stopped
+    def _by(self) -> str:
+        """Who ended the search, where anyone did."""
+        return USER if self.interrupts is not None and self.interrupts.stopped else BUDGET
 
     def _searched(self, search: Choice, null_fit: Fit) -> None:
-        """Run the search; a Ctrl-C in the middle of a fit leaves it with what it had kept before."""
+        """Run the search; one that is ended has what it had kept before."""
         try:
             search.run(null_fit)
-        except KeyboardInterrupt:
-            if not search.scored or (self.interrupts is not None and self.interrupts.twice):
+        except TimeUp:
+            if not search.scored:
                 raise
             beside = f" beside {search.pool[search.best].label}" if search.best else ""
             search.failed[f"any effect{beside}"] = TIME_UP
@@ -253,13 +284,38 @@ class _Job:
     def interrupted(self, alpha: float) -> Repair:
         """What there is where the user would not wait for the rest."""
         if self.null_fit is None:
-            raise KeyboardInterrupt
+            if self._by == USER:
+                raise KeyboardInterrupt
+            raise EstimationError(
+                "the time was up before the model could be evaluated",
+                seen=f"budget={self.seconds:g}",
+                allowed="time for the fit without effects at least",
+                cure="give more time, or fewer samples",
+            )
         best = self.null_fit if self.search is None else self.search.fit
         self.timing["total"] = time.perf_counter() - self.begun
         why = "interrupted before the search was at its end: the best model so far has no verdict"
         return Repair(
             "interrupted", None, None, self.null_fit, best, alpha, data=self.portion.data, fresh=self.portion.fresh,
-            timing=self.timing, options=self.asked, messages=(why,), stopped=USER,
+            timing=self.timing, options=self.asked, messages=(why,), stopped=self._by,
+        )  # fmt: skip
+
+    def _no_answer(self, fit: Fit, alpha: float, at_fault: str | None = None) -> Repair:
+        """What there is without a fit to look for effects from; at_fault : what the data have to be freed of first."""
+        cut = fit.status == "interrupted"
+        why = (
+            "no effect can be looked for before the model without effects fits: give other start values, bounds, or "
+            "more starts; a wrong optimum looks like missing physics"
+        )
+        if cut:
+            why = "interrupted in the fit without effects: nothing was searched"
+        status = fit.status if cut else f"the fit without effects has {fit.status}"
+        if at_fault is not None:
+            status, why = AT_FAULT, at_fault
+        self.timing["total"] = time.perf_counter() - self.begun
+        return Repair(
+            status, None, None, fit, fit, alpha, data=self.portion.data, fresh=self.portion.fresh,
+            timing=self.timing, options=self.asked, messages=(why,), stopped=self._by if cut else "",
         )  # fmt: skip
 
 
@@ -308,20 +364,3 @@ def _check_fresh(model: Model, record: Experiment) -> None:
             cure="give another fresh record, or none",
         )
     lay_grid(model, record, outputs=measured)
-
-
-def _no_answer(
-    fit: Fit, portion: Portions, alpha: float, asked: dict[str, Any], timing: dict[str, float], begun: float
-) -> Repair:
-    status = fit.status if fit.status == "interrupted" else f"the fit without effects has {fit.status}"
-    why = (
-        "no effect can be looked for before the model without effects fits: give other start values, bounds, or more "
-        "starts; a wrong optimum looks like missing physics"
-    )
-    if fit.status == "interrupted":
-        why = "interrupted in the fit without effects: nothing was searched"
-    timing["total"] = time.perf_counter() - begun
-    return Repair(
-        status, None, None, fit, fit, alpha, data=portion.data, fresh=portion.fresh, timing=timing,
-        options=asked, messages=(why,),
-    )  # fmt: skip

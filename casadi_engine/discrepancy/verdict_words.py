@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from casadi_engine.discrepancy.fresh_misfit import fresh_doubt, fresh_misfit
-from casadi_engine.discrepancy.wording import USER, is_blind, twins
+from casadi_engine.discrepancy.wording import AT_FAULT, USER, is_blind, twins
 from casadi_engine.estimation.summary import count
 
 if TYPE_CHECKING:
@@ -74,6 +74,8 @@ def next_step(repair: Repair) -> str:
     """What to do with the answer, for the screen and for the page."""
     if repair.status == "interrupted":
         return "run it again and let it end; repair.fit is the best model so far"
+    if repair.status == AT_FAULT:
+        return "look at the data, as said above, and repair again"
     if repair.verdict is None:
         return "fix the baseline fit first: other start values, wider bounds, or more starts"
     if repair.stopped:

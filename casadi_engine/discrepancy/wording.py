@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 # Who stopped a search.
 USER, BUDGET = "the user", "the time budget"
+# Status of a repair whose data cannot be used as they are.
+AT_FAULT = "the data are at fault"
 # Names listed in a sentence; correlation beyond which two effects are one.
 LISTED, _TWINS = 6, 0.995
 

@@ -41,10 +41,14 @@ def make_fit(
     timing: dict[str, float],
     begun: float,
     *,
-    stopped: bool = False,
+    stopped: str = "",
     check: bool = True,
 ) -> Fit:
-    """The Fit at the best attempt. check : ask whether its standard errors describe the likelihood"""
+    """The Fit at the best attempt.
+
+    stopped : who ended the search before its end, if anyone; check : ask whether its standard errors describe the
+    likelihood
+    """
     clock = time.perf_counter()
     search._weigh(best.sigma)
     problem, pmap = search.problem, search.pmap
@@ -60,7 +64,7 @@ def make_fit(
     v = errors.v
     z = search.coordinates.values(v)
     traces, drives, percents, first, residuals = {}, {}, {}, {}, []
-    integration = _integration(search, errors.x)
+    integration = {} if stopped else _integration(search, errors.x)
     for record, lay in zip(search.records, problem.layouts, strict=True):
         name, nodes = record.experiment.name, lay.take(errors.x)
         start = nodes[0]
@@ -239,7 +243,7 @@ def _messages(
     errors: Uncertainty,
     reason: str | None,
     optima: tuple[Optimum, ...],
-    stopped: bool,
+    stopped: str,
 ) -> tuple[str, ...]:
     found = [] if reason is None else [cure(reason)]
     if best.solution.status != "converged":
@@ -264,7 +268,7 @@ def _messages(
     if stopped:
         done = sum(optimum.starts for optimum in optima if optimum.status == "converged")
         what = f"the best of {done} optima so far" if done else "the best point so far, not an optimum"
-        found.append(f"stopped by the user: this is {what}")
+        found.append(f"stopped by {stopped}: this is {what}")
     return tuple(found)
 
 

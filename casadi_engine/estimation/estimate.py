@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -11,9 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.deadline import Deadline, TimeUp, best_wanted, is_set, late, was_stopped
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.answer import make_fit
 from casadi_engine.estimation.corner_widths import follow_motion
+from casadi_engine.estimation.cut_short import GIVEN_UP, MANY, in_time
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.loss import read_loss
@@ -22,7 +25,7 @@ from casadi_engine.estimation.moved_jumps import refuse_moved_jumps
 from casadi_engine.estimation.multistart import attempts_from, best_of, distinct_optima, interrupted
 from casadi_engine.estimation.options import begun_at, chosen, small, whole
 from casadi_engine.estimation.parallel import checked_jobs
-from casadi_engine.estimation.search import Search
+from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.two_stages import bent_by_thinning, lower_search, on_whole_data, searched_on
 from casadi_engine.estimation.workers import Workers
 from casadi_engine.experiment import Experiment
@@ -146,14 +149,24 @@ def estimate(
             "neighbours": neighbours,
         },
     )
-    fit = run(arguments, starts, neighbours, begun)
+    try:
+        fit = run(arguments, starts, neighbours, begun)
+    except TimeUp:
+        if late():
+            raise
+        raise KeyboardInterrupt from None  # there is no point yet
+    return _with_sharp_corners(fit, arguments, lambda changed: run(arguments | changed, 1, 0, begun))
+
+
+def _with_sharp_corners(fit: Fit, arguments: Mapping[str, Any], run: Callable[[dict[str, Any]], Fit]) -> Fit:
+    """The fit with corners as sharp as the motion asks, as far as time allows."""
+    interval = arguments["interval"]
 
     def again(pars: Parameters, warm: Fit, length: int) -> Fit:
         interval_of = length if interval == "auto" else interval
-        changed = {"parameters": pars, "warm": warm, "interval": interval_of, "approach": "direct"}
-        return run(arguments | changed, 1, 0, begun)
+        return run({"parameters": pars, "warm": warm, "interval": interval_of, "approach": "direct"})
 
-    return follow_motion(fit, arguments["parameters"], again)
+    return in_time(lambda: follow_motion(fit, arguments["parameters"], again), lambda: fit)
 
 
 def _searched(
@@ -170,7 +183,10 @@ def _searched(
 ) -> Fit:
     """One estimate from its checked arguments; shown : options as the user gave them."""
     entered = time.perf_counter()
-    with Interrupts() as interrupts:
+    within = is_set()  # then who set that deadline takes Ctrl-C too
+    own = Deadline(best=best_wanted())
+    interrupts = Interrupts(own.stop)
+    with own, nullcontext() if within else interrupts:
         report = _reporter(progress, starts + 2 * neighbours, arguments["max_iterations"])
         search = Search(**arguments, progress=report, interrupts=interrupts)
         setup = time.perf_counter() - entered
@@ -183,9 +199,9 @@ def _searched(
             why = bent_by_thinning(search, first)
             if why:
                 lower, first = why, search
-        own = arguments | {"data": first.data, "noise": first.noise}
+        changed = arguments | {"data": first.data, "noise": first.noise}
         several = jobs != 1 and starts + neighbours > 1
-        workers = Workers(own, jobs, interrupts, first.tell) if several else None
+        workers = Workers(changed, jobs, interrupts, first.tell) if several else None
         drawn = first.drawn(starts, seed)
         attempts = attempts_from(first, drawn, neighbours, outcomes=workers.outcomes if workers else None)
         if first is not search:
@@ -193,7 +209,7 @@ def _searched(
         found = best_of(attempts)
         best = search.integrated(found)
         attempts = [best if attempt is found else attempt for attempt in attempts]
-        optima = distinct_optima(search, attempts, best)
+        optima = in_time(lambda: distinct_optima(search, attempts, best))
         timing = {"setup": setup, "solve": time.perf_counter() - entered - setup}
         options = {
             **{name: arguments[name] for name in ("ties", "method", "max_iterations", "tolerance")},
@@ -201,9 +217,23 @@ def _searched(
             **shown,
             "searched on": searched_on(search, best, lower),
         }
-        stopped = interrupted(attempts) or interrupts.stopped
-        fit = make_fit(search, best, optima, options, timing, begun, stopped=stopped, check=check)
-        return replace(fit, status="interrupted") if interrupts.stopped else fit
+        made = partial(make_fit, search, best, optima, options, timing, begun)
+        by = "the time budget" if own.late and not was_stopped() else "the user"
+        if interrupted(attempts):
+            own.stop()
+        fit = in_time(lambda: made(check=check), lambda: made(stopped=by, check=False))
+        fit = replace(fit, messages=(*fit.messages, *_given_up(attempts)))
+        return replace(fit, status="interrupted") if own.late else fit
+
+
+def _given_up(attempts: Sequence[Attempt]) -> tuple[str, ...]:
+    count = sum(attempt.solution.status == GIVEN_UP for attempt in attempts)
+    if not count:
+        return ()
+    return (
+        f"{count} of {len(attempts)} starts given up: each had cost {MANY:.0f} times as much as the best one, and was "
+        "not lower",
+    )
 
 
 def _own(model: Model, parameters: Any) -> Parameters:

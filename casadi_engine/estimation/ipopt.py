@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.deadline import TimeUp, late
 from casadi_engine.errors import ModelError
 from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.shooting import ShootingProblem
@@ -148,16 +149,22 @@ def _shapes(problem: ShootingProblem) -> tuple[Any, ...]:
 class _Tried:
     """The points IPOPT tries from one start, and those of them at which the model could not be evaluated.
 
-    last : (size,) the last one it accepted
+    last : (size,) the last one it accepted; late : the time was up within one
     """
 
     last: Array
     points: int = 0
     refused: int = 0
+    late: bool = False
+
+    @property
+    def ends(self) -> bool:
+        """True if the run is to end."""
+        return self.late or self.wall
 
     @property
     def wall(self) -> bool:
-        """True if the run is to end."""
+        """True if the model cannot be evaluated at most points."""
         return self.refused > _REFUSED and self.refused > _MOSTLY * self.points
 
 
@@ -171,7 +178,7 @@ def _functions(problem: ShootingProblem, tried: _Tried, log: NDArray[np.bool_]) 
 
     def point(value: Any) -> Any:
         """The point, or None where the model cannot be evaluated: IPOPT then shortens its step."""
-        if tried.wall:
+        if tried.ends:
             return None
         x = np.asarray(value, dtype=float).ravel()
         tried.points += 1
@@ -179,6 +186,9 @@ def _functions(problem: ShootingProblem, tried: _Tried, log: NDArray[np.bool_]) 
             return problem.at(x)
         except (FloatingPointError, np.linalg.LinAlgError, ModelError):
             tried.refused += 1
+            return None
+        except TimeUp:
+            tried.late = True
             return None
 
     def jacobian(value: Any, _: Any) -> Any:
@@ -199,7 +209,12 @@ def _functions(problem: ShootingProblem, tried: _Tried, log: NDArray[np.bool_]) 
         found = point(value)
         if found is None:
             return [ca.DM(hess.sparsity, np.nan)]
-        return [hess.matrix(problem.hessian(found.x, float(factor), np.asarray(lam, dtype=float).ravel()))]
+        try:
+            values = problem.hessian(found.x, float(factor), np.asarray(lam, dtype=float).ravel())
+        except TimeUp:
+            tried.late = True
+            return [ca.DM(hess.sparsity, np.nan)]
+        return [hess.matrix(values)]
 
     def both(value: Any, _: Any) -> Any:
         last = tried.last[: problem.nv]
@@ -285,7 +300,9 @@ class Solver:
         self._history.append(cost)
         if gap < 1e-3 and (self._best is None or cost < self._best[0]):
             self._best = (cost, x)
+        self._tried.late = self._tried.late or late()
         stop = self._interrupted = self._interrupted or self._interrupts.stopped
+        stop = stop or self._tried.late
         if self._progress is not None and self._progress(len(self._history) - 1, cost):
             self._interrupted = stop = True
         return stop
@@ -318,8 +335,30 @@ class Solver:
         return gap < _GAP and change < _SETTLED * abs(self._history[-1])
 
     def solve(self, start: Array, lower: Array, upper: Array, *, exact: bool = False) -> Solution:
-        """Run from ``start`` (size,) within bounds (size,); ``exact`` where the start is near an optimum."""
+        """Run from ``start`` (size,) within bounds (size,); ``exact`` where the start is near an optimum.
+
+        Raises TimeUp once the time is over; ``best`` is what there is then.
+        """
         return self._run(start, lower, upper, exact, 0.0 if exact else _DAMPING)
+
+    def forget(self) -> None:
+        """Drop the best iteration."""
+        self._history, self._best = [], None
+
+    @property
+    def iterations(self) -> int:
+        """Iterations of the last run."""
+        return max(len(self._history) - 1, 0)
+
+    @property
+    def best(self) -> tuple[float, Array] | None:
+        """Objective and point (size,) of the best iteration of the last run whose intervals nearly join."""
+        return self._best
+
+    @property
+    def last(self) -> tuple[float, Array] | None:
+        """Objective and point (size,) of the last iteration of the last run, whatever its gaps."""
+        return (self._history[-1], self._last) if self._history else None
 
     def gauss_newton(
         self,
@@ -343,7 +382,7 @@ class Solver:
         problem.exact, problem.damping = near and self._stop is None, damping
         self._history, self._best, self._interrupted = [], None, False
         self._last = self._tried.last = start
-        self._tried.points = self._tried.refused = 0
+        self._tried.points, self._tried.refused, self._tried.late = 0, 0, False
         self._before, self._bent, self._flat = problem.evaluations, 0, False
         joints = problem.rows - problem.user.count
         low = np.concatenate([problem.user.lower, np.zeros(joints)])
@@ -354,6 +393,8 @@ class Solver:
             if function.failure is not None:
                 failure, function.failure = function.failure, None
                 raise failure
+        if self._tried.late:
+            raise TimeUp
         stats = solver.stats()
         words = str(stats["return_status"])
         x = np.asarray(answer["x"], dtype=float).ravel()
@@ -367,4 +408,4 @@ class Solver:
         else:
             status = f"not converged: {_WORDS.get(words, words.replace('_', ' ').lower())}"
         lam_g, lam_x = (np.asarray(answer[key], dtype=float).ravel() for key in ("lam_g", "lam_x"))
-        return Solution(x, lam_g, lam_x, status, max(len(self._history) - 1, 0), words)
+        return Solution(x, lam_g, lam_x, status, self.iterations, words)

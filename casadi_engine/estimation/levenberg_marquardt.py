@@ -15,6 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.deadline import ask
+
 Array = NDArray[np.float64]
 
 # Damping at first as a share of the diagonal, its least, and where the search gives up; its change after a step that
@@ -80,6 +82,7 @@ def minimise(
     for count in range(steps):
         if stop(here.cost):
             return Minimum(x, here, count, converged=False)
+        ask()
         room = (low - x, high - x, reach * longest(x))
         moved, foretold, short = _best_step(here, learnt if trusted else None, room, damping)
         if abs(foretold) < fall and not short and damping > _SMALL and looked < _LOOKS:

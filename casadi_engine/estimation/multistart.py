@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.deadline import TimeUp, best_wanted
 from casadi_engine.errors import EstimationError
+from casadi_engine.estimation.cut_short import Starts, in_time
 from casadi_engine.estimation.fit import Optimum
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import uncertainty
@@ -38,11 +40,15 @@ def attempts_from(
     outcomes : runs several starts at a time, in their order (see ``workers``); None runs one after the other
     """
     attempts: list[Attempt] = []
-    run = outcomes or _one_by_one(search, finish=len(starts) == 1 and not neighbours)
+    run = outcomes or Starts(search, finish=len(starts) == 1 and not neighbours)
     try:
-        if _tried(run, attempts, starts) and neighbours:
-            _follow(search, run, attempts, neighbours)
-        return _finished(search, attempts)
+        try:
+            if _tried(run, attempts, starts) and neighbours:
+                _follow(search, run, attempts, neighbours)
+        except TimeUp:
+            if not attempts or not best_wanted():
+                raise
+        return in_time(lambda: _finished(search, attempts))
     finally:
         search.close()
 
@@ -73,21 +79,6 @@ def _alike(one: Attempt, other: Attempt) -> bool:
 def interrupted(attempts: list[Attempt]) -> bool:
     """True if a search was ended by the user."""
     return any(attempt.solution.status == "interrupted" for attempt in attempts)
-
-
-def _one_by_one(search: Search, *, finish: bool) -> Outcomes:
-    def run(starts: list[Array], first: bool) -> Iterator[Attempt | EstimationError]:
-        for k, start in enumerate(starts):
-            try:
-                attempt = search.run(start, first=first and k == 0, finish=finish)
-            except EstimationError as error:
-                yield error
-                continue
-            yield attempt
-            if attempt.solution.status == "interrupted":
-                return
-
-    return run
 
 
 def _tried(run: Outcomes, attempts: list[Attempt], starts: list[Array]) -> bool:

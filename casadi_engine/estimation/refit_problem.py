@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
-import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.deadline import TimeUp, late
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.constraints import Priors
 from casadi_engine.estimation.coordinates import Coordinates
@@ -44,6 +43,7 @@ _CLOSED, _CLOSINGS = 1e-2, 6
 _ENOUGH = 3
 # Rounds of shorter integration steps, each with a few steps from where the last one ended.
 _SHORTENED = 4
+_TIME_UP = "the time was up"
 # Growth of a window from one horizon to the next.
 _GROWTH = 8
 # Propagators of a linear core.
@@ -83,7 +83,6 @@ class RefitProblem:
         self.priors = Priors(self.pmap, self.coordinates)
         self.bounds = self.coordinates.of(self.pmap.lower), self.coordinates.of(self.pmap.upper)
         zero = (self.pmap.start == 0) & ~self.coordinates.log
-        self.deadline = math.inf  # of time.perf_counter(), at which searches end
         self._endless = np.where(zero, np.inf, 1.0)
 
     # ---- run
@@ -121,9 +120,12 @@ class RefitProblem:
         self._as_fine_as(warm)
         place, status = self._descended(ladder[-1], v, nodes, most, last=True)
         for _ in range(_SHORTENED):
-            if status != "converged" or not shorten_steps(self.records, place.v, place.nodes):
-                break
-            place, status = self._descended(ladder[-1], place.v, list(place.nodes), most, last=True)
+            try:
+                if status != "converged" or not shorten_steps(self.records, place.v, place.nodes):
+                    break
+                place, status = self._descended(ladder[-1], place.v, list(place.nodes), most, last=True)
+            except TimeUp:  # what there is stays what it was
+                status = _TIME_UP
         return self._answer(place, states or list(place.nodes), status)
 
     def _as_fine_as(self, warm: Refit | None) -> None:
@@ -146,25 +148,23 @@ class RefitProblem:
             before = windows.best.squares.cost
             unit = max(1.0, 2 * before / self.count)  # of chi-squared, where the model is wrong
             fall = _FALL * unit if last else max(_HALF, _SHARE * before)
-            found = minimise(
-                windows, v, low, high, fall=fall, steps=most, longest=self._longest, stop=self._late
-            )
-            assert found is not None  # it was evaluated above
-            v, converged = windows.best.v, found.converged
-            if (
-                windows.evaluations > _ENOUGH * most or self._late()
-            ):  # gaps that open again as often as they are closed
+            try:
+                found = minimise(windows, v, low, high, fall=fall, steps=most, longest=self._longest)
+                assert found is not None  # it was evaluated above
+                v, converged = windows.best.v, found.converged
+                if windows.evaluations > _ENOUGH * most:  # gaps that open again as often as they are closed
+                    converged = False
+                    break
+                if not last or (
+                    self._closed(windows, fall) and before < 2 * max(windows.best.squares.cost, self.count)
+                ):
+                    break
+            except TimeUp:  # the best point so far
                 converged = False
                 break
-            if not last or (
-                self._closed(windows, fall) and before < 2 * max(windows.best.squares.cost, self.count)
-            ):
-                break
         self._steps += windows.evaluations
-        return windows.best, "converged" if converged else f"the {most} steps over a horizon ran out"
-
-    def _late(self, _: float = 0.0) -> bool:
-        return time.perf_counter() > self.deadline
+        why = _TIME_UP if late() else f"the {most} steps over a horizon ran out"
+        return windows.best, "converged" if converged else why
 
     def _closed(self, windows: Windows, fall: float) -> bool:
         """Close the gaps; True if the cost is the one that the search ended at."""

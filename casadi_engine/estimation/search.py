@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.deadline import TimeUp, late, lifted
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.constraints import ParameterConstraints, Priors
 from casadi_engine.estimation.coordinates import Coordinates
@@ -55,7 +56,8 @@ class Attempt:
     v : (nv,) coordinates of the parameters; sigma : (ny,) noise levels found; cost : chi-squared + priors at these;
     merit : what starts are compared by, -2 log likelihood but for a constant; start : (nz,) parameters at the start
     searched : what was searched on, in words; begun : where the search in the frequency domain ended, if there was one;
-    pending : it has yet to look at all samples
+    pending : it has yet to look at all samples; cut : it was ended before its end (see ``cut_short``), and its cost is
+    at the levels that it had then
     """
 
     solution: Solution
@@ -68,6 +70,7 @@ class Attempt:
     searched: str = "all samples"
     begun: Begun | None = None
     pending: bool = False
+    cut: bool = False
 
 
 class Search:
@@ -110,6 +113,8 @@ class Search:
         self._spectral: SpectralStarts | None = None  # set up once it is wanted
         self._before = 0  # iterations in the frequency domain, before those on all samples
         self._first: tuple[Array, Array] | None = None  # the set's own start and its variables, once laid out
+        # objective, point (size,) and levels (ny,) of the last solution of a run
+        self.reached: tuple[float, Array, Array] | None = None
         self._lay(noise, Coordinates(self.pmap))
         if self.problem.nv:
             check_samples(noise, self.records, self.free_count, len(self.pmap.priors))
@@ -310,6 +315,8 @@ class Search:
 
         finish : take the last steps on all samples, whatever the search began on; else see ``finished``
         """
+        self.reached = None
+        self.solver.forget()
         z = self._warm_values(z) if first and self.warm is not None else z
         given, z = z, self._approached(z) if first else z
         self._weigh(self.levels.first(self.warm if first else None))
@@ -321,6 +328,8 @@ class Search:
             begun = self.spectral.search(z, steps=self.solver.most)
             if begun is not None and begun.converged and not finish and not any(self.levels.estimated):
                 return self._unfinished(begun, given)
+            if begun is not None and begun.stopped:
+                return self._stopped(begun, given)
             solution, searched = self._on_all_samples(begun)
             why = "the frequency domain led nowhere"
         if solution is None:
@@ -330,6 +339,14 @@ class Search:
         solution, iterations = self._levelled(solution)
         last = self._outcome(self._blamed(solution), iterations, given)
         return replace(last, searched=searched, begun=begun)
+
+    def _stopped(self, begun: Begun, z: Array) -> Attempt:
+        """The attempt where the time was over, or the user ended it, in the frequency domain."""
+        with lifted():
+            solution, searched = self._on_all_samples(begun)
+            if solution is None:
+                raise TimeUp
+            return replace(self._outcome(solution, begun.steps, z), searched=searched, begun=begun)
 
     def _unfinished(self, begun: Begun, z: Array) -> Attempt:
         """The attempt at an optimum in the frequency domain, at known noise levels."""
@@ -410,6 +427,8 @@ class Search:
         for _ in range(_ROUNDS if self.settles else 0):
             if solution.status != "converged":
                 break
+            if self.solver.best is not None:
+                self.reached = self.solver.best[0], solution.x, self.sigma
             weights = self.levels.weights(self.levels_at(solution.x))
             change = np.abs(weights / self.sigma - 1).max()
             self._weigh(weights)
@@ -430,12 +449,12 @@ class Search:
                 nodes = [lay.take(x) for lay in self.problem.layouts]
                 if not shorten_steps(self.records, x[: self.problem.nv], nodes):
                     break
-            except (FloatingPointError, np.linalg.LinAlgError):
+                self.problem.forget()
+                solution = self.solver.solve(x, self.lower, self.upper, exact=True)
+                solution, more = self._levelled(solution)
+                found = self._outcome(self._blamed(solution), attempt.iterations + more, attempt.start)
+            except (FloatingPointError, np.linalg.LinAlgError, TimeUp):
                 break
-            self.problem.forget()
-            solution = self.solver.solve(x, self.lower, self.upper, exact=True)
-            solution, more = self._levelled(solution)
-            found = self._outcome(self._blamed(solution), attempt.iterations + more, attempt.start)
             attempt = replace(found, searched=attempt.searched, begun=attempt.begun)
         return attempt
 
@@ -484,18 +503,25 @@ class Search:
         x = solution.x
         before = self._objective(x)
         if any(self.levels.estimated) and np.isfinite(before):
+            self.reached = before, x, self.sigma
+            self.solver.forget()  # its objective is at these levels
             self._weigh(self.levels_at(x))
         objective = self._objective(x)
         scale = objective / before if before > 0 else 1.0
         solution = replace(solution, lam_g=solution.lam_g * scale, lam_x=solution.lam_x * scale)
+        return self.attempt(solution, objective, self.sigma.copy(), iterations, z)
+
+    def attempt(
+        self, solution: Solution, objective: float, sigma: Array, iterations: int, z: Array
+    ) -> Attempt:
+        """The outcome of a start z with this objective at the levels (ny,)."""
         cost = 2 * self.problem.samples * objective
-        merit = cost + 2 * float(np.log(self.sigma) @ self.levels.counts)
-        v = x[: self.problem.nv]
-        return Attempt(solution, v, self.sigma.copy(), cost, merit, iterations, z)
+        merit = cost + 2 * float(np.log(sigma) @ self.levels.counts)
+        return Attempt(solution, solution.x[: self.problem.nv], sigma, cost, merit, iterations, z)
 
     def cost_of(self, attempt: Attempt, sigma: Array) -> float:
         """The cost of an attempt at other noise levels (ny,)."""
-        if attempt.pending:  # at known levels, and without the nodes that all samples ask for
+        if attempt.pending or attempt.cut:  # at known levels, and without the nodes that all samples ask for
             return attempt.cost
         self._weigh(sigma)
         return 2 * self.problem.samples * self._objective(attempt.solution.x)
@@ -521,7 +547,7 @@ class Search:
     def watch(self, iteration: int, objective: float) -> bool:
         """Show a point of a search that is not the solver's; True if the user ends it."""
         self._before = 0
-        return self._report(iteration, objective) or self._interrupts.stopped
+        return self._report(iteration, objective) or self._interrupts.stopped or late()
 
     def tell(self, attempt: Attempt) -> None:
         """Report a search that another process has finished; what the progress asks for comes too late."""

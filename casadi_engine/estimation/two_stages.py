@@ -7,12 +7,16 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from casadi_engine.deadline import TimeUp, best_wanted, lifted
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.final_check import response
 from casadi_engine.estimation.ipopt import Solution
 from casadi_engine.estimation.lower_rate import LowerRate
 from casadi_engine.estimation.search import Attempt, Search
+
+Array = NDArray[np.float64]
 
 # Optima of the first stage whose chi-squared lies so far above the best are not followed: the whole data move their
 # difference by less.
@@ -108,17 +112,27 @@ def _followed(whole: Search, first: Search, attempt: Attempt, *, search: bool) -
     z = first.coordinates.values(attempt.v)
     whole.warm = _end_of(first, attempt)
     z = np.clip(z, whole.pmap.lower, whole.pmap.upper)
-    if search:
-        try:
-            return whole.run(z, first=True)
-        except EstimationError:  # where the first stage ended the whole data cannot be simulated
-            whole.warm = None
-            return whole.run(attempt.start, first=False)
-    x = whole._start(z, first=True)
-    x[: whole.problem.nv] = whole.coordinates.of(z)
-    none = np.zeros(whole.problem.rows), np.zeros(whole.problem.size)
-    solution = Solution(x, *none, attempt.solution.status, 0, attempt.solution.words)
-    return whole._outcome(solution, 0, z)
+    try:
+        if search:
+            return _run(whole, attempt, z)
+    except TimeUp:
+        if not best_wanted():
+            raise
+    with lifted():
+        x = whole._start(z, first=True)
+        x[: whole.problem.nv] = whole.coordinates.of(z)
+        none = np.zeros(whole.problem.rows), np.zeros(whole.problem.size)
+        status = "interrupted" if search else attempt.solution.status
+        return whole._outcome(Solution(x, *none, status, 0, attempt.solution.words), 0, z)
+
+
+def _run(whole: Search, attempt: Attempt, z: Array) -> Attempt:
+    """The search on all samples from where the first stage ended."""
+    try:
+        return whole.run(z, first=True)
+    except EstimationError:  # there the whole data cannot be simulated
+        whole.warm = None
+        return whole.run(attempt.start, first=False)
 
 
 def _end_of(first: Search, attempt: Attempt) -> _Found:

@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.deadline import Deadline, TimeUp, ask, best_wanted, late, left
 from casadi_engine.errors import EstimationError
+from casadi_engine.estimation.cut_short import so_far
 from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.parallel import spread
 from casadi_engine.estimation.search import Attempt, Search
@@ -28,6 +30,7 @@ class _Piece:
     arguments: Mapping[str, Any]
     start: Array
     first: bool
+    seconds: float
 
 
 @dataclass
@@ -45,11 +48,15 @@ class Workers:
     _fit: str = field(default_factory=lambda: uuid.uuid4().hex)
 
     def outcomes(self, starts: list[Array], first: bool) -> Iterator[Attempt | EstimationError]:
-        """The outcomes in the starts' order; after Ctrl-C those that are there."""
-        pieces = [_Piece(self._fit, self.arguments, z, first and k == 0) for k, z in enumerate(starts)]
+        """The outcomes in the starts' order; after Ctrl-C, or once the time is over, those that are there."""
+        pieces = [
+            _Piece(self._fit, self.arguments, z, first and k == 0, left()) for k, z in enumerate(starts)
+        ]
         found: dict[int, Attempt | EstimationError] = {}
         try:
             for k, outcome in spread(_outcome, pieces, jobs=self.jobs):
+                if outcome is None:  # the time was over before it had come to anything
+                    continue
                 found[k] = outcome
                 if isinstance(outcome, Attempt) and self.finished is not None:
                     self.finished(outcome)
@@ -59,8 +66,8 @@ class Workers:
         except Exception:
             if not self.interrupts.stopped:
                 raise
-        if not found and self.interrupts.stopped:
-            raise KeyboardInterrupt
+        if not found or (late() and not best_wanted()):
+            raise TimeUp
         yield from (found[k] for k in sorted(found))
 
 
@@ -68,14 +75,19 @@ def _ended(outcome: Attempt | EstimationError) -> bool:
     return isinstance(outcome, Attempt) and outcome.solution.status == "interrupted"
 
 
-def _outcome(piece: _Piece) -> Attempt | EstimationError:
-    """In the worker: the problem is set up once for a fit."""
-    if getattr(_own, "fit", None) != piece.fit:
-        _own.interrupts = Interrupts()
-        _own.search = Search(**piece.arguments, progress=None, interrupts=_own.interrupts)
-        _own.fit = piece.fit
-    try:
-        with _own.interrupts:
-            return _own.search.run(piece.start, first=piece.first, finish=False)
-    except EstimationError as error:
-        return error
+def _outcome(piece: _Piece) -> Attempt | EstimationError | None:
+    """In the worker: the problem is set up once for a fit. None where the time was over before the first point."""
+    with Deadline(piece.seconds):
+        try:
+            ask()
+            if getattr(_own, "fit", None) != piece.fit:
+                _own.interrupts = Interrupts()
+                _own.search = Search(**piece.arguments, progress=None, interrupts=_own.interrupts)
+                _own.fit = piece.fit
+            with _own.interrupts:
+                return _own.search.run(piece.start, first=piece.first, finish=False)
+        except EstimationError as error:
+            return error
+        except TimeUp:
+            known = getattr(_own, "fit", None) == piece.fit
+            return so_far(_own.search, piece.start, "interrupted") if known else None

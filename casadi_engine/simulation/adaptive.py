@@ -13,6 +13,7 @@ from functools import partial
 import casadi as ca
 import numpy as np
 
+from casadi_engine.deadline import ask
 from casadi_engine.simulation.adaptive_steps import cvodes, dormand_prince, error_norm
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.switched_field import Mode, Segment, SwitchedField
@@ -143,6 +144,7 @@ class Adaptive:
         return x
 
     def _count(self) -> None:
+        ask(1)
         self.steps += 1
         if self.steps > MOST_STEPS or self.events > MOST_EVENTS:
             raise FloatingPointError(TOO_MANY)

@@ -15,6 +15,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
+from casadi_engine.deadline import ask
 from casadi_engine.model import Model
 from casadi_engine.simulation.grouped_scan import Pushed, constant_scan, varying_scan
 from casadi_engine.simulation.jets import Array
@@ -206,6 +207,7 @@ class Sweep:
         """The steps from sample to sample, part by part."""
         steps = self.path.grid.samples - 1
         for first in range(0, steps, _PART):
+            ask()
             yield slice(first, min(first + _PART, steps))
 
     def steps(self) -> Iterator[tuple[slice, Array, Array, list[tuple[Points, Array]]]]:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.deadline import ask
 from casadi_engine.simulation import jets
 from casadi_engine.simulation.exponential_pushes import Pushes
 from casadi_engine.simulation.exponential_step import STAGES
@@ -89,6 +90,7 @@ def _adjoint(
     omega = np.empty((made.steps, STAGES * nw, count))
     mu = np.array(lam)
     for k in range(made.steps - 1, -1, -1):
+        ask()
         row, torques = rows[k], omega[k]
         row[:n] = mu
         np.matmul(back.turn, mu, out=torques)
@@ -126,6 +128,7 @@ def _crossed(
     pulled = np.empty((len(chosen), size, count))
     by_z = path.slopes[1].reshape(made.steps, STAGES, len(made.laws.active), nw, count)
     for k in range(made.steps - 1, -1, -1):
+        ask()
         np.matmul(pull, rows[k], out=pulled.reshape(len(pull), count))
         own[:n] = nu
         torques = pulled[n:]

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from casadi_engine.deadline import ask
 from casadi_engine.errors import SimulationError
 from casadi_engine.model import Model
 from casadi_engine.simulation import jets
@@ -285,6 +286,7 @@ class ExponentialPropagator:
         by_signal, by_z = slopes
         shown = [[(int(i), float(row[i])) for i in np.flatnonzero(row)] for row in matrices.c[0]]
         for k in range(self.steps):
+            ask(count)
             if k % self.substeps == 0:
                 _observe(shown, current, found[:, k // self.substeps])
             s = ds[k]

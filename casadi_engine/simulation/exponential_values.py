@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from casadi_engine.deadline import ask
 from casadi_engine.simulation.exponential_step import STAGE_NODES, STAGES, StepMatrices
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.laws import NODES, Laws
@@ -50,6 +51,7 @@ def by_arrays(matrices: StepMatrices, laws: Laws, given: Array, v: Array, z: Arr
     signals = np.empty((len(v), STAGES, ns, count))
     torque_of, x = laws.torques(z), nodes.T
     for k in range(len(v)):
+        ask(count)
         column, stage = columns[k], signals[k]
         column[:n] = x
         torques = column[at_law:]
@@ -80,6 +82,7 @@ def by_machine(matrices: StepMatrices, laws: Laws, given: Array, v: Array, z: Ar
     flat = given.reshape(steps, len(NODES) * rows, count)
     x = nodes.T
     for k in range(0, steps, size):
+        ask(size * len(nodes))
         # The last sweep steps back over what is done rather than being of another length.
         first = min(k, steps - size)
         if first < k:

@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.deadline import ask
 from casadi_engine.model import Model
 from casadi_engine.simulation import jets
 from casadi_engine.simulation.discretisation import DiscreteCore, Discretisation, Method
@@ -146,6 +147,7 @@ class GappyPredictor:
         if order:
             t[0, :, 1 + nz :] = np.eye(n)[:, :, None]
         for k, groups in enumerate(self._at):
+            ask(plan.m)
             for p, at in groups:
                 now, f = t[k][:, :, at], parts[p].f
                 moved = (f[0] @ now.reshape(n, -1)).reshape(now.shape)

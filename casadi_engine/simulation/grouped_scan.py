@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.deadline import ask
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.variational import scan
 
@@ -52,6 +53,7 @@ def constant_scan(
         most = max(1, _CACHED // (many * (n + one.turn.shape[2])))
         step = np.concatenate([f, one.turn[0]], axis=1)
         for first in range(0, len(one.columns), most):
+            ask()
             here = slice(first, first + most)
             columns = one.columns[here]
             wide = len(columns)
@@ -89,6 +91,7 @@ def varying_scan(f: Array, c: Array, pushed: Iterable[Pushed], start: Array) -> 
     end = np.empty_like(start)
     for one in pushed:
         for first in range(0, len(one.columns), _TOGETHER):
+            ask()
             here = slice(first, first + _TOGETHER)
             columns = one.columns[here]
             push = one.turn @ np.ascontiguousarray(one.force[:, here].transpose(2, 0, 1))

@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.deadline import ask
 from casadi_engine.model import Model
 from casadi_engine.simulation import jets
 from casadi_engine.simulation.blocks import Blocks, block_matrices
@@ -240,6 +241,7 @@ class LinearPropagator:
         x, phi = np.zeros((1 + nz, self.n, self.intervals.m)), np.eye(self.n)
         x[0] = nodes.T
         for at in parts:
+            ask((at.stop - at.start) * self.intervals.m)
             path = self._advance(blocks, self._drive_columns(z, at), at, x, phi)
             x, phi, path.blocks = path.x[-1], path.phi[-1], made
             yield path

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.deadline import TimeUp, ask
 from casadi_engine.model import Model
 from casadi_engine.simulation.drives import Drives
 from casadi_engine.simulation.grid import Grid
@@ -205,6 +206,7 @@ class RungeKuttaPropagator:
         return to_rows(plan, off.transpose(2, 0, 1)[None])[0], cells
 
     def _lay(self, fineness: Fineness) -> None:
+        ask()
         if int(fineness.counts.sum()) > self._most + len(fineness.counts):
             raise FloatingPointError("the equations ask for more integration steps than are allowed")
         self._fineness, self._last = fineness, None
@@ -282,7 +284,7 @@ class RungeKuttaPropagator:
                     return found
                 self._finer(found)
             raise FloatingPointError("the model's state is not finite here")
-        except FloatingPointError:
+        except (FloatingPointError, TimeUp):
             # What no steps can evaluate, such as a root of less than 0, asks for none of the points to come.
             self._fineness, self.layout, self._sweeps = before
             raise
@@ -343,6 +345,7 @@ class RungeKuttaPropagator:
         s = np.zeros((layout.steps + plan.m, n, n + self.nz))
         s[layout.at[0], :, :n] = np.eye(n)
         for steps, after in layout:
+            ask()
             found = a[steps] @ s[steps]
             found[..., n:] += b[steps]
             s[after] = found

@@ -10,6 +10,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from casadi_engine.deadline import ask
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.stage_slope import StageSlope
 from casadi_engine.simulation.step_layout import StepLayout
@@ -18,6 +19,8 @@ from casadi_engine.simulation.tape import ArrayFunction
 
 # From this number of intervals on, array operations step all of them faster than CasADi's machine does.
 _WIDE = 40
+# Steps that are made at once where none waits for another: beyond, what waits for an end is asked in between.
+_MANY = 65536
 # Steps of one sweep of the virtual machine.
 _SWEEP = 256
 # Newton's method: most iterations; change, relative to the state, after which the next would be below rounding.
@@ -51,6 +54,7 @@ class Sweeps:
             return begun, None
         step = _array_step(self.slope, self.scheme).bound(z)
         for own, after in layout:
+            ask(len(after))
             begun[:, after] = step(begun[:, own], self._given[:, own])[0]
         return begun, None
 
@@ -72,6 +76,7 @@ class Sweeps:
             # The last sweep steps back over what is done rather than being of another length.
             first = min(k, steps - size)
             own = place[first : first + size].T.ravel()
+            ask(len(own))
             swept = np.asarray(sweep(begun[:, place[first]], self._given[:, own], many), dtype=float)
             begun[:, place[first + 1 : first + 1 + size].T.ravel()] = swept
 
@@ -97,6 +102,7 @@ class Sweeps:
         start, at, by_x, by_z = begun[:, :steps], [], [], []
         slopes: list[Array] = []
         for i in range(self.scheme.stages):
+            ask(steps)
             x = start if stages is None else stages[i]
             if stages is None:
                 for weight, slope in zip(self.scheme.a[i], slopes, strict=False):
@@ -123,6 +129,7 @@ def solve_stages(scheme: Tableau, function: object, x: Array, guess: Array, give
     size, n, count = guess.shape
     stages, before = guess, np.full(guess.shape, np.inf)
     for _ in range(_ITERATIONS):
+        ask(size * count)
         columns = np.ascontiguousarray(stages.transpose(1, 0, 2)).reshape(n, -1)
         value, slope = function(columns, given)  # type: ignore[operator]
         value = value.reshape(n, size, count).transpose(1, 0, 2)
@@ -155,6 +162,11 @@ def advance(
     length: Array,
 ) -> Array:
     """Ends (n, K) of K single steps from x (n, K), each whole (with all its parts); NaN where there is none."""
+    if x.shape[1] > _MANY:
+        parts = [slice(k, k + _MANY) for k in range(0, x.shape[1], _MANY)]
+        each = [(x[:, p], low[:, p], high[:, p], time[p], length[p]) for p in parts]
+        return np.concatenate([advance(slope, scheme, z, *own) for own in each], axis=1)
+    ask()
     nodes = dict.fromkeys(scheme.c.tolist())
     for part in range(slope.parts):
         which = np.full(len(time), part)

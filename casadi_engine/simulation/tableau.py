@@ -13,10 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.deadline import ask
 from casadi_engine.simulation.jets import Array
 
 # Rows of matrices up to which products of many of them are formed entry by entry.
 _FEW = 4
+# Steps of which the sensitivities are made at once: beyond, what waits for an end is asked in between.
+_MANY = 65536
 # A norm that bounds the eigenvalues closely enough, and of how many matrices these are found where norms are larger.
 _SMALL, _WORST = 0.2, 16
 
@@ -82,6 +85,14 @@ def stage_sensitivities(scheme: Tableau, by_x: Array, by_z: Array) -> tuple[Arra
 
     by_x : (S, ..., n, n) and by_z : (S, ..., n, nz) derivatives of φ at the stages
     """
+    if by_x.ndim == 4 and by_x.shape[1] > _MANY:
+        parts = [
+            stage_sensitivities(scheme, by_x[:, k : k + _MANY], by_z[:, k : k + _MANY])
+            for k in range(0, by_x.shape[1], _MANY)
+        ]
+        slopes, values = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
+        return slopes, values
+    ask()
     n = by_x.shape[-1]
     wide = n + by_z.shape[-1]
     identity = np.zeros((n, wide))

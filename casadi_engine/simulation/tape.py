@@ -12,6 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casadi_engine.deadline import ask
 from casadi_engine.simulation.jets import Array
 
 # Columns worked on at a time: the arrays of one instruction then stay in the cache.
@@ -120,6 +121,7 @@ class ArrayFunction:
             if count <= _CHUNK:
                 self._run(arguments, outputs)
             for k in range(0, count if count > _CHUNK else 0, _CHUNK):
+                ask()
                 part = slice(k, k + _CHUNK)
                 self._run([_part(a, part) for a in arguments], [out[:, part] for out in outputs])
         return outputs

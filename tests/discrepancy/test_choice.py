@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 import casadi_engine as ce
+from casadi_engine.deadline import Deadline
 from casadi_engine.discrepancy import choice as module
 from casadi_engine.discrepancy import refits
 from casadi_engine.discrepancy.choice import Choice, key_of
+from casadi_engine.discrepancy.fresh import Portions
+from casadi_engine.discrepancy.fresh_choice import FreshChoice
 from casadi_engine.discrepancy.refit import Refitter, addition
 from casadi_engine.discrepancy.screening import screen
 from casadi_engine.discrepancy.start import Start
@@ -260,26 +263,29 @@ def test_an_interrupted_choice_has_the_best_fit_so_far(prepared, named):
 
 
 def test_without_time_there_is_no_round(prepared):
-    made = prepared(rubbing, budget=0.0)
-    made.choice.run(made.fit)
+    deadline = Deadline(0.0, spare=600.0)
+    made = prepared(rubbing, deadline=deadline)
+    with deadline, deadline.spared(0.5):
+        made.choice.run(made.fit)
     assert made.choice.best == frozenset()
+    assert made.choice.failed == {"any effect": "the time was up"}
     assert made.choice.rounds == []
     assert not any(text.startswith("refit") for text in made.said)
 
 
 def test_what_the_time_did_not_allow_is_listed(prepared, monkeypatch):
     """The best of what was refitted is kept all the same."""
-    made = prepared(rubbing)
-    refits = []
-    monkeypatch.setattr(Choice, "_late", lambda self: len(refits) > 0)
+    deadline = Deadline(spare=600.0)
+    made = prepared(rubbing, deadline=deadline)
     real = Choice._arrive
 
     def arrive(self, *args):
-        refits.append(args)
-        return real(self, *args)
+        real(self, *args)
+        deadline.stop()
 
     monkeypatch.setattr(Choice, "_arrive", arrive)
-    made.choice.run(made.fit)
+    with deadline:
+        made.choice.run(made.fit)
     assert len(made.choice.rounds) == 1
     late = "the time was up"
     assert made.choice.failed == {"quadratic_drag at pivot": late, "constant_torque at pivot": late}
@@ -354,3 +360,29 @@ def test_a_model_that_cannot_be_simulated_at_its_optimum_is_refused(prepared, mo
 def test_a_key_has_no_order():
     first, second = (SimpleNamespace(candidate=SimpleNamespace(key=key)) for key in (DRY, DRAG))
     assert key_of([first, second]) == key_of([second, first]) == {DRY, DRAG}
+
+
+def test_fresh_data_that_cost_too_much_are_not_judged_and_that_is_said(pendulum, monkeypatch):
+    """What a structure may cost there is known from the first fit."""
+    data = pendulum.decay(rubbing, samples=300)
+    fresh = pendulum.decay(rubbing, samples=300, begun=1.1, seed=5, name="fresh")
+    monkeypatch.setattr(FreshChoice, "_allowed", 100.0)
+    found = ce.repair(
+        pendulum.model, data, fresh=fresh, effects=["coulomb_friction"], noise=ce.Noise(y=pendulum.level), starts=1,
+        progress=False,
+    )  # fmt: skip
+    assert (found.verdict, found.confirmed, found.stopped) == ("named", None, "")
+    said = "the model without effects was not judged on the fresh data: looking for its initial states there had cost"
+    assert any(text.startswith(said) for text in found.messages)
+    assert not any("cannot be simulated" in text for text in found.messages)
+
+
+def test_what_fresh_data_may_cost_grows_with_their_samples(pendulum):
+    data, fresh = pendulum.decay(rubbing, samples=300), pendulum.decay(rubbing, samples=900, name="fresh")
+    allowed = [
+        FreshChoice(None, Portions((data,), own, "records"), print, [], work)._allowed
+        for own, work in (((data,), 1e9), ((fresh,), 1e9), ((fresh, data), 1e9), ((data,), 0.0))
+    ]
+    assert np.diff(allowed[:3]) == pytest.approx([2e9, 1e9], rel=0.02)
+    assert allowed[0] == 1e9
+    assert 0 < allowed[3] < 1e6

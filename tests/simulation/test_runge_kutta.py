@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from casadi_engine.deadline import Deadline, TimeUp
 from casadi_engine.model import Blueprint
+from casadi_engine.simulation import sweeps
 from casadi_engine.simulation.intervals import cut
 from casadi_engine.simulation.linear import LinearPropagator
-from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
-from casadi_engine.simulation.tableau import RADAU
+from casadi_engine.simulation.runge_kutta import Fineness, RungeKuttaPropagator
+from casadi_engine.simulation.tableau import RADAU, RUNGE_KUTTA
 
 NONE = np.zeros(0)
 
@@ -181,3 +183,42 @@ def test_the_same_point_is_not_propagated_twice(made):
     assert finer.begun.shape[1] > path.begun.shape[1]
     again = propagator.propagate(np.ones(1), nodes, 1)
     np.testing.assert_array_equal(again.y, path.y)
+
+
+@pytest.mark.parametrize("scheme", [RUNGE_KUTTA, RADAU], ids=["explicit", "implicit"])
+def test_the_error_of_many_steps_is_made_in_parts(made, scheme, monkeypatch):
+    model = duffing()
+    grid = made.grid(np.sin(0.1 * np.arange(200)), step=0.02)
+    scale, z = made.scale(model), NONE
+    p = ca.DM(model.parameter_vector())
+    fineness = Fineness(scheme, np.ones(199, np.intp))
+    propagator = RungeKuttaPropagator(
+        model, grid, cut(grid, 20), ca.SX(0, 1), p, scale=scale, fineness=fineness
+    )
+    path = propagator.propagate(z, np.zeros((propagator.intervals.m, 2)))
+    off, cells = propagator.arising(z, path)
+    monkeypatch.setattr(sweeps, "_MANY", 16)
+    again, others = propagator.arising(z, path)
+    np.testing.assert_allclose(again, off, rtol=1e-6, atol=1e-16)
+    np.testing.assert_allclose(others, cells, rtol=1e-6, atol=1e-16)
+    with Deadline(0.0), pytest.raises(TimeUp):
+        propagator.arising(z, path)
+
+
+@pytest.mark.parametrize("scheme", [RUNGE_KUTTA, RADAU], ids=["explicit", "implicit"])
+def test_an_integration_whose_time_is_over_leaves_the_steps_as_they_were(made, scheme):
+    model = duffing()
+    grid = made.grid(np.sin(0.1 * np.arange(200)), step=0.02)
+    fineness = Fineness(scheme, np.ones(199, np.intp))
+    propagator = RungeKuttaPropagator(
+        model, grid, cut(grid, 20), ca.SX(0, 1), ca.DM(model.parameter_vector()), scale=made.scale(model),
+        fineness=fineness,
+    )  # fmt: skip
+    nodes = np.zeros((propagator.intervals.m, 2))
+    with Deadline(0.0), pytest.raises(TimeUp):
+        propagator.propagate(NONE, nodes)
+    assert propagator.fineness is fineness
+    with Deadline() as deadline:
+        path = propagator.propagate(NONE, nodes)
+    assert np.isfinite(path.x).all()
+    assert deadline.done >= 199  # a step of every cell at least

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from casadi_engine.deadline import Deadline, TimeUp
+from casadi_engine.simulation import tableau
 from casadi_engine.simulation.tableau import (
     RADAU,
     RUNGE_KUTTA,
@@ -123,3 +125,16 @@ def test_products_of_many_small_matrices():
         a, b = rng.normal(size=(6, 7, n, n)), rng.normal(size=(6, 7, n, 3))
         np.testing.assert_allclose(products(a, b), a @ b, atol=1e-12)
         np.testing.assert_allclose(products(a.swapaxes(-1, -2), b), a.swapaxes(-1, -2) @ b, atol=1e-12)
+
+
+@SCHEMES
+def test_many_steps_are_made_in_parts_that_a_deadline_can_end(scheme, monkeypatch):
+    by_x, by_z = slopes_of(scheme, steps=50)
+    whole = stage_sensitivities(scheme, by_x, by_z)
+    monkeypatch.setattr(tableau, "_MANY", 8)
+    with Deadline() as deadline:
+        for part, wanted in zip(stage_sensitivities(scheme, by_x, by_z), whole, strict=True):
+            np.testing.assert_allclose(part, wanted, atol=1e-12)
+        deadline.stop()
+        with pytest.raises(TimeUp):
+            stage_sensitivities(scheme, by_x, by_z)

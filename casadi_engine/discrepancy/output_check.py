@@ -1,0 +1,108 @@
+"""Outputs that no search for effects has a use for: one that does not move, noise alone, or a few wild samples."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from casadi_engine.discrepancy.null_model import Index
+from casadi_engine.errors import ExperimentError
+from casadi_engine.estimation import Fit
+from casadi_engine.estimation.fit import Trace
+from casadi_engine.experiment import Experiment
+from casadi_engine.model import Model
+from casadi_engine.validation.residual_tests import whiteness
+
+# Values that an output takes where it moves by its resolution at most; samples that this takes to be said.
+_VALUES, _FEW = 2, 8
+# p-value of the whiteness test beyond which an output counts as noise about a constant.
+_WHITE = 0.01
+# Standard deviations, by the median, beyond which a sample is wild; share of all squared residuals that wild ones hold
+# where they decide the fit; share of the samples that they are at most.
+_WILD, _DECIDE, _RARE = 15.0, 0.5, 0.01
+# Share of its median absolute deviation that the standard deviation of a normal variable is.
+_MAD = 1.4826
+_NAMED = 5
+
+
+def refuse_still(model: Model, records: Sequence[Experiment]) -> None:
+    """Raise ExperimentError where no output of any record moves by more than its resolution."""
+    seen = []
+    for record in records:
+        for out in model.outputs:
+            if out.name not in record:
+                continue
+            channel = record[out.name]
+            values = np.unique(channel.values[channel.mask & np.isfinite(channel.values)])
+            if len(values) > _VALUES or len(channel.values) < _FEW:
+                return
+            if len(values):
+                levels = " or ".join(f"{value:.6g}" for value in values)
+                seen.append(f"{out.name} of {record.name} is {levels} in all samples")
+    if seen:
+        raise ExperimentError(
+            "no output moves, and nothing can be learnt from it",
+            seen="; ".join(seen[:_NAMED]),
+            allowed="an output that moves by more than its resolution",
+            cure="look whether the sensor is connected and the channel is the right one; record one with motion",
+        )
+
+
+def noise_alone(fit: Fit) -> str | None:
+    """What to say where every output is white noise about a constant, which the model explains worse than a constant
+    would, although inputs move: a sensor that is stuck, say. None for all others."""
+    names = []
+    for record in fit.data:
+        moves = any(np.ptp(record[v.name].values) > 0 for v in fit.model.inputs if v.name in record)
+        for output, trace in fit.traces[record.name].items():
+            y, e = trace.measured[trace.mask], trace.residual[trace.mask]
+            worse = len(e) > _FEW and float(e @ e) > float(((y - y.mean()) ** 2).sum())
+            if not (moves and worse):
+                return None
+            p = whiteness(np.where(trace.mask, trace.measured - y.mean(), 0.0), mask=trace.mask).p_value
+            if p is None or p < _WHITE:
+                return None
+            names.append(f"{output} of {record.name}")
+    return (
+        f"{', '.join(names[:_NAMED])} does not follow the inputs: it is noise about a constant, and the model fits it "
+        "worse than that constant: look whether the sensor is connected and the channel is the right one"
+    )
+
+
+def wild_samples(fit: Fit) -> str | None:
+    """What to say where a few single samples hold most of the squared residuals: they decide what is fitted, and what
+    could be seen beside them. None where there are none."""
+    found, count, cure = [], 0, ""
+    for record, traces in fit.traces.items():
+        for output, trace in traces.items():
+            places = _wild(trace)
+            if not len(places):
+                continue
+            count += len(places)
+            times = ", ".join(f"{time:.6g}" for time in trace.time[places[:_NAMED]])
+            more = f" and {len(places) - _NAMED} more" if len(places) > _NAMED else ""
+            found.append(f"{output} of {record} at {times} s{more}")
+            cure = cure or f'record.masked("{output}", keep)'
+    if not found:
+        return None
+    sample = "1 single sample holds" if count == 1 else f"{count} single samples hold"
+    return (
+        f"{sample} most of what the model leaves: {'; '.join(found[:_NAMED])}. They decide the fit, and hide what is "
+        f"missing: leave them out, {cure} with keep False there, if they are faults of the measurement"
+    )
+
+
+def _wild(trace: Trace) -> Index:
+    """Numbers of the samples whose residual, and not their neighbours', is far beyond the others', where they hold most
+    of its squares: what an event does lasts for more than one sample."""
+    there = np.flatnonzero(trace.mask)
+    e = trace.residual[there]
+    if len(e) < _FEW:
+        return there[:0]
+    off = np.abs(e - np.median(e))
+    beyond = off > _WILD * _MAD * max(float(np.median(off)), 1e-300)
+    near = np.r_[False, beyond[:-1]] | np.r_[beyond[1:], False]
+    single = beyond & ~near
+    few = single.sum() <= max(1, _RARE * len(e))
+    return there[single] if few and off[single] @ off[single] > _DECIDE * (off @ off) else there[:0]
