@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_engine.deadline import TimeUp
+from casadi_engine.deadline import Deadline, TimeUp
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.null_model import (
     NullModel,
@@ -44,8 +44,10 @@ FAILURES = (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError)
 _AT_BOUND = 1e-8
 # Steps over one horizon: a model that explains the data takes ten, one that does not has not arrived after a hundred.
 _STEPS = 20
-# Corners are sharpened at most so often at once, as long as all records together are integrated in so many steps.
-_SHARPER, _INTEGRATED = 3, 1e5
+# Corners are sharpened at most so often, as long as all records together are integrated in so many steps.
+_SHARPER, _INTEGRATED = 3, 2e4
+# A refit is given up that has cost so many times as much as they do in the middle, and more than this.
+_MANY, _FREE = 20.0, 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +76,7 @@ class Path:
         self.refitter, self.levels = refitter, dict(levels)
         self._made: dict[tuple[Any, ...], tuple[Model, Parameters, RefitProblem]] = {}
         self._kept: list[Addition] = []
+        self._work: list[float] = []  # of the refits so far
 
     def from_point(self, effects: Sequence[Addition], start: Start | Arrived | None) -> Arrived | None:
         """The end of a refit from a point, None for the parameters' own values; None where the model fails."""
@@ -146,13 +149,15 @@ class Path:
         try:
             with np.errstate(all="ignore"):
                 states = [path.x for path in own.paths(arrived.values, arrived.refit.nodes)]
-                for k in range(_followed(own) + 1):
-                    refitter.share = before / SHARPER_BY**k
-                    cost = _cost_along(self._problem(effects)[2], arrived.values, states)
+                while refitter.share >= SHARPER_BY**-_SHARPER:
+                    finer = self._problem(effects)[2]
+                    cost = _cost_along(finer, arrived.values, states)
                     # what is left falls by the factor from one share to the next
-                    if abs(cost - last) * SHARPER_BY / (SHARPER_BY - 1) < felt:
+                    told = abs(cost - last) * SHARPER_BY / (SHARPER_BY - 1) >= felt or math.isnan(last)
+                    if not told or (refitter.share < before and _steps(finer) > _INTEGRATED):
                         return wider
                     last, wider = cost, refitter.share
+                    refitter.share /= SHARPER_BY
         except FAILURES:
             pass  # sharper than the integrator can follow
         finally:
@@ -167,9 +172,11 @@ class Path:
             values = _begun(problem, effects, {} if start is None else start.values)
             # windows begin at the measured states, which a wrong simulation has lost
             initial = (None if start is None or horizons is None else start.initial) or None
-            return _arrived(
-                problem, problem.run(start=values, initial=initial, horizons=horizons, most=_STEPS)
-            )
+            allowed = max(_MANY * float(np.median(self._work)), _FREE) if self._work else math.inf
+            with Deadline(work=allowed) as own:
+                found = problem.run(start=values, initial=initial, horizons=horizons, most=_STEPS)
+            self._work.append(own.done)
+            return _arrived(problem, found)
         except (*FAILURES, TimeUp):
             return None
 
@@ -198,18 +205,16 @@ def _begun(
     return found
 
 
-def _followed(problem: RefitProblem) -> int:
-    """How many times the integrator can follow corners that are sharper by the factor."""
-    room, total = math.inf, 0.0
+def _steps(problem: RefitProblem) -> float:
+    """Steps of the integration over all records; inf where they cannot be shortened any more."""
+    total = 0.0
     for record in problem.records:
         fineness = fineness_of(record.propagator)
         if isinstance(fineness, int):  # steps to every sample alike
-            room = min(room, MOST_SUBSTEPS / fineness)
-            total += fineness * record.grid.samples
+            total += math.inf if fineness >= MOST_SUBSTEPS else fineness * record.grid.samples
         elif isinstance(fineness, Fineness):
             total += float(np.sum(fineness.counts))
-    room = min(room, _INTEGRATED / max(total, 1.0))
-    return min(int(math.log(max(room, 1.0), SHARPER_BY) + 1e-9), _SHARPER)
+    return total
 
 
 def _cost_along(problem: RefitProblem, values: Mapping[str, float], states: Sequence[Array]) -> float:
