@@ -178,12 +178,12 @@ class Choice:
                 return None
             best = self._timed("exchange", lambda: self._exchanged(best, here))  # noqa: B023
             if self._timed("refit", lambda: self._sharpened(best)):  # noqa: B023
-                tried = [self.pool[one.key] for one in tried]
+                here, tried = self.pool[here.key], [self.pool[one.key] for one in tried]
                 continue
             if self._station(best) is not None:
                 break
             if self.refits.blunted():
-                tried = [self.pool[one.key] for one in tried]
+                here, tried = self.pool[here.key], [self.pool[one.key] for one in tried]
                 continue
             self.failed.setdefault(best.label, _NO_FIT)
             best.failed = True

@@ -36,7 +36,6 @@ from casadi_engine.estimation.refit_entry import Refit, RefitProblem
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
-from casadi_engine.simulation.exponential_runge_kutta import MOST_SUBSTEPS
 from casadi_engine.simulation.propagator import fineness_of, switches_with_states
 from casadi_engine.simulation.runge_kutta import Fineness, RungeKuttaPropagator
 
@@ -45,7 +44,9 @@ _AT_BOUND = 1e-8
 # Steps over one horizon: a model that explains the data takes ten, one that does not has not arrived after a hundred.
 _STEPS = 20
 # Corners are sharpened at most so often, as long as all records together are integrated in so many steps.
-_SHARPER, _INTEGRATED = 3, 2e4
+_SHARPER, _INTEGRATED = 3, 1e5
+# What a step of its own length costs in steps of a linear core.
+_OWN = 4.0
 # A refit is given up that has cost so many times as much as they do in the middle, and more than this.
 _MANY, _FREE = 20.0, 1e6
 
@@ -129,12 +130,12 @@ class Path:
             for record in problem.records:
                 record.set_sigma(np.array([levels[out.name] for out in model.outputs]))
 
-    def sharpness(self, effects: Sequence[Addition], arrived: Arrived) -> float:
+    def sharpness(self, effects: Sequence[Addition], arrived: Arrived, worth: float = 1.0) -> float:
         """The share of the motion's widths at which the data do not tell corners from sharper ones.
 
         A corner's width is a bias: friction that sticks creeps. Chi-squared at the values where a refit arrived tells
-        which width is felt, as far as the integrator can follow. Samples count as independent ones there: what a wide
-        corner leaves is coloured itself, and would excuse it.
+        which width is felt, as far as the integrator can follow.
+        worth : the share of the samples that count as independent ones
         """
         refitter, before = self.refitter, self.refitter.share
         wide = [refitter.rounded(one) for one in effects]
@@ -145,7 +146,7 @@ class Path:
         if not corners or switches_with_states(model):
             return before
         last, wider = math.nan, before
-        felt = FELT * max(arrived.cost / max(own.count, 1), 1.0)
+        felt = FELT * max(arrived.cost / max(own.count, 1), 1.0) / worth
         try:
             with np.errstate(all="ignore"):
                 states = [path.x for path in own.paths(arrived.values, arrived.refit.nodes)]
@@ -206,14 +207,14 @@ def _begun(
 
 
 def _steps(problem: RefitProblem) -> float:
-    """Steps of the integration over all records; inf where they cannot be shortened any more."""
+    """Steps of the integration over all records."""
     total = 0.0
     for record in problem.records:
         fineness = fineness_of(record.propagator)
         if isinstance(fineness, int):  # steps to every sample alike
-            total += math.inf if fineness >= MOST_SUBSTEPS else fineness * record.grid.samples
+            total += fineness * record.grid.samples
         elif isinstance(fineness, Fineness):
-            total += float(np.sum(fineness.counts))
+            total += _OWN * float(np.sum(fineness.counts))
     return total
 
 

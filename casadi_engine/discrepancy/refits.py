@@ -28,6 +28,8 @@ FACTOR = 20.0
 PART = 0.3
 # Levels that fall by this share are new ones, at which refits go on.
 _RELEVELLED = 0.7
+# Rivals that are refitted with sharper corners.
+_RIVALS = 6
 
 Key = frozenset[tuple[str, str]]
 
@@ -191,7 +193,8 @@ class Refits:
     def sharpened(self, best: Tried) -> bool:
         """Refit the best structure and its rivals with corners so sharp that the data do not tell them from sharper
         ones; False where they are."""
-        share = self.path.sharpness(best.effects, best.arrived)
+        worth = 1.0 / max(self.levels.memory.values(), default=1.0)
+        share = self.path.sharpness(best.effects, best.arrived, max(worth, 1e-6))
         if self._blunt or share >= self.refitter.share:
             return False
         self._wide = self.refitter.share, dict(self.pool)
@@ -200,8 +203,12 @@ class Refits:
             return not self.blunted()
         sharp = self.pool[best.key]
         least = best.log - abs(sharp.log - best.log) - math.log(FACTOR * len(self.pool))
-        rivals = [one for one in self.pool.values() if one.effects and one.log > least and one is not sharp]
-        for one in sorted(rivals, key=lambda one: -one.log):
+        alike = [one for one in self.pool.values() if len(one.effects) == len(best.effects)]
+        near = sorted(
+            (one for one in alike if one.log > least and one is not sharp), key=lambda one: -one.log
+        )
+        parts = [one for one in self.pool.values() if one.effects and one.key < best.key]
+        for one in (*near[:_RIVALS], *parts):
             if not late():
                 self._again_sharp(one)
         self.weigh()

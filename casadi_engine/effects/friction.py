@@ -51,7 +51,8 @@ class _Rounded(Effect):
         signal, _ = motion(port)
         # by the motion alone: a spring to the ground moves as the mass on it does
         found = narrow(port.courses(signal), _math.inf)
-        found = share * (found if found < _math.inf else rounding(port, None))
+        passed = found < _math.inf
+        found = share * (min(found, SPEED_WIDTH * port.typical(signal)) if passed else rounding(port, None))
         return replace(self, width=float(f"{found:.2g}"))  # type: ignore[type-var]
 
 

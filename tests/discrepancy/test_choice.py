@@ -293,7 +293,7 @@ def test_what_the_time_did_not_allow_is_listed(prepared, monkeypatch):
 
 
 def test_where_whole_fits_fail_with_sharp_corners_the_wider_ones_count_again(prepared, monkeypatch):
-    made = prepared(rubbing, ["coulomb_friction", Alike()], most=1)
+    made = prepared(rubbing, ["coulomb_friction"], most=1)
     real, shares = Choice._station, []
 
     def station(self, tried):
