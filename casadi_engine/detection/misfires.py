@@ -24,7 +24,8 @@ Array = NDArray[np.float64]
 SEGMENT = 0.007  # s: what is unknown at crank and load may change this often, or more
 MOST_SEGMENTS = 8  # of a combustion
 FIRST_LOOK = 2  # engine cycles from which the usual strength is taken at first
-POOR = 2.0  # misfit from which a model is not trusted
+LOUD, POOR = 1.2, 2.0  # misfits from which it is told, and from which a model is not trusted
+NEITHER = 4.3  # standard errors from lost and from usual: one in 100 000 by chance
 FEWEST = 8  # samples of a combustion
 LONGEST_LAG = 6
 
@@ -41,7 +42,9 @@ class Misfires:
     strength, stderr : (K,) its size, 1 for a usual one, and standard error; NaN for the last ``lag`` combustions
     level : (K,) size of the usual combustion, of that in the fit's records
     separation : (K,) d', the distance of a lost from a usual combustion in standard deviations; NaN as ``strength``
-    misfit : how much the samples differ from what the model foretells, over its noise: 1 if both are right
+    misfit : how much the samples differ from what the model foretells, over its noise: 1 if both are right; what is
+        more than noise is counted as noise from combustion to combustion, so that ``probability`` and ``separation``
+        are honest about it, unless it has the shape of a combustion
     lag : combustions that were waited for before one was decided
     """
 
@@ -61,6 +64,20 @@ class Misfires:
     def lost(self) -> NDArray[np.bool_]:
         """(K,) True where a combustion was lost more likely than not."""
         return self.probability > 0.5
+
+    @property
+    def neither(self) -> NDArray[np.bool_]:
+        """(K,) True where the size is neither that of a lost nor that of a usual combustion, but between them.
+
+        A partial burn, or a model that does not fit: whether it counts as lost is then not decided by the data.
+        """
+        usual = (1 - self.strength) * self.separation > NEITHER
+        return usual & (self.strength > NEITHER * self.stderr)
+
+    @property
+    def trusted(self) -> bool:
+        """False where the record refutes the model or its noise: the misfit is above 2."""
+        return bool(self.misfit <= POOR)
 
     @property
     def rate(self) -> dict[int, float]:
@@ -100,7 +117,8 @@ class Misfires:
         arrays = {
             name: [None if one != one else one for one in getattr(self, name).tolist()] for name in names
         }
-        return {"record": self.record, "lag": self.lag, "misfit": self.misfit, **arrays}
+        plain = {"record": self.record, "lag": self.lag, "misfit": self.misfit, "trusted": self.trusted}
+        return {**plain, **arrays}
 
     def __str__(self) -> str:
         rows = [
@@ -116,11 +134,17 @@ class Misfires:
         rows.append(f"separation of lost from usual: {middle:.1f} standard deviations, {low:.1f} at least")
         if ndtr(-middle / 2) > 1e-3:
             rows.append("that is too little to decide each combustion: look at the rates, or at more load")
-        if self.misfit > POOR:
+        between = self.strength[self.neither]
+        if between.size:
             rows.append(
-                f"not to be trusted: the speed differs from the model by {self.misfit:.1f} times its noise; "
-                "give the true sigma, or a model with the crankshaft's torsion"
+                f"{between.size} neither lost nor usual (sizes {between.min():.2f} to {between.max():.2f}): "
+                "partial burns, or a model that does not fit"
             )
+        if self.misfit > LOUD:
+            rows.append(f"the speed differs from the model by {self.misfit:.1f} times its noise")
+        if not self.trusted:
+            rows[-1] = f"not to be trusted: {rows[-1]}; "
+            rows[-1] += "give the true sigma, or a model with the crankshaft's torsion"
         return "\n".join(rows)
 
 
@@ -172,7 +196,7 @@ def misfires(
     -----
     When the throttle closes until hardly anything burns, a combustion and a lost one are alike, and the probability
     stays between 0 and 1; ``separation`` says so. A model without the crankshaft's torsion misses lost combustions at
-    high speed; ``misfit`` says so.
+    high speed; ``misfit`` says so, and ``trusted`` is False.
 
     Examples
     --------
