@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 from scipy.special import ndtr
 
 from casadi_engine.detection.plant import Disturbances, make_plant
@@ -26,6 +27,8 @@ MOST_SEGMENTS = 8  # of a combustion
 FIRST_LOOK = 2  # engine cycles from which the usual strength is taken at first
 LOUD, POOR = 1.2, 2.0  # misfits from which it is told, and from which a model is not trusted
 NEITHER = 4.3  # standard errors from lost and from usual: one in 100 000 by chance
+APART = 0.1  # share by which the speed may differ from what the crank angle turns with
+SPIKE = 20.0  # standard deviations, or means of all, from the median of five samples
 FEWEST = 8  # samples of a combustion
 LONGEST_LAG = 6
 
@@ -76,8 +79,8 @@ class Misfires:
 
     @property
     def trusted(self) -> bool:
-        """False where the record refutes the model or its noise: the misfit is above 2."""
-        return bool(self.misfit <= POOR)
+        """False where the record refutes the model or its noise: the misfit is above 2, or below a half."""
+        return bool(1 / POOR <= self.misfit <= POOR)
 
     @property
     def rate(self) -> dict[int, float]:
@@ -140,11 +143,11 @@ class Misfires:
                 f"{between.size} neither lost nor usual (sizes {between.min():.2f} to {between.max():.2f}): "
                 "partial burns, or a model that does not fit"
             )
-        if self.misfit > LOUD:
+        if self.misfit > LOUD or not self.trusted:
             rows.append(f"the speed differs from the model by {self.misfit:.1f} times its noise")
         if not self.trusted:
             rows[-1] = f"not to be trusted: {rows[-1]}; "
-            rows[-1] += "give the true sigma, or a model with the crankshaft's torsion"
+            rows[-1] += "give the true sigma, an unfiltered record, or a model with the crankshaft's torsion"
         return "\n".join(rows)
 
 
@@ -172,7 +175,8 @@ def misfires(
     ----------
     fit : of a model with cylinders and a linear core (``two_mass``, ``crankshaft``), whose records hold the pressures
     data : a record with the crank angle theta [rad], unwrapped, and the speed [rad/s] in equal steps of time; it needs
-        no pressures and no load
+        no pressures and no load. Its angle is zero where that of the fit's records is: if it is a revolution off, which
+        crank speed alone cannot show, the combustions are put down to the wrong cylinders
     lag : combustions to wait for, 0 to 6
     lost : probability of a combustion to be lost before the record is looked at
     scatter : standard deviation of a combustion's size, cylinders' differences included [1]
@@ -188,8 +192,8 @@ def misfires(
     Raises
     ------
     ModelError : the fit's model is not of that kind
-    ExperimentError : no crank angle, no speed, a crank that turns back, samples not equally spaced or too few, a record
-        shorter than an engine cycle
+    ExperimentError : no crank angle, no speed, a crank that turns back, a speed that is not the angle's, samples not
+        equally spaced or too few, a record shorter than an engine cycle
     EstimationError : an option is not acceptable
 
     Notes
@@ -225,10 +229,10 @@ def misfires(
     """
     _check_options(fit, lag, lost, scatter, step, road)
     tables = learn_torques(fit)
-    time, theta, omega, valid = _samples(data, output)
+    noise = _noise(fit, output, sigma)
+    time, theta, omega, valid = _samples(data, output, noise)
     h = float(time[-1] - time[0]) / (len(time) - 1)
     edges, places = _edges(data, theta, tables, lag)
-    noise = _noise(fit, output, sigma)
     disturbances = Disturbances(float(step), float(road))
     plant = make_plant(fit, output, tables.enter, h, disturbances)
     pieces = min(MOST_SEGMENTS, max(1, math.ceil(float(np.diff(edges).max()) * h / SEGMENT)))
@@ -289,8 +293,18 @@ def _noise(fit: Fit, output: str, sigma: float | None) -> float:
     return float(noise)
 
 
-def _samples(data: Experiment, output: str) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """Times [s], crank angles [rad], speeds [rad/s] at the samples of the speed, and which of these are valid."""
+def _samples(data: Experiment, output: str, noise: float) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """Times [s], crank angles [rad], speeds [rad/s] at the samples of the speed, and which of these are valid.
+
+    They begin with the first valid one. A spike of one or two samples is not valid.
+    """
+    if not isinstance(data, Experiment):
+        raise ExperimentError(
+            "misfires needs one record",
+            seen=type(data).__name__,
+            allowed="an Experiment",
+            cure="read one by read_experiment, and look at each alone",
+        )
     for name, what in (("theta", "crank angle"), (output, "crank speed")):
         if name not in data:
             raise ExperimentError(
@@ -302,6 +316,9 @@ def _samples(data: Experiment, output: str) -> tuple[Array, Array, Array, NDArra
     times, angles = crank_angle(data, "theta")
     speed = data[output]
     inside = (speed.time >= times[0]) & (speed.time <= times[-1])
+    if not (speed.mask & inside).any():
+        raise ExperimentError(f"the speed of {data.name!r} has no valid samples", seen="none", allowed="some")
+    inside[: np.argmax(speed.mask & inside)] = False
     time, omega, valid = speed.time[inside], speed.values[inside], speed.mask[inside]
     steps = np.diff(time)
     if len(time) < 2 or np.ptp(steps) > 0.01 * steps.mean():
@@ -313,9 +330,19 @@ def _samples(data: Experiment, output: str) -> tuple[Array, Array, Array, NDArra
             allowed="equal steps of time",
             cure="interpolate theta and speed to equal steps first",
         )
-    if not valid.any():
-        raise ExperimentError(f"the speed of {data.name!r} has no valid samples", seen="none", allowed="some")
-    return time, np.interp(time, times, angles), np.where(valid, omega, omega[valid][0]), valid
+    angle = np.interp(time, times, angles)
+    turned = float(np.median(np.gradient(angle, time)[valid]))
+    if not abs(np.median(omega[valid]) - turned) <= APART * turned:
+        raise ExperimentError(
+            f"speed and crank angle of {data.name!r} do not agree",
+            seen=f"{np.median(omega[valid]):.4g} rad/s where the angle turns with {turned:.4g} rad/s",
+            allowed=f"equal within {100 * APART:g} %",
+            cure="check their units and signs, and that both are of the crank",
+        )
+    omega = np.interp(time, time[valid], omega[valid])
+    off = np.abs(omega - median_filter(omega, 5))
+    valid = valid & (off <= SPIKE * max(float(off.mean()), noise))
+    return time, angle, np.interp(time, time[valid], omega[valid]), valid
 
 
 def _edges(

@@ -21,6 +21,8 @@ LEVEL_DOUBT = 0.1  # of the usual strength, common to the combustions within the
 LEAST_LEVEL = 0.02  # of the strength in the fit
 EXCESS_GAIN = 0.1  # with which the variance of what the model does not foretell follows
 EXCESS_STEP = 4.0  # most that one window's innovations count: a single jolt is not the model's error
+# Mean square of a window's innovations, over that of the noise, from which its samples count for less: outliers.
+OUTLYING = 9.0
 WIDE = 3.0  # standard deviation of a strength of which nothing is known [1]
 NOISES = 4  # torque on the engine, torque on the load, the road's part, motored gas torque
 
@@ -65,14 +67,22 @@ class Smoother:
 
         oldest : mean and variance (B,) of the strength that leaves the lag
         """
+        before, usual = self.root, self.excess
+        ratio = self._taken(k, oldest)
+        found = usual * ratio
+        if (ratio > OUTLYING).any():
+            self.root, self.excess = before, np.where(ratio > OUTLYING, found, usual)
+            self._taken(k, oldest)
+        self.excess = np.maximum(usual * (1 + EXCESS_GAIN * (np.minimum(ratio, EXCESS_STEP) - 1)), 1.0)
+        return found
+
+    def _taken(self, k: int, oldest: tuple[Array, Array]) -> Array:
+        """Mean square of the innovations of window k over the variance that they are taken up with, (B,)."""
         squares = self._segment(k, 0, oldest)
         for m in range(1, self.segments.rows.shape[2]):
             squares = squares + self._segment(k, m, None)
         samples = self.segments.samples[:, k].sum(axis=-1)
-        ratio = np.where(samples > 0, squares / np.maximum(samples, 1), 1.0)
-        found: Array = self.excess * ratio
-        self.excess = np.maximum(self.excess * (1 + EXCESS_GAIN * (np.minimum(ratio, EXCESS_STEP) - 1)), 1.0)
-        return found
+        return np.where(samples > 0, squares / np.maximum(samples, 1), 1.0)
 
     def strengths(self) -> tuple[Array, Array]:
         """What the samples tell of the last strengths s: |R s - r|² of R (B, lag + 1, lag + 1) and r (B, lag + 1)."""

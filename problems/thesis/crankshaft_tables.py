@@ -86,6 +86,7 @@ def draw(fits, two, full, out):
         hz, density = welch(trace.residual, fs=shared.RATE, nperseg=4096)
         spectrum.semilogy(hz[hz < 700], density[hz < 700], color=colour, label=f"residual of {name}")
     zoom.set(xlabel="time [s]", ylabel="speed [rad/s]", title="Figures 4.14 and 4.20: fresh cycle, simulated")
+    zoom.margins(y=0.25)
     spectrum.set(xlabel="frequency [Hz]", ylabel="density [(rad/s)²/Hz]", title="what is left, fresh record")
     for ax in axes[0]:
         ax.legend(frameon=False, fontsize=7)

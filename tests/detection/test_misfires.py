@@ -82,6 +82,23 @@ def test_missing_samples_cost_no_more_than_what_they_held(fit, made, lost, speed
     assert found.lost.tolist() == truth(found, lost).tolist()
 
 
+def test_samples_that_are_no_speed_do_no_harm(fit, made, lost, speed_only):
+    random = np.random.default_rng(5)
+    wild = made["omega"].copy()
+    wild[random.integers(0, wild.size, 40)] += 50 * random.standard_normal(40)
+    wild[5000] = 1e4
+    wild[9000:9020] += 30
+    found = ce.misfires(fit, speed_only(made | {"omega": wild}))
+    assert found.lost.tolist() == truth(found, lost).tolist()
+    assert found.misfit < 1.1
+    late = made["omega"].copy()
+    late[:3000] = np.nan
+    found = ce.misfires(fit, speed_only(made | {"omega": late}))
+    assert found.time[0] > 0.2
+    assert found.lost.tolist() == truth(found, lost).tolist()
+    assert np.nanmedian(found.separation) > 12
+
+
 def test_the_nonlinear_form_of_the_model_finds_the_same(record, found, fit_of):
     other = ce.misfires(fit_of(ce.two_mass()), record)
     assert other.lost.tolist() == found.lost.tolist()
@@ -101,6 +118,9 @@ def test_noise_that_is_larger_than_said_is_told_and_counted(fit, record, found):
     assert not poor.trusted
     assert "not to be trusted: the speed differs from the model by 5.0 times its noise; give" in str(poor)
     assert np.nanmedian(poor.separation) == pytest.approx(np.nanmedian(found.separation), rel=0.05)
+    quiet = ce.misfires(fit, record, sigma=0.5)  # or a filtered record
+    assert quiet.misfit < 0.25
+    assert not quiet.trusted
     some = ce.misfires(fit, record, sigma=0.06)
     assert some.trusted
     assert "\nthe speed differs from the model by 1.7 times its noise" in str(some)
@@ -226,6 +246,11 @@ def test_records_that_will_not_do(fit, made, speed_only):
         ce.misfires(fit, speed_only({key: made[key][uneven] for key in ("time", "theta", "omega")}))
     with pytest.raises(ExperimentError, match="too few samples to find misfires"):
         ce.misfires(fit, speed_only({key: made[key][::60] for key in ("time", "theta", "omega")}))
+    with pytest.raises(ExperimentError, match=r"misfires needs one record; seen: list"):
+        ce.misfires(fit, [speed_only(made)])
+    for factor in (-1, 30 / math.pi):
+        with pytest.raises(ExperimentError, match="speed and crank angle of 'record' do not agree"):
+            ce.misfires(fit, speed_only(made | {"omega": factor * made["omega"]}))
     with pytest.raises(ExperimentError, match="no valid samples"):
         ce.misfires(fit, speed_only(made | {"omega": np.full(len(made["time"]), np.nan)}))
 
