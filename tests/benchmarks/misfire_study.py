@@ -353,8 +353,9 @@ governor holds the speed; records in which the engine all but stalls are left ou
 combustions.
 
 - *missed*, *false*: lost ones with a probability below one half, others above; *at most*: 95 % limit;
-  *by theory*: from the smoother's own covariance; *d'*: distance of a lost from a usual combustion in standard
-  deviations.
+  *by theory*: from the smoother's own covariance, at the usual size that it follows; where the governor throttles,
+  combustions are smaller than that, and theory says too little; *d'*: distance of a lost from a usual combustion in
+  standard deviations.
 - *index*: change of the mean speed from combustion to combustion, times speed, less its running median, at the
   threshold with the fewest errors in hindsight; where it is useless, that threshold misses all.
 - *misfit*: of the middle record, what the speed differs from the model by, over its noise; *neither*: sizes that are
