@@ -313,6 +313,16 @@ def main() -> int:
     return 0
 
 
+def rates(answers: list[dict[str, Any]]) -> list[str]:
+    """A line for each condition and size of blocks: how well the share of lost ones was found."""
+    return [
+        f"- {a['name']}: {count} blocks of {size} revolutions with {100 * low:.2g} to {100 * high:.2g} % lost;"
+        f" the share found is off by {100 * off:.1g} % at most"
+        for a in answers
+        for size, (count, off, low, high) in a["blocks"].items()
+    ]
+
+
 def words(answers: list[dict[str, Any]]) -> str:
     """MISFIRE.md: what was asked, the answer over all conditions, and the table."""
     honest = [a for a in answers if a["refuted"] < a["records"]]
@@ -335,12 +345,7 @@ def words(answers: list[dict[str, Any]]) -> str:
     beyond = "; ".join(a["name"] for a in honest if a not in allowed) or "none"
     done = {a["name"] for a in answers}
     left = "; ".join(one.name for one in conditions() if one.name not in done) or "none"
-    blocks = [
-        f"- {a['name']}: {count} blocks of {size} revolutions with {100 * low:.2g} to {100 * high:.2g} % lost;"
-        f" the share found is off by {100 * off:.1g} % at most"
-        for a in answers
-        for size, (count, off, low, high) in a["blocks"].items()
-    ]
+    blocks = rates(answers)
     limits = f"{100 * most(missed, lost):.2g} %", f"{100 * most(false, burned):.2g} %"
     return f"""# Misfires found from crank speed alone, {max(a["date"] for a in answers)}
 
