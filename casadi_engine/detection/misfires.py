@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 from scipy.special import ndtr
 
 from casadi_engine.detection.plant import Disturbances, make_plant
@@ -24,7 +25,10 @@ Array = NDArray[np.float64]
 SEGMENT = 0.007  # s: what is unknown at crank and load may change this often, or more
 MOST_SEGMENTS = 8  # of a combustion
 FIRST_LOOK = 2  # engine cycles from which the usual strength is taken at first
-POOR = 2.0  # misfit from which a model is not trusted
+LOUD, POOR = 1.2, 2.0  # misfits from which it is told, and from which a model is not trusted
+NEITHER = 4.3  # standard errors from lost and from usual: one in 100 000 by chance
+APART = 0.4  # share by which the speed may differ from what the crank angle turns with: wrong units or signs
+SPIKE = 20.0  # standard deviations, or means of all, from the median of five samples
 FEWEST = 8  # samples of a combustion
 LONGEST_LAG = 6
 
@@ -41,7 +45,9 @@ class Misfires:
     strength, stderr : (K,) its size, 1 for a usual one, and standard error; NaN for the last ``lag`` combustions
     level : (K,) size of the usual combustion, of that in the fit's records
     separation : (K,) d', the distance of a lost from a usual combustion in standard deviations; NaN as ``strength``
-    misfit : how much the samples differ from what the model foretells, over its noise: 1 if both are right
+    misfit : how much the samples differ from what the model foretells, over its noise: 1 if both are right; what is
+        more than noise is counted as noise from combustion to combustion, so that ``probability`` and ``separation``
+        are honest about it, unless it has the shape of a combustion
     lag : combustions that were waited for before one was decided
     """
 
@@ -61,6 +67,20 @@ class Misfires:
     def lost(self) -> NDArray[np.bool_]:
         """(K,) True where a combustion was lost more likely than not."""
         return self.probability > 0.5
+
+    @property
+    def neither(self) -> NDArray[np.bool_]:
+        """(K,) True where the size is neither that of a lost nor that of a usual combustion, but between them.
+
+        A partial burn, or a model that does not fit: whether it counts as lost is then not decided by the data.
+        """
+        usual = (1 - self.strength) * self.separation > NEITHER
+        return usual & (self.strength > NEITHER * self.stderr)
+
+    @property
+    def trusted(self) -> bool:
+        """False where the record refutes the model or its noise: the misfit is above 2, or below a half."""
+        return bool(1 / POOR <= self.misfit <= POOR)
 
     @property
     def rate(self) -> dict[int, float]:
@@ -100,7 +120,8 @@ class Misfires:
         arrays = {
             name: [None if one != one else one for one in getattr(self, name).tolist()] for name in names
         }
-        return {"record": self.record, "lag": self.lag, "misfit": self.misfit, **arrays}
+        plain = {"record": self.record, "lag": self.lag, "misfit": self.misfit, "trusted": self.trusted}
+        return {**plain, **arrays}
 
     def __str__(self) -> str:
         rows = [
@@ -116,11 +137,17 @@ class Misfires:
         rows.append(f"separation of lost from usual: {middle:.1f} standard deviations, {low:.1f} at least")
         if ndtr(-middle / 2) > 1e-3:
             rows.append("that is too little to decide each combustion: look at the rates, or at more load")
-        if self.misfit > POOR:
+        between = self.strength[self.neither]
+        if between.size:
             rows.append(
-                f"not to be trusted: the speed differs from the model by {self.misfit:.1f} times its noise; "
-                "give the true sigma, or a model with the crankshaft's torsion"
+                f"{between.size} neither lost nor usual (sizes {between.min():.2f} to {between.max():.2f}): "
+                "partial burns, or a model that does not fit"
             )
+        if self.misfit > LOUD or not self.trusted:
+            rows.append(f"the speed differs from the model by {self.misfit:.1f} times its noise")
+        if not self.trusted:
+            rows[-1] = f"not to be trusted: {rows[-1]}; "
+            rows[-1] += "give the true sigma, an unfiltered record, or a model with the crankshaft's torsion"
         return "\n".join(rows)
 
 
@@ -148,7 +175,8 @@ def misfires(
     ----------
     fit : of a model with cylinders and a linear core (``two_mass``, ``crankshaft``), whose records hold the pressures
     data : a record with the crank angle theta [rad], unwrapped, and the speed [rad/s] in equal steps of time; it needs
-        no pressures and no load
+        no pressures and no load. Its angle is zero where that of the fit's records is: if it is a revolution off, which
+        crank speed alone cannot show, the combustions are put down to the wrong cylinders
     lag : combustions to wait for, 0 to 6
     lost : probability of a combustion to be lost before the record is looked at
     scatter : standard deviation of a combustion's size, cylinders' differences included [1]
@@ -164,15 +192,15 @@ def misfires(
     Raises
     ------
     ModelError : the fit's model is not of that kind
-    ExperimentError : no crank angle, no speed, a crank that turns back, samples not equally spaced or too few, a record
-        shorter than an engine cycle
+    ExperimentError : no crank angle, no speed, a crank that turns back, a speed that is not the angle's, samples not
+        equally spaced or too few, a record shorter than an engine cycle
     EstimationError : an option is not acceptable
 
     Notes
     -----
     When the throttle closes until hardly anything burns, a combustion and a lost one are alike, and the probability
     stays between 0 and 1; ``separation`` says so. A model without the crankshaft's torsion misses lost combustions at
-    high speed; ``misfit`` says so.
+    high speed; ``misfit`` says so, and ``trusted`` is False.
 
     Examples
     --------
@@ -201,10 +229,10 @@ def misfires(
     """
     _check_options(fit, lag, lost, scatter, step, road)
     tables = learn_torques(fit)
-    time, theta, omega, valid = _samples(data, output)
+    noise = _noise(fit, output, sigma)
+    time, theta, omega, valid = _samples(data, output, noise)
     h = float(time[-1] - time[0]) / (len(time) - 1)
     edges, places = _edges(data, theta, tables, lag)
-    noise = _noise(fit, output, sigma)
     disturbances = Disturbances(float(step), float(road))
     plant = make_plant(fit, output, tables.enter, h, disturbances)
     pieces = min(MOST_SEGMENTS, max(1, math.ceil(float(np.diff(edges).max()) * h / SEGMENT)))
@@ -265,8 +293,18 @@ def _noise(fit: Fit, output: str, sigma: float | None) -> float:
     return float(noise)
 
 
-def _samples(data: Experiment, output: str) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """Times [s], crank angles [rad], speeds [rad/s] at the samples of the speed, and which of these are valid."""
+def _samples(data: Experiment, output: str, noise: float) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """Times [s], crank angles [rad], speeds [rad/s] at the samples of the speed, and which of these are valid.
+
+    They begin with the first valid one. A spike of one or two samples is not valid.
+    """
+    if not isinstance(data, Experiment):
+        raise ExperimentError(
+            "misfires needs one record",
+            seen=type(data).__name__,
+            allowed="an Experiment",
+            cure="read one by read_experiment, and look at each alone",
+        )
     for name, what in (("theta", "crank angle"), (output, "crank speed")):
         if name not in data:
             raise ExperimentError(
@@ -278,6 +316,9 @@ def _samples(data: Experiment, output: str) -> tuple[Array, Array, Array, NDArra
     times, angles = crank_angle(data, "theta")
     speed = data[output]
     inside = (speed.time >= times[0]) & (speed.time <= times[-1])
+    if not (speed.mask & inside).any():
+        raise ExperimentError(f"the speed of {data.name!r} has no valid samples", seen="none", allowed="some")
+    inside[: np.argmax(speed.mask & inside)] = False
     time, omega, valid = speed.time[inside], speed.values[inside], speed.mask[inside]
     steps = np.diff(time)
     if len(time) < 2 or np.ptp(steps) > 0.01 * steps.mean():
@@ -289,9 +330,19 @@ def _samples(data: Experiment, output: str) -> tuple[Array, Array, Array, NDArra
             allowed="equal steps of time",
             cure="interpolate theta and speed to equal steps first",
         )
-    if not valid.any():
-        raise ExperimentError(f"the speed of {data.name!r} has no valid samples", seen="none", allowed="some")
-    return time, np.interp(time, times, angles), np.where(valid, omega, omega[valid][0]), valid
+    angle = np.interp(time, times, angles)
+    turned = float(np.median(np.gradient(angle, time)[valid]))
+    if not abs(np.median(omega[valid]) - turned) <= APART * turned:
+        raise ExperimentError(
+            f"speed and crank angle of {data.name!r} do not agree",
+            seen=f"{np.median(omega[valid]):.4g} rad/s where the angle turns with {turned:.4g} rad/s",
+            allowed=f"equal within {100 * APART:g} %",
+            cure="check their units and signs, and that both are of the crank",
+        )
+    omega = np.interp(time, time[valid], omega[valid])
+    off = np.abs(omega - median_filter(omega, 5))
+    valid = valid & (off <= SPIKE * max(float(off.mean()), noise))
+    return time, angle, np.interp(time, time[valid], omega[valid]), valid
 
 
 def _edges(

@@ -19,6 +19,10 @@ Array = NDArray[np.float64]
 LEVEL_GAIN = 0.15  # with which the usual strength follows
 LEVEL_DOUBT = 0.1  # of the usual strength, common to the combustions within the lag
 LEAST_LEVEL = 0.02  # of the strength in the fit
+EXCESS_GAIN = 0.1  # with which the variance of what the model does not foretell follows
+EXCESS_STEP = 4.0  # most that one window's innovations count: a single jolt is not the model's error
+# Mean square of a window's innovations, over that of the noise, from which its samples count for less: outliers.
+OUTLYING = 9.0
 WIDE = 3.0  # standard deviation of a strength of which nothing is known [1]
 NOISES = 4  # torque on the engine, torque on the load, the road's part, motored gas torque
 
@@ -35,8 +39,8 @@ class Smoother:
     """Filter of B records at once, window by window.
 
     ``root`` is (B, size, size + 1), upper triangular: [state, motored gas torque, strengths of the last lag + 1
-    combustions, oldest first | right side], rows in standard deviations. ``squares`` (B,) are those of the last
-    window's innovations, in standard deviations.
+    combustions, oldest first | right side], rows in standard deviations. ``excess`` (B,) is the variance of what the
+    model does not foretell, 1 for that of the noise: innovations that are larger make all that follows less certain.
     """
 
     def __init__(
@@ -56,12 +60,29 @@ class Smoother:
         pieces = segments.rows.shape[2]
         d = disturbances
         self.noise = np.array([d.step, d.step, 0.0, 0.1 * d.gas]) / np.sqrt(pieces)
+        self.excess = np.ones(len(speed))
 
-    def window(self, k: int, oldest: tuple[Array, Array]) -> None:
-        """Take up the samples of window k. oldest : mean and variance (B,) of the strength that leaves the lag."""
-        self.squares = self._segment(k, 0, oldest)
+    def window(self, k: int, oldest: tuple[Array, Array]) -> Array:
+        """Take up the samples of window k; mean square of its innovations over that of the noise, (B,).
+
+        oldest : mean and variance (B,) of the strength that leaves the lag
+        """
+        before, usual = self.root, self.excess
+        ratio = self._taken(k, oldest)
+        found = usual * ratio
+        if (ratio > OUTLYING).any():
+            self.root, self.excess = before, np.where(ratio > OUTLYING, found, usual)
+            self._taken(k, oldest)
+        self.excess = np.maximum(usual * (1 + EXCESS_GAIN * (np.minimum(ratio, EXCESS_STEP) - 1)), 1.0)
+        return found
+
+    def _taken(self, k: int, oldest: tuple[Array, Array]) -> Array:
+        """Mean square of the innovations of window k over the variance that they are taken up with, (B,)."""
+        squares = self._segment(k, 0, oldest)
         for m in range(1, self.segments.rows.shape[2]):
-            self.squares = self.squares + self._segment(k, m, None)
+            squares = squares + self._segment(k, m, None)
+        samples = self.segments.samples[:, k].sum(axis=-1)
+        return np.where(samples > 0, squares / np.maximum(samples, 1), 1.0)
 
     def strengths(self) -> tuple[Array, Array]:
         """What the samples tell of the last strengths s: |R s - r|² of R (B, lag + 1, lag + 1) and r (B, lag + 1)."""
@@ -90,6 +111,7 @@ class Smoother:
         for span in range(self.spans):
             taken[:, :, newest - span] = rows[:, :, nz + span]
         taken[:, :, -1] = rows[:, :, -1]
+        taken /= np.sqrt(self.excess)[:, None, None]
         # new state = move (old) + add (known, gas, strengths) + noise, solved for the old one
         whole = np.zeros((len(rows), nz, nz))
         whole[:, :-1, :-1] = self.segments.move[:, k, m]
@@ -169,7 +191,7 @@ class Decision:
 class Found:
     """For every window, (B, K): probability to be lost, strength with standard error, usual strength [1].
 
-    misfit : mean square of the innovations, 1 where the model and its noise are right
+    misfit : mean square of the innovations over that of the noise, 1 where the model and its noise are right
     """
 
     lost: Array
@@ -185,23 +207,25 @@ def smooth(plant: Plant, disturbances: Disturbances, prior: Prior, segments: Seg
     decision = Decision(prior, lag)
     windows = segments.rows.shape[1]
     records = len(speed)
-    # The usual strength at first: what most of the strong half of the first combustions make.
-    smoother = Smoother(plant, disturbances, segments, lag=lag, speed=speed)
     flat = np.ones(records), np.full(records, WIDE**2)
-    seen = []
-    for k in range(min(first_look + lag, windows)):
-        smoother.window(k, flat)
-        root, right = smoother.strengths()
-        if k >= lag:
-            seen.append(decision.alone(root, right))
+    excess = np.ones(records)
+    for _ in range(2):  # again with the noise that the first look found
+        smoother = Smoother(plant, disturbances, segments, lag=lag, speed=speed)
+        smoother.excess, seen, squares = excess, [], []
+        for k in range(min(first_look + lag, windows)):
+            squares.append(smoother.window(k, flat))
+            if k >= lag:
+                seen.append(decision.alone(*smoother.strengths()))
+        excess = np.maximum(np.median(squares, axis=0), 1.0)
+    # The usual strength at first: what most of the strong half of the first combustions make.
     level = np.maximum(np.quantile(np.array(seen), 0.75, axis=0), LEAST_LEVEL)
     smoother = Smoother(plant, disturbances, segments, lag=lag, speed=speed)
+    smoother.excess = excess
     out = Found(np.zeros((records, windows)), *[np.full((records, windows), np.nan) for _ in range(4)])
     oldest = flat
     for k in range(windows):
-        smoother.window(k, oldest)
+        out.misfit[:, k] = smoother.window(k, oldest)
         root, right = smoother.strengths()
-        out.misfit[:, k] = smoother.squares / np.maximum(segments.samples[:, k].sum(axis=-1), 1)
         lost = decision.probabilities(root, right, level)
         strength, stderr = decision.oldest(root, right, level, lost)
         oldest = decision.expected(level, lost[:, 0]) if k >= lag else flat

@@ -55,7 +55,7 @@ def _draw_amplitudes(panel: Panel, result: Orders) -> None:
         mark = "o-" if len(rise) < 60 else "-"
         label = f"order {result.orders[k]:g}"
         panel.plot(result.rpm[rise], result.amplitude[rise, k], mark, color=colour, markersize=3, label=label)
-    panel.yscale, panel.key = "log", "best"
+    panel.yscale, panel.key = "log", "center left"
     title = f"{result.channel}: strongest orders over engine speed"
     panels.dress(panel, x="engine speed [RPM]", y=f"amplitude [{result.unit}]", title=title)
 

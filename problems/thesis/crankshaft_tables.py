@@ -1,4 +1,4 @@
-"""Tables 4.7, 4.12, 4.13 and Figures 4.14, 4.20: from two masses to the crankshaft of seven inertias.
+"""Tables 4.7, 4.12, 4.13 and Figures 4.14, 4.18, 4.20: from two masses to the crankshaft of seven inertias.
 
     python problems/thesis/crankshaft_tables.py [--quick]
 
@@ -86,6 +86,7 @@ def draw(fits, two, full, out):
         hz, density = welch(trace.residual, fs=shared.RATE, nperseg=4096)
         spectrum.semilogy(hz[hz < 700], density[hz < 700], color=colour, label=f"residual of {name}")
     zoom.set(xlabel="time [s]", ylabel="speed [rad/s]", title="Figures 4.14 and 4.20: fresh cycle, simulated")
+    zoom.margins(y=0.25)
     spectrum.set(xlabel="frequency [Hz]", ylabel="density [(rad/s)²/Hz]", title="what is left, fresh record")
     for ax in axes[0]:
         ax.legend(frameon=False, fontsize=7)
@@ -110,7 +111,10 @@ def page(quick, out):
     fits = {"thesis, every 15": old, "all samples of the same": same, f"ours, {len(names)} records": new}
     shared.print_errors("Table 4.12, seven inertias", TRUTH, fits)
     modes = modes_beside({"thesis": old, "ours": new})
-    ce.plot(modes, path=out / "crankshaft_modes.png")
+    ce.plot(modes, path=out / "crankshaft_tables_modes.png")
+    ce.plot(
+        normal.between(0, 0.2).only(*shared.UNITS), path=out / "crankshaft_tables_record.png"
+    )  # Figure 4.18
     two, full = (ce.validate(fit, fresh).records[fresh.name]["omega"] for fit in (new_two, new))
     draw(fits, two.trace, full.trace, out)
     return compare(old_two, old, new, modes, two, full)

@@ -1,6 +1,6 @@
 """Large numbers of combustions, lost and not, over speeds, loads, roads and noise: the table MISFIRE.md.
 
-    OPENBLAS_NUM_THREADS=1 python tests/benchmarks/misfire_study.py [--count 50000] [--only NAME]
+    OPENBLAS_NUM_THREADS=1 python tests/benchmarks/misfire_study.py [--count 30000] [--only NAME]
 
 A finished condition is kept in results/misfire and not run again; delete its file to do so. The engine of each detector
 is fitted to two records of the simulator at 1200 RPM; the long ones come from misfire_plant.py.
@@ -14,7 +14,7 @@ import json
 import math
 import sys
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -32,12 +32,14 @@ from simulator.shaft import crankshaft_shaft, two_mass_shaft  # noqa: E402
 import casadi_engine as ce  # noqa: E402
 from casadi_engine.detection import plant as cores  # noqa: E402
 from casadi_engine.detection import segments, smoother, torques  # noqa: E402
+from casadi_engine.detection.misfires import NEITHER, POOR  # noqa: E402
 from casadi_engine.model import thesis_ties  # noqa: E402
 
 KEPT = ROOT / "results" / "misfire"
 ROUGH = plants.Shaking(road=30.0, impulse=100.0, step=20.0)
 LAG, PRIOR, SCATTER = 3, 0.01, 0.05
 RECORDS, AT_ONCE = 64, 16
+FEWEST_LOST = 3100  # with none missed, 0.1 % is then beyond the 95 % limit
 SKIP = 8  # combustions of the first look
 STALLED = 0.4  # of the speed at first; a record that falls below it is left out
 
@@ -57,7 +59,7 @@ class Condition:
     shaft: str = "two_mass"
     detector: str = "two_mass"
     seconds: float | None = None
-    more: dict[str, Any] = field(default_factory=dict)
+    least_lost: int = FEWEST_LOST
 
     @property
     def rate(self) -> float:
@@ -75,7 +77,8 @@ def conditions() -> list[Condition]:
         for load in (57, 5):
             for rough in (False, True):
                 name = f"{rpm} RPM, {load} N m, {'rough' if rough else 'calm'}"
-                made.append(Condition(name, rpm, load, rough=rough))
+                more = 20_000 if (rpm, load, rough) == (800, 5, True) else FEWEST_LOST  # the hardest one
+                made.append(Condition(name, rpm, load, rough=rough, least_lost=more))
     for rpm in (800, 1200, 6000):
         made += [
             Condition(f"{rpm} RPM, {load} N m, rough, noise 0.5", rpm, load, sigma=0.5) for load in (57, 5)
@@ -180,11 +183,11 @@ def run(one: Condition, count: int) -> dict[str, Any]:
     tables = torques.learn_torques(fit)
     shaft = crankshaft_shaft() if one.shaft == "crankshaft" else two_mass_shaft()
     parts: dict[str, list[np.ndarray]] = {
-        key: [] for key in ("lost", "found", "index", "expected", "d", "blocks")
+        key: [] for key in ("lost", "found", "index", "expected", "d", "misfit", "neither")
     }
-    seed, spent, done = 0, 0.0, 0
+    seed, spent, done, lost_ones = 0, 0.0, 0, 0
     sweep = (lambda t: 800 + 210 * t) if one.seconds else None
-    while done < count:
+    while done < count or lost_ones < one.least_lost:
         random = np.random.default_rng([seed, 16])
         lost = drawn(one, random)
         theta, omega = plants.simulate_long(
@@ -204,18 +207,23 @@ def run(one: Condition, count: int) -> dict[str, Any]:
             event = plants.event_number(angle + 0.5 - plants.TDC[cylinder - 1]).astype(int)
             true = lost[few][np.arange(len(edges))[:, None], cylinder - 1, event]
             use = slice(SKIP, len(places) - LAG)
-            d = (found.level / np.hypot(found.stderr, SCATTER * found.level))[:, use]
+            usual = np.hypot(found.stderr, SCATTER * found.level)
+            d = (found.level / usual)[:, use]
+            between = np.minimum((found.level - found.strength) / usual, found.strength / found.stderr)
             odds = math.log(1 / PRIOR - 1)
             rows = {
                 "lost": true[:, use],
                 "found": found.lost[:, use],
                 "index": index(omega[few], edges)[:, use],
                 "d": d,
+                "misfit": found.misfit[:, use],
+                "neither": between[:, use] > NEITHER,
             }
             rows["expected"] = np.stack([ndtr(odds / d - d / 2), ndtr(-odds / d - d / 2)], axis=-1)
             for key, value in rows.items():
                 parts[key].append(value)
             done += d.size
+            lost_ones += int(rows["lost"].sum())
         seed += 1
     return summed(one, parts, 1000 * spent / done)
 
@@ -230,6 +238,7 @@ def summed(one: Condition, parts: dict[str, list[np.ndarray]], cost: float) -> d
     beside = np.zeros_like(false)
     beside[:, 1:] |= false[:, :-1]
     beside[:, :-1] |= false[:, 1:]
+    misfits = np.sqrt(np.median(whole["misfit"], axis=1))
     index_missed, index_false = hindsight(whole["index"].ravel(), lost.ravel())
     answer = {
         "name": one.name, "date": str(datetime.datetime.now(tz=datetime.UTC).date()), "combustions": int(lost.size),
@@ -238,6 +247,9 @@ def summed(one: Condition, parts: dict[str, list[np.ndarray]], cost: float) -> d
         "d": float(np.median(whole["d"])), "d low": float(np.quantile(whole["d"], 0.001)),
         "expected missed": float(whole["expected"][..., 0].mean()), "ms": cost,
         "expected false": float(whole["expected"][..., 1].mean()), "blocks": {},
+        "misfit": [float(np.quantile(misfits, share)) for share in (0, 0.5, 1)],
+        "neither": int(whole["neither"].sum()), "records": len(lost),
+        "refuted": int(np.sum(misfits > POOR)),
     }  # fmt: skip
     for revolutions in (200, 1000):
         size = 2 * revolutions
@@ -264,13 +276,14 @@ def most(events: int, of: int) -> float:
 
 def table(answers: list[dict[str, Any]]) -> str:
     head = ["condition", "combustions", "lost", "missed", "at most", "by theory", "false", "at most", "by theory",
-            "wrong cylinder", "d'", "index missed", "index false", "ms each"]  # fmt: skip
+            "wrong cylinder", "d'", "misfit", "neither", "index missed", "index false", "ms each"]  # fmt: skip
     lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
     for a in answers:
         burned = a["combustions"] - a["lost"]
         cells = [a["name"], a["combustions"], a["lost"], a["missed"], f"{100 * most(a['missed'], a['lost']):.2g} %",
                  f"{100 * a['expected missed']:.1g} %", a["false"], f"{100 * most(a['false'], burned):.1g} %",
                  f"{100 * a['expected false']:.1g} %", a["wrong cylinder"], f"{a['d']:.1f}",
+                 f"{a['misfit'][1]:.3g}", a["neither"],
                  f"{100 * a['index missed'] / max(a['lost'], 1):.3g} %", f"{100 * a['index false'] / burned:.2g} %",
                  f"{a['ms']:.2f}"]  # fmt: skip
         lines.append("| " + " | ".join(map(str, cells)) + " |")
@@ -281,7 +294,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--count", type=int, default=50_000)
+    parser.add_argument("--count", type=int, default=30_000)
     parser.add_argument("--only", default="")
     asked = parser.parse_args()
     KEPT.mkdir(parents=True, exist_ok=True)
@@ -300,23 +313,39 @@ def main() -> int:
     return 0
 
 
-def words(answers: list[dict[str, Any]]) -> str:
-    """MISFIRE.md: what was asked, the answer over all conditions, and the table."""
-    honest = [a for a in answers if not a["name"].endswith("by 2 DOF")]
-    allowed = [a for a in honest if a["expected missed"] <= 1e-3 and a["expected false"] <= 1e-4]
-    missed, lost, false, whole = (
-        sum(a[key] for a in allowed) for key in ("missed", "lost", "false", "combustions")
-    )
-    confused, burned = sum(a["wrong cylinder"] for a in allowed), whole - lost
-    beyond = "; ".join(a["name"] for a in honest if a not in allowed) or "none"
-    done = {a["name"] for a in answers}
-    left = "; ".join(one.name for one in conditions() if one.name not in done) or "none"
-    blocks = [
+def rates(answers: list[dict[str, Any]]) -> list[str]:
+    """A line for each condition and size of blocks: how well the share of lost ones was found."""
+    return [
         f"- {a['name']}: {count} blocks of {size} revolutions with {100 * low:.2g} to {100 * high:.2g} % lost;"
         f" the share found is off by {100 * off:.1g} % at most"
         for a in answers
         for size, (count, off, low, high) in a["blocks"].items()
     ]
+
+
+def words(answers: list[dict[str, Any]]) -> str:
+    """MISFIRE.md: what was asked, the answer over all conditions, and the table."""
+    honest = [a for a in answers if a["refuted"] < a["records"]]
+    refuted = [
+        f"- {a['name']}: {a['refuted']} of {a['records']}, misfit {a['misfit'][0]:.3g} to {a['misfit'][2]:.3g},"
+        f" missed {100 * a['missed'] / a['lost']:.2g} %"
+        for a in answers
+        if a["refuted"] or a["name"].endswith("by 2 DOF")
+    ]
+    allowed = [a for a in honest if a["expected missed"] <= 1e-3 and a["expected false"] <= 1e-4]
+    missed, lost, false, whole = (
+        sum(a[key] for a in allowed) for key in ("missed", "lost", "false", "combustions")
+    )
+    confused, burned = sum(a["wrong cylinder"] for a in allowed), whole - lost
+    above = [
+        f"{a['name']} ({a['missed']} of {a['lost']} missed, {a['false']} of {a['combustions'] - a['lost']} false)"
+        for a in allowed
+        if most(a["missed"], a["lost"]) > 1e-3 or most(a["false"], a["combustions"] - a["lost"]) > 1e-4
+    ]
+    beyond = "; ".join(a["name"] for a in honest if a not in allowed) or "none"
+    done = {a["name"] for a in answers}
+    left = "; ".join(one.name for one in conditions() if one.name not in done) or "none"
+    blocks = rates(answers)
     limits = f"{100 * most(missed, lost):.2g} %", f"{100 * most(false, burned):.2g} %"
     return f"""# Misfires found from crank speed alone, {max(a["date"] for a in answers)}
 
@@ -329,18 +358,26 @@ governor holds the speed; records in which the engine all but stalls are left ou
 combustions.
 
 - *missed*, *false*: lost ones with a probability below one half, others above; *at most*: 95 % limit;
-  *by theory*: from the smoother's own covariance; *d'*: distance of a lost from a usual combustion in standard
-  deviations.
+  *by theory*: from the smoother's own covariance, at the usual size that it follows; where the governor throttles,
+  combustions are smaller than that, and theory says too little; *d'*: distance of a lost from a usual combustion in
+  standard deviations.
 - *index*: change of the mean speed from combustion to combustion, times speed, less its running median, at the
   threshold with the fewest errors in hindsight; where it is useless, that threshold misses all.
+- *misfit*: of the middle record, what the speed differs from the model by, over its noise; *neither*: sizes that are
+  neither those of lost nor those of usual combustions.
 - *wrong cylinder*: missed with a false one beside it. *ms each*: processor time of the detector, {AT_ONCE} records
   at once (one record alone: the page `misfire_detector.py`).
 
 Theory allows 0.1 % missed and 0.01 % false in {len(allowed)} conditions: missed {missed} of {lost} (at most
 {limits[0]}), false {false} of {burned} (at most {limits[1]}), in the wrong cylinder {confused}.
+In {len(allowed) - len(above)} of them each is below its limit with 95 %; not in: {"; ".join(above) or "none"}.
 Where it does not: {beyond}.
 Not run yet: {left}.
-Two degrees of freedom do not do for a crankshaft at 6000 RPM, whose torsion they lack; seven do.
+
+Records that refute the detector's model (`trusted` is False: what it says is not to be believed, nor is theory; such
+conditions are left out above). Two degrees of freedom lack the crankshaft's torsion, which 6000 RPM excites:
+
+{chr(10).join(refuted) or "- none"}
 
 Rates, within the windows of on-board diagnosis:
 

@@ -1,5 +1,7 @@
 """The plant of the misfire study against the simulator, and the study itself, small."""
 
+from dataclasses import replace
+
 import misfire_plant as plants
 import misfire_study
 import numpy as np
@@ -39,12 +41,14 @@ def test_a_small_study_has_no_errors(monkeypatch):
     monkeypatch.setattr(misfire_study, "RECORDS", 2)
     monkeypatch.setattr(misfire_study, "AT_ONCE", 2)
     one = next(one for one in misfire_study.conditions() if one.name == "6000 RPM, 57 N m, rough")
-    answer = misfire_study.run(one, 500)
+    answer = misfire_study.run(replace(one, least_lost=40), 500)
     assert (answer["missed"], answer["false"], answer["wrong cylinder"]) == (0, 0, 0)
     assert answer["lost"] > 40
     assert answer["d"] > 12
     assert answer["index missed"] > 0
     assert answer["blocks"] == {}
+    assert answer["refuted"] == 0
+    assert answer["misfit"][1] == pytest.approx(1, abs=0.05)
     assert "6000 RPM, 57 N m, rough | " in misfire_study.table([answer])
 
 
@@ -54,10 +58,13 @@ def test_the_page_says_where_theory_does_not_allow_it():
         "wrong cylinder": 0, "index missed": 100, "index false": 0, "d": 5.0,
         "d low": 4.0, "expected missed": 0.05, "expected false": 1e-5,
         "ms": 0.2, "blocks": {"200": [2, 0.001, 0.09, 0.11]},
+        "misfit": [0.9, 1.0, 1.1], "neither": 0, "records": 8, "refuted": 0,
     }  # fmt: skip
-    text = misfire_study.words(
-        [one, one | {"name": "calm", "missed": 0, "expected missed": 1e-6, "blocks": {}}]
-    )
+    calm = one | {"name": "calm", "missed": 0, "expected missed": 1e-6, "blocks": {}}
+    wrong = calm | {"name": "wrong", "missed": 60, "misfit": [12.0, 13.0, 14.0], "refuted": 8}
+    text = misfire_study.words([one, calm, wrong])
+    assert "below its limit with 95 %; not in: calm (0 of 100 missed, 0 of 900 false)." in text
+    assert "\n- wrong: 8 of 8, misfit 12 to 14, missed 60 %\n" in text
     assert "Where it does not: loud." in text
     assert "in 1 conditions: missed 0 of 100 (at most\n3 %), false 0 of 900" in text
     assert (

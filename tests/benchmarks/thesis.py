@@ -78,7 +78,8 @@ def main() -> int:
             words[3] = words[3] if line["holds"] else f"**not borne out:** {words[3]}"
             failed += not line["holds"]
             text.append("| " + " | ".join(re.sub(r"\|", "/", word) for word in words) + " |")
-        text += ["", f"![{about}](../../.pictures/thesis_{name}.png)"]
+        drawn = sorted(path.name for path in RESULTS.glob(f"{name}*.png"))
+        text += [line for one in drawn for line in ("", f"![{about}](../../.pictures/thesis_{one})")]
     Path(__file__).with_name("THESIS.md").write_text("\n".join(text) + "\n", "utf-8")
     return 1 if failed else 0
 

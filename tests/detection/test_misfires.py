@@ -2,6 +2,7 @@
 
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import pytest
 import casadi_engine as ce
 from casadi_engine.errors import EstimationError, ExperimentError, ModelError
 
+DATA = Path(__file__).resolve().parents[2] / "data"
 OFFSETS = {1: 0.0, 3: math.pi, 4: 2 * math.pi, 2: 3 * math.pi}
 
 
@@ -80,6 +82,23 @@ def test_missing_samples_cost_no_more_than_what_they_held(fit, made, lost, speed
     assert found.lost.tolist() == truth(found, lost).tolist()
 
 
+def test_samples_that_are_no_speed_do_no_harm(fit, made, lost, speed_only):
+    random = np.random.default_rng(5)
+    wild = made["omega"].copy()
+    wild[random.integers(0, wild.size, 40)] += 50 * random.standard_normal(40)
+    wild[5000] = 1e4
+    wild[9000:9020] += 30
+    found = ce.misfires(fit, speed_only(made | {"omega": wild}))
+    assert found.lost.tolist() == truth(found, lost).tolist()
+    assert found.misfit < 1.1
+    late = made["omega"].copy()
+    late[:3000] = np.nan
+    found = ce.misfires(fit, speed_only(made | {"omega": late}))
+    assert found.time[0] > 0.2
+    assert found.lost.tolist() == truth(found, lost).tolist()
+    assert np.nanmedian(found.separation) > 12
+
+
 def test_the_nonlinear_form_of_the_model_finds_the_same(record, found, fit_of):
     other = ce.misfires(fit_of(ce.two_mass()), record)
     assert other.lost.tolist() == found.lost.tolist()
@@ -90,12 +109,54 @@ def test_more_noise_is_less_separation(fit, record, found):
     assert np.nanmedian(ce.misfires(fit, record, sigma=1.0).separation) < 0.7 * np.nanmedian(found.separation)
 
 
-def test_a_model_or_noise_that_does_not_fit_the_record_is_told(fit, record, found):
-    assert 0.9 < found.misfit < 1.3
-    assert "not to be trusted" not in str(found)
+def test_noise_that_is_larger_than_said_is_told_and_counted(fit, record, found):
+    assert 0.9 < found.misfit < 1.1
+    assert found.trusted
+    assert "times its noise" not in str(found)
     poor = ce.misfires(fit, record, sigma=0.02)
-    assert poor.misfit > 3
-    assert "not to be trusted: the speed differs from the model by" in str(poor)
+    assert poor.misfit == pytest.approx(5 * found.misfit, rel=0.1)
+    assert not poor.trusted
+    assert "not to be trusted: the speed differs from the model by 5.0 times its noise; give" in str(poor)
+    assert np.nanmedian(poor.separation) == pytest.approx(np.nanmedian(found.separation), rel=0.05)
+    quiet = ce.misfires(fit, record, sigma=0.5)  # or a filtered record
+    assert quiet.misfit < 0.25
+    assert not quiet.trusted
+    some = ce.misfires(fit, record, sigma=0.06)
+    assert some.trusted
+    assert "\nthe speed differs from the model by 1.7 times its noise" in str(some)
+
+
+def test_a_model_without_the_torsion_of_the_crankshaft_is_refuted_by_the_record(speed_only):
+    from simulator import simulate_crankshaft
+
+    paths = [DATA / "crankshaft" / f"{kind}_1200rpm.csv.gz" for kind in ("normal", "misfire")]
+    records = [ce.read_experiment(path, optional=("omega_load",)) for path in paths]
+    model = ce.two_mass(reciprocating_speed="measured")
+    fit = ce.estimate(model, records, noise=ce.Noise(omega=0.1), progress=False)
+    lost = {1: [6], 2: [9], 4: [12]}
+    made = simulate_crankshaft(4500.0, cycles=16, misfire=lost, scatter_seed=31, noise_seed=32, rtol=1e-7)
+    found = ce.misfires(fit, speed_only(made))
+    assert found.misfit > 10
+    assert not found.trusted
+    assert not found.to_dict()["trusted"]
+    # Its error counts as noise: combustions that burned are no longer taken for lost ones with certainty.
+    expected = truth(found, lost)[: -found.lag]
+    assert found.lost[: -found.lag].tolist() == expected.tolist()
+    assert np.nanmedian(found.separation) < 7
+
+
+def test_combustions_that_burn_in_part_are_neither_lost_nor_usual(fit, speed_only):
+    from simulator.hidden import hidden
+    from simulator.hidden_runs import Case, simulate_hidden
+
+    half = Case((hidden("misfire", "cylinder_2", 0.5, cycles=(4, 8)),), 5, 6, {})
+    made = simulate_hidden("two_mass", [half], cycles=12)[0]
+    found = ce.misfires(fit, speed_only(made))
+    expected = truth(found, {2: [4, 8]})
+    assert found.neither.tolist() == expected.tolist()
+    assert np.abs(found.strength[expected] - 0.5).max() < 0.1
+    assert found.trusted
+    assert "2 neither lost nor usual (sizes 0.44 to 0.52): partial burns" in str(found)
 
 
 @pytest.mark.parametrize("lag", [0, 1, 5])
@@ -151,6 +212,8 @@ def test_rates_of_blocks(found):
 
 def test_what_is_printed_and_stored(found):
     text = str(found)
+    assert not found.neither.any()
+    assert "neither" not in text
     assert text.startswith(f"Combustions of record: 5 of {len(found.lost)} lost")
     assert f"{4:8d}  {11:11d}  {1:4d}" in text
     assert "standard deviations" in text
@@ -183,6 +246,11 @@ def test_records_that_will_not_do(fit, made, speed_only):
         ce.misfires(fit, speed_only({key: made[key][uneven] for key in ("time", "theta", "omega")}))
     with pytest.raises(ExperimentError, match="too few samples to find misfires"):
         ce.misfires(fit, speed_only({key: made[key][::60] for key in ("time", "theta", "omega")}))
+    with pytest.raises(ExperimentError, match=r"misfires needs one record; seen: list"):
+        ce.misfires(fit, [speed_only(made)])
+    for factor in (-1, 30 / math.pi):
+        with pytest.raises(ExperimentError, match="speed and crank angle of 'record' do not agree"):
+            ce.misfires(fit, speed_only(made | {"omega": factor * made["omega"]}))
     with pytest.raises(ExperimentError, match="no valid samples"):
         ce.misfires(fit, speed_only(made | {"omega": np.full(len(made["time"]), np.nan)}))
 

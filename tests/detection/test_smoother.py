@@ -1,13 +1,23 @@
 """The smoother against one dense least-squares problem of the same record, and Bayes' rule against enumeration."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from casadi_engine.detection import segments
+from casadi_engine.detection import segments, smoother
 from casadi_engine.detection.plant import Disturbances, make_plant
 from casadi_engine.detection.segments import cut_segments, cylinder_pushes, window_edges
-from casadi_engine.detection.smoother import LEVEL_DOUBT, WIDE, Decision, Prior, Smoother
+from casadi_engine.detection.smoother import (
+    EXCESS_GAIN,
+    EXCESS_STEP,
+    LEVEL_DOUBT,
+    WIDE,
+    Decision,
+    Prior,
+    Smoother,
+)
 from casadi_engine.detection.torques import learn_torques
 
 WINDOWS, PIECES = 4, 3
@@ -86,16 +96,33 @@ def dense(case):
     return part[:, :-1], part[:, -1]
 
 
-def test_the_strengths_are_those_of_one_dense_least_squares_problem(case):
+def test_the_strengths_are_those_of_one_dense_least_squares_problem(case, monkeypatch):
+    monkeypatch.setattr(smoother, "EXCESS_GAIN", 0.0)  # the noise as it is said to be
     plant, unknown, parts, *_ = case
-    smoother = Smoother(plant, unknown, parts, lag=WINDOWS - 1, speed=case[5][:, case[7][0]])
+    made = Smoother(plant, unknown, parts, lag=WINDOWS - 1, speed=case[5][:, case[7][0]])
     flat = np.ones(1), np.full(1, WIDE**2)
     for k in range(WINDOWS):
-        smoother.window(k, flat)
-    root, right = (one[0] for one in smoother.strengths())
+        made.window(k, flat)
+    root, right = (one[0] for one in made.strengths())
     exact, other = dense(case)
     np.testing.assert_allclose(root.T @ root, exact.T @ exact, rtol=1e-6)
     np.testing.assert_allclose(root.T @ right, exact.T @ other, rtol=1e-6)
+
+
+def test_innovations_larger_than_the_noise_make_the_noise_larger(case):
+    plant, unknown, parts, *_ = case
+    for size in (1.0, 3.0):
+        rows = parts.rows * size
+        made = Smoother(plant, unknown, replace(parts, rows=rows), lag=0, speed=case[5][:, case[7][0]])
+        flat = np.ones(1), np.full(1, WIDE**2)
+        found = [made.window(k, flat)[0] for k in range(WINDOWS)]
+        assert np.median(found) == pytest.approx(size**2, rel=0.15)
+        # At most 1.3 times in a combustion: a jolt of the road must not pass for an error of the model.
+        excess = 1.0
+        for one in found:
+            excess = max(excess * (1 + EXCESS_GAIN * (min(one / excess, EXCESS_STEP) - 1)), 1.0)
+        assert made.excess[0] == pytest.approx(excess)
+    assert 2 < excess < 3
 
 
 def test_probabilities_are_bayes_rule_over_all_ways():
