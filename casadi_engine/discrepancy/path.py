@@ -36,17 +36,17 @@ from casadi_engine.estimation.refit_entry import Refit, RefitProblem
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
-from casadi_engine.simulation.propagator import fineness_of, switches_with_states
-from casadi_engine.simulation.runge_kutta import Fineness, RungeKuttaPropagator
+from casadi_engine.simulation.exponential_runge_kutta import MOST_SUBSTEPS
+from casadi_engine.simulation.propagator import switches_with_states
+from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 
 FAILURES = (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError)
 _AT_BOUND = 1e-8
 # Steps over one horizon: a model that explains the data takes ten, one that does not has not arrived after a hundred.
 _STEPS = 20
-# Corners are sharpened at most so often, as long as all records together are integrated in so many steps.
+# Corners are sharpened at most so often at once; steps of the integration of all records, if all samples asked for as
+# many as the one that asks for most, up to which they are.
 _SHARPER, _INTEGRATED = 3, 1e5
-# What a step of its own length costs in steps of a linear core.
-_OWN = 4.0
 # A refit is given up that has cost so many times as much as they do in the middle, and more than this.
 _MANY, _FREE = 20.0, 1e6
 
@@ -150,15 +150,13 @@ class Path:
         try:
             with np.errstate(all="ignore"):
                 states = [path.x for path in own.paths(arrived.values, arrived.refit.nodes)]
-                while refitter.share >= SHARPER_BY**-_SHARPER:
-                    finer = self._problem(effects)[2]
-                    cost = _cost_along(finer, arrived.values, states)
+                for level in range(_followed(own) + 1):
+                    refitter.share = before / SHARPER_BY**level
+                    cost = _cost_along(self._problem(effects)[2], arrived.values, states)
                     # what is left falls by the factor from one share to the next
-                    told = abs(cost - last) * SHARPER_BY / (SHARPER_BY - 1) >= felt or math.isnan(last)
-                    if not told or (refitter.share < before and _steps(finer) > _INTEGRATED):
+                    if abs(cost - last) * SHARPER_BY / (SHARPER_BY - 1) < felt:
                         return wider
                     last, wider = cost, refitter.share
-                    refitter.share /= SHARPER_BY
         except FAILURES:
             pass  # sharper than the integrator can follow
         finally:
@@ -206,16 +204,11 @@ def _begun(
     return found
 
 
-def _steps(problem: RefitProblem) -> float:
-    """Steps of the integration over all records."""
-    total = 0.0
-    for record in problem.records:
-        fineness = fineness_of(record.propagator)
-        if isinstance(fineness, int):  # steps to every sample alike
-            total += fineness * record.grid.samples
-        elif isinstance(fineness, Fineness):
-            total += _OWN * float(np.sum(fineness.counts))
-    return total
+def _followed(problem: RefitProblem) -> int:
+    """How many times the integrator can follow corners that are sharper by the factor."""
+    steps = max((getattr(record.propagator, "substeps", 1) for record in problem.records), default=1)
+    allowed = min(MOST_SUBSTEPS, _INTEGRATED / sum(record.grid.samples for record in problem.records))
+    return min(int(math.log(max(allowed / steps, 1.0), SHARPER_BY) + 1e-9), _SHARPER)
 
 
 def _cost_along(problem: RefitProblem, values: Mapping[str, float], states: Sequence[Array]) -> float:
