@@ -47,8 +47,10 @@ _STEPS = 20
 # Corners are sharpened at most so often at once; steps of the integration of all records, if all samples asked for as
 # many as the one that asks for most, up to which they are.
 _SHARPER, _INTEGRATED = 3, 1e5
-# A refit is given up that has cost so many times as much as they do in the middle, and more than this.
-_MANY, _FREE = 20.0, 1e6
+# A refit is given up that has cost so many times as much as they do in the middle, or as one of its structure that
+# arrived, and more than this; what the first one may well cost, in steps over the whole record for every step allowed
+# over one horizon.
+_MANY, _AGAIN, _FREE, _AHEAD = 20.0, 3.0, 1e6, 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +79,8 @@ class Path:
         self.refitter, self.levels = refitter, dict(levels)
         self._made: dict[tuple[Any, ...], tuple[Model, Parameters, RefitProblem]] = {}
         self._kept: list[Addition] = []
-        self._work: list[float] = []  # of the refits so far
+        self._least: dict[int, float] = {}  # the least work that a refit of a structure took
+        self._work: list[float] = []  # expected of the first refit, and that of the refits so far
 
     def from_point(self, effects: Sequence[Addition], start: Start | Arrived | None) -> Arrived | None:
         """The end of a refit from a point, None for the parameters' own values; None where the model fails."""
@@ -96,7 +99,10 @@ class Path:
     def at(self, values: Mapping[str, float], initial: Mapping[str, Mapping[str, float]]) -> Arrived | None:
         """The model without effects at known parameters and first states."""
         _, _, problem = self._problem(())
-        return _arrived(problem, problem.run(start=values, initial=initial, horizons=(None,), most=1))
+        with Deadline() as own:
+            found = problem.run(start=values, initial=initial, horizons=(None,), most=1)
+        self._work[:1] = [_AHEAD * _STEPS * own.done]
+        return _arrived(problem, found)
 
     def residuals(self, effects: Sequence[Addition], arrived: Arrived) -> NullModel:
         """Residuals and slopes where a refit of these effects ended, as its own integrator has them; without the paths
@@ -171,13 +177,19 @@ class Path:
             values = _begun(problem, effects, {} if start is None else start.values)
             # windows begin at the measured states, which a wrong simulation has lost
             initial = (None if start is None or horizons is None else start.initial) or None
-            allowed = max(_MANY * float(np.median(self._work)), _FREE) if self._work else math.inf
-            with Deadline(work=allowed) as own:
+            with Deadline(work=self._allowed(problem)) as own:
                 found = problem.run(start=values, initial=initial, horizons=horizons, most=_STEPS)
             self._work.append(own.done)
+            self._least[id(problem)] = min(own.done, self._least.get(id(problem), math.inf))
             return _arrived(problem, found)
         except (*FAILURES, TimeUp):
             return None
+
+    def _allowed(self, problem: RefitProblem) -> float:
+        """Work that a refit may cost: some of what they cost in the middle, less if one of this structure arrived."""
+        known = self._work[1:] or self._work
+        most = _MANY * float(np.median(known)) if known else math.inf
+        return max(min(most, _AGAIN * self._least.get(id(problem), math.inf)), _FREE)
 
     def _problem(self, effects: Sequence[Addition]) -> tuple[Model, Parameters, RefitProblem]:
         own = tuple((id(one.candidate), one.shared, _in_order(one.times)) for one in effects)
