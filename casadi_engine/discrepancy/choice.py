@@ -49,6 +49,9 @@ TIME_UP = "the time was up"
 # Shares of the spare time behind a budget at which whole fits, and the search for the colour of the noise, have to end.
 _FIT, _COLOUR = 0.35, 0.45
 _NO_FIT = "its fit of all data does not converge"
+_NOTHING_LEFT = "its fit of all data leaves nothing of it"
+# Share of where its search started at which an amplitude on its bound is none.
+_GONE = 1e-6
 
 
 @dataclass
@@ -180,12 +183,13 @@ class Choice:
             if self._timed("refit", lambda: self._sharpened(best)):  # noqa: B023
                 here, tried = self.pool[here.key], [self.pool[one.key] for one in tried]
                 continue
-            if self._station(best) is not None:
+            arrived = self._station(best)
+            if arrived is not None and not vanished(best.effects, arrived.fit):
                 break
             if self.refits.blunted():
                 here, tried = self.pool[here.key], [self.pool[one.key] for one in tried]
                 continue
-            self.failed.setdefault(best.label, _NO_FIT)
+            self.failed.setdefault(best.label, _NO_FIT if arrived is None else _NOTHING_LEFT)
             best.failed = True
             ask()
         self._told(here, tried, best)
@@ -468,6 +472,15 @@ class Choice:
         made = work()
         self.timing[what] = self.timing.get(what, 0.0) + time.perf_counter() - begun
         return made
+
+
+def vanished(effects: Sequence[Addition], fit: Fit) -> bool:
+    """True if a fit leaves nothing of one of its effects: all its amplitudes rest on the bound where it is none."""
+    for one in effects:
+        own = [e for name, e in fit.estimates.items() if name.partition("@")[0] == one.amplitude]
+        if own and all(e.at_bound and abs(e.value) <= _GONE * abs(one.start) for e in own):
+            return True
+    return False
 
 
 def _families(screened: Screened) -> dict[tuple[str, str], list[int]]:

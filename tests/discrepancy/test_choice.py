@@ -386,3 +386,19 @@ def test_what_fresh_data_may_cost_grows_with_their_samples(pendulum):
     assert np.diff(allowed[:3]) == pytest.approx([2e9, 1e9], rel=0.02)
     assert allowed[0] == 1e9
     assert 0 < allowed[3] < 1e6
+
+
+def test_an_effect_of_which_the_whole_fit_leaves_nothing_is_none():
+    play = SimpleNamespace(amplitude="coupling.backlash.gap", start=0.02)
+
+    def fit(**found):
+        return SimpleNamespace(
+            estimates={n: SimpleNamespace(value=v, at_bound=b) for n, (v, b) in found.items()}
+        )
+
+    name = play.amplitude
+    assert module.vanished([play], fit(**{name: (0.0, True)}))
+    assert not module.vanished([play], fit(**{name: (0.0, False)}))
+    assert not module.vanished([play], fit(**{name: (0.04, True)}))  # at the other bound
+    assert not module.vanished([play], fit(**{f"{name}@a": (0.0, True), f"{name}@b": (0.01, False)}))
+    assert not module.vanished([play], fit(K=(0.0, True)))
