@@ -50,6 +50,8 @@ TIME_UP = "the time was up"
 _FIT, _COLOUR = 0.35, 0.45
 _NO_FIT = "its fit of all data does not converge"
 _NOTHING_LEFT = "its fit of all data leaves nothing of it"
+# What the time did not allow where every effect was refitted once.
+_OTHER_STARTS = "other starts of these effects"
 # Share of where its search started at which an amplitude on its bound is none.
 _GONE = 1e-6
 
@@ -231,6 +233,7 @@ class Choice:
             least = here.arrived.cost - 2 * _NOTHING * max(self.refits.levels.memory.values(), default=1.0)
             order = [key for key in order if cost[key] < least]
         own = self._own_step(here, screened)
+        start = Start(here.arrived.values, here.arrived.initial)
         todo, done = (order[:_FIRST] if self.refits.path.linear else order), list[tuple[str, str]]()
         try:
             while todo:
@@ -239,22 +242,24 @@ class Choice:
                     ask()
                     self.tell(f"refit {len(done) + 1} of {many}: {key[0]} at {key[1]}")
                     done.append(key)
-                    self._from_all_sides(here, screened, families[key], at_here, own)
+                    self._try(here, _chosen(screened, at_here, families[key]), start)
+                for key in todo:  # once every effect has an answer
+                    ask()
+                    self._from_elsewhere(here, screened, families[key], at_here, own)
                 rest = [key for key in order if key not in done]
                 todo = self._promising(here, screened, families, at_here, rest) if rest else []
             keys = [self._key(here, key) for key in done]
             self.refits.relevel([self.pool[key] for key in keys if key in self.pool])
             self._around(here, screened, families)
         except TimeUp:  # the best of those that were tried
-            self.failed |= {f"{key[0]} at {key[1]}": TIME_UP for key in todo if key not in done}
+            left = [f"{key[0]} at {key[1]}" for key in todo if key not in done]
+            self.failed |= dict.fromkeys(left or [_OTHER_STARTS], TIME_UP)
         return [self.pool[key] for key in map(partial(self._key, here), done) if key in self.pool]
 
-    def _from_all_sides(
+    def _from_elsewhere(
         self, here: Tried, screened: Screened, members: list[int], at_here: OneStep, own: OneStep | None
     ) -> None:
-        """Refits of one effect: from ``here``, and in windows from the parameters' own values."""
-        start = Start(here.arrived.values, here.arrived.initial)
-        self._try(here, _chosen(screened, at_here, members), start)
+        """Refits of one effect from another start than ``here``: in windows from the parameters' own values."""
         if own is not None and (here.arrived.held or not self.refits.path.linear):
             self._try(here, _chosen(screened, own, members), None)
         self._arrive(here, screened.candidates[members[0]].key, lambda: _chosen(screened, at_here, members))

@@ -277,18 +277,31 @@ def test_what_the_time_did_not_allow_is_listed(prepared, monkeypatch):
     """The best of what was refitted is kept all the same."""
     deadline = Deadline(spare=600.0)
     made = prepared(rubbing, deadline=deadline)
-    real = Choice._arrive
+    real, refits = Choice._try, []
 
-    def arrive(self, *args):
+    def once(self, *args):
         real(self, *args)
-        deadline.stop()
+        refits.append(args)
+        if len(refits) == 2:
+            deadline.stop()
 
-    monkeypatch.setattr(Choice, "_arrive", arrive)
+    monkeypatch.setattr(Choice, "_try", once)
     with deadline:
         made.choice.run(made.fit)
     assert len(made.choice.rounds) == 1
     late = "the time was up"
-    assert made.choice.failed == {"quadratic_drag at pivot": late, "constant_torque at pivot": late}
+    assert made.choice.failed == {"quadratic_drag at pivot": late}
+    assert made.choice.best == {DRY}
+
+
+def test_every_effect_is_refitted_once_before_any_is_refitted_from_elsewhere(prepared, monkeypatch):
+    deadline = Deadline(spare=600.0)
+    made = prepared(rubbing, deadline=deadline)
+    monkeypatch.setattr(Choice, "_from_elsewhere", lambda self, *args: deadline.stop())
+    with deadline:
+        made.choice.run(made.fit)
+    assert made.choice.failed == {"other starts of these effects": "the time was up"}
+    assert len([text for text in made.said if text.startswith("refit ")]) == 3
     assert made.choice.best == {DRY}
 
 
