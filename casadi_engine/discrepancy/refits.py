@@ -21,6 +21,7 @@ from casadi_engine.discrepancy.refit import Addition, Refitter
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation import Fit
+from casadi_engine.estimation.corner_widths import FELT
 
 # A structure is excluded where another one is so many times more probable.
 FACTOR = 20.0
@@ -199,9 +200,10 @@ class Refits:
             return False
         self._wide = self.refitter.share, dict(self.pool)
         self.refitter.share = share
-        if not self._again_sharp(best):
-            return not self.blunted()
+        arrives = self._again_sharp(best)
         sharp = self.pool[best.key]
+        if not arrives or sharp.arrived.cost > best.arrived.cost + FELT:  # the law itself is no sharper
+            return not self.blunted()
         least = best.log - abs(sharp.log - best.log) - math.log(FACTOR * len(self.pool))
         alike = [one for one in self.pool.values() if len(one.effects) == len(best.effects)]
         near = sorted(

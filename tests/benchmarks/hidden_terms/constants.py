@@ -72,7 +72,7 @@ CONSTANTS = (
         "_SWINGS", ("answer",), "independent samples that a coloured residual is worth to be called noise"
     ),
     Constant("_STEPS", ("path",), "steps of a refit over one horizon"),
-    Constant("FELT", ("path",), "chi-squared by which a corner's width is felt"),
+    Constant("FELT", ("path", "refits"), "chi-squared by which a corner's width is felt"),
     Constant("_SHARPER", ("path",), "times that corners are made four times as sharp at once"),
     Constant("_INTEGRATED", ("path",), "steps of the integration that sharper corners may cost"),
     Constant("_FIRST", ("choice",), "effects of a linear model that are refitted whatever one step says"),
