@@ -20,7 +20,7 @@ _NO_RUN = "the repaired model cannot be simulated on the fresh data, which neith
 SEEN = 0.1
 # Share of the spare time behind a budget at which fresh data have to be judged; evaluations of the model that they may
 # cost at least.
-_JUDGED, _EVALUATIONS = 0.6, 1000
+_JUDGED, _EVALUATIONS = 0.6, 5000
 Pairs = list[tuple[Fit, NullModel]]
 
 
