@@ -127,8 +127,8 @@ class FreshChoice:
             self._costly = True
             names = " + ".join(one.label for one in station.effects) or "the model without effects"
             self.messages.append(
-                f"{names} was not judged on the fresh data: looking for its initial states there had cost more than "
-                "a start of the fit without effects"
+                f"{names} was not judged on the fresh data: looking for its initial states there had cost too "
+                "much; give shorter fresh records"
             )
             return None
 

@@ -104,7 +104,11 @@ def twins(one: FoundEffect) -> tuple[Member, ...]:
 def acting_at(model: Model, port: str) -> str:
     """``a torque at PORT``, in the words of what acts there."""
     acts = model.ports[port].quantity if port in model.ports.names else "torque"
-    return f"{'an' if acts[0] in 'aeiou' else 'a'} {acts} at {port}"
+    return f"{_with_article(acts)} at {port}"
+
+
+def _with_article(noun: str) -> str:
+    return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
 
 
 def told(one: Estimate, unit: str = "") -> str:
@@ -120,7 +124,7 @@ def told(one: Estimate, unit: str = "") -> str:
 def acts_as(one: FoundEffect, name: str, model: Model) -> str:
     """What a "torque" is at a port where none acts: `` (a force)``; "" for anything else."""
     known = model.ports[one.at].quantity if one.at in model.ports.names else "torque"
-    return f" (a {known})" if name.rpartition(".")[2] == "torque" != known else ""
+    return f" ({_with_article(known)})" if name.rpartition(".")[2] == "torque" != known else ""
 
 
 def right_value(one: FoundEffect, repair: Repair) -> str:

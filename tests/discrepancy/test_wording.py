@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import casadi_engine as ce
+from casadi_engine.discrepancy import wording
 from casadi_engine.discrepancy.verdict_words import headline
 from casadi_engine.discrepancy.wording import acts_as, clock, told
 from casadi_engine.estimation import Estimate
@@ -68,6 +69,7 @@ def test_time_is_told_as_the_model_has_it(cart, heavier):
 def test_a_force_is_no_torque(cart, heavier):
     one = replace(heavier.effects[0], at="cart")
     assert acts_as(one, "cart.coulomb_friction.torque", cart) == " (a force)"
+    assert wording._with_article("angular acceleration") == "an angular acceleration"
     assert acts_as(one, "cart.viscous_friction.coefficient", cart) == ""
     assert acts_as(replace(one, at="engine"), "engine.coulomb_friction.torque", ce.one_inertia()) == ""
 
