@@ -47,6 +47,8 @@ _STEPS = 20
 # Corners are sharpened at most so often at once; steps of the integration of all records, if all samples asked for as
 # many as the one that asks for most, up to which they are.
 _SHARPER, _INTEGRATED = 3, 1e5
+# How many times corners are wider by that factor when a refit begins: then about as wide as the motion.
+_WIDER = 3
 # A refit is given up that has cost so many times as much as they do in the middle, or as one of its structure that
 # arrived, and more than this; what the first one may well cost, in steps over the whole record for every step allowed
 # over one horizon.
@@ -87,8 +89,33 @@ class Path:
         return self._ended(effects, start, (None,))
 
     def from_windows(self, effects: Sequence[Addition], start: Start | None = None) -> Arrived | None:
-        """The end of a refit that begins in short windows, at the values of a start or the parameters' own."""
-        return self._ended(effects, start, None)
+        """The end of a refit that begins in short windows, at the values of a start or the parameters' own.
+
+        Where a law has corners they are wide at first, as wide as its motion, and then sharper from one refit to the
+        next: a wide corner bends the simulation everywhere and shows the way, a sharp one only where it is passed.
+        """
+        refitter, own = self.refitter, self.refitter.share
+        begun, horizons = start, None
+        wide = [own * SHARPER_BY**level for level in range(_WIDER, 0, -1)] if self._cornered(effects) else []
+        try:
+            for share in wide:
+                refitter.share = share
+                there = self._ended(effects, begun, horizons)
+                if there is not None:
+                    begun, horizons = there, (None,)
+        finally:
+            refitter.share = own
+        return self._ended(effects, begun, horizons)
+
+    def _cornered(self, effects: Sequence[Addition]) -> bool:
+        """True if a law has corners whose width follows the motion."""
+        refitter, own = self.refitter, self.refitter.share
+        found = [refitter.rounded(one) for one in effects]
+        refitter.share = own * SHARPER_BY
+        try:
+            return found != [refitter.rounded(one) for one in effects]
+        finally:
+            refitter.share = own
 
     @property
     def linear(self) -> bool:

@@ -233,7 +233,7 @@ class Refitter:
         """The length of shooting intervals: short ones for laws whose corners ask for many steps of the integrator,
         which all intervals take side by side."""
         own = self.options.get("interval", "auto")
-        if own != "auto" or self.share == 1 or switches_with_states(self.model):
+        if own != "auto" or self.share >= 1 or switches_with_states(self.model):
             return own
         return max(2, max(map(_samples, self.data)) // _INTERVALS)
 
