@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.errors import ModelError
 from casadi_engine.estimation.fit import Optimum
+from casadi_engine.estimation.integration import SHARE, alike
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty, uncertainty
@@ -24,9 +25,6 @@ _STATIONARY = 1e-3
 # What is called an optimum against the solver's word promises less still: 0.001 standard errors.
 _EXACT = 1e-6
 _STUCK = ("Search_Direction_Becomes_Too_Small", "Maximum_Iterations_Exceeded")
-# Chi-squared by which the simulation from the printed values may differ from what the search found: the same amount,
-# and a share for the rounding of long sums and the tolerance of continuity.
-_ALIKE, _SHARE = 1e-3, 1e-6
 # Chi-squared that a step along what has no slope may bring: a tenth of what a standard error changes it by.
 _FALL = 0.1
 # Parts of a step that are tried where it may lead over a corner.
@@ -84,10 +82,10 @@ def verdict(
         errors = uncertainty(search, best)
         decrement = errors.decrement
         search._weigh(best.sigma)
-    alike = abs(shown - found) <= _ALIKE + _SHARE * abs(found)
+    same = alike(shown, found)
     if status != "converged":
-        return ("converged" if alike and decrement <= _EXACT else status), None
-    if not alike:
+        return ("converged" if same and decrement <= _EXACT else status), None
+    if not same:
         reason = (
             f"the simulation from the printed values has chi-squared {shown:.6g}, the search found {found:.6g} with "
             "its shooting intervals joined within its tolerance only"
@@ -130,7 +128,7 @@ def _saddle(search: Search, errors: Uncertainty, cost: float) -> str | None:
                 fall = cost - printed_cost(search, v, moved)
             except (FloatingPointError, np.linalg.LinAlgError, ModelError):
                 continue
-            if fall > _FALL + _SHARE * cost and not search.constraints.violated(v):
+            if fall > _FALL + SHARE * cost and not search.constraints.violated(v):
                 return (
                     f"the data have no slope in {text} here, yet a step of {step:g} times its scale lowers "
                     f"chi-squared by {fall:.3g}"
