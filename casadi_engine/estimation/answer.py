@@ -55,12 +55,7 @@ def make_fit(
     try:
         errors = uncertainty(search, best)
     except FloatingPointError as fault:
-        raise EstimationError(
-            "the model cannot be evaluated where the search ended",
-            seen=f"{best.solution.status}; {fault}",
-            allowed="values at which the equations give finite numbers",
-            cure="give other start values, or bounds that keep the parameters and initial states away from there",
-        ) from fault
+        raise _no_numbers(best, fault) from fault
     v = errors.v
     z = search.coordinates.values(v)
     traces, drives, percents, first, residuals = {}, {}, {}, {}, []
@@ -68,7 +63,10 @@ def make_fit(
     for record, lay in zip(search.records, problem.layouts, strict=True):
         name, nodes = record.experiment.name, lay.take(errors.x)
         start = nodes[0]
-        traces[name], left = _traces(search, record, v, start)
+        try:
+            traces[name], left = _traces(search, record, v, start)
+        except FloatingPointError as fault:
+            raise _no_numbers(best, fault) from fault
         residuals.append(left)
         drives[name] = _drives(record, v)
         percents[name] = {key: _percent(trace) for key, trace in traces[name].items()}
@@ -121,6 +119,15 @@ def make_fit(
         innovations=predictor,
         integration=integration,
         errors=errors.as_prior(),
+    )
+
+
+def _no_numbers(best: Attempt, fault: FloatingPointError) -> EstimationError:
+    return EstimationError(
+        "the model cannot be evaluated where the search ended",
+        seen=f"{best.solution.status}; {fault}",
+        allowed="values at which the equations give finite numbers",
+        cure="give other start values, or bounds that keep the parameters and initial states away from there",
     )
 
 

@@ -22,7 +22,7 @@ from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.loss import read_loss
 from casadi_engine.estimation.lower_rate import ONE_SEARCH, lower_rate
 from casadi_engine.estimation.moved_jumps import refuse_moved_jumps
-from casadi_engine.estimation.multistart import attempts_from, best_of, distinct_optima, interrupted
+from casadi_engine.estimation.multistart import attempts_from, distinct_optima, interrupted, settled
 from casadi_engine.estimation.options import begun_at, chosen, small, whole
 from casadi_engine.estimation.parallel import checked_jobs
 from casadi_engine.estimation.search import Attempt, Search
@@ -206,9 +206,7 @@ def _searched(
         attempts = attempts_from(first, drawn, neighbours, outcomes=workers.outcomes if workers else None)
         if first is not search:
             attempts = on_whole_data(search, first, attempts)
-        found = best_of(attempts)
-        best = search.integrated(found)
-        attempts = [best if attempt is found else attempt for attempt in attempts]
+        best, attempts = settled(search, attempts)
         optima = in_time(lambda: distinct_optima(search, attempts, best))
         timing = {"setup": setup, "solve": time.perf_counter() - entered - setup}
         options = {

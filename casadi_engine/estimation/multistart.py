@@ -137,7 +137,18 @@ def _inverse(information: Array) -> Array:
 
 def best_of(attempts: list[Attempt]) -> Attempt:
     """The best optimum; without one, the best point."""
-    return min(attempts, key=lambda a: (a.solution.status != "converged", a.merit))
+    return min(attempts, key=lambda a: (a.solution.status != "converged", not a.run, a.merit))
+
+
+def settled(search: Search, attempts: list[Attempt]) -> tuple[Attempt, list[Attempt]]:
+    """The best optimum, integrated finely and in one run, and all attempts; where a simulation from its first states is
+    another than its intervals, the next best one."""
+    while (found := best_of(attempts)).run:
+        best = search.integrated(found)
+        attempts = [best if attempt is found else attempt for attempt in attempts]
+        if best.run:
+            return best, attempts
+    return found, attempts
 
 
 def distinct_optima(search: Search, attempts: list[Attempt], best: Attempt) -> tuple[Optimum, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -57,7 +58,7 @@ class Attempt:
     merit : what starts are compared by, -2 log likelihood but for a constant; start : (nz,) parameters at the start
     searched : what was searched on, in words; begun : where the search in the frequency domain ended, if there was one;
     pending : it has yet to look at all samples; cut : it was ended before its end (see ``cut_short``), and its cost is
-    at the levels that it had then
+    at the levels that it had then; run : no simulation from its first states is known to be another
     """
 
     solution: Solution
@@ -71,6 +72,7 @@ class Attempt:
     begun: Begun | None = None
     pending: bool = False
     cut: bool = False
+    run: bool = True
 
 
 class Search:
@@ -460,24 +462,35 @@ class Search:
 
     def _in_one_run(self, attempt: Attempt) -> Attempt:
         """The attempt, solved again from its own simulation where that is told from its intervals: between corners a
-        small gap grows."""
-        if attempt.solution.status != "converged":
+        small gap grows. One whose simulation stays another has no ``run``."""
+        if attempt.solution.status != "converged" or all(record.linear for record in self.records):
             return attempt
         self._weigh(attempt.sigma)
         try:
-            run = self._simulated(attempt.solution.x)
-            if run is None:
-                return attempt
-            found = 2 * self.problem.samples * self._objective(attempt.solution.x)
-            if alike(2 * self.problem.samples * self._objective(run), found):
-                return attempt
-            solution, more = self._levelled(self.solver.solve(run, self.lower, self.upper, exact=True))
-            again = self._outcome(self._blamed(solution), attempt.iterations + more, attempt.start)
+            for last in (False, True):
+                x = attempt.solution.x
+                run = self._chained(x)
+                costs = [2 * self.problem.samples * self._objective(point) for point in (run, x)]
+                if alike(*costs):
+                    return attempt
+                if last or not math.isfinite(costs[0]):
+                    break
+                solution, more = self._levelled(self.solver.solve(run, self.lower, self.upper, exact=True))
+                again = self._outcome(self._blamed(solution), attempt.iterations + more, attempt.start)
+                if again.solution.status != "converged":
+                    break
+                attempt = replace(again, searched=attempt.searched, begun=attempt.begun)
         except (FloatingPointError, np.linalg.LinAlgError, TimeUp):
-            return attempt
-        if again.solution.status != "converged":
-            return attempt
-        return replace(again, searched=attempt.searched, begun=attempt.begun)
+            pass
+        return replace(attempt, run=False)
+
+    def _chained(self, x: Array) -> Array:
+        """The point with the nodes of one run from its first states."""
+        found, nv = x.copy(), self.problem.nv
+        for record, lay in zip(self.records, self.problem.layouts, strict=True):
+            nodes = chained_nodes(record, x[:nv], lay.take(x)[0])
+            found[lay.at : lay.at + nodes.size] = nodes.ravel()
+        return found
 
     def _blamed(self, solution: Solution) -> Solution:
         """The solution with a status that names the constraints no values meet, if they are why there is no optimum."""
