@@ -22,6 +22,7 @@ from casadi_engine.discrepancy.events import by_one_step
 from casadi_engine.discrepancy.linearised import OneStep, one_step, without_effect
 from casadi_engine.discrepancy.membership import class_of, ordered, reached
 from casadi_engine.discrepancy.null_model import null_at
+from casadi_engine.discrepancy.pairs import price_of, tried_in_two
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.refit import Addition, Refitter, addition
 from casadi_engine.discrepancy.refits import FACTOR, PART, Key, Refits, Tried, key_of
@@ -99,6 +100,7 @@ class Choice:
                 here = made
                 self.best = here.key
             self._most_probable_first()
+            self._in_two()
         except TimeUp:
             if TIME_UP not in self.failed.values():
                 self.failed[f"any effect{beside}"] = TIME_UP
@@ -119,6 +121,27 @@ class Choice:
                 top.failed = True
             else:
                 self.best = top.key
+
+    def _in_two(self) -> None:
+        """Let two effects take the place of one where that is more probable, and others in its class know of it."""
+        now = self.pool[self.best]
+        if not now.effects or len(now.effects) >= self.most or late():
+            return
+        screened = self._stations[frozenset()].screened
+        families = _families(screened)
+        made = self._timed("exchange", lambda: tried_in_two(
+            self.refits, now, screened, families, partial(_chosen, screened), self.tell
+        ))  # fmt: skip
+        self.refits.weigh()
+        ready = [one for one in made if one.beyond > BEYOND and one.log - self.price > now.log]
+        for one in sorted(ready, key=lambda t: -t.log)[:1]:
+            if self._station(one) is not None:
+                self.best = one.key
+
+    @property
+    def price(self) -> float:
+        """What a further effect has to gain in log probability."""
+        return price_of(_families(self._stations[frozenset()].screened))
 
     def _with_colour(self) -> None:
         """Score beside the chosen structure with the colour that its residual has, where that waited."""
@@ -448,7 +471,11 @@ class Choice:
         chosen = self.pool[self.best]
         yield self.best
         near = [t for t in self.pool.values() if t.effects and t.beyond > BEYOND and t.key != self.best]
-        near = [t for t in near if t.log > chosen.log - math.log(FACTOR) or t.key < self.best]
+        more = self.price
+        near = [
+            t for t in near
+            if t.log - more * (len(t.key) - len(self.best)) > chosen.log - math.log(FACTOR) or t.key < self.best
+        ]  # fmt: skip
         for one in sorted(near, key=lambda t: -t.log):
             yield one.key
         if self.best:
@@ -468,7 +495,7 @@ class Choice:
             station = None if part is None else self._station(part)
             if station is None:
                 return None
-            members = class_of(self.pool, key, own[-1], FACTOR)
+            members = class_of(self.pool, key, own[-1], FACTOR, self.price)
             found.append(reached(found[-1], station, own, members))
         return found
 

@@ -13,6 +13,8 @@ from casadi_engine.discrepancy.screening import Screened
 from casadi_engine.discrepancy.selection import selection_frequency
 from casadi_engine.discrepancy.station import Station
 
+Key = frozenset[tuple[str, str]]
+
 
 def ordered(effects: Sequence[Addition], pool: Mapping[Any, Any]) -> tuple[Addition, ...]:
     """Effects so that each beginning is the most probable one of its length."""
@@ -44,22 +46,36 @@ def reached(
 
 
 def class_of(
-    pool: Mapping[Any, Any], key: frozenset[tuple[str, str]], one: Addition, factor: float
+    pool: Mapping[Any, Any], key: Key, one: Addition, factor: float, price: float
 ) -> tuple[Member, ...]:
-    """The effects that are not excluded in the place of one of a structure, with their probabilities, itself first."""
-    rest = key - {one.candidate.key}
-    logs = {
-        next(iter(other - rest)): found.log
-        for other, found in pool.items()
-        if len(other) == len(key) and rest < other and found.log > -math.inf
-    }
-    top = max(logs.values(), default=0.0)
+    """The effects that are not excluded in the place of one of a structure, with their probabilities, itself first.
+
+    Two effects may stand in the place of it, and one in the place of it and another; price : of one effect more
+    """
     own = one.candidate.key
-    logs.setdefault(own, top)
-    kept = {k: math.exp(log - top) for k, log in logs.items() if k == own or log > top - math.log(factor)}
+    rest = key - {own}
+    known = {other: float(found.log) for other, found in pool.items() if found.log > -math.inf}
+    logs = {
+        (next(iter(other - rest)), ""): log
+        for other, log in known.items()
+        if len(other) == len(key) and rest < other
+    }
+    least = max(logs.values(), default=0.0) - math.log(factor)
+    for other, log in known.items():
+        new = other - key
+        if len(new) == 2 and rest | new == other:
+            first, second = sorted(new, key=lambda k: -known.get(rest | {k}, -math.inf))
+            if known.get(rest | {first}, -math.inf) <= least:  # by itself it is excluded
+                logs[first, f" with {second[0]} at {second[1]}"] = log - price
+        elif len(new) == 1 and len(other) == len(key) - 1 and own not in other:
+            (gone,) = rest - other
+            logs[next(iter(new)), f" in place of it and {gone[0]} at {gone[1]}"] = log + price
+    top = max(logs.values(), default=0.0)
+    logs.setdefault((own, ""), top)
+    kept = {k: math.exp(log - top) for k, log in logs.items() if k[0] == own or log > top - math.log(factor)}
     total = sum(kept.values())
-    order = sorted(kept, key=lambda k: (k != own, -kept[k]))
-    return tuple(Member(name, at, 1.0, kept[name, at] / total) for name, at in order)
+    order = sorted(kept, key=lambda k: (k[0] != own, -kept[k]))
+    return tuple(Member(name, at, 1.0, kept[(name, at), more] / total, more) for (name, at), more in order)
 
 
 def number_of(screened: Screened, key: tuple[str, str], label: str = "") -> int:

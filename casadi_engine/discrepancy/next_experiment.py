@@ -42,7 +42,7 @@ def next_experiment(before: Station, after: Station) -> NextExperiment | None:
     screened = before.screened
     lead = _number(before, after.members[0])
     # a law that does the very same to every output is the same law in these equations: nothing splits the two
-    others = [m for m in after.members[1:] if abs(m.rho) < 1 - _SAME]
+    others = [m for m in after.members[1:] if abs(m.rho) < 1 - _SAME and not m.more]
     if not others:
         return None
     members = (after.members[0], *others)

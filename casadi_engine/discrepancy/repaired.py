@@ -27,12 +27,19 @@ Verdict = Literal["named", "class", "unnamed", "nothing missing"]
 @dataclass(frozen=True)
 class Member:
     """One effect of a class: rho, its correlation with the lead; probability of the model with it in the lead's place,
-    given the data, among the members."""
+    given the data, among the members; more : what else is meant by it, " with EFFECT at PORT" for two effects in the
+    place of one."""
 
     name: str
     at: str
     rho: float
     probability: float
+    more: str = ""
+
+    @property
+    def label(self) -> str:
+        """``EFFECT at PORT``, and what else is meant."""
+        return f"{self.name} at {self.at}{self.more}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -107,9 +107,7 @@ def _effect(one: FoundEffect, repair: Repair) -> list[str]:
     lines += [f"    {changed}"] if changed else []
     lines += [f"    {one.key}.{name} = {value:.6g} (held)" for name, value in one.constants.items()]
     if len(one.members) > 1:
-        text = ", ".join(
-            f"{m.name} at {m.at} ({100 * m.probability:.0f} %, {m.rho:+.3f})" for m in one.members[1:]
-        )
+        text = ", ".join(f"{m.label} ({100 * m.probability:.0f} %, {m.rho:+.3f})" for m in one.members[1:])
         own = f"{100 * one.members[0].probability:.0f} %"
         words = f"    probability {own}; not excluded in its place (probability, correlation with it): {text}"
         lines += wrapped(words, "      ")

@@ -29,7 +29,7 @@ def headline(repair: Repair) -> str:
         why = "no physical effect could be looked for" if blind else "no effect of the library names it"
         return f"something is missing, and {why}"
     sure = {True: "confirmed on fresh data", False: "not confirmed by fresh data", None: "unconfirmed"}
-    others = [f"{m.name} at {m.at}" for one in repair.effects for m in one.members[1:]]
+    others = [m.label for one in repair.effects for m in one.members[1:]]
     doubt = (
         f", or {others[0] if len(others) == 1 else f'one of {count(len(others))} others'}" if others else ""
     )
@@ -137,7 +137,7 @@ def _of_class(repair: Repair) -> str:
     tried = "no other input or sensor and no longer record that could be tried by simulation tells them apart"
     rival = one.members[1]
     # the same effect at two ports is left out by its port alone
-    how = f'at="{one.at}"' if rival.name == one.name else f'without=["{rival.name}"]'
+    how = f'at="{one.at}"' if rival.name == one.name and not rival.more else f'without=["{rival.name}"]'
     choose = f"decide by what you know of the system: ce.repair(..., {how})"
     if others:
         names = [lead, *(f"{m.name} at {m.at}" for m in others)]

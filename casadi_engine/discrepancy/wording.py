@@ -98,7 +98,7 @@ def held_out(repair: Repair) -> str:
 
 def twins(one: FoundEffect) -> tuple[Member, ...]:
     """The members of a class that act as its lead does in these data, but for their size and sign."""
-    return tuple(m for m in one.members[1:] if abs(m.rho) > _TWINS)
+    return tuple(m for m in one.members[1:] if abs(m.rho) > _TWINS and not m.more)
 
 
 def acting_at(model: Model, port: str) -> str:

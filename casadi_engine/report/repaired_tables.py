@@ -10,10 +10,7 @@ from casadi_engine.report.tables import table
 
 def class_table(effect: FoundEffect) -> str:
     """The effects that are not excluded in the place of one."""
-    rows = [
-        (f"{one.name} at {one.at}", f"{one.rho:+.3f}", f"{100 * one.probability:.3g} %")
-        for one in effect.members
-    ]
+    rows = [(one.label, f"{one.rho:+.3f}", f"{100 * one.probability:.3g} %") for one in effect.members]
     caption = f"The class of {effect.key}: these data do not exclude any of them"
     return table(("effect", "correlation", "probability, equal before"), rows, right=(1, 2), caption=caption)
 

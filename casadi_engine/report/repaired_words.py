@@ -80,7 +80,7 @@ def effect_words(effect: FoundEffect, repair: Repair) -> str:
 
 
 def _class(effect: FoundEffect) -> str:
-    others = ", ".join(f"{one.name} at {one.at} ({100 * one.probability:.2g} %)" for one in effect.members)
+    others = ", ".join(f"{one.label} ({100 * one.probability:.2g} %)" for one in effect.members)
     return f"These data do not tell apart {len(effect.members)} effects that explain it as well: {others}."
 
 

@@ -11,6 +11,10 @@ from casadi_engine.discrepancy.membership import class_of, number_of, ordered
 DRY, DRAG, STEP, OFFSET = ("dry", "load"), ("drag", "load"), ("step", "load"), ("offset", "sensor")
 
 
+# what a further effect has to gain in log probability
+PRICE = math.log(10)
+
+
 def effect(key):
     return SimpleNamespace(candidate=SimpleNamespace(key=key), label=key[0])
 
@@ -41,7 +45,7 @@ def test_what_was_never_tried_comes_last_on_the_way():
 
 
 def test_effects_that_are_as_probable_share_their_class():
-    found = class_of(pool_of(dry=7.0, drag=7.0, step=-50.0), frozenset({DRY}), effect(DRY), 20.0)
+    found = class_of(pool_of(dry=7.0, drag=7.0, step=-50.0), frozenset({DRY}), effect(DRY), 20.0, PRICE)
     assert [(m.name, m.at) for m in found] == [DRY, DRAG]
     assert [m.probability for m in found] == pytest.approx([0.5, 0.5])
 
@@ -49,7 +53,7 @@ def test_effects_that_are_as_probable_share_their_class():
 @pytest.mark.parametrize(("times", "inside"), [(19.0, True), (21.0, False)])
 def test_an_effect_that_is_a_factor_less_probable_is_excluded(times, inside):
     pool = pool_of(dry=7.0, drag=7.0 - math.log(times))
-    found = class_of(pool, frozenset({DRY}), effect(DRY), 20.0)
+    found = class_of(pool, frozenset({DRY}), effect(DRY), 20.0, PRICE)
     assert names(found) == (["dry", "drag"] if inside else ["dry"])
     share = times / (1 + times) if inside else 1.0
     assert found[0].probability == pytest.approx(share)
@@ -58,29 +62,53 @@ def test_an_effect_that_is_a_factor_less_probable_is_excluded(times, inside):
 
 def test_probabilities_follow_the_evidence_and_the_rest_their_order():
     pool = pool_of(dry=0.0, step=-math.log(4), drag=-math.log(2))
-    found = class_of(pool, frozenset({DRY}), effect(DRY), 20.0)
+    found = class_of(pool, frozenset({DRY}), effect(DRY), 20.0, PRICE)
     assert names(found) == ["dry", "drag", "step"]
     assert [m.probability for m in found] == pytest.approx([4 / 7, 2 / 7, 1 / 7])
 
 
 def test_the_effect_itself_comes_first_even_where_another_is_more_probable():
     """The structure is chosen by more than the evidence: fresh data may have refused the other."""
-    found = class_of(pool_of(dry=0.0, drag=math.log(9)), frozenset({DRY}), effect(DRY), 20.0)
+    found = class_of(pool_of(dry=0.0, drag=math.log(9)), frozenset({DRY}), effect(DRY), 20.0, PRICE)
     assert names(found) == ["dry", "drag"]
     assert [m.probability for m in found] == pytest.approx([0.1, 0.9])
 
 
 def test_rivals_stand_beside_the_same_other_effects():
     pool = pool_of(dry=30.0, drag=30.0, dry_step=50.0, drag_step=50.0, dry_offset=50.0, dry_drag=49.5)
-    found = class_of(pool, frozenset({DRY, STEP}), effect(STEP), 20.0)
+    found = class_of(pool, frozenset({DRY, STEP}), effect(STEP), 20.0, PRICE)
     assert set(names(found)) == {"step", "offset", "drag"}
     assert names(found)[0] == "step"
-    own = class_of(pool, frozenset({DRY, STEP}), effect(DRY), 20.0)
+    own = class_of(pool, frozenset({DRY, STEP}), effect(DRY), 20.0, PRICE)
     assert names(own) == ["dry", "drag"]
 
 
+def test_two_effects_may_stand_in_the_place_of_one():
+    pool = pool_of(dry=30.0, drag=20.0, step=5.0, drag_step=30.0 + PRICE, dry_step=31.0)
+    first, second = class_of(pool, frozenset({DRY}), effect(DRY), 20.0, PRICE)
+    assert (first.label, second.label) == ("dry at load", "drag at load with step at load")
+    assert (first.probability, second.probability) == pytest.approx((0.5, 0.5))
+    pool[frozenset({DRAG, STEP})].log -= math.log(21)
+    assert names(class_of(pool, frozenset({DRY}), effect(DRY), 20.0, PRICE)) == ["dry"]
+
+
+def test_a_member_of_the_class_needs_no_second_effect():
+    pool = pool_of(dry=30.0, drag=30.0, drag_step=30.0 + PRICE)
+    assert [m.label for m in class_of(pool, frozenset({DRY}), effect(DRY), 20.0, PRICE)] == [
+        "dry at load",
+        "drag at load",
+    ]
+
+
+def test_one_effect_may_stand_in_the_place_of_two():
+    pool = pool_of(dry=10.0, drag=9.0, step=30.0, dry_drag=30.0 + PRICE)
+    first, second = class_of(pool, frozenset({DRY, DRAG}), effect(DRAG), 20.0, PRICE)
+    assert second.label == "step at load in place of it and dry at load"
+    assert (first.probability, second.probability) == pytest.approx((0.5, 0.5))
+
+
 def test_a_structure_whose_fit_failed_is_no_rival():
-    found = class_of(pool_of(dry=1.0, drag=-math.inf), frozenset({DRY}), effect(DRY), 20.0)
+    found = class_of(pool_of(dry=1.0, drag=-math.inf), frozenset({DRY}), effect(DRY), 20.0, PRICE)
     assert names(found) == ["dry"]
 
 

@@ -22,7 +22,7 @@ def answer_of(found: Any, case: Case) -> dict[str, Any]:
     """A Repair as plain numbers: verdict, effects with their classes and amplitudes, the gap on fresh data."""
     effects = []
     for one in found.effects:
-        members = [[f"{m.at}.{m.name}", float(m.probability)] for m in one.members]
+        members = [[_names(m), float(m.probability)] for m in one.members]
         amplitude = one.amplitude
         effects.append(
             {
@@ -88,8 +88,16 @@ def judged(kind: Kind, task: Task, answer: Mapping[str, Any]) -> str:
     return "right" if all(hit for _, hit in members(kind, task, answer)) else "in class"
 
 
+def _names(member: Any) -> str:
+    """``PORT.EFFECT``; of two effects in the place of one both, joined by a plus."""
+    _, two, second = member.more.partition(" with ")
+    name, _, at = second.partition(" at ")
+    return f"{member.at}.{member.name}" + (f"+{at}.{name}" if two else "")
+
+
 def _fits(kind: Kind, term: str, names: Sequence[str]) -> bool:
-    return any(fnmatchcase(name, wanted) for name in names for wanted in names_of(kind, term))
+    own = [part for name in names for part in name.split("+")]
+    return any(fnmatchcase(name, wanted) for name in own for wanted in names_of(kind, term))
 
 
 def alike(kind: Kind, task: Task, answer: Mapping[str, Any]) -> bool:
@@ -103,7 +111,7 @@ def alike(kind: Kind, task: Task, answer: Mapping[str, Any]) -> bool:
 def members(kind: Kind, task: Task, answer: Mapping[str, Any]) -> list[tuple[float, bool]]:
     """The stated probability of every member of every class, and whether it is true."""
     return [
-        (p, any(_fits(kind, term, [name]) for term in task.deleted))
+        (p, all(any(_fits(kind, term, [part]) for term in task.deleted) for part in name.split("+")))
         for one in answer["effects"]
         for name, p in one["members"]
     ]

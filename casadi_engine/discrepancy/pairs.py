@@ -1,0 +1,68 @@
+"""Two effects in the place of one: what the rounds, which add one at a time, would not come by.
+
+A law with a value of its own to adjust (friction that fades with speed) may do what two simpler ones do together (dry
+friction and drag). So rivals that were excluded are tried with one more effect each, where one step says that the two
+may be as probable as the one that was chosen, after the further effect is paid for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+from casadi_engine.deadline import ask
+from casadi_engine.discrepancy.events import by_one_step
+from casadi_engine.discrepancy.linearised import OneStep, one_step
+from casadi_engine.discrepancy.refit import Addition
+from casadi_engine.discrepancy.refits import FACTOR, Refits, Tried
+from casadi_engine.discrepancy.screening import Screened
+from casadi_engine.discrepancy.start import Start
+
+# Rivals that are tried with one more effect, and effects that each is tried with, the best by one step.
+_RIVALS, _SECONDS = 3, 2
+
+Families = Mapping[tuple[str, str], Sequence[int]]
+
+
+def price_of(families: Families) -> float:
+    """What a further effect has to gain in log probability: each is as probable beforehand as all others."""
+    return math.log(max(len(families), 1))
+
+
+def tried_in_two(
+    refits: Refits,
+    now: Tried,
+    screened: Screened,
+    families: Families,
+    chosen: Callable[[OneStep, Sequence[int]], Addition],
+    tell: Callable[[str], None],
+) -> list[Tried]:
+    """Structures with two effects in the place of one of ``now``, refitted; the pool holds them.
+
+    chosen : the addition of a family that one step asks for
+    """
+    memory = max(refits.levels.memory.values(), default=1.0)
+    made: list[Tried] = []
+    for member in now.effects:
+        rest = now.key - {member.candidate.key}
+        alike = [
+            t for t in refits.pool.values()
+            if len(t.key) == len(now.key) and rest < t.key and t.log <= now.log - math.log(FACTOR)
+        ]  # fmt: skip
+        for one in sorted(alike, key=lambda t: -t.log)[:_RIVALS]:
+            ask()
+            null = refits.null(one)
+            step = None if null is None else one_step(null, screened.candidates, refits.path.levels)
+            if step is None:
+                continue
+            others = [key for key in families if key not in one.key | now.key]
+            cost = {key: by_one_step(screened.candidates, step, list(families[key])).cost for key in others}
+            missing = now.log - math.log(FACTOR) + price_of(families) - one.log
+            for key in sorted(cost, key=lambda k: cost[k])[:_SECONDS]:
+                if step.none - cost[key] < 2 * memory * missing:
+                    break
+                ask()
+                second = chosen(step, families[key])
+                tell(f"refit {one.label} with {second.label} in place of {member.label}")
+                made += refits.tried((*one.effects, second), Start(one.arrived.values, one.arrived.initial))
+    return made
