@@ -64,7 +64,8 @@ def held_fit(
     method = str(fit.options.get("method", "exact"))
 
     found, fault = None, None
-    starts: list[Start | None] = [first_states_on(model, record, held, levels), None]
+    near = first_states_on(model, record, held, levels)
+    starts: list[Start | None] = [near and replace(near, in_places=_in_places(fit)), None]
     for number in range(3):
         if number == 2:
             if found is None:
@@ -129,7 +130,12 @@ def _unseen_from(fit: Fit, found: Fit) -> Start:
     own = {state: one.value for state, one in found.initial[name].items()}
     seen = next(iter(fit.initial.values()))
     own |= {state: one.value for state, one in seen.items() if state not in shown}
-    return Start(found.values, {name: own})
+    return Start(found.values, {name: own}, in_places=_in_places(fit))
+
+
+def _in_places(fit: Fit) -> bool:
+    """True if a fit took short steps in places alone."""
+    return any(not one.integrator.startswith("exponential") for one in fit.integration.values())
 
 
 def fresh_sides(

@@ -32,7 +32,8 @@ def fresh_misfit(repair: Repair) -> str | None:
     if not own.chi2_per_sample > 0:
         return None
     found = fresh.gap.chi2_per_sample
-    left = found if fresh.within_errors is None else fresh.within_errors
+    # where the model bends, a step of the parameters may make it worse
+    left = found if fresh.within_errors is None else min(found, fresh.within_errors)
     where = f"chi2/N is {found:.3g} there and {own.chi2_per_sample:.3g} on the data of the search"
     if _beyond(repair, left):
         within = "" if left == found else f", {left:.3g} within the errors of the parameters"
@@ -57,7 +58,7 @@ def fresh_doubt(repair: Repair) -> str | None:
     if repair.verdict in (None, "unnamed") or repair.noise is None or repair.noise.scatter:
         return None
     found = after.gap.chi2_per_sample
-    if not _beyond(repair, found):
+    if not _beyond(repair, found) or after.within_errors >= found:
         return None
     return (
         f"on the fresh data chi2/N is {found:.3g}, and {after.within_errors:.3g} within the errors of the parameters: "

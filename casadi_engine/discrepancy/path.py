@@ -44,8 +44,8 @@ FAILURES = (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError)
 _AT_BOUND = 1e-8
 # Steps over one horizon: a model that explains the data takes ten, one that does not has not arrived after a hundred.
 _STEPS = 20
-# Corners are sharpened at most so often at once; steps of the integration of all records, if all samples asked for as
-# many as the one that asks for most, up to which they are.
+# Corners are sharpened at most so often; steps of the integration of all records, if all samples asked for as many as
+# the one that asks for most, beyond which they are short in places alone.
 _SHARPER, _INTEGRATED = 3, 1e5
 # How many times corners are wider by that factor when a refit begins: then about as wide as the motion.
 _WIDER = 3
@@ -81,6 +81,8 @@ class Path:
         self.refitter, self.levels = refitter, dict(levels)
         self._made: dict[tuple[Any, ...], tuple[Model, Parameters, RefitProblem]] = {}
         self._kept: list[Addition] = []
+        # chi-squared by which corners that are sharper still may change the best fit; nan where it is not known
+        self.felt = 0.0
         self._least: dict[int, float] = {}  # the least work that a refit of a structure took
         self._work: list[float] = []  # expected of the first refit, and that of the refits so far
 
@@ -167,34 +169,59 @@ class Path:
         """The share of the motion's widths at which the data do not tell corners from sharper ones.
 
         A corner's width is a bias: friction that sticks creeps. Chi-squared at the values where a refit arrived tells
-        which width is felt, as far as the integrator can follow.
+        which width is felt; what it would still change by is kept as ``felt``.
         worth : the share of the samples that count as independent ones
         """
         refitter, before = self.refitter, self.refitter.share
-        wide = [refitter.rounded(one) for one in effects]
-        refitter.share = before / SHARPER_BY
-        corners = wide != [refitter.rounded(one) for one in effects]
-        refitter.share = before
         model, _, own = self._problem(effects)
-        if not corners or switches_with_states(model):
+        shares = self.shares(before)
+        if not self._cornered(effects) or switches_with_states(model) or len(shares) == 1:
             return before
         last, wider = math.nan, before
         felt = FELT * max(arrived.cost / max(own.count, 1), 1.0) / worth
         try:
             with np.errstate(all="ignore"):
                 states = [path.x for path in own.paths(arrived.values, arrived.refit.nodes)]
-                for level in range(_followed(own) + 1):
-                    refitter.share = before / SHARPER_BY**level
+                alike = _followed(own)
+                for level, share in enumerate(shares):
+                    refitter.share = share
+                    if level > alike:  # beyond that steps are short in places alone
+                        refitter.sharpest = max(refitter.sharpest, share)
                     cost = _cost_along(self._problem(effects)[2], arrived.values, states)
                     # what is left falls by the factor from one share to the next
-                    if abs(cost - last) * SHARPER_BY / (SHARPER_BY - 1) < felt:
+                    self.felt = FELT * abs(cost - last) / (SHARPER_BY - 1) / felt
+                    if self.felt * SHARPER_BY < FELT:
+                        self.felt = 0.0
                         return wider
-                    last, wider = cost, refitter.share
+                    last, wider = cost, share
         except FAILURES:
             pass  # sharper than the integrator can follow
         finally:
             refitter.share = before
         return wider
+
+    def shares(self, begun: float) -> list[float]:
+        """Shares of the motion's widths from one on, each sharper by a factor, to the least that is tried."""
+        found = [begun]
+        while found[-1] > 1.01 * SHARPER_BY**-_SHARPER:
+            found.append(found[-1] / SHARPER_BY)
+        return found
+
+    def sharper(self, effects: Sequence[Addition], arrived: Arrived, before: float) -> Arrived | None:
+        """A refit with corners as sharp as they are now, from where it arrived with those before, in steps."""
+        refitter, own, found = self.refitter, self.refitter.share, arrived
+        try:
+            for share in self.shares(before)[1:]:
+                if share < 0.99 * own:
+                    break
+                refitter.share = share
+                there = self.from_point(effects, found)
+                if there is None:
+                    return None
+                found = there
+        finally:
+            refitter.share = own
+        return found
 
     # ---- inside
 
@@ -205,7 +232,8 @@ class Path:
             # windows begin at the measured states, which a wrong simulation has lost
             initial = (None if start is None or horizons is None else start.initial) or None
             with Deadline(work=self._allowed(problem)) as own:
-                found = problem.run(start=values, initial=initial, horizons=horizons, most=_STEPS)
+                near = start.refit.nodes if initial is not None and isinstance(start, Arrived) else None
+                found = problem.run(start=values, initial=initial, horizons=horizons, most=_STEPS, near=near)
             self._work.append(own.done)
             self._least[id(problem)] = min(own.done, self._least.get(id(problem), math.inf))
             return _arrived(problem, found)
@@ -228,6 +256,8 @@ class Path:
             pars = refitter.parameters_of(model, effects).unconstrained()
             interval = refitter.interval
             problem = RefitProblem(model, refitter.data, pars, levels=self.levels, interval=interval)
+            if refitter.in_places:
+                problem.step_in_places()
             self._made[key] = model, pars, problem
         return self._made[key]
 
@@ -244,10 +274,10 @@ def _begun(
 
 
 def _followed(problem: RefitProblem) -> int:
-    """How many times the integrator can follow corners that are sharper by the factor."""
+    """How many times an integrator with steps alike everywhere can follow corners that are sharper by the factor."""
     steps = max((getattr(record.propagator, "substeps", 1) for record in problem.records), default=1)
     allowed = min(MOST_SUBSTEPS, _INTEGRATED / sum(record.grid.samples for record in problem.records))
-    return min(int(math.log(max(allowed / steps, 1.0), SHARPER_BY) + 1e-9), _SHARPER)
+    return int(math.log(max(allowed / steps, 1.0), SHARPER_BY) + 1e-9)
 
 
 def _cost_along(problem: RefitProblem, values: Mapping[str, float], states: Sequence[Array]) -> float:

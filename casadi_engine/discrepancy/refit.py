@@ -127,7 +127,8 @@ class Refitter:
     """What all refits share: the null fit's model, parameters, data and options of ``estimate``.
 
     base : the fit without effects, by whose motion the corners of laws are narrowed; share : of the width that this
-        motion gives, one for all effects, so that no structure gains by a sharper corner than its rivals have
+        motion gives, one for all effects, so that no structure gains by a sharper corner than its rivals have;
+        sharpest : share from which on corners ask for more steps than are taken everywhere
     """
 
     model: Model
@@ -137,6 +138,7 @@ class Refitter:
     options: Mapping[str, Any] = field(default_factory=dict)
     base: Fit | None = None
     share: float = 1.0
+    sharpest: float = 0.0
     # (label, share) -> the effect as refits have it, with its corners narrowed
     _narrow: dict[tuple[str, float], Any] = field(default_factory=dict, repr=False)
     _motion: list[NullPath] | None = field(default=None, repr=False)
@@ -229,6 +231,11 @@ class Refitter:
         return self._narrow[key]
 
     @property
+    def in_places(self) -> bool:
+        """True if corners are so sharp that steps are to be short in places alone."""
+        return self.share <= self.sharpest
+
+    @property
     def interval(self) -> Any:
         """The length of shooting intervals: short ones for laws whose corners ask for many steps of the integrator,
         which all intervals take side by side."""
@@ -276,6 +283,8 @@ class Refitter:
         most = min(int(self.options.get("max_iterations", most)), most)
         options = dict(self.options) | {"max_iterations": most, "errors": "quadratic", "progress": False}
         options["interval"] = self.interval
+        if warm is not None and self.in_places:
+            warm = replace(warm, in_places=True)
         try:
             with np.errstate(all="ignore"):
                 fit = estimate(model, self.data, parameters=pars, noise=self.noise, warm=warm, **options)

@@ -21,7 +21,7 @@ from casadi_engine.discrepancy.refit import Addition, Refitter
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation import Fit
-from casadi_engine.estimation.corner_widths import FELT
+from casadi_engine.estimation.corner_widths import FELT, ROUNDED
 
 # A structure is excluded where another one is so many times more probable.
 FACTOR = 20.0
@@ -202,8 +202,10 @@ class Refits:
         self.refitter.share = share
         arrives = self._again_sharp(best)
         sharp = self.pool[best.key]
-        if not arrives or sharp.arrived.cost > best.arrived.cost + FELT:  # the law itself is no sharper
-            return not self.blunted()
+        if not arrives or sharp.arrived.cost > best.arrived.cost + FELT:
+            self.blunted()
+            self.path.felt = 0.0 if arrives else math.nan  # the law itself is no sharper
+            return False
         least = best.log - abs(sharp.log - best.log) - math.log(FACTOR * len(self.pool))
         alike = [one for one in self.pool.values() if len(one.effects) == len(best.effects)]
         near = sorted(
@@ -220,7 +222,8 @@ class Refits:
         """Refit with the corners as they are now; what a wide one gained is no evidence, so that the end counts even
         where it is less probable."""
         self._tell(f"sharper corners: {tried.label}")
-        again = self.path.from_point(tried.effects, tried.arrived)
+        assert self._wide is not None
+        again = self.path.sharper(tried.effects, tried.arrived, self._wide[0])
         made = None if again is None else self._counted(tried.effects, again)
         if made is not None:
             self.pool[tried.key] = made
@@ -232,8 +235,23 @@ class Refits:
         if self._wide is None:
             return False
         (self.refitter.share, self.pool), self._wide, self._blunt = self._wide, None, True
+        self.path.felt = math.nan
         self.weigh()
         return True
+
+    def doubt(self, effects: Sequence[Addition]) -> list[str]:
+        """That the data feel how the corners of these effects are rounded, where they do."""
+        own = {one.key: getattr(self.refitter.rounded(one), "width", None) for one in effects}
+        names = ", ".join(f"{key} over {width:.2g}" for key, width in own.items() if width is not None)
+        left = self.path.felt
+        if not names or left <= FELT:
+            return []
+        known = (
+            f"sharper ones may change chi-squared by {left:.2g} and estimates by {math.sqrt(left):.2g} standard errors"
+            if math.isfinite(left)
+            else "by how much sharper ones would change the estimates is not known"
+        )
+        return [f"{ROUNDED} ({names}), and no fit with sharper ones was reached: {known}"]
 
     def none(self, fit: Fit) -> Tried:
         """The null fit as a structure."""

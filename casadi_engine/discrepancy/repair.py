@@ -230,6 +230,7 @@ class _Job:
             return self._no_answer(null_fit, alpha)
         told = remarks(search.chosen.fit, scatter)
         told += [words for words in null_fit.messages if words.startswith(ROUNDED)]
+        told += search.refits.doubt(search.chosen.effects)
         if not null_fit.converged:  # a wrong model may have a valley without end; the right one has none
             told.append(
                 f"the fit without effects has {null_fit.status}; effects were looked for from where it ended"

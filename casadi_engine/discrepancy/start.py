@@ -13,13 +13,14 @@ from casadi_engine.estimation import Fit
 class Start:
     """Values to start from, and initial states, or none: the measurement gives them.
 
-    converged : an optimum is to be near
+    converged : an optimum is to be near; in_places : laws are so sharp that steps are short in places alone
     """
 
     values: Mapping[str, float]
     initial: Mapping[str, Any] = field(default_factory=dict)
     noise: Mapping[str, tuple[float, bool]] = field(default_factory=dict)
     converged: bool = False
+    in_places: bool = False
 
     @classmethod
     def of(cls, fit: Fit, *, near: bool = True) -> Start:

@@ -62,15 +62,14 @@ def make_fit(
     integration = {} if stopped else _integration(search, errors.x)
     for record, lay in zip(search.records, problem.layouts, strict=True):
         name, nodes = record.experiment.name, lay.take(errors.x)
-        start = nodes[0]
         try:
-            traces[name], left = _traces(search, record, v, start)
+            traces[name], left = _traces(search, record, v, nodes)
         except FloatingPointError as fault:
             raise _no_numbers(best, fault) from fault
         residuals.append(left)
         drives[name] = _drives(record, v)
         percents[name] = {key: _percent(trace) for key, trace in traces[name].items()}
-        first[name] = start * record.scale
+        first[name] = nodes[0] * record.scale
     status, reason = (best.solution.status, None) if stopped else verdict(search, best, errors, residuals)
     if status != best.solution.status:
         errors, optima = replace(errors, optimal=status == "converged"), relabelled(optima, status)
@@ -164,10 +163,10 @@ def _predictor(
     )
 
 
-def _traces(search: Search, record: RecordTerm, v: Array, start: Array) -> tuple[dict[str, Trace], Array]:
+def _traces(search: Search, record: RecordTerm, v: Array, nodes: Array) -> tuple[dict[str, Trace], Array]:
     """Measured, simulated and, with a gain, predicted outputs at the measured times; and the weighted residual (K, M)
     that the fit minimises, of the same trajectory."""
-    simulated = response(record, v, start)
+    simulated, start = response(record, v, nodes), nodes[0]
     left = residual(record, simulated[0])
     predicted = None
     if search.noise.predicts:

@@ -15,7 +15,7 @@ from casadi_engine.estimation.integration import SHARE, alike
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty, uncertainty
-from casadi_engine.estimation.starts import chained_nodes
+from casadi_engine.estimation.starts import chained_nodes, joined_nodes
 
 Array = NDArray[np.float64]
 
@@ -34,8 +34,10 @@ _MOST = 4
 
 
 def response(record: RecordTerm, v: Array, start: Array) -> tuple[Array, Any]:
-    """Outputs (K, M) of the trajectory from ``start``, and the observation that lays them out."""
-    return record.outputs_at(v, chained_nodes(record, v, start))[0], record.observation
+    """Outputs (K, M) of the trajectory from ``start`` (n,), or from the first of nodes (M, n) near it, and the
+    observation that lays them out."""
+    nodes = chained_nodes(record, v, start) if start.ndim == 1 else joined_nodes(record, v, start)
+    return record.outputs_at(v, nodes)[0], record.observation
 
 
 def residual(record: RecordTerm, y: Array) -> Array:

@@ -24,8 +24,6 @@ from casadi_engine.simulation.error_estimate import (
     signed_error,
     summed_up,
 )
-from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
-from casadi_engine.simulation.observed import ObservedPropagator
 from casadi_engine.simulation.propagator import fineness_of
 
 Array = NDArray[np.float64]
@@ -95,9 +93,7 @@ def shorten_steps(records: Sequence[RecordTerm], v: Array, nodes: Sequence[Array
         finer = shortened(record.propagator, found, min(4 * shift / limit, 1e8))
         if finer is not None:
             record.propagator = finer
-        elif isinstance(record.propagator, (ExponentialPropagator, ObservedPropagator)):
-            record.step_in_places()
-        else:
+        elif not record.step_in_places():
             continue
         changed = True
     return changed

@@ -20,6 +20,7 @@ from casadi_engine.simulation.gain import GainPlan
 from casadi_engine.simulation.grid import Grid, lay_grid
 from casadi_engine.simulation.intervals import Intervals, Observation, cut
 from casadi_engine.simulation.linear import LinearPropagator
+from casadi_engine.simulation.observed import ObservedPropagator
 from casadi_engine.simulation.propagator import after_missing, fineness_of, make_propagator, starts_afresh
 from casadi_engine.simulation.runge_kutta import Fineness, RungeKuttaPropagator
 from casadi_engine.simulation.shared_core import Cores
@@ -199,11 +200,15 @@ class RecordTerm:
         """True if the state at an interval's end is affine in that at its start."""
         return isinstance(self.propagator, LinearPropagator)
 
-    def step_in_places(self) -> None:
-        """Integrate by steps that may differ from sample to sample, in place of those of the linear core."""
+    def step_in_places(self) -> bool:
+        """Integrate by steps that may differ from sample to sample, in place of those of the linear core; False where
+        there are none of these."""
+        if not isinstance(self.propagator, (ExponentialPropagator, ObservedPropagator)):
+            return False
         self.propagator = RungeKuttaPropagator(
             self.model, self.grid, self.plan, self._local, self.symbols[1], scale=self.scale
         )
+        return True
 
     def single(self) -> RecordTerm:
         """The same record as one interval, for simulation; made once for one fineness of the integration."""

@@ -17,16 +17,14 @@ from casadi_engine.estimation.levenberg_marquardt import minimise
 from casadi_engine.estimation.options import initial_bounds, interval_length
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.refit_answer import Refit, in_time
-from casadi_engine.estimation.starts import chained_nodes, fitted_nodes, nodes_from_measurement
+from casadi_engine.estimation.starts import chained_nodes, fitted_nodes, joined_nodes, nodes_from_measurement
 from casadi_engine.estimation.windows import Place, Windows, simulated
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters, compile
 from casadi_engine.parameters.compiled import ParameterMap
-from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
 from casadi_engine.simulation.grid import lay_grid
 from casadi_engine.simulation.null_path import NullPath, with_slope
-from casadi_engine.simulation.observed import ObservedPropagator
 from casadi_engine.simulation.propagator import fineness_of, switches_with_states
 from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 from casadi_engine.simulation.shared_core import Cores
@@ -46,8 +44,6 @@ _SHORTENED = 4
 _TIME_UP = "the time was up"
 # Growth of a window from one horizon to the next.
 _GROWTH = 8
-# Propagators of a linear core.
-_CORES = ExponentialPropagator, ObservedPropagator
 
 
 class RefitProblem:
@@ -95,18 +91,33 @@ class RefitProblem:
         warm: Refit | None = None,
         horizons: Sequence[float | None] | None = None,
         most: int = 60,
+        near: Sequence[Array] | None = None,
     ) -> Refit:
-        """The refit from a start; see ``refit``."""
+        """The refit from a start; see ``refit``. near : states (M, n) of each record's intervals near those of the
+        simulation from ``initial``"""
         self._check_constraints()
         z = self._values(start, warm)
         v = self.coordinates.of(z)
         self._steps = 0
         with np.errstate(all="ignore"):
             try:
-                nodes = [self._nodes(record, v, z, initial, warm) for record in self.records]
+                close = near if near is not None else [None] * len(self.records)
+                nodes = [
+                    self._nodes(record, v, z, initial, warm, own)
+                    for record, own in zip(self.records, close, strict=True)
+                ]
                 return self._searched(v, nodes, self._counts(horizons), most, warm)
             except (FloatingPointError, np.linalg.LinAlgError) as fault:
+                if self.step_in_places():
+                    return self.run(
+                        start=start, initial=initial, warm=warm, horizons=horizons, most=most, near=near
+                    )
                 return self._failed(z, f"the model cannot be evaluated: {fault}")
+
+    def step_in_places(self) -> bool:
+        """Take steps that are short where a corner is passed, in place of those of a linear core, which are alike
+        everywhere and too long for a sharp one; False where all do."""
+        return any([record.step_in_places() for record in self.records])
 
     def _searched(
         self, v: Array, nodes: list[Array], ladder: list[list[int]], most: int, warm: Refit | None
@@ -194,11 +205,8 @@ class RefitProblem:
             try:
                 residuals, nodes, _ = simulated(self.records, v, nodes)
             except FloatingPointError:
-                cores = [r for r in self.records if isinstance(r.propagator, _CORES)]
-                if not cores:
+                if not self.step_in_places():
                     raise
-                for record in cores:  # their steps are alike everywhere, and too long for a sharp corner
-                    record.step_in_places()
                 residuals, nodes, _ = simulated(self.records, v, nodes)
             if not shorten_steps(self.records, v, nodes):
                 break
@@ -234,7 +242,15 @@ class RefitProblem:
         )
         return np.clip(z.astype(float), self.pmap.lower, self.pmap.upper)
 
-    def _nodes(self, record: RecordTerm, v: Array, z: Array, initial: Any, warm: Refit | None) -> Array:
+    def _nodes(
+        self,
+        record: RecordTerm,
+        v: Array,
+        z: Array,
+        initial: Any,
+        warm: Refit | None,
+        near: Array | None = None,
+    ) -> Array:
         """The states (M, n) of a record's intervals at which the search begins, scaled."""
         name, states = record.experiment.name, [state.name for state in self.model.states]
         given = (initial or {}).get(name)
@@ -247,7 +263,10 @@ class RefitProblem:
         measured = nodes_from_measurement(record, self.pmap.unpack(z, name))
         if given is not None:
             first = initial_bounds(given, self.model, name, [name])[2] / record.scale
-            return chained_nodes(record, v, np.where(np.isfinite(first), first, measured[0]))
+            first = np.where(np.isfinite(first), first, measured[0])
+            if near is None or near.shape != measured.shape:
+                return chained_nodes(record, v, first)
+            return joined_nodes(record, v, np.concatenate([first[None], near[1:]]))
         if before is not None and len(before.states) == count:
             for state in known.keys() & set(states):  # the others are an effect's own
                 measured[:, states.index(state)] = known[state] / record.scale[states.index(state)]

@@ -29,7 +29,13 @@ from casadi_engine.estimation.scales import felt_scale, state_factors
 from casadi_engine.estimation.shooting import ShootingProblem
 from casadi_engine.estimation.slopes import check_slopes
 from casadi_engine.estimation.spectral_start import Begun, SpectralStarts, in_full
-from casadi_engine.estimation.starts import chained_nodes, drawn_starts, fitted_nodes, nodes_from_measurement
+from casadi_engine.estimation.starts import (
+    chained_nodes,
+    drawn_starts,
+    fitted_nodes,
+    joined_nodes,
+    nodes_from_measurement,
+)
 from casadi_engine.estimation.unreachable import unreachable
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
@@ -148,6 +154,9 @@ class Search:
         self.coordinates = coordinates
         self._tails: dict[str, Any] = {}
         self.records, level = self._terms(self._grids, self._whole_tails, self.cut, self._method)
+        if getattr(self.warm, "in_places", False):
+            for record in self.records:
+                record.step_in_places()
         priors: Any = Priors(self.pmap, self.coordinates)
         if level is not None:
             self._check_loss()
@@ -290,7 +299,7 @@ class Search:
         for record, lay in zip(self.records, self.problem.layouts, strict=True):
             if isinstance(record.propagator, RungeKuttaPropagator) and lay.m > 1:
                 try:
-                    nodes = chained_nodes(record, x[:nv], lay.take(x)[0])
+                    nodes = joined_nodes(record, x[:nv], lay.take(x))
                 except FloatingPointError:
                     return None
                 found[lay.at : lay.at + nodes.size] = nodes.ravel()
@@ -488,7 +497,7 @@ class Search:
         """The point with the nodes of one run from its first states."""
         found, nv = x.copy(), self.problem.nv
         for record, lay in zip(self.records, self.problem.layouts, strict=True):
-            nodes = chained_nodes(record, x[:nv], lay.take(x)[0])
+            nodes = joined_nodes(record, x[:nv], lay.take(x))
             found[lay.at : lay.at + nodes.size] = nodes.ravel()
         return found
 

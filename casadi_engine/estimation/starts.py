@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from casadi_engine.estimation.loss import Loss
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.parameters.compiled import ParameterMap
+from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 
 Array = NDArray[np.float64]
 
@@ -24,6 +25,8 @@ _HALVINGS = 10
 # Steps to the states that explain an interval, the fall of the misfit that ends them; the damping at first, its change;
 # share of the largest slope in a state below which nothing is known of the state.
 _NODE_STEPS, _SMALL, _DAMPING, _HINDER, _BLIND = 10, 1e-2, 1e-2, 6.0, 1e-6
+# Times that gaps between intervals are closed side by side, and what is left of them, as a share of the largest state.
+_CLOSINGS, _CLOSED = 10, 1e-11
 # A start is drawn within this factor of the given one where the bounds leave more room.
 _REACH = 3.0
 
@@ -182,6 +185,31 @@ def chained_nodes(record: RecordTerm, v: Array, first: Array) -> Array:
     whole = record.single()
     path = whole.propagator.propagate(v[record.active], first[None], 0)
     return np.ascontiguousarray(path.x[: plan.m * plan.length : plan.length, :, 0])[: plan.m]
+
+
+def joined_nodes(record: RecordTerm, v: Array, near: Array) -> Array:
+    """Nodes (M, n) of the trajectory that starts at the first of nodes near it, scaled.
+
+    The gaps between intervals close side by side, by Newton's steps; in one run, interval by interval, where they do
+    not, or where that is as cheap.
+    """
+    if record.plan.m == 1 or not isinstance(record.propagator, RungeKuttaPropagator):
+        return chained_nodes(record, v, near[0])
+    nodes = near.copy()
+    for _ in range(_CLOSINGS):
+        path = record.propagator.propagate(v[record.active], nodes, 1)
+        gaps = path.end.T[:-1] - nodes[1:]
+        size = float(np.abs(gaps).max())
+        if not np.isfinite(size):
+            break
+        if size <= _CLOSED * max(1.0, float(np.abs(nodes).max())):
+            return nodes
+        ends = np.broadcast_to(path.end_s, (len(nodes), record.n, record.n))
+        step = np.zeros(record.n)
+        for k, gap in enumerate(gaps):
+            step = ends[k] @ step + gap
+            nodes[k + 1] += step
+    return chained_nodes(record, v, near[0])
 
 
 def drawn_starts(
