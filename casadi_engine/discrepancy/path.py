@@ -37,7 +37,7 @@ from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
 from casadi_engine.simulation.exponential_runge_kutta import MOST_SUBSTEPS
-from casadi_engine.simulation.propagator import switches_with_states
+from casadi_engine.simulation.propagator import bends_between_samples, switches_with_states
 from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 
 FAILURES = (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError)
@@ -53,6 +53,8 @@ _WIDER = 3
 # arrived, and more than this; what the first one may well cost, in steps over the whole record for every step allowed
 # over one horizon.
 _MANY, _AGAIN, _FREE, _AHEAD = 20.0, 3.0, 1e6, 10
+# What a refit with sharper corners may cost more: there are few, and the last ones count.
+_PATIENCE = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +187,9 @@ class Path:
                 alike = _followed(own)
                 for level, share in enumerate(shares):
                     refitter.share = share
-                    if level > alike:  # beyond that steps are short in places alone
+                    if level > alike:  # beyond that steps have to be short in places alone
+                        if not _local(own):
+                            break
                         refitter.sharpest = max(refitter.sharpest, share)
                     cost = _cost_along(self._problem(effects)[2], arrived.values, states)
                     # what is left falls by the factor from one share to the next
@@ -215,7 +219,7 @@ class Path:
                 if share < 0.99 * own:
                     break
                 refitter.share = share
-                there = self.from_point(effects, found)
+                there = self._ended(effects, found, (None,), patience=_PATIENCE)
                 if there is None:
                     return None
                 found = there
@@ -225,13 +229,15 @@ class Path:
 
     # ---- inside
 
-    def _ended(self, effects: Sequence[Addition], start: Any, horizons: tuple[None] | None) -> Arrived | None:
+    def _ended(
+        self, effects: Sequence[Addition], start: Any, horizons: tuple[None] | None, patience: float = 1.0
+    ) -> Arrived | None:
         try:
             _, _, problem = self._problem(effects)
             values = _begun(problem, effects, {} if start is None else start.values)
             # windows begin at the measured states, which a wrong simulation has lost
             initial = (None if start is None or horizons is None else start.initial) or None
-            with Deadline(work=self._allowed(problem)) as own:
+            with Deadline(work=patience * self._allowed(problem)) as own:
                 near = start.refit.nodes if initial is not None and isinstance(start, Arrived) else None
                 found = problem.run(start=values, initial=initial, horizons=horizons, most=_STEPS, near=near)
             self._work.append(own.done)
@@ -271,6 +277,14 @@ def _begun(
         own = [name for name in problem.pmap.free if name.partition("@")[0] == one.amplitude]
         found |= {name: one.start for name in own if name not in known}
     return found
+
+
+def _local(problem: RefitProblem) -> bool:
+    """True if steps of the integration are, or can be, short in places alone."""
+    return all(
+        isinstance(record.propagator, RungeKuttaPropagator) or not bends_between_samples(record.model)
+        for record in problem.records
+    )
 
 
 def _followed(problem: RefitProblem) -> int:

@@ -8,6 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import casadi as ca
+import numpy as np
+
 from casadi_engine.deadline import Deadline, TimeUp
 from casadi_engine.discrepancy.answer import Answer
 from casadi_engine.discrepancy.assumed_pressure import carry, remarks, settle_scatter
@@ -34,6 +37,7 @@ from casadi_engine.estimation.options import as_number, whole
 from casadi_engine.estimation.parallel import checked_jobs
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
+from casadi_engine.model.corners import with_rounded_jumps
 from casadi_engine.parameters import Parameters
 from casadi_engine.problem.noise import Noise
 from casadi_engine.simulation.grid import lay_grid
@@ -42,6 +46,10 @@ _STARTS, _MOST = 4, 4
 # Behind a budget or a Ctrl-C an answer is made of what was found, within this share of the budget or so many seconds;
 # share of that time up to which the fit without effects and its scores may last, without which there is no answer.
 _SPARE, _LEAST_SPARE, _FIRST = 0.1, 2.0, 0.5
+_JUMPED = (
+    "the equations jump with their states; here tanh stands in place of their jumps, as sharp as the motion asks for "
+    "({}): the parameters of repair.fit belong to these equations"
+)
 _LOWER = "the time was up before the whole data were fitted: all values are those of records of a lower rate"
 
 
@@ -114,8 +122,10 @@ def repair(
     ('named', True, 'engine.coulomb_friction', 3.0)
     """
     begun = time.perf_counter()
-    pars = _own(model, parameters)
-    records = _records(data, model)
+    pars, given, records = _own(model, parameters), model, _records(data, model)
+    model = with_rounded_jumps(model, _largest(model, records))
+    if model is not given:
+        pars = pars.extended(model)
     others = () if fresh is None else _records(fresh, model)
     effects = left_out(effects, without)
     read_request(model, effects, at)
@@ -229,6 +239,15 @@ class _Job:
         if not null_fit.converged and not search.best:
             return self._no_answer(null_fit, alpha)
         told = remarks(search.chosen.fit, scatter)
+        corners = {
+            one.width: search.chosen.fit.values.get(one.width) or pars[one.width].value
+            for one in self.model.corners
+        }
+        told += (
+            [_JUMPED.format(", ".join(f"{name} = {value:.2g}" for name, value in corners.items()))]
+            if corners
+            else []
+        )
         told += [words for words in null_fit.messages if words.startswith(ROUNDED)]
         told += search.refits.doubt(search.chosen.effects)
         if not null_fit.converged:  # a wrong model may have a valley without end; the right one has none
@@ -318,6 +337,16 @@ class _Job:
             status, None, None, fit, fit, alpha, data=self.portion.data, fresh=self.portion.fresh,
             timing=self.timing, options=self.asked, messages=(why,), stopped=self._by if cut else "",
         )  # fmt: skip
+
+
+def _largest(model: Model, records: Sequence[Experiment]) -> dict[str, float]:
+    """State -> its largest magnitude in these records, of those that an output shows as they are."""
+    found: dict[str, float] = {}
+    for out, shown in zip(model.outputs, ca.vertsplit(model.output_expressions), strict=True):
+        courses = [np.abs(record[out.name].values) for record in records if out.name in record]
+        if shown.is_symbolic() and courses:
+            found[str(shown)] = float(max(np.nanmax(course) for course in courses))
+    return found
 
 
 def _seconds(budget: Any) -> float:

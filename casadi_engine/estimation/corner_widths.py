@@ -18,11 +18,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.effects.corners import narrow
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.refit_answer import Refit
 from casadi_engine.estimation.refit_problem import RefitProblem
 from casadi_engine.model import Model
+from casadi_engine.model.corners import Corner
 from casadi_engine.model.port_view import PortView
 from casadi_engine.parameters import Parameters, compile
 from casadi_engine.simulation.candidate_sensitivities import at_measurements
@@ -148,11 +150,11 @@ def _told(motion: Motion, widths: Mapping[str, float]) -> Fit:
 
 
 def _open_widths(model: Model, parameters: Parameters) -> dict[str, Any]:
-    """Name -> the effect's attachment, of widths that are as the model declares them."""
+    """Name -> the effect's attachment or the rounded jump, of widths that are as the model declares them."""
     declared = {one.name: one.value for one in model.declarations}
     return {
         one.width: one
-        for one in model.effects
+        for one in (*model.effects, *model.corners)
         if one.width and one.width in parameters and _untouched(parameters[one.width], declared[one.width])
     }
 
@@ -195,6 +197,9 @@ def _by_motion(
     """The width of each corner by the motion along these simulations."""
     found = {}
     for name, one in widths.items():
+        if isinstance(one, Corner):
+            found[name] = narrow(courses(paths, one.signal), parameters[name].value)
+            continue
         view = PortView(model, model.ports[one.at], partial(courses, paths), effect=one.effect.name)
         width = getattr(one.effect.narrowed(view), "width", None)
         found[name] = parameters[name].value if width is None else min(width, parameters[name].value)

@@ -21,7 +21,13 @@ from casadi_engine.simulation.grid import Grid, lay_grid
 from casadi_engine.simulation.intervals import Intervals, Observation, cut
 from casadi_engine.simulation.linear import LinearPropagator
 from casadi_engine.simulation.observed import ObservedPropagator
-from casadi_engine.simulation.propagator import after_missing, fineness_of, make_propagator, starts_afresh
+from casadi_engine.simulation.propagator import (
+    after_missing,
+    bends_between_samples,
+    fineness_of,
+    make_propagator,
+    starts_afresh,
+)
 from casadi_engine.simulation.runge_kutta import Fineness, RungeKuttaPropagator
 from casadi_engine.simulation.shared_core import Cores
 
@@ -202,8 +208,9 @@ class RecordTerm:
 
     def step_in_places(self) -> bool:
         """Integrate by steps that may differ from sample to sample, in place of those of the linear core; False where
-        there are none of these."""
-        if not isinstance(self.propagator, (ExponentialPropagator, ObservedPropagator)):
+        there are none of these, or the answer would be another one."""
+        core = isinstance(self.propagator, (ExponentialPropagator, ObservedPropagator))
+        if not core or bends_between_samples(self.model):
             return False
         self.propagator = RungeKuttaPropagator(
             self.model, self.grid, self.plan, self._local, self.symbols[1], scale=self.scale

@@ -117,7 +117,8 @@ class RefitProblem:
     def step_in_places(self) -> bool:
         """Take steps that are short where a corner is passed, in place of those of a linear core, which are alike
         everywhere and too long for a sharp one; False where all do."""
-        return any([record.step_in_places() for record in self.records])
+        stepped = [record.step_in_places() for record in self.records]  # each of them
+        return any(stepped)
 
     def _searched(
         self, v: Array, nodes: list[Array], ladder: list[list[int]], most: int, warm: Refit | None

@@ -195,13 +195,20 @@ def joined_nodes(record: RecordTerm, v: Array, near: Array) -> Array:
     """
     if record.plan.m == 1 or not isinstance(record.propagator, RungeKuttaPropagator):
         return chained_nodes(record, v, near[0])
-    nodes = near.copy()
+    try:
+        joined = _joined(record, v, near.copy())
+    except FloatingPointError:  # far from the run, a step may lead anywhere
+        joined = None
+    return chained_nodes(record, v, near[0]) if joined is None else joined
+
+
+def _joined(record: RecordTerm, v: Array, nodes: Array) -> Array | None:
     for _ in range(_CLOSINGS):
         path = record.propagator.propagate(v[record.active], nodes, 1)
         gaps = path.end.T[:-1] - nodes[1:]
         size = float(np.abs(gaps).max())
         if not np.isfinite(size):
-            break
+            return None
         if size <= _CLOSED * max(1.0, float(np.abs(nodes).max())):
             return nodes
         ends = np.broadcast_to(path.end_s, (len(nodes), record.n, record.n))
@@ -209,7 +216,7 @@ def joined_nodes(record: RecordTerm, v: Array, near: Array) -> Array:
         for k, gap in enumerate(gaps):
             step = ends[k] @ step + gap
             nodes[k + 1] += step
-    return chained_nodes(record, v, near[0])
+    return None
 
 
 def drawn_starts(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import pi
+from math import nan, pi
 from typing import Any
 
 import casadi as ca
@@ -19,6 +19,7 @@ _COMPARISONS = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE)
 _LOGIC = (ca.OP_NOT, ca.OP_AND, ca.OP_OR)
 _ROUNDED = (ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD, ca.OP_REMAINDER)
 _SIGNS = (ca.OP_SIGN, ca.OP_COPYSIGN, ca.OP_IF_ELSE_ZERO, ca.OP_ATAN2)
+_NO_SIDES = nan, nan
 _KINKS = frozenset((ca.OP_FABS, ca.OP_FMIN, ca.OP_FMAX))
 _JUMPS = frozenset((*_COMPARISONS, *_LOGIC, *_ROUNDED, *_SIGNS))
 
@@ -49,7 +50,8 @@ class Held:
     symbols : (k, 1) SX b; `values` : (k, 1) SX what they stand for, in the symbols of the given expression:
         with b = values both expressions are equal. Between two events the values are constants.
     switches : the distinct switching functions, in the given symbols and in b (a condition may depend on another)
-    at : (k,) for each b the index of the switch at whose events it changes
+    at : (k,) for each b the index of the switch at whose events it changes; sides : (k,) its values where that switching
+        function is negative and where it is positive, nan for whole numbers
     """
 
     expression: Any
@@ -57,6 +59,7 @@ class Held:
     values: Any
     switches: tuple[Switch, ...]
     at: tuple[int, ...]
+    sides: tuple[tuple[float, float], ...]
 
 
 def jumps(expression: Any, of: Any = None) -> list[Switch]:
@@ -75,17 +78,18 @@ def jumps(expression: Any, of: Any = None) -> list[Switch]:
     return [Switch(plain, kind) for plain, _, kind in holder.switches]
 
 
-def with_held_jumps(expression: Any, of: Any = None) -> Held:
+def with_held_jumps(expression: Any, of: Any = None, *, products: bool = False) -> Held:
     """An SX expression with a symbol in place of what jumps; see `Held`.
 
     of : SX column; only the jumps that depend on these symbols (default: on any)
+    products : truth values are multiplied with, so that they may be anything between 0 and 1
 
     >>> w = ca.SX.sym("w")
     >>> held = with_held_jumps(-3 * ca.sign(w) - w)
     >>> held.expression, held.symbols, held.values
     (SX(((-3*b0)-w)), SX(b0), SX(sign(w)))
     """
-    holder = _Holder(of)
+    holder = _Holder(of, products=products)
     smooth = holder.follow(expression)
     return Held(
         smooth,
@@ -93,6 +97,7 @@ def with_held_jumps(expression: Any, of: Any = None) -> Held:
         ca.vertcat(ca.SX(0, 1), *holder.values),
         tuple(Switch(held, kind) for _, held, kind in holder.switches),
         tuple(holder.at),
+        tuple(holder.sides),
     )
 
 
@@ -180,8 +185,10 @@ class _Holder:
     A value moves if it depends on symbols in question other than by held jumps: only what moves can switch.
     """
 
-    def __init__(self, of: Any = None) -> None:
+    def __init__(self, of: Any = None, *, products: bool = False) -> None:
         self._of = None if of is None else _hashes(of)
+        self._products = products
+        self.sides: list[tuple[float, float]] = []
         self.symbols: list[Any] = []
         self.values: list[Any] = []
         self.at: list[int] = []
@@ -228,9 +235,10 @@ class _Holder:
         if op in (ca.OP_FLOOR, ca.OP_CEIL):
             return self._symbol(lambda a: ca.SX.unary(op, a), "integer", k), False
         if op in _LOGIC:
-            return _operated(op, [self._truth(i) for i in k]), False
+            return self._logic(op, [self._truth(i) for i in k]), False
         if op == ca.OP_IF_ELSE_ZERO:
-            return _operated(op, [self._truth(k[0]), h[1]]), moves[1]
+            truth = self._truth(k[0])
+            return truth * h[1] if self._products else _operated(op, [truth, h[1]]), moves[1]
         if op in (ca.OP_FMOD, ca.OP_REMAINDER):
             return h[0] - h[1] * self._whole(op, k), True
         if op == ca.OP_FABS:
@@ -245,6 +253,14 @@ class _Holder:
         if op == ca.OP_ATAN2:
             return self._angle(k), True
         return _operated(op, h), True
+
+    def _logic(self, op: int, values: list[Any]) -> Any:
+        if not self._products:
+            return _operated(op, values)
+        if op == ca.OP_NOT:
+            return 1 - values[0]
+        both = values[0] * values[1]
+        return both if op == ca.OP_AND else values[0] + values[1] - both
 
     def _angle(self, k: tuple[int, ...]) -> Any:
         """atan2(a, b), which jumps by 2π at a = 0 where b < 0, continued beyond that."""
@@ -270,7 +286,7 @@ class _Holder:
         plain, held = (values[k[0]] / values[k[1]] + shift for values in (self._plain, self._held))
         a, b = (self._plain[i] for i in k)
         whole = ca.floor((a - ca.SX.binary(op, a, b)) / b + 0.5)  # a whole number but for rounding
-        return self._new(whole, self._switch(("quotient", k, shift), plain, held, "integer"))
+        return self._new(whole, self._switch(("quotient", k, shift), plain, held, "integer"), _NO_SIDES)
 
     def _symbol(self, value: Callable[..., Any], kind: str, k: tuple[int, ...]) -> Any:
         """A new symbol for a value that switches where its operand, or the difference of both, passes 0."""
@@ -281,7 +297,11 @@ class _Holder:
             for values in (self._plain, self._held)
         )
         made = value(*[self._plain[i] for i in k])
-        return self._new(made, self._switch((kind == "integer", pair), plain, held, kind))
+        sides = _NO_SIDES
+        if kind != "integer":
+            low, high = (float(value(*[ca.SX(side if i == pair[0] else 0) for i in k])) for side in (-1, 1))
+            sides = low, high
+        return self._new(made, self._switch((kind == "integer", pair), plain, held, kind), sides)
 
     def _switch(self, key: Any, plain: Any, held: Any, kind: str) -> int:
         """Index of a switching function; one that is there as a kink becomes a jump if it is that too."""
@@ -293,11 +313,12 @@ class _Holder:
             self.switches[index] = (*self.switches[index][:2], kind)
         return index
 
-    def _new(self, value: Any, switch: int) -> Any:
+    def _new(self, value: Any, switch: int, sides: tuple[float, float]) -> Any:
         symbol = ca.SX.sym(f"b{len(self.symbols)}")
         self.symbols.append(symbol)
         self.values.append(value)
         self.at.append(switch)
+        self.sides.append(sides)
         return symbol
 
 

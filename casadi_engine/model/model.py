@@ -15,6 +15,7 @@ from casadi_engine.effects.protocol import Attachment
 from casadi_engine.errors import ModelError
 from casadi_engine.model import sheets
 from casadi_engine.model.attach import attach
+from casadi_engine.model.corners import Corner
 from casadi_engine.model.declarations import ParameterDeclaration, Ports, Variable
 from casadi_engine.model.jumps import Switch, has_jumps, jumps
 from casadi_engine.model.linear import LinearCore, linear_core
@@ -38,6 +39,7 @@ class Model:
     effects : the effects that were added by `with_effect`
     rates : names of the channels that an output shows at once; the output's own rate needs theirs
     time_unit : in which the blueprint's odes were written, and in which times are told; all else runs in s
+    corners : jumps of the equations that were rounded, see `with_rounded_jumps`
     """
 
     name: str
@@ -61,6 +63,7 @@ class Model:
     effects: tuple[Attachment, ...] = ()
     rates: tuple[str, ...] = ()
     time_unit: str = "s"
+    corners: tuple[Corner, ...] = ()
 
     @property
     def channels(self) -> Any:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from casadi_engine.errors import SimulationError
 from casadi_engine.model import Model
 from casadi_engine.model.jumps import jumps_in
+from casadi_engine.model.linearity import is_affine
 from casadi_engine.simulation.discretisation import Method
 from casadi_engine.simulation.error_estimate import Stepped
 from casadi_engine.simulation.event_propagator import EventPropagator
@@ -147,6 +148,13 @@ def make_propagator(
 def switches_with_states(model: Model) -> bool:
     """True if the equations jump where the states say so: their events are met one by one."""
     return model.has_jumps and jumps_in(model.closed_ode, model.x)
+
+
+@lru_cache(maxsize=64)
+def bends_between_samples(model: Model) -> bool:
+    """True if the equations are not affine in the channels and time: then an integrator of a linear core, for which
+    drives are lines between samples, and one that reads channels between samples have different answers."""
+    return not is_affine(model.closed_ode, model.u, model.t)
 
 
 @lru_cache(maxsize=64)
