@@ -239,15 +239,8 @@ class _Job:
         if not null_fit.converged and not search.best:
             return self._no_answer(null_fit, alpha)
         told = remarks(search.chosen.fit, scatter)
-        corners = {
-            one.width: search.chosen.fit.values.get(one.width) or pars[one.width].value
-            for one in self.model.corners
-        }
-        told += (
-            [_JUMPED.format(", ".join(f"{name} = {value:.2g}" for name, value in corners.items()))]
-            if corners
-            else []
-        )
+        widths = ", ".join(f"{one.width} = {pars[one.width].value:.2g}" for one in self.model.corners)
+        told += [_JUMPED.format(widths)] if widths else []
         told += [words for words in null_fit.messages if words.startswith(ROUNDED)]
         told += search.refits.doubt(search.chosen.effects)
         if not null_fit.converged:  # a wrong model may have a valley without end; the right one has none
@@ -342,10 +335,10 @@ class _Job:
 def _largest(model: Model, records: Sequence[Experiment]) -> dict[str, float]:
     """State -> its largest magnitude in these records, of those that an output shows as they are."""
     found: dict[str, float] = {}
-    for out, shown in zip(model.outputs, ca.vertsplit(model.output_expressions), strict=True):
+    for out, value in zip(model.outputs, ca.vertsplit(model.output_expressions), strict=True):
         courses = [np.abs(record[out.name].values) for record in records if out.name in record]
-        if shown.is_symbolic() and courses:
-            found[str(shown)] = float(max(np.nanmax(course) for course in courses))
+        if value.is_symbolic() and courses:
+            found[str(value)] = float(max(np.nanmax(course) for course in courses))
     return found
 
 

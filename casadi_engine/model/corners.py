@@ -1,8 +1,8 @@
 """Equations that jump with their states, with corners of a finite width in place of the jumps.
 
 What is scored along a simulation, an effect that may be missing, needs equations with slopes: ``sign(v)`` becomes
-``tanh(v/width)``, ``v > 0`` one half of 1 + tanh(v/width). The widths are parameters of the model, held at a small share
-of what is typical, until a fit makes them as small as the motion asks for (``estimation.corner_widths``).
+``tanh(v/width)``, ``v > 0`` one half of 1 + tanh(v/width). The widths are parameters of the model, held at a small
+share of what is typical, until a fit makes them as small as the motion asks for (``estimation.corner_widths``).
 """
 
 from __future__ import annotations

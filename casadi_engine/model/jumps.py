@@ -50,8 +50,8 @@ class Held:
     symbols : (k, 1) SX b; `values` : (k, 1) SX what they stand for, in the symbols of the given expression:
         with b = values both expressions are equal. Between two events the values are constants.
     switches : the distinct switching functions, in the given symbols and in b (a condition may depend on another)
-    at : (k,) for each b the index of the switch at whose events it changes; sides : (k,) its values where that switching
-        function is negative and where it is positive, nan for whole numbers
+    at : (k,) for each b the index of the switch at whose events it changes; sides : (k,) its values where that
+        switching function is negative and where it is positive, nan for whole numbers
     """
 
     expression: Any
