@@ -195,6 +195,7 @@ class Choice:
         tried = self._timed("refit", lambda: self._added(here, screened))
         self._timed("evidence", self.refits.weigh)
         known = int(screened.scores.testable.sum())
+        tried += self._timed("exchange", lambda: self._without_idle(tried))
         while True:
             best = self._most_probable(tried)
             gain = -math.inf if best is None else best.log - here.log
@@ -219,6 +220,19 @@ class Choice:
             ask()
         self._told(here, tried, best)
         return best
+
+    def _without_idle(self, tried: Sequence[Tried]) -> list[Tried]:
+        """The most probable structure without members of which it leaves next to nothing: what was added may do alone
+        what they did."""
+        top = max(tried, key=lambda one: one.log, default=None)
+        if top is None or top.beyond > BEYOND or late():
+            return []
+        rest = tuple(one for one in top.effects if top.certainty(one) > BEYOND)
+        if not rest or len(rest) == len(top.effects):
+            return []
+        made = self.refits.tried(rest, Start(top.arrived.values, top.arrived.initial))
+        self.refits.weigh()
+        return made
 
     def _sharpened(self, best: Tried) -> bool:
         """See ``Refits.sharpened``; False once the time is over."""

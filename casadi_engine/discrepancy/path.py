@@ -84,7 +84,7 @@ class Path:
         self._made: dict[tuple[Any, ...], tuple[Model, Parameters, RefitProblem]] = {}
         self._kept: list[Addition] = []
         # chi-squared by which corners that are sharper still may change the best fit; nan where it is not known
-        self.felt = 0.0
+        self.felt = math.nan
         self._least: dict[int, float] = {}  # the least work that a refit of a structure took
         self._work: list[float] = []  # expected of the first refit, and that of the refits so far
 
@@ -99,19 +99,26 @@ class Path:
         next: a wide corner bends the simulation everywhere and shows the way, a sharp one only where it is passed.
         """
         refitter, own = self.refitter, self.refitter.share
-        begun, horizons = start, None
-        wide = [own * SHARPER_BY**level for level in range(_WIDER, 0, -1)] if self._cornered(effects) else []
-        try:
-            for share in wide:
-                refitter.share = share
-                there = self._ended(effects, begun, horizons)
-                if there is not None:
-                    begun, horizons = there, (None,)
-        finally:
-            refitter.share = own
-        return self._ended(effects, begun, horizons)
+        ends: list[Arrived] = []
+        if self.cornered(effects[-1:]):
+            try:
+                for level in range(_WIDER, 0, -1):
+                    refitter.share = own * SHARPER_BY**level
+                    there = self._ended(effects, ends[-1] if ends else start, (None,) if ends else None)
+                    ends += [] if there is None else [there]
+            finally:
+                refitter.share = own
+        if not ends:
+            return self._ended(effects, start, None)
+        found = self._ended(effects, ends[-1], (None,))
+        widest = min(ends, key=lambda one: one.cost)
+        if found is None or found.cost > widest.cost + FELT:  # it was lost on the way
+            others = self._ended(effects, widest, (None,)), self._ended(effects, start, None)
+            known = [one for one in (found, *others) if one is not None]
+            found = min(known, key=lambda one: one.cost, default=None)
+        return found
 
-    def _cornered(self, effects: Sequence[Addition]) -> bool:
+    def cornered(self, effects: Sequence[Addition]) -> bool:
         """True if a law has corners whose width follows the motion."""
         refitter, own = self.refitter, self.refitter.share
         found = [refitter.rounded(one) for one in effects]
@@ -177,7 +184,7 @@ class Path:
         refitter, before = self.refitter, self.refitter.share
         model, _, own = self._problem(effects)
         shares = self.shares(before)
-        if not self._cornered(effects) or switches_with_states(model) or len(shares) == 1:
+        if not self.cornered(effects) or switches_with_states(model) or len(shares) == 1:
             return before
         last, wider = math.nan, before
         felt = FELT * max(arrived.cost / max(own.count, 1), 1.0) / worth

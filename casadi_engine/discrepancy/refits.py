@@ -75,12 +75,13 @@ class Tried:
     @property
     def beyond(self) -> float:
         """The least certain amplitude in its standard errors."""
-        least, values = math.inf, self.arrived.values
-        for one in self.effects:
-            own = [n for n in values if n.partition("@")[0] == one.amplitude]
-            sizes = [abs(values[n]) / self.evidence.error.get(n, math.inf) for n in own]
-            least = min(least, max(sizes, default=math.inf))
-        return least
+        return min(map(self.certainty, self.effects), default=math.inf)
+
+    def certainty(self, one: Addition) -> float:
+        """The amplitude of an effect in its standard errors, the largest where records have their own."""
+        values = self.arrived.values
+        own = [n for n in values if n.partition("@")[0] == one.amplitude]
+        return max((abs(values[n]) / self.evidence.error.get(n, math.inf) for n in own), default=math.inf)
 
 
 def form_of(effects: Sequence[Addition]) -> frozenset[tuple[str, str, bool]]:
@@ -241,8 +242,8 @@ class Refits:
 
     def doubt(self, effects: Sequence[Addition]) -> list[str]:
         """That the data feel how the corners of these effects are rounded, where they do."""
-        own = {one.key: getattr(self.refitter.rounded(one), "width", None) for one in effects}
-        names = ", ".join(f"{key} over {width:.2g}" for key, width in own.items() if width is not None)
+        own = {one.key: self.refitter.rounded(one).width for one in effects if self.path.cornered([one])}
+        names = ", ".join(f"{key} over {width:.2g}" for key, width in own.items())
         left = self.path.felt
         if not names or left <= FELT:
             return []

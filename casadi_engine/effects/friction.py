@@ -18,6 +18,8 @@ SPEED_WIDTH = 5e-3
 RATE_WIDTH = 1.4e-4
 # Beyond so many times its fading speed a ten-thousandth of the friction is left, and within a third of it nine tenths.
 _REACH = 3.03
+# The least fading speed that is looked for, as a share of the largest speed: what fades sooner acts in an instant.
+_SLOWEST = 1 / 40
 _FADING = Grid(0.25, 2.5, steps=8, log=True, of="speed", unit="rad/s", description="fading speed")
 
 
@@ -150,6 +152,11 @@ class QuadraticDrag(_Rounded):
     neutral = "a loss at {port} that grows with the square of {motion}"
     amplitude = Amplitude("coefficient", unit="N m s2/rad2", min=0)
 
+    def narrowed(self, port: Any, share: float = 1.0) -> Effect:
+        """As wide as the motion asks for: what has a kink alone is not felt any sharper."""
+        del share
+        return super().narrowed(port)
+
     def law(self, port: Any, p: Any, math: Any) -> Any:
         """−c ω |ω|."""
         return -p.coefficient * port.speed * math.abs(port.speed, width=rounding(port, self.width))
@@ -184,13 +191,16 @@ class StribeckFriction(_Rounded):
         return {"fading": replace(_FADING, start=self.span[0], stop=self.span[1], of=None)}
 
     def fitted(self, port: Any, record: Any, values: Mapping[str, float]) -> Effect:
-        """The same with fading speeds up to three times the largest speed of the records, where none were given."""
+        """The same with the fading speeds that the motion on the records can show, where none were given."""
         del record, values
-        fastest = max((float(np.abs(course).max()) for course in port.courses("speed")), default=_math.inf)
-        low, high = _FADING.ends(magnitude=port.typical("speed"))
+        speeds = [np.abs(course) for course in port.courses("speed")]
+        fastest = max((float(speed.max()) for speed in speeds), default=_math.inf)
+        if self.span is not None or not 0 < fastest < _math.inf:
+            return self
+        slowest = min(float(speed.min()) for speed in speeds)
         # in steps, so that the grid does not hang on the last digits of a fit
-        most = float(f"{_REACH * fastest:.2g}") if 0 < fastest < _math.inf else _math.inf
-        return replace(self, span=(low, most)) if self.span is None and low < most < high else self
+        span = max(fastest * _SLOWEST, slowest / _REACH), _REACH * fastest
+        return replace(self, span=tuple(float(f"{end:.2g}") for end in span))  # type: ignore[arg-type]
 
     def choices(self, port: Any, grids: Mapping[str, tuple[float, ...]]) -> tuple[dict[str, float], ...]:
         """All fading speeds that the motion comes within reach of."""
