@@ -52,9 +52,12 @@ class _Rounded(Effect):
             return self
         signal, _ = motion(port)
         # by the motion alone: a spring to the ground moves as the mass on it does
-        found = narrow(port.courses(signal), _math.inf)
+        courses = port.courses(signal)
+        found = narrow(courses, _math.inf)
         passed = found < _math.inf
-        found = share * (min(found, SPEED_WIDTH * port.typical(signal)) if passed else rounding(port, None))
+        # scales are what a user took them for: a motion that is larger counts
+        size = max([port.typical(signal), *(float(np.abs(course).max()) for course in courses)])
+        found = share * (min(found, SPEED_WIDTH * size) if passed else rounding(port, None))
         return replace(self, width=float(f"{found:.2g}"))  # type: ignore[type-var]
 
 

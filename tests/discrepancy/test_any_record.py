@@ -156,10 +156,13 @@ def test_the_friction_of_a_swing_is_found_whatever_the_samples(kind):
 def test_a_jump_with_the_states_is_refused_with_its_place():
     times = np.arange(100) * 0.02
     data = record(times, np.cos(times))
-    with pytest.raises(
-        EstimationError, match=r"the ode of speed jumps at .*speed.* = 0.*tanh\(v/width\) for sign"
-    ):
-        ce.repair(rotor("none"), data, progress=False)
+    stepped = ce.Blueprint("stepped")
+    speed = stepped.state("speed", unit="rad/s")
+    slot = stepped.port("shaft", "inertia", {"speed": speed})
+    stepped.ode("speed", slot - ca.floor(10 * speed) * stepped.parameter("loss", 0.1, unit="rad/s2", min=0))
+    stepped.output("speed", speed, unit="rad/s")
+    with pytest.raises(EstimationError, match=r"the ode of speed jumps at .*speed.* = a whole number"):
+        ce.repair(stepped.model(), data, progress=False)
     values = {**TRUTH}
     with pytest.raises(EstimationError, match="the equations jump with the states"):
         null(rotor("none"), data, (1.0, 0.0), **values)
