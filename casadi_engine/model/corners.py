@@ -86,8 +86,6 @@ class _Rounding:
             signal = ca.substitute([switch.g], symbols[:number], values)[0] if number else switch.g
             if switch.kind == "integer":
                 values.append(held.values[number])
-            elif switch.kind == "kink":
-                values.append(ca.if_else(signal < 0, low, high))
             else:
                 if held.at[number] not in known:
                     known[held.at[number]] = self._corner(signal)
@@ -99,10 +97,11 @@ class _Rounding:
         model, states = self._model, ca.vertsplit(self._model.x)
         stem = str(signal) if signal.is_symbolic() else f"corner_{len(self.corners) + 1}"
         width = ca.SX.sym(f"{stem}.jump.width")
-        slopes = ca.jacobian(ca.substitute(signal, model.w, ca.SX.zeros(model.w.numel())), model.x)
-        numbers = ca.DM([one.value for one in model.declarations])
+        known = ca.vertcat(model.w, *self.widths)
+        numbers = [0.0] * model.w.numel() + [one.value for one in self.declarations]
+        slopes = ca.jacobian(ca.substitute(signal, known, ca.DM(numbers)), model.x)
         inputs = [model.x, model.u, model.d, model.t, model.p]
-        at = [1.0, 0.0, 0.0, 0.0, numbers]
+        at = [1.0, 0.0, 0.0, 0.0, ca.DM([one.value for one in model.declarations])]
         size = np.abs(
             np.asarray(ca.Function("slopes", inputs, [ca.densify(slopes)])(*at), dtype=float)
         ).ravel()

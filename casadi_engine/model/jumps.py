@@ -226,6 +226,10 @@ class _Holder:
     def _operation(self, op: int, k: tuple[int, ...]) -> tuple[Any, bool]:
         """The held value of an operation, and whether it moves."""
         h, moves = [self._held[i] for i in k], [self._moves[i] for i in k]
+        if self._products:
+            made = self._smoothed(op, k, h, moves)
+            if made is not None:
+                return made
         if not any(moves):
             return _operated(op, h), False
         if op == ca.OP_SIGN:
@@ -235,10 +239,9 @@ class _Holder:
         if op in (ca.OP_FLOOR, ca.OP_CEIL):
             return self._symbol(lambda a: ca.SX.unary(op, a), "integer", k), False
         if op in _LOGIC:
-            return self._logic(op, [self._truth(i) for i in k]), False
+            return _operated(op, [self._truth(i) for i in k]), False
         if op == ca.OP_IF_ELSE_ZERO:
-            truth = self._truth(k[0])
-            return truth * h[1] if self._products else _operated(op, [truth, h[1]]), moves[1]
+            return _operated(op, [self._truth(k[0]), h[1]]), moves[1]
         if op in (ca.OP_FMOD, ca.OP_REMAINDER):
             return h[0] - h[1] * self._whole(op, k), True
         if op == ca.OP_FABS:
@@ -254,13 +257,25 @@ class _Holder:
             return self._angle(k), True
         return _operated(op, h), True
 
-    def _logic(self, op: int, values: list[Any]) -> Any:
-        if not self._products:
-            return _operated(op, values)
+    def _smoothed(
+        self, op: int, k: tuple[int, ...], h: list[Any], moves: list[bool]
+    ) -> tuple[Any, bool] | None:
+        """What is made of truth values between 0 and 1; kinks stay as they are. None for other operations."""
+        if op in (ca.OP_FABS, ca.OP_FMIN, ca.OP_FMAX):
+            return _operated(op, h), any(moves)
+        if op not in (*_LOGIC, ca.OP_IF_ELSE_ZERO):
+            return None
+        held = ca.vertcat(ca.SX(0, 1), *self.symbols)
+        count = 1 if op == ca.OP_IF_ELSE_ZERO else len(k)
+        if not any(self._moves[i] or ca.depends_on(self._held[i], held) for i in k[:count]):
+            return None
+        truth = [self._truth(i) for i in k[:count]]
         if op == ca.OP_NOT:
-            return 1 - values[0]
-        both = values[0] * values[1]
-        return both if op == ca.OP_AND else values[0] + values[1] - both
+            return 1 - truth[0], False
+        if op == ca.OP_IF_ELSE_ZERO:
+            return truth[0] * h[1], moves[1]
+        both = truth[0] * truth[1]
+        return (both if op == ca.OP_AND else truth[0] + truth[1] - both), False
 
     def _angle(self, k: tuple[int, ...]) -> Any:
         """atan2(a, b), which jumps by 2π at a = 0 where b < 0, continued beyond that."""

@@ -1,0 +1,88 @@
+"""Jumps of the equations that are rounded."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import casadi_engine as ce
+from casadi_engine.model.corners import with_rounded_jumps
+from casadi_engine.model.jumps import jumps_in
+
+
+def slide(law, scale=1.0):
+    """A slide whose friction is law(v, force)."""
+    b = ce.Blueprint("slide")
+    v, force = b.state("v", unit="m/s", scale=scale), b.parameter("force", 2.0, unit="N", min=0)
+    b.ode("v", -law(v, force))
+    b.output("v", v, unit="m/s")
+    return b.model()
+
+
+def rate(model, speed):
+    function = ca.Function("rate", [model.x, model.p], [model.closed_ode])
+    return float(function(speed, [one.value for one in model.declarations]))
+
+
+LAWS = {
+    "sign": lambda v, f: f * ca.sign(v),
+    "choice": lambda v, f: ca.if_else(v > 0.1, 3 * f, -f),
+    "both": lambda v, f: ca.if_else(ca.logic_and(v > -0.5, v < 0.5), f, 0.1 * v),
+    "either": lambda v, f: ca.if_else(ca.logic_or(v < -0.5, v >= 0.5), f, 0.1 * v),
+    "not": lambda v, f: ca.if_else(ca.logic_not(v > 0), f, -f),
+    "of a jump": lambda v, f: f * ca.sign(v + 0.1 * ca.sign(v)),
+    "kink beside": lambda v, f: f * ca.sign(v) + ca.fabs(v) + ca.fmin(v, 0.3),
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_a_rounded_model_is_the_given_one_but_near_its_jumps(name):
+    model = slide(LAWS[name])
+    rounded = with_rounded_jumps(model)
+    assert not jumps_in(rounded.closed_ode, rounded.x)
+    for speed in (-2.0, -0.9, -0.3, -0.05, 0.05, 0.2, 0.7, 2.0):
+        assert rate(rounded, speed) == pytest.approx(rate(model, speed), abs=1e-6)
+
+
+def test_the_width_is_a_share_of_what_is_known_to_be_large():
+    (corner,) = with_rounded_jumps(slide(LAWS["sign"], scale=4.0)).corners
+    assert with_rounded_jumps(slide(LAWS["sign"], scale=4.0)).parameters()[corner.width].value == 0.02
+    known = with_rounded_jumps(slide(LAWS["sign"]), {"v": 100.0})
+    assert known.parameters()[corner.width].value == 0.5
+    assert not known.parameters()[corner.width].vary
+
+
+def test_a_smooth_model_is_itself_and_whole_numbers_stay():
+    smooth = slide(lambda v, f: f * ca.tanh(v))
+    assert with_rounded_jumps(smooth) is smooth
+    stepped = with_rounded_jumps(slide(lambda v, f: f * ca.floor(3 * v)))
+    assert jumps_in(stepped.closed_ode, stepped.x)
+    assert rate(stepped, 0.5) == rate(slide(lambda v, f: f * ca.floor(3 * v)), 0.5)
+
+
+def test_repair_takes_friction_that_is_written_as_a_sign():
+    """What is hidden beside it is found, and both have their sizes."""
+    t = np.arange(400) * 0.01
+    push = 3.0 * np.sin(2 * np.pi * 0.7 * t) + 2.0 * np.sin(2 * np.pi * 1.9 * t)
+
+    def model(offset):
+        b = ce.Blueprint("slide")
+        m, fc = b.parameter("m", 0.2, unit="kg", min=0.01), b.parameter("Fc", 0.3, unit="N", min=0)
+        v, force = b.state("v", unit="m/s"), b.input("F", unit="N")
+        slot = b.port("slide", "inertia", {"speed": v})
+        b.ode("v", (force - fc * ca.sign(v) - offset + slot) / m)
+        b.output("v", v, unit="m/s")
+        return b.model()
+
+    units = {"F": "N", "v": "m/s"}
+    drive = ce.Experiment.from_arrays("pushed", time=t, units={"F": "N"}, F=push)
+    true = model(0.4)  # sharp, and met by events
+    run = ce.simulate(true, drive, parameters={"m": 0.15, "Fc": 0.5}, initial={"v": 0.0})
+    noise = 0.02 * np.random.default_rng(1).standard_normal(len(t))
+    record = ce.Experiment.from_arrays("pushed", time=t, units=units, F=push, v=run["v"].values + noise)
+    found = ce.repair(
+        model(0.0), record, effects=["constant_torque", "quadratic_drag"], holdout=0.0, progress=False
+    )
+    assert [one.key for one in found.effects] == ["slide.constant_torque"]
+    assert found.effects[0].amplitude.value == pytest.approx(-0.4, abs=0.02)
+    assert found.fit.values["Fc"] == pytest.approx(0.5, abs=0.03)
+    assert any("tanh stands in place of their jumps" in one for one in found.messages)
