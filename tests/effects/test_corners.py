@@ -44,7 +44,8 @@ def test_friction_is_narrowed_by_the_motion_at_its_port_unless_its_width_was_giv
     fast = view_of("load", {"speed": 120 + 2 * np.sin(2 * np.pi * 3 * TIME)})
     for effect in (effects.CoulombFriction(), effects.StribeckFriction(), effects.QuadraticDrag()):
         assert effect.narrowed(slow).width == pytest.approx(0.019, abs=0.001)
-        assert effect.narrowed(slow, 0.25).width == pytest.approx(0.019 / 4, abs=0.0003)
+        share = 1.0 if effect.name == "quadratic_drag" else 0.25  # a kink alone is not felt any sharper
+        assert effect.narrowed(slow, 0.25).width == pytest.approx(0.019 * share, abs=0.0003)
         assert effect.narrowed(fast).width == 0.5
         given = type(effect)(width=0.7)
         assert given.narrowed(slow) is given
@@ -88,10 +89,10 @@ def test_friction_that_keeps_nine_tenths_of_itself_is_dry_friction():
     slow = view_of("load", {"speed": 45.0 * np.sin(TIME)})
     made = plain.fitted(slow, None, {})
     low, high = made.nuisance["fading"].ends()
-    assert low == plain.nuisance["fading"].ends(magnitude=slow.typical("speed"))[0]
+    assert low == pytest.approx(45.0 / 40, rel=0.05)
     assert np.exp(-((45.0 / high) ** 2)) == pytest.approx(0.9, abs=0.03)
     fast = view_of("load", {"speed": 120.0 + 5 * np.sin(TIME)})
-    assert plain.fitted(fast, None, {}) is plain
+    assert plain.fitted(fast, None, {}).span == (38.0, 380.0)
     assert plain.fitted(effects.port_view(two_mass(), "load"), None, {}) is plain
     given = effects.StribeckFriction(span=(1.0, 9.0))
     assert given.fitted(slow, None, {}) is given
