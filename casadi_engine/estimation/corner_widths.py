@@ -152,9 +152,10 @@ def _told(motion: Motion, widths: Mapping[str, float]) -> Fit:
 def _open_widths(model: Model, parameters: Parameters) -> dict[str, Any]:
     """Name -> the effect's attachment or the rounded jump, of widths that are as the model declares them."""
     declared = {one.name: one.value for one in model.declarations}
+    rounded: tuple[Any, ...] = (*model.effects, *model.corners)
     return {
         one.width: one
-        for one in (*model.effects, *model.corners)
+        for one in rounded
         if one.width and one.width in parameters and _untouched(parameters[one.width], declared[one.width])
     }
 

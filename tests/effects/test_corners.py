@@ -92,7 +92,7 @@ def test_friction_that_keeps_nine_tenths_of_itself_is_dry_friction():
     assert low == pytest.approx(45.0 / 40, rel=0.05)
     assert np.exp(-((45.0 / high) ** 2)) == pytest.approx(0.9, abs=0.03)
     fast = view_of("load", {"speed": 120.0 + 5 * np.sin(TIME)})
-    assert plain.fitted(fast, None, {}).span == (38.0, 380.0)
+    assert plain.fitted(fast, None, {}).span == (40.0, 380.0)
     assert plain.fitted(effects.port_view(two_mass(), "load"), None, {}) is plain
     given = effects.StribeckFriction(span=(1.0, 9.0))
     assert given.fitted(slow, None, {}) is given
