@@ -37,6 +37,10 @@ _SETTLED, _GAP, _LONG = 1e-4, 1e-2, 25
 # A valley is flat, and its points explain the data alike, if so many iterations with the exact Hessian lower
 # chi-squared by less than this, a tenth of what a standard error changes it by, with gaps no larger than that.
 _VALLEY, _FLAT, _CLOSED = 8, 0.1, 1e-6
+# A search that begins at an optimum is there after a full step with the exact Hessian that lowers chi-squared by less
+# than this, a hundredth of a standard error, with gaps no larger than that: what is left is of second order in it. At
+# a bound, which IPOPT comes to by and by, it is not.
+_UNSEEN, _JOINED, _INSIDE = 1e-4, 1e-8, 1e-6
 
 # Options of IPOPT that every fit has.
 _OPTIONS = {
@@ -251,7 +255,7 @@ class Solver:
         self._history: list[float] = []
         self._best: tuple[float, Array] | None = None
         # evaluations up to the last iteration, iterations with the exact Hessian
-        self._before, self._bent, self._flat = 0, 0, False
+        self._before, self._bent, self._flat, self._near = 0, 0, False, False
         self._stop: Callable[[float, float], bool] | None = None
         # The solver holds no reference of its own to Python callbacks.
         self._tried = _Tried(np.zeros(problem.size))
@@ -286,7 +290,7 @@ class Solver:
         def watch(value: Any, cost: Any, constraints: Any, *_: Any) -> Any:
             gap = float(np.abs(np.asarray(constraints)[self.problem.user.count :]).max(initial=0.0))
             self._last = np.array(value, dtype=float).ravel()
-            stop = self._seen(self._last, float(cost), gap) or self._in_valley(gap)
+            stop = self._seen(self._last, float(cost), gap) or self._in_valley(gap) or self._at_end(gap)
             self._steer(gap)
             if self._stop is not None:
                 self.problem.exact = False
@@ -313,6 +317,17 @@ class Solver:
         if self._bent > _VALLEY and gap < _CLOSED and not self.problem.user.count:
             fall = min(self._history[:-_VALLEY]) - min(self._history[-_VALLEY:])
             self._flat = 2 * self.problem.samples * fall < _FLAT
+        return self._flat
+
+    def _at_end(self, gap: float) -> bool:
+        """True if the search began at an optimum and its last step moved nothing that can be seen."""
+        problem = self.problem
+        if self._near and problem.exact and not problem.damping and len(self._history) > 1 and gap < _JOINED:
+            change = abs(self._history[-2] - self._history[-1])
+            full = problem.evaluations <= self._before + 1
+            inside = np.minimum(self._last - self._bounds[0], self._bounds[1] - self._last).min() > _INSIDE
+            seen = 2 * problem.samples * change >= _UNSEEN
+            self._flat = self._flat or bool(full and inside and not seen)
         return self._flat
 
     def _steer(self, gap: float) -> None:
@@ -379,11 +394,11 @@ class Solver:
 
     def _run(self, start: Array, lower: Array, upper: Array, near: bool, damping: float) -> Solution:
         problem = self.problem
-        problem.exact, problem.damping = near and self._stop is None, damping
+        problem.exact, problem.damping, self._bounds = near and self._stop is None, damping, (lower, upper)
         self._history, self._best, self._interrupted = [], None, False
         self._last = self._tried.last = start
         self._tried.points, self._tried.refused, self._tried.late = 0, 0, False
-        self._before, self._bent, self._flat = problem.evaluations, 0, False
+        self._before, self._bent, self._flat, self._near = problem.evaluations, 0, False, near
         joints = problem.rows - problem.user.count
         low = np.concatenate([problem.user.lower, np.zeros(joints)])
         high = np.concatenate([problem.user.upper, np.zeros(joints)])

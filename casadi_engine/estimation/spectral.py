@@ -18,13 +18,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import zgees
 
 from casadi_engine.estimation.record import RecordTerm
+from casadi_engine.estimation.spectral_modes import ModalResponse, Modes
 from casadi_engine.simulation.discretisation import Discretisation
 from casadi_engine.simulation.exponential import balance
 from casadi_engine.simulation.linear import LinearPropagator
@@ -36,6 +37,8 @@ Spectrum = NDArray[np.complex128]
 _SPRING = 1e-9
 # A Cholesky factor with a smaller entry on its diagonal has lost half the digits.
 _DIGITS = 1e-6
+# One with none smaller than this has lost few; in a Gram matrix the square of the share of a combination shows.
+_PLAIN, _WEAK = 1e-2, 1e-12
 # In the frequency domain a state that grows is one that decays backwards: points at which one grows more over the
 # record than a simulation from its start can follow are refused.
 _GROWTH = 1e8
@@ -171,38 +174,81 @@ class SpectralRecord:
         flat -= (flat @ free.rows.T) @ free.rows
         return flat, free.rows
 
-    def gram(self, v: Array, stops: list[int]) -> Array:
+    def gram(self, v: Array, stops: list[int], common: dict[int, Modes | None] | None = None) -> Array:
         """Products (e, 1 + na, 1 + na) of residual and Jacobian in the bins before each of the rising ``stops``, the
-        transients projected out; part by part of the bins, as those of a long record take much memory."""
-        z = v[self.record.active]
+        transients projected out; part by part of the bins, as those of a long record take much memory.
+
+        common : kept for further records at the same v
+        """
+        z, long = v[self.record.active], self.size > LONG
         discrete = self._propagator.discretisation(z, 1)
-        parts = [slice(*ends) for ends in pairwise(sorted({*range(0, stops[-1], _PART), *stops}))]
+        common = {} if common is None else common
+        if id(discrete) not in common:
+            common[id(discrete)] = Modes.of(discrete)
+        modes = common[id(discrete)]
+        ends = {0, *stops, *(range(0, stops[-1], _PART) if long else ())}
+        parts = [slice(*both) for both in pairwise(sorted(ends))]
+
+        def at(part: slice) -> tuple[ModalResponse | Response, Bins, Array, Any]:
+            bins = self.bins(z, part, keep=len(parts) == 1)
+            response = self._response(discrete, modes, bins)
+            return response, bins, *response.residual(bins)
+
+        made = None if long else [at(part) for part in parts]
         n = discrete.f.shape[1]
-        span, seen = np.zeros((n, n)), np.zeros(n)
-        for part in parts:
-            bins = self.bins(z, part, keep=False)
-            response = Response(discrete, bins, self.sigma)
-            span += response.seen @ response.seen.T
-            seen += response.seen @ _real(response.forced(bins)[0].reshape(-1))
-        jump = np.asarray(-np.linalg.lstsq(span, seen, rcond=_SPRING)[0], dtype=np.float64)
+        span, sight = np.zeros((len(parts), n, n)), np.zeros(n)
+        for own, (response, _, left, _) in zip(span, made or map(at, parts), strict=True):
+            own[:] = response.seen @ response.seen.T
+            sight += response.seen @ left
+        root = _inverse_root(span.sum(axis=0))
+        jump = -root @ (root.T @ sight)
         total, found = np.zeros((n + 1 + len(z),) * 2), []
-        for part in parts:
-            bins = self.bins(z, part, keep=False)
-            response = Response(discrete, bins, self.sigma)
-            own = response.columns(bins, response.forced(bins), jump, self._propagator.drives_active)
-            rows = np.concatenate([response.seen, own])
-            total += rows @ rows.T
+        for part, own, (response, bins, left, kept) in zip(parts, span, made or map(at, parts), strict=True):
+            left = left + jump @ response.seen
+            slopes = response.slopes(bins, kept, jump, self._propagator.drives_active)
+            rows = np.concatenate([left[None], slopes])
+            total[:n, :n] += own
+            total[:n, n:] += response.seen @ rows.T
+            total[n:, n:] += rows @ rows.T
             if part.stop in stops:
-                found.append(_without(total, n))
+                found.append(_without(total, root if part is parts[-1] else _inverse_root(total[:n, :n])))
         return np.array(found)
 
+    def _response(
+        self, discrete: Discretisation, modes: Modes | None, bins: Bins
+    ) -> ModalResponse | Response:
+        """Raises FloatingPointError where the states grow too far."""
+        if modes is None:
+            return Response(discrete, bins, self.sigma)
+        check_growth(float(np.abs(modes.poles[0]).max(initial=0.0)), bins)
+        return ModalResponse(modes, bins, self.sigma)
 
-def _without(gram: Array, n: int) -> Array:
-    """Products of the rows behind the first n, these projected out."""
-    size = np.sqrt(np.maximum(np.diag(gram)[:n], 1e-300))
-    values, vectors = np.linalg.eigh(gram[:n, :n] / np.outer(size, size))
-    told = values > _SPRING
-    cross = (vectors[:, told] / np.sqrt(values[told])).T @ (gram[:n, n:] / size[:, None])
+
+def check_growth(radius: float, bins: Bins) -> None:
+    """Raise FloatingPointError where states grow beyond what their start decides; radius : of the poles."""
+    if bins.samples * np.log(max(radius, 1e-300)) > np.log(_GROWTH):
+        raise FloatingPointError("the states grow beyond what their start decides")
+
+
+def _inverse_root(gram: Array) -> Array:
+    """(n, r) whose product with its transpose inverts a Gram matrix (n, n), without what hardly shows in it."""
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    scaled = gram / np.outer(size, size)
+    try:
+        factor = np.linalg.cholesky(scaled)
+        if factor.diagonal().min(initial=1.0) > _PLAIN:
+            return np.asarray(np.linalg.inv(factor).T / size[:, None])
+    except np.linalg.LinAlgError:
+        pass
+    values, vectors = np.linalg.eigh(scaled)
+    told = values > _WEAK
+    return np.asarray(vectors[:, told] / np.sqrt(values[told]) / size[:, None])
+
+
+def _without(gram: Array, root: Array) -> Array:
+    """Products of the rows behind the first n, these projected out; root : (n, r) of their products."""
+    n = len(root)
+    cross = root.T @ gram[:n, n:]
     return np.asarray(gram[n:, n:] - cross.T @ cross)
 
 
@@ -215,8 +261,7 @@ class Response:
 
     def __init__(self, discrete: Discretisation, bins: Bins, sigma: Array) -> None:
         self._resolvent = Resolvent(discrete.f[0], bins.z)
-        if bins.samples * np.log(max(self._resolvent.radius, 1e-300)) > np.log(_GROWTH):
-            raise FloatingPointError("the states grow beyond what their start decides")
+        check_growth(self._resolvent.radius, bins)
         self._discrete, self._sigma = discrete, sigma
         self._c, self._d = discrete.c / sigma[:, None], discrete.d / sigma[:, None]
         self._rows, self._shifted = self._resolvent.rows(self._c[0]), bins.z * bins.share
@@ -237,6 +282,17 @@ class Response:
         drive = _times(hold, source[n:])
         left = np.einsum("ynk,nk->yk", self._rows, drive) + _times(self._d[0], bins.drives)
         return left - bins.measured / self._sigma[:, None], drive, source
+
+    def residual(self, bins: Bins) -> tuple[Array, tuple[Spectrum, Spectrum, Spectrum]]:
+        """Residual (2 ny K,) without transients, and what it and the slopes are made of; see ``ModalResponse``."""
+        made = self.forced(bins)
+        return _real(made[0].reshape(-1)), made
+
+    def slopes(
+        self, bins: Bins, made: tuple[Spectrum, Spectrum, Spectrum], jump: Array, active: NDArray[np.intp]
+    ) -> Array:
+        """Slopes (na, 2 ny K) at the transient ``jump`` (n,); see ``ModalResponse``."""
+        return self.columns(bins, made, jump, active)[1:]
 
     def columns(
         self,

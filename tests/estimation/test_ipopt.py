@@ -29,7 +29,7 @@ def set_off(model, truth, factors):
 
 def search_of(model, data, pars, *, two=True, initial=None):
     return Search(
-        model, (data,), pars.copy(), KNOWN[two], interval="auto", initial=initial, loss=Loss(), ties="substitute",
+        model, (data,), pars.copy(), KNOWN[two], interval=16, initial=initial, loss=Loss(), ties="substitute",
         method="exact", max_iterations=200, tolerance=1e-9, warm=None, progress=None,
     )  # fmt: skip
 
