@@ -22,28 +22,26 @@ from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import zgees
 
 from casadi_engine.estimation.record import RecordTerm
+from casadi_engine.estimation.resolvent import Orthonormal, Resolvent
 from casadi_engine.estimation.spectral_modes import ModalResponse, Modes
 from casadi_engine.simulation.discretisation import Discretisation
-from casadi_engine.simulation.exponential import balance
 from casadi_engine.simulation.linear import LinearPropagator
 
 Array = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]
 
-# A combination of the columns of t that shows in the outputs by less than this share of them is held at zero.
-_SPRING = 1e-9
-# A Cholesky factor with a smaller entry on its diagonal has lost half the digits.
-_DIGITS = 1e-6
-# One with none smaller than this has lost few; in a Gram matrix the square of the share of a combination shows.
+# A Cholesky factor with no smaller entry than this on its diagonal has lost few digits. Otherwise combinations of the
+# columns of t are held at zero that show in the outputs by less than the root of this share of them.
 _PLAIN, _WEAK = 1e-2, 1e-12
 # In the frequency domain a state that grows is one that decays backwards: points at which one grows more over the
 # record than a simulation from its start can follow are refused.
 _GROWTH = 1e8
 # Bins of a band for each parameter and state, at least.
 _FEWEST = 4
+# What records at one point have in common: discrete matrices by their identity, and their modes.
+Common = dict[int, tuple[Discretisation, Modes | None]]
 # Bins that are worked on at a time in a record of more than LONG of them.
 LONG, _PART = 50_000, 8192
 
@@ -174,7 +172,7 @@ class SpectralRecord:
         flat -= (flat @ free.rows.T) @ free.rows
         return flat, free.rows
 
-    def gram(self, v: Array, stops: list[int], common: dict[int, Modes | None] | None = None) -> Array:
+    def gram(self, v: Array, stops: list[int], common: Common | None = None) -> Array:
         """Products (e, 1 + na, 1 + na) of residual and Jacobian in the bins before each of the rising ``stops``, the
         transients projected out; part by part of the bins, as those of a long record take much memory.
 
@@ -184,34 +182,38 @@ class SpectralRecord:
         discrete = self._propagator.discretisation(z, 1)
         common = {} if common is None else common
         if id(discrete) not in common:
-            common[id(discrete)] = Modes.of(discrete)
-        modes = common[id(discrete)]
-        ends = {0, *stops, *(range(0, stops[-1], _PART) if long else ())}
-        parts = [slice(*both) for both in pairwise(sorted(ends))]
+            common[id(discrete)] = discrete, Modes.of(discrete)
+        modes, last = common[id(discrete)][1], stops[-1]
+        parts = [slice(k, min(k + _PART, last)) for k in range(0, last, _PART)] if long else [slice(0, last)]
 
         def at(part: slice) -> tuple[ModalResponse | Response, Bins, Array, Any]:
-            bins = self.bins(z, part, keep=len(parts) == 1)
+            bins = self.bins(z, part, keep=not long)
             response = self._response(discrete, modes, bins)
             return response, bins, *response.residual(bins)
 
         made = None if long else [at(part) for part in parts]
         n = discrete.f.shape[1]
-        span, sight = np.zeros((len(parts), n, n)), np.zeros(n)
-        for own, (response, _, left, _) in zip(span, made or map(at, parts), strict=True):
-            own[:] = response.seen @ response.seen.T
+        spans, sight = np.zeros((len(parts), n, n)), np.zeros(n)
+        for span, (response, _, left, _) in zip(spans, made or map(at, parts), strict=True):
+            span[:] = response.seen @ response.seen.T
             sight += response.seen @ left
-        root = _inverse_root(span.sum(axis=0))
+        root = _inverse_root(spans.sum(axis=0))
         jump = -root @ (root.T @ sight)
         total, found = np.zeros((n + 1 + len(z),) * 2), []
-        for part, own, (response, bins, left, kept) in zip(parts, span, made or map(at, parts), strict=True):
-            left = left + jump @ response.seen
+        for part, span, (response, bins, left, kept) in zip(
+            parts, spans, made or map(at, parts), strict=True
+        ):
             slopes = response.slopes(bins, kept, jump, self._propagator.drives_active)
-            rows = np.concatenate([left[None], slopes])
-            total[:n, :n] += own
-            total[:n, n:] += response.seen @ rows.T
-            total[n:, n:] += rows @ rows.T
-            if part.stop in stops:
-                found.append(_without(total, root if part is parts[-1] else _inverse_root(total[:n, :n])))
+            rows = np.concatenate([(left + jump @ response.seen)[None], slopes])
+            cuts = [part.start, *(stop for stop in stops if part.start < stop < part.stop), part.stop]
+            for own in (slice(one - part.start, two - part.start) for one, two in pairwise(cuts)):
+                seen, felt = (_cut(values, len(self.sigma), own) for values in (response.seen, rows))
+                total[:n, :n] += span if len(cuts) == 2 else seen @ seen.T
+                total[:n, n:] += seen @ felt.T
+                total[n:, n:] += felt @ felt.T
+                if own.stop + part.start in stops:
+                    whole = own.stop + part.start == last
+                    found.append(_without(total, root if whole else _inverse_root(total[:n, :n])))
         return np.array(found)
 
     def _response(
@@ -228,6 +230,14 @@ def check_growth(radius: float, bins: Bins) -> None:
     """Raise FloatingPointError where states grow beyond what their start decides; radius : of the poles."""
     if bins.samples * np.log(max(radius, 1e-300)) > np.log(_GROWTH):
         raise FloatingPointError("the states grow beyond what their start decides")
+
+
+def _cut(rows: Array, outputs: int, bins: slice) -> Array:
+    """Some of the bins of rows (k, 2 ny K), contiguous in memory."""
+    parts = rows.reshape(len(rows), outputs, -1, 2)
+    if bins.start == 0 and bins.stop == parts.shape[2]:
+        return rows
+    return np.ascontiguousarray(parts[:, :, bins]).reshape(len(rows), -1)
 
 
 def _inverse_root(gram: Array) -> Array:
@@ -331,80 +341,3 @@ def _real(values: Spectrum) -> Array:
 def _times(matrix: Array, spectra: Spectrum) -> Spectrum:
     """A real matrix times spectra (n, K): half the work of a complex one."""
     return np.asarray((matrix @ _real(spectra)).view(np.complex128))
-
-
-class Resolvent:
-    """(z - F)^-1 at many z (K,), by the complex Schur form of the balanced F (n, n).
-
-    Unlike eigenvectors it exists to the last digit for every matrix: two integrators in a row have but one eigenvector.
-    """
-
-    def __init__(self, f: Array, z: Spectrum) -> None:
-        turn = balance(f)
-        self._turn = np.ones(len(f)) if turn is None else turn
-        balanced = f * self._turn / self._turn[:, None]
-        self._t, _, poles, self._u, _, info = zgees(lambda _: None, balanced)
-        if info:
-            raise np.linalg.LinAlgError("the Schur form does not converge")
-        self._near = 1.0 / (z - poles[:, None])
-        self.radius = float(np.abs(poles).max(initial=0.0))
-
-    def rows(self, c: Array) -> Spectrum:
-        """C (z - F)^-1, (ny, n, K), for C (ny, n)."""
-        left, near = (c * self._turn) @ self._u, self._near
-        found = np.empty((len(near), len(c), near.shape[1]), complex)
-        for j in range(len(near)):
-            found[j] = left[:, j, None]
-            if j:
-                found[j] += (self._t[:j, j] @ found[:j].reshape(j, -1)).reshape(found[j].shape)
-            found[j] *= near[j]
-        back = self._u.conj() / self._turn[:, None]
-        return np.asarray((back @ found.reshape(len(near), -1)).reshape(found.shape).swapaxes(0, 1))
-
-    def states(self, drive: Spectrum) -> Spectrum:
-        """(z - F)^-1 times the drive (n, K)."""
-        found = (self._u.conj().T / self._turn) @ drive
-        for j in range(len(found) - 1, -1, -1):
-            found[j] += self._t[j, j + 1 :] @ found[j + 1 :]
-            found[j] *= self._near[j]
-        return np.asarray((self._u * self._turn[:, None]) @ found)
-
-
-@dataclass(frozen=True)
-class Orthonormal:
-    """Rows (r, L) that span given ones (n, L); ``back`` (n, r) makes coefficients of these of those of the rows."""
-
-    rows: Array
-    back: Array
-
-    @classmethod
-    def of(cls, given: Array) -> Orthonormal:
-        """By Cholesky factors of the Gram matrix, twice; by Householder reflections where they lose digits."""
-        size = np.linalg.norm(given, axis=1)
-        known = np.flatnonzero(size > 0)
-        back = np.zeros((len(given), len(known)))
-        back[known, np.arange(len(known))] = 1 / size[known]
-        rows = back.T @ given
-        try:
-            for _ in range(2):
-                factor = np.linalg.cholesky(rows @ rows.T)
-                if factor.diagonal().min(initial=1.0) < _DIGITS:
-                    raise np.linalg.LinAlgError
-                turn = np.linalg.inv(factor)
-                rows, back = turn @ rows, back @ turn.T
-        except np.linalg.LinAlgError:
-            return cls._by_reflections(given, size, known)
-        return cls(rows, back)
-
-    @classmethod
-    def _by_reflections(cls, given: Array, size: Array, known: NDArray[np.intp]) -> Orthonormal:
-        """With a weak spring on every row, for those that are almost combinations of the others."""
-        scaled = given[known] / size[known, None]
-        q, r = np.linalg.qr(np.vstack([scaled.T, _SPRING * np.eye(len(known))]))
-        back = np.zeros((len(given), len(known)))
-        back[known] = np.linalg.inv(r) / size[known, None]
-        return cls(np.ascontiguousarray(q[: given.shape[1]].T), back)
-
-    def best(self, target: Array) -> Array:
-        """Coefficients (n,) of the given rows that make the target (L,) least when added to it."""
-        return -self.back @ (self.rows @ target)

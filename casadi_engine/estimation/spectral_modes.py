@@ -57,9 +57,12 @@ class Modes:
         poles, vectors = np.linalg.eig(f[0] * scale / scale[:, None])
         apart = poles - poles[:, None]
         np.fill_diagonal(apart, np.inf)
-        if not np.linalg.cond(vectors) < _SOUND or not np.abs(apart).min(initial=np.inf) > _APART:
+        if not np.abs(apart).min(initial=np.inf) > _APART:
             return None
-        left, right = np.linalg.inv(vectors) / scale, vectors * scale[:, None]
+        back = np.linalg.inv(vectors)
+        if not np.linalg.norm(back) * np.linalg.norm(vectors) < _SOUND:
+            return None
+        left, right = back / scale, vectors * scale[:, None]
         moved = left @ f[1:] @ right
         turn = moved / apart
         c = np.asarray(discrete.c @ right, dtype=np.complex128)

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.estimation.levenberg_marquardt import Evaluate, Minimum, Squares, minimise
 from casadi_engine.estimation.record import RecordTerm
-from casadi_engine.estimation.spectral import SpectralRecord
-from casadi_engine.estimation.spectral_modes import Modes
+from casadi_engine.estimation.spectral import Common, SpectralRecord
 
 Array = NDArray[np.float64]
 Priors = Callable[[Array], tuple[float, Array, Array, Array]]
@@ -107,7 +106,7 @@ class SpectralSearch:
         """The problem at v on the bins below a frequency; None where the model cannot be evaluated."""
         cost, gradient, _, matrix = self._priors(v)
         gradient, matrix = gradient.copy(), matrix.copy()
-        common: dict[int, Modes | None] = {}
+        common: Common = {}
         with np.errstate(all="ignore"):
             for record in self._records:
                 try:
@@ -147,7 +146,7 @@ class SpectralSearch:
         cost, gradient, _, matrix = self._priors(v)
         priors = np.block([[2 * cost, gradient], [gradient[:, None], matrix]])
         found = np.repeat(priors[None], len(edges), axis=0)
-        common: dict[int, Modes | None] = {}
+        common: Common = {}
         for record in self._records:
             entries = np.append(0, 1 + record.record.active)
             stops = [record.below(edge).stop for edge in edges]

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 
 import casadi_engine as ce
 from casadi_engine.estimation.loss import Loss
+from casadi_engine.estimation.resolvent import Orthonormal, Resolvent
 from casadi_engine.estimation.search import Search
-from casadi_engine.estimation.spectral import Orthonormal, Resolvent, SpectralRecord, half_bins
+from casadi_engine.estimation.spectral import SpectralRecord, half_bins
 from casadi_engine.estimation.spectral_modes import Modes
 from casadi_engine.estimation.spectral_search import SpectralSearch, largest_share
 from casadi_engine.estimation.spectral_start import best_nodes
