@@ -43,7 +43,7 @@ _FEWEST = 4
 # What records at one point have in common: discrete matrices by their identity, and their modes.
 Common = dict[int, tuple[Discretisation, Modes | None]]
 # Bins that are worked on at a time in a record of more than LONG of them.
-LONG, _PART = 50_000, 8192
+LONG, _PART = 50_000, 4096
 
 
 @dataclass(frozen=True)
@@ -60,17 +60,6 @@ class Bins:
     drives: Spectrum
     slopes: Spectrum
     measured: Spectrum
-
-    def part(self, bins: slice) -> Bins:
-        """Some of the bins, contiguous in memory."""
-        return Bins(
-            self.samples,
-            self.z[bins].copy(),
-            self.share[bins].copy(),
-            np.ascontiguousarray(self.drives[:, bins]),
-            np.ascontiguousarray(self.slopes[..., bins]),
-            np.ascontiguousarray(self.measured[:, bins]),
-        )
 
 
 def half_bins(series: Array) -> Spectrum:
@@ -106,18 +95,26 @@ class SpectralRecord:
     def __init__(self, record: RecordTerm) -> None:
         self.record, self._propagator = record, cast(LinearPropagator, record.propagator)
         count = record.grid.samples
-        turn = np.pi * (2 * np.arange((count + 1) // 2) + 1) / count
-        self.size, self.hertz = len(turn), turn / (2 * np.pi * record.grid.step)
-        share = np.full(self.size, np.sqrt(2 / count))
-        if count % 2:
-            share[-1] = np.sqrt(1 / count)  # the bin at z = -1 is its own conjugate
-        self._share = share
+        self.size = (count + 1) // 2
+        self.hertz = self._turn(slice(0, self.size)) / (2 * np.pi * record.grid.step)
         measured = np.array([record.grid.measured[name].values for name in record.outputs])
-        self._measured = half_bins(measured) * share
-        self._z = np.exp(1j * turn)
+        self._measured = half_bins(measured)
+        self._measured *= self._share(slice(0, self.size))
         self._drives: tuple[Array, Spectrum, Spectrum] | None = None
         self._kept: dict[int, Bins] = {}
         self.sigma = np.ones(len(measured))
+
+    def _turn(self, part: slice) -> Array:
+        """The angles (K,) of some bins."""
+        return np.asarray(np.pi * (2 * np.arange(part.start, part.stop) + 1) / self.record.grid.samples)
+
+    def _share(self, part: slice) -> Array:
+        """The roots of some bins' shares in the sum of squares."""
+        count = self.record.grid.samples
+        share = np.full(part.stop - part.start, np.sqrt(2 / count))
+        if count % 2 and part.stop == self.size:
+            share[-1] = np.sqrt(1 / count)  # the bin at z = -1 is its own conjugate
+        return share
 
     def below(self, hertz: float) -> slice:
         """The bins below a frequency; no fewer than a band needs in which parameters and states are to be seen."""
@@ -135,20 +132,27 @@ class SpectralRecord:
             samples = self._propagator.merged_drives(z)
             if self._drives is None or self._drives[0] is not samples.value:
                 drives, slopes = half_bins(samples.value), half_bins(samples.first)
-                drives *= self._share
-                slopes *= self._share
+                share = self._share(slice(0, self.size))
+                drives *= share
+                slopes *= share
                 self._drives, self._kept = (samples.value, drives, slopes), {}
             if not len(samples.active):  # made once: the samples themselves are not needed any more
                 self._drives = (samples.value[:0], *self._drives[1:])
                 self._propagator.forget_merged()
         _, drives, slopes = self._drives
-        whole = Bins(self.record.grid.samples, self._z, self._share, drives, slopes, self._measured)
-        if not keep:
-            return whole.part(part)
-        if part.stop not in self._kept:
-            # one part at a time beside the whole, which is as large as the samples
-            self._kept = {part.stop: whole if part.stop == self.size else whole.part(part)}
-        return self._kept[part.stop]
+        if keep and part.stop in self._kept:
+            return self._kept[part.stop]
+        found = Bins(
+            self.record.grid.samples,
+            np.exp(1j * self._turn(part)),
+            self._share(part),
+            np.ascontiguousarray(drives[:, part]),
+            np.ascontiguousarray(slopes[..., part]),
+            np.ascontiguousarray(self._measured[:, part]),
+        )
+        if keep:  # one part at a time beside the whole, which is as large as the samples
+            self._kept = {part.stop: found}
+        return found
 
     def columns(
         self, v: Array, part: slice, common: dict[tuple[int, int, int], Response] | None = None

@@ -64,7 +64,7 @@ class StatePrior:
 
 def state_prior(record: RecordTerm, v: Array, first: Array) -> StatePrior:
     """From the states along a record, simulated at v (nv,) from ``first`` (n,), scaled."""
-    if record.linear and record.plan.m > _FEWEST:  # a fit of a linear model may have been cut into few intervals
+    if record.linear and record.plan.m > _FEWEST:  # a fit may have cut it into few intervals
         record = record.again(gain=record.gain, length=interval_length("auto", record.grid))
     nodes = chained_nodes(record, v, first)
     if not np.isfinite(nodes).all() or len(nodes) < _FEWEST:
