@@ -70,7 +70,6 @@ def make_fit(
         start = nodes[0]
         traces[name], left = _traces(search, record, v, start)
         residuals.append(left)
-        drives[name] = _drives(record, v)
         percents[name] = {key: _percent(trace) for key, trace in traces[name].items()}
         first[name] = start * record.scale
     status, reason = (best.solution.status, None) if stopped else verdict(search, best, errors, residuals)
@@ -79,6 +78,11 @@ def make_fit(
         best = replace(best, solution=replace(best.solution, status=status))
     found = judged(search, best, errors, optima, residuals, check=check and not stopped)
     cost = printed_cost(search, v, residuals)
+    said = _messages(search, best, errors, reason, optima, stopped)
+    for (
+        record
+    ) in search.records:  # last, for the drives of a long record take as much memory as what came before
+        drives[record.experiment.name] = _drives(record, v)
     doubted = [name for name in pmap.free if found.estimates[name].quadratic]
     known = errors.optimal and set(doubted) <= set(search.model.parameter_names)
     predictor = _predictor(search, v, best.sigma, errors, known=known)
@@ -115,7 +119,7 @@ def make_fit(
         fit_percent=percents,
         timing=timing,
         options=options,
-        messages=found.said + _messages(search, best, errors, reason, optima, stopped) + _coarse(integration),
+        messages=found.said + said + _coarse(integration),
         states_at_start=first,
         gain=None if predictor is None else predictor.gain,
         innovations=predictor,
