@@ -67,7 +67,6 @@ def make_fit(
         except FloatingPointError as fault:
             raise _no_numbers(best, fault) from fault
         residuals.append(left)
-        drives[name] = _drives(record, v)
         percents[name] = {key: _percent(trace) for key, trace in traces[name].items()}
         first[name] = nodes[0] * record.scale
     status, reason = (best.solution.status, None) if stopped else verdict(search, best, errors, residuals)
@@ -76,6 +75,11 @@ def make_fit(
         best = replace(best, solution=replace(best.solution, status=status))
     found = judged(search, best, errors, optima, residuals, check=check and not stopped)
     cost = printed_cost(search, v, residuals)
+    said = _messages(search, best, errors, reason, optima, stopped)
+    for (
+        record
+    ) in search.records:  # last, for the drives of a long record take as much memory as what came before
+        drives[record.experiment.name] = _drives(record, v)
     doubted = [name for name in pmap.free if found.estimates[name].quadratic]
     known = errors.optimal and set(doubted) <= set(search.model.parameter_names)
     predictor = _predictor(search, v, best.sigma, errors, known=known)
@@ -112,7 +116,7 @@ def make_fit(
         fit_percent=percents,
         timing=timing,
         options=options,
-        messages=found.said + _messages(search, best, errors, reason, optima, stopped) + _coarse(integration),
+        messages=found.said + said + _coarse(integration),
         states_at_start=first,
         gain=None if predictor is None else predictor.gain,
         innovations=predictor,

@@ -12,6 +12,7 @@ from casadi_engine.deadline import Deadline, TimeUp, ask, best_wanted, late, lif
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.ipopt import Solution
 from casadi_engine.estimation.search import Attempt, Search
+from casadi_engine.estimation.spectral_start import Begun
 from casadi_engine.simulation.propagator import fineness_of
 
 Array = NDArray[np.float64]
@@ -83,10 +84,14 @@ class Starts:
 
     def __init__(self, search: Search, *, finish: bool) -> None:
         self.search, self.finish = search, finish
+        self._beside: Begun | None = None
         self._best: tuple[float, float] | None = None  # merit, and the least work that led to it
 
-    def __call__(self, starts: list[Array], first: bool) -> Iterator[Attempt | EstimationError]:
+    def __call__(
+        self, starts: list[Array], first: bool, beside: Begun | None = None
+    ) -> Iterator[Attempt | EstimationError]:
         """The outcome of every start; once the time is over that of the last one, if it has any."""
+        self._beside = beside
         for k, start in enumerate(starts):
             try:
                 attempt = self._run(start, first=first and k == 0)
@@ -121,7 +126,8 @@ class Starts:
         """One start that may cost so much, and its cost in units of work."""
         with Deadline(work=allowed) as own:
             try:
-                return self.search.run(start, first=first, finish=self.finish), own.done
+                found = self.search.run(start, first=first, finish=self.finish, beside=self._beside)
+                return found, own.done
             except TimeUp:
                 pass
         if not late():

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.deadline import TimeUp, late
-from casadi_engine.errors import ModelError
 from casadi_engine.estimation.interrupts import Interrupts
+from casadi_engine.estimation.nlp_functions import Supplied, Tried, functions, shapes
 from casadi_engine.estimation.shooting import ShootingProblem
 
 Array = NDArray[np.float64]
@@ -28,15 +28,16 @@ Progress = Callable[[int, float], bool]
 # step that was halved more than once. Below _LEAST it is nothing to the exact Hessian, whose steps then converge
 # quadratically.
 _DAMPING, _EASE, _HINDER, _LEAST = 0.03, 0.3, 10.0, 1e-4
-# Longest step of a logarithm, or of a scaled parameter in units of its size where that is larger: beyond it the
-# linearised problem says nothing.
-_LONGEST = 2.0
 # Relative change of the objective that counts as settled, largest gap with it, and the iterations that suffice.
 _SETTLED, _GAP, _LONG = 1e-4, 1e-2, 25
 
 # A valley is flat, and its points explain the data alike, if so many iterations with the exact Hessian lower
 # chi-squared by less than this, a tenth of what a standard error changes it by, with gaps no larger than that.
 _VALLEY, _FLAT, _CLOSED = 8, 0.1, 1e-6
+# A search that begins at an optimum is there after a full step with the exact Hessian that lowers chi-squared by less
+# than this, a hundredth of a standard error, with gaps no larger than that: what is left is of second order in it. At
+# a bound, which IPOPT comes to by and by, it is not.
+_UNSEEN, _JOINED, _INSIDE = 1e-4, 1e-8, 1e-6
 
 # Options of IPOPT that every fit has.
 _OPTIONS = {
@@ -69,9 +70,6 @@ _NEAR = {
     "bound_mult_init_method": "mu-based",
 }
 
-# Points at which the model cannot be evaluated that are tried from one start by IPOPT, and their share of all: with
-# more of both the search stands before a wall, and every further halving of its steps meets it again.
-_REFUSED, _MOSTLY = 30, 0.5
 _WALL = "the model could not be evaluated at most of the points tried"
 
 _WORDS = {
@@ -100,138 +98,6 @@ class Solution:
     words: str
 
 
-class _Supplied(ca.Callback):
-    """A function with the names and sparsities that nlpsol asks for."""
-
-    def __init__(
-        self, name: str, inputs: dict[str, Any], outputs: dict[str, Any], run: Callable[..., Any]
-    ) -> None:
-        ca.Callback.__init__(self)
-        self._in, self._out, self._run = inputs, outputs, run
-        self.failure: BaseException | None = None
-        self.construct(name, {})
-
-    def get_n_in(self) -> int:
-        return len(self._in)
-
-    def get_n_out(self) -> int:
-        return len(self._out)
-
-    def get_name_in(self, i: int) -> str:
-        return list(self._in)[i]
-
-    def get_name_out(self, i: int) -> str:
-        return list(self._out)[i]
-
-    def get_sparsity_in(self, i: int) -> Any:
-        return list(self._in.values())[i]
-
-    def get_sparsity_out(self, i: int) -> Any:
-        return list(self._out.values())[i]
-
-    def eval(self, arguments: Any) -> Any:
-        """Run the function; what goes wrong in it is kept, for the solver would pass over it."""
-        try:
-            return self._run(*arguments)
-        except BaseException as failure:
-            self.failure = failure
-            if self.name() == "watch":
-                return [1.0]
-            raise
-
-
-def _shapes(problem: ShootingProblem) -> tuple[Any, ...]:
-    """Sparsities of the variables, the constraints, nothing and one number."""
-    return tuple(ca.Sparsity.dense(k, 1) for k in (problem.size, problem.rows, 0, 1))
-
-
-@dataclass
-class _Tried:
-    """The points IPOPT tries from one start, and those of them at which the model could not be evaluated.
-
-    last : (size,) the last one it accepted; late : the time was up within one
-    """
-
-    last: Array
-    points: int = 0
-    refused: int = 0
-    late: bool = False
-
-    @property
-    def ends(self) -> bool:
-        """True if the run is to end."""
-        return self.late or self.wall
-
-    @property
-    def wall(self) -> bool:
-        """True if the model cannot be evaluated at most points."""
-        return self.refused > _REFUSED and self.refused > _MOSTLY * self.points
-
-
-def _functions(problem: ShootingProblem, tried: _Tried, log: NDArray[np.bool_]) -> list[_Supplied]:
-    """The problem, its gradient, constraint Jacobian and Hessian, as nlpsol asks for them."""
-    x, g, none, one = _shapes(problem)
-    jac, hess = problem.jacobian_pattern, problem.hessian_pattern
-    at = {"x": x, "p": none}
-
-    nothing = np.full(problem.rows, np.nan)
-
-    def point(value: Any) -> Any:
-        """The point, or None where the model cannot be evaluated: IPOPT then shortens its step."""
-        if tried.ends:
-            return None
-        x = np.asarray(value, dtype=float).ravel()
-        tried.points += 1
-        try:
-            return problem.at(x)
-        except (FloatingPointError, np.linalg.LinAlgError, ModelError):
-            tried.refused += 1
-            return None
-        except TimeUp:
-            tried.late = True
-            return None
-
-    def jacobian(value: Any, _: Any) -> Any:
-        found = point(value)
-        if found is None:
-            return [nothing, ca.DM(jac.sparsity, np.nan)]
-        tried.last = found.x  # slopes are asked for where a step has been accepted, of a restoration too
-        return [found.constraints, jac.matrix(problem.jacobian(found.x))]
-
-    def gradient(value: Any, _: Any) -> Any:
-        found = point(value)
-        if found is None:
-            return [np.nan, np.full(problem.size, np.nan)]
-        tried.last = found.x  # asked for alone where there are no constraints
-        return [found.objective, found.gradient]
-
-    def hessian(value: Any, _: Any, factor: Any, lam: Any) -> Any:
-        found = point(value)
-        if found is None:
-            return [ca.DM(hess.sparsity, np.nan)]
-        try:
-            values = problem.hessian(found.x, float(factor), np.asarray(lam, dtype=float).ravel())
-        except TimeUp:
-            tried.late = True
-            return [ca.DM(hess.sparsity, np.nan)]
-        return [hess.matrix(values)]
-
-    def both(value: Any, _: Any) -> Any:
-        last = tried.last[: problem.nv]
-        away = np.abs(np.asarray(value, dtype=float).ravel()[: problem.nv] - last)
-        reach = _LONGEST * np.where(log, 1.0, np.maximum(1.0, np.abs(last)))
-        found = point(value) if (away <= reach).all() else None
-        return [np.nan, nothing] if found is None else [found.objective, found.constraints]
-
-    multipliers = {"lam_f": one, "lam_g": g}
-    return [
-        _Supplied("nlp", at, {"f": one, "g": g}, both),
-        _Supplied("nlp_grad_f", at, {"f": one, "grad_f_x": x}, gradient),
-        _Supplied("nlp_jac_g", at, {"g": g, "jac_g_x": jac.sparsity}, jacobian),
-        _Supplied("nlp_hess_l", {**at, **multipliers}, {"hess_gamma_x_x": hess.sparsity}, hessian),
-    ]
-
-
 class Solver:
     """nlpsol set up once for a problem, to be run from several starts; log : (nv,) parameters that are logarithms."""
 
@@ -251,11 +117,11 @@ class Solver:
         self._history: list[float] = []
         self._best: tuple[float, Array] | None = None
         # evaluations up to the last iteration, iterations with the exact Hessian
-        self._before, self._bent, self._flat = 0, 0, False
+        self._before, self._bent, self._flat, self._near = 0, 0, False, False
         self._stop: Callable[[float, float], bool] | None = None
         # The solver holds no reference of its own to Python callbacks.
-        self._tried = _Tried(np.zeros(problem.size))
-        self._kept = [*_functions(problem, self._tried, log), self._watcher()]
+        self._tried = Tried(np.zeros(problem.size))
+        self._kept = [*functions(problem, self._tried, log), self._watcher()]
         self._ipopt = {**_OPTIONS, "max_iter": max_iterations, "tol": tolerance}
         self.most = max_iterations
         self._made: dict[bool, Any] = {}
@@ -278,22 +144,22 @@ class Solver:
             self._made[near] = ca.nlpsol("fit", "ipopt", self._kept[0], options)
         return self._made[near]
 
-    def _watcher(self) -> _Supplied:
+    def _watcher(self) -> Supplied:
         """Called once an iteration: shows progress, keeps the best point, chooses the Hessian, stops on Ctrl-C."""
-        x, g, none, one = _shapes(self.problem)
+        x, g, none, one = shapes(self.problem)
         inputs = {"x": x, "f": one, "g": g, "lam_x": x, "lam_g": g, "lam_p": none}
 
         def watch(value: Any, cost: Any, constraints: Any, *_: Any) -> Any:
             gap = float(np.abs(np.asarray(constraints)[self.problem.user.count :]).max(initial=0.0))
             self._last = np.array(value, dtype=float).ravel()
-            stop = self._seen(self._last, float(cost), gap) or self._in_valley(gap)
+            stop = self._seen(self._last, float(cost), gap) or self._in_valley(gap) or self._at_end(gap)
             self._steer(gap)
             if self._stop is not None:
                 self.problem.exact = False
                 stop = self._stop(float(cost), gap) or stop
             return [1.0 if stop else 0.0]
 
-        return _Supplied("watch", inputs, {"ret": one}, watch)
+        return Supplied("watch", inputs, {"ret": one}, watch)
 
     def _seen(self, x: Array, cost: float, gap: float) -> bool:
         """Note a point of the search and show it; True to stop."""
@@ -313,6 +179,17 @@ class Solver:
         if self._bent > _VALLEY and gap < _CLOSED and not self.problem.user.count:
             fall = min(self._history[:-_VALLEY]) - min(self._history[-_VALLEY:])
             self._flat = 2 * self.problem.samples * fall < _FLAT
+        return self._flat
+
+    def _at_end(self, gap: float) -> bool:
+        """True if the search began at an optimum and its last step moved nothing that can be seen."""
+        problem = self.problem
+        if self._near and problem.exact and not problem.damping and len(self._history) > 1 and gap < _JOINED:
+            change = abs(self._history[-2] - self._history[-1])
+            full = problem.evaluations <= self._before + 1
+            inside = np.minimum(self._last - self._bounds[0], self._bounds[1] - self._last).min() > _INSIDE
+            seen = 2 * problem.samples * change >= _UNSEEN
+            self._flat = self._flat or bool(full and inside and not seen)
         return self._flat
 
     def _steer(self, gap: float) -> None:
@@ -379,11 +256,11 @@ class Solver:
 
     def _run(self, start: Array, lower: Array, upper: Array, near: bool, damping: float) -> Solution:
         problem = self.problem
-        problem.exact, problem.damping = near and self._stop is None, damping
+        problem.exact, problem.damping, self._bounds = near and self._stop is None, damping, (lower, upper)
         self._history, self._best, self._interrupted = [], None, False
         self._last = self._tried.last = start
         self._tried.points, self._tried.refused, self._tried.late = 0, 0, False
-        self._before, self._bent, self._flat = problem.evaluations, 0, False
+        self._before, self._bent, self._flat, self._near = problem.evaluations, 0, False, near
         joints = problem.rows - problem.user.count
         low = np.concatenate([problem.user.lower, np.zeros(joints)])
         high = np.concatenate([problem.user.upper, np.zeros(joints)])

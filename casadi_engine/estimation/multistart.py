@@ -13,6 +13,7 @@ from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.cut_short import Starts, in_time
 from casadi_engine.estimation.fit import Optimum
 from casadi_engine.estimation.search import Attempt, Search
+from casadi_engine.estimation.spectral_start import Begun
 from casadi_engine.estimation.standard_errors import uncertainty
 
 Array = NDArray[np.float64]
@@ -21,15 +22,18 @@ Array = NDArray[np.float64]
 _SAME_COST, _SAME_PLACE = 1e-6, 1e-3
 # So they are when a move from one to the other changes chi-squared by less than this, and their costs by no more.
 _SAME_NOISE = 1e-2
-# Distance of a neighbouring start from the optimum, in standard errors; the optima along a valley of the crankshaft's
-# likelihood were found 5 to 15 of them apart.
-_APART = 5.0
+# Distance of a neighbouring start from the optimum, in standard errors, and in those of the lowest frequencies: the
+# optima along the valley of the crankshaft's likelihood were found 1 to 3 of the latter apart.
+_APART, _LOW = 5.0, 1.0
 # A lower cost than this counts as another optimum to go on from; a valley is followed over at most so many.
-_LOWER, _MOST = 1e-3, 4
+_LOWER, _MOST = 1e-3, 8
+# Cosine of the angle within which a direction leads back to where the search came from.
+_BACK = 0.5
 
 
-# The outcomes of several starts, the set's own among them or not, each an Attempt or the error that it met.
-Outcomes = Callable[[list[Array], bool], Iterator[Attempt | EstimationError]]
+# The outcomes of several starts, the set's own among them or not, each an Attempt or the error that it met; beside an
+# optimum in the frequency domain, a lower one than which is looked for.
+Outcomes = Callable[[list[Array], bool, "Begun | None"], Iterator[Attempt | EstimationError]]
 
 
 def attempts_from(
@@ -81,58 +85,69 @@ def interrupted(attempts: list[Attempt]) -> bool:
     return any(attempt.solution.status == "interrupted" for attempt in attempts)
 
 
-def _tried(run: Outcomes, attempts: list[Attempt], starts: list[Array]) -> bool:
-    """Add the outcomes of these starts; False if the user ended them."""
+def _tried(run: Outcomes, attempts: list[Attempt], starts: list[Array], beside: Begun | None = None) -> bool:
+    """Add the outcomes of these starts, beside an optimum up to one that is lower; False if the user ended them."""
     first = not attempts
-    for outcome in run(starts, first):
+    known = best_of(attempts).merit if attempts else -np.inf
+    for outcome in run(starts, first, beside):
         if isinstance(outcome, EstimationError):
             if first and not attempts:  # the set's own values have to be possible
                 raise outcome
             continue
         attempts.append(outcome)
+        if beside is not None and best_of(attempts).merit < known - _LOWER:
+            break
     return not interrupted(attempts)
 
 
 def _follow(search: Search, run: Outcomes, attempts: list[Attempt], neighbours: int) -> None:
-    """Search from either side of the best optimum, and again from a lower one found so."""
+    """Search from either side of the best optimum, and on from a lower one found so."""
+    before = None
     for _ in range(_MOST):
         best = best_of(attempts)
         if best.solution.status != "converged":
             return
-        if not _tried(run, attempts, _neighbours(search, best, neighbours)):
+        beside = best.begun if best.pending else None
+        if not _tried(run, attempts, _neighbours(search, best, neighbours, before), beside):
             return
         if best_of(attempts).merit > best.merit - _LOWER:
             return
+        before = best.v
 
 
-def _neighbours(search: Search, best: Attempt, count: int) -> list[Array]:
-    """Points (nz,) on either side of an optimum along the ``count`` directions of the largest errors."""
-    nv = len(best.v)
-    if best.begun is None or not best.pending:
-        search._weigh(best.sigma)
-        covariance = uncertainty(search, best).covariance.matrix[:nv, :nv]
-    else:
-        covariance = _inverse(best.begun.found.information)
-    if not np.isfinite(covariance).all():  # no slopes at this optimum: there is no direction to go
-        return []
-    values, vectors = np.linalg.eigh(covariance)
+def _neighbours(search: Search, best: Attempt, count: int, before: Array | None) -> list[Array]:
+    """Points (nz,) on either side of an optimum along the ``count`` directions of the largest errors, but for those
+    that lead back to where the search came from (nv,)."""
+    steps, information = _steps(search, best, count)
     low, high = search.coordinates.of(search.pmap.lower), search.coordinates.of(search.pmap.upper)
     found = []
-    for k in np.argsort(values)[::-1][:count]:
-        for side in (-_APART, _APART):
-            at = best.v + side * float(np.sqrt(max(values[k], 0.0))) * vectors[:, k]
-            found.append(search.coordinates.values(np.clip(at, low, high)))
+    for step in steps:
+        for side in (-1.0, 1.0):
+            if before is None or _cosine(side * step, before - best.v, information) < _BACK:
+                at = np.clip(best.v + side * step, low, high)
+                found.append(search.coordinates.values(at))
     return found
 
 
-def _inverse(information: Array) -> Array:
-    """The covariance (n, n) of an information matrix; NaN where a direction has none."""
-    size = np.sqrt(np.diag(information))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        scaled = information / np.outer(size, size)
-        if not np.isfinite(scaled).all() or np.linalg.eigvalsh(scaled)[0] <= 0:
-            return np.full_like(information, np.nan)
-        return np.asarray(np.linalg.inv(scaled) / np.outer(size, size))
+def _steps(search: Search, best: Attempt, count: int) -> tuple[list[Array], Array]:
+    """Steps (nv,) to neighbouring starts, and the information (nv, nv) that they are measured in."""
+    nv = len(best.v)
+    if best.begun is not None and best.pending:
+        steps = search.spectral.valleys(best.begun, count)
+        return [_LOW * step for step in steps], best.begun.found.information
+    search._weigh(best.sigma)
+    covariance = uncertainty(search, best).covariance.matrix[:nv, :nv]
+    if not np.isfinite(covariance).all():  # no slopes at this optimum: there is no direction to go
+        return [], covariance
+    values, vectors = np.linalg.eigh(covariance)
+    sizes = _APART * np.sqrt(np.maximum(values, 0.0))
+    order = np.argsort(values)[::-1][:count]
+    return [sizes[k] * vectors[:, k] for k in order], np.asarray(np.linalg.pinv(covariance))
+
+
+def _cosine(one: Array, other: Array, metric: Array) -> float:
+    size = np.sqrt((one @ metric @ one) * (other @ metric @ other))
+    return float(one @ metric @ other / size) if size > 0 else 0.0
 
 
 def best_of(attempts: list[Attempt]) -> Attempt:

@@ -22,23 +22,25 @@ Array = NDArray[np.float64]
 
 # The solver counts its iterations in 32 bits.
 _MOST = 2**31 - 1
-# "auto" cuts a record into about this many intervals.
-_AUTO = 100
+# "auto" cuts a record into about this many intervals; into the second number where the search begins at the optimum in
+# the frequency domain, and the solver's work is that of its variables.
+_AUTO, _FEW = 100, 20
 _UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 _TEXT = re.compile(r"^\s*([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*(s|ms|us|samples|sample)\s*$")
 
 
-def interval_length(interval: Any, grid: Grid, *, whole: bool = False) -> int | None:
+def interval_length(interval: Any, grid: Grid, *, whole: bool = False, few: bool = False) -> int | None:
     """Samples of a shooting interval, or None for single shooting.
 
     interval : "auto", "single", a number of samples, or text such as "10 ms" or "144 samples"
     whole : "auto" is a single interval, for models that jump with their states: a start of an interval beside a switch
         that may move to its other side has no smooth influence
+    few : "auto" is few intervals, for a search that begins at an optimum
     """
     if isinstance(interval, str) and interval == "auto" and whole:
         return None
     if isinstance(interval, str) and interval == "auto":
-        return max(16, 16 * round(grid.samples / _AUTO / 16))
+        return max(16, 16 * round(grid.samples / (_FEW if few else _AUTO) / 16))
     if interval is None or (isinstance(interval, str) and interval == "single"):
         return None
     found: float | None = None

@@ -28,7 +28,7 @@ from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.scales import felt_scale, state_factors
 from casadi_engine.estimation.shooting import ShootingProblem
 from casadi_engine.estimation.slopes import check_slopes
-from casadi_engine.estimation.spectral_start import Begun, SpectralStarts, in_full
+from casadi_engine.estimation.spectral_start import Begun, SpectralStarts, asked_in_full, complete, in_full
 from casadi_engine.estimation.starts import (
     chained_nodes,
     drawn_starts,
@@ -175,6 +175,9 @@ class Search:
         made: dict[int, Any] = {}
         cores, records = Cores(), []
         level: Array | None = None
+        outputs = tuple(out.name for out in self.model.outputs)
+        linear = self.model.linear is not None and not self.model.has_slot_laws
+        bins = linear and not self.pmap.constraints and asked_in_full(self) is None
         for record in self.data:
             grid, physical = grids[record.name], self.pmap.physical[record.name]
             local = made.setdefault(id(physical), self.coordinates.substitute(physical))
@@ -187,7 +190,12 @@ class Search:
                 record,
                 self.coordinates.symbol,
                 local,
-                length=interval_length(interval, grid, whole=switches_with_states(self.model)),
+                length=interval_length(
+                    interval,
+                    grid,
+                    whole=switches_with_states(self.model),
+                    few=bins and grid.uniform and complete(grid, outputs),
+                ),
                 gain=self.predictor.plan(own, local, level),
                 method=method,
                 grid=grid,
@@ -321,10 +329,13 @@ class Search:
         except FloatingPointError:
             return None
 
-    def run(self, z: Array, *, first: bool = True, finish: bool = True) -> Attempt:
+    def run(
+        self, z: Array, *, first: bool = True, finish: bool = True, beside: Begun | None = None
+    ) -> Attempt:
         """Search from z : (nz,), in the parameters' units.
 
         finish : take the last steps on all samples, whatever the search began on; else see ``finished``
+        beside : a lower optimum is looked for than this one in the frequency domain
         """
         self.reached = None
         self.solver.forget()
@@ -336,7 +347,7 @@ class Search:
         why = "it starts at an optimum" if near else in_full(self)
         self._before, solution, begun = 0, None, None
         if why is None:
-            begun = self.spectral.search(z, steps=self.solver.most)
+            begun = self.spectral.search(z, steps=self.solver.most, beside=beside)
             if begun is not None and begun.converged and not finish and not any(self.levels.estimated):
                 return self._unfinished(begun, given)
             if begun is not None and begun.stopped:

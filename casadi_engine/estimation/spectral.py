@@ -18,31 +18,32 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import zgees
 
 from casadi_engine.estimation.record import RecordTerm
+from casadi_engine.estimation.resolvent import Orthonormal, Resolvent
+from casadi_engine.estimation.spectral_modes import ModalResponse, Modes
 from casadi_engine.simulation.discretisation import Discretisation
-from casadi_engine.simulation.exponential import balance
 from casadi_engine.simulation.linear import LinearPropagator
 
 Array = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]
 
-# A combination of the columns of t that shows in the outputs by less than this share of them is held at zero.
-_SPRING = 1e-9
-# A Cholesky factor with a smaller entry on its diagonal has lost half the digits.
-_DIGITS = 1e-6
+# A Cholesky factor with no smaller entry than this on its diagonal has lost few digits. Otherwise combinations of the
+# columns of t are held at zero that show in the outputs by less than the root of this share of them.
+_PLAIN, _WEAK = 1e-2, 1e-12
 # In the frequency domain a state that grows is one that decays backwards: points at which one grows more over the
 # record than a simulation from its start can follow are refused.
 _GROWTH = 1e8
 # Bins of a band for each parameter and state, at least.
 _FEWEST = 4
+# What records at one point have in common: discrete matrices by their identity, and their modes.
+Common = dict[int, tuple[Discretisation, Modes | None]]
 # Bins that are worked on at a time in a record of more than LONG of them.
-LONG, _PART = 50_000, 8192
+LONG, _PART = 50_000, 4096
 
 
 @dataclass(frozen=True)
@@ -59,17 +60,6 @@ class Bins:
     drives: Spectrum
     slopes: Spectrum
     measured: Spectrum
-
-    def part(self, bins: slice) -> Bins:
-        """Some of the bins, contiguous in memory."""
-        return Bins(
-            self.samples,
-            self.z[bins].copy(),
-            self.share[bins].copy(),
-            np.ascontiguousarray(self.drives[:, bins]),
-            np.ascontiguousarray(self.slopes[..., bins]),
-            np.ascontiguousarray(self.measured[:, bins]),
-        )
 
 
 def half_bins(series: Array) -> Spectrum:
@@ -105,18 +95,26 @@ class SpectralRecord:
     def __init__(self, record: RecordTerm) -> None:
         self.record, self._propagator = record, cast(LinearPropagator, record.propagator)
         count = record.grid.samples
-        turn = np.pi * (2 * np.arange((count + 1) // 2) + 1) / count
-        self.size, self.hertz = len(turn), turn / (2 * np.pi * record.grid.step)
-        share = np.full(self.size, np.sqrt(2 / count))
-        if count % 2:
-            share[-1] = np.sqrt(1 / count)  # the bin at z = -1 is its own conjugate
-        self._share = share
+        self.size = (count + 1) // 2
+        self.hertz = self._turn(slice(0, self.size)) / (2 * np.pi * record.grid.step)
         measured = np.array([record.grid.measured[name].values for name in record.outputs])
-        self._measured = half_bins(measured) * share
-        self._z = np.exp(1j * turn)
+        self._measured = half_bins(measured)
+        self._measured *= self._share(slice(0, self.size))
         self._drives: tuple[Array, Spectrum, Spectrum] | None = None
         self._kept: dict[int, Bins] = {}
         self.sigma = np.ones(len(measured))
+
+    def _turn(self, part: slice) -> Array:
+        """The angles (K,) of some bins."""
+        return np.asarray(np.pi * (2 * np.arange(part.start, part.stop) + 1) / self.record.grid.samples)
+
+    def _share(self, part: slice) -> Array:
+        """The roots of some bins' shares in the sum of squares."""
+        count = self.record.grid.samples
+        share = np.full(part.stop - part.start, np.sqrt(2 / count))
+        if count % 2 and part.stop == self.size:
+            share[-1] = np.sqrt(1 / count)  # the bin at z = -1 is its own conjugate
+        return share
 
     def below(self, hertz: float) -> slice:
         """The bins below a frequency; no fewer than a band needs in which parameters and states are to be seen."""
@@ -134,20 +132,27 @@ class SpectralRecord:
             samples = self._propagator.merged_drives(z)
             if self._drives is None or self._drives[0] is not samples.value:
                 drives, slopes = half_bins(samples.value), half_bins(samples.first)
-                drives *= self._share
-                slopes *= self._share
+                share = self._share(slice(0, self.size))
+                drives *= share
+                slopes *= share
                 self._drives, self._kept = (samples.value, drives, slopes), {}
             if not len(samples.active):  # made once: the samples themselves are not needed any more
                 self._drives = (samples.value[:0], *self._drives[1:])
                 self._propagator.forget_merged()
         _, drives, slopes = self._drives
-        whole = Bins(self.record.grid.samples, self._z, self._share, drives, slopes, self._measured)
-        if not keep:
-            return whole.part(part)
-        if part.stop not in self._kept:
-            # one part at a time beside the whole, which is as large as the samples
-            self._kept = {part.stop: whole if part.stop == self.size else whole.part(part)}
-        return self._kept[part.stop]
+        if keep and part.stop in self._kept:
+            return self._kept[part.stop]
+        found = Bins(
+            self.record.grid.samples,
+            np.exp(1j * self._turn(part)),
+            self._share(part),
+            np.ascontiguousarray(drives[:, part]),
+            np.ascontiguousarray(slopes[..., part]),
+            np.ascontiguousarray(self._measured[:, part]),
+        )
+        if keep:  # one part at a time beside the whole, which is as large as the samples
+            self._kept = {part.stop: found}
+        return found
 
     def columns(
         self, v: Array, part: slice, common: dict[tuple[int, int, int], Response] | None = None
@@ -171,38 +176,93 @@ class SpectralRecord:
         flat -= (flat @ free.rows.T) @ free.rows
         return flat, free.rows
 
-    def gram(self, v: Array, stops: list[int]) -> Array:
+    def gram(self, v: Array, stops: list[int], common: Common | None = None) -> Array:
         """Products (e, 1 + na, 1 + na) of residual and Jacobian in the bins before each of the rising ``stops``, the
-        transients projected out; part by part of the bins, as those of a long record take much memory."""
-        z = v[self.record.active]
+        transients projected out; part by part of the bins, as those of a long record take much memory.
+
+        common : kept for further records at the same v
+        """
+        z, long = v[self.record.active], self.size > LONG
         discrete = self._propagator.discretisation(z, 1)
-        parts = [slice(*ends) for ends in pairwise(sorted({*range(0, stops[-1], _PART), *stops}))]
+        common = {} if common is None else common
+        if id(discrete) not in common:
+            common[id(discrete)] = discrete, Modes.of(discrete)
+        modes, last = common[id(discrete)][1], stops[-1]
+        parts = [slice(k, min(k + _PART, last)) for k in range(0, last, _PART)] if long else [slice(0, last)]
+
+        def at(part: slice) -> tuple[ModalResponse | Response, Bins, Array, Any]:
+            bins = self.bins(z, part, keep=not long)
+            response = self._response(discrete, modes, bins)
+            return response, bins, *response.residual(bins)
+
+        made = None if long else [at(part) for part in parts]
         n = discrete.f.shape[1]
-        span, seen = np.zeros((n, n)), np.zeros(n)
-        for part in parts:
-            bins = self.bins(z, part, keep=False)
-            response = Response(discrete, bins, self.sigma)
-            span += response.seen @ response.seen.T
-            seen += response.seen @ _real(response.forced(bins)[0].reshape(-1))
-        jump = np.asarray(-np.linalg.lstsq(span, seen, rcond=_SPRING)[0], dtype=np.float64)
+        spans, sight = np.zeros((len(parts), n, n)), np.zeros(n)
+        for span, (response, _, left, _) in zip(spans, made or map(at, parts), strict=True):
+            span[:] = response.seen @ response.seen.T
+            sight += response.seen @ left
+        root = _inverse_root(spans.sum(axis=0))
+        jump = -root @ (root.T @ sight)
         total, found = np.zeros((n + 1 + len(z),) * 2), []
-        for part in parts:
-            bins = self.bins(z, part, keep=False)
-            response = Response(discrete, bins, self.sigma)
-            own = response.columns(bins, response.forced(bins), jump, self._propagator.drives_active)
-            rows = np.concatenate([response.seen, own])
-            total += rows @ rows.T
-            if part.stop in stops:
-                found.append(_without(total, n))
+        for part, span, (response, bins, left, kept) in zip(
+            parts, spans, made or map(at, parts), strict=True
+        ):
+            slopes = response.slopes(bins, kept, jump, self._propagator.drives_active)
+            rows = np.concatenate([(left + jump @ response.seen)[None], slopes])
+            cuts = [part.start, *(stop for stop in stops if part.start < stop < part.stop), part.stop]
+            for own in (slice(one - part.start, two - part.start) for one, two in pairwise(cuts)):
+                seen, felt = (_cut(values, len(self.sigma), own) for values in (response.seen, rows))
+                total[:n, :n] += span if len(cuts) == 2 else seen @ seen.T
+                total[:n, n:] += seen @ felt.T
+                total[n:, n:] += felt @ felt.T
+                if own.stop + part.start in stops:
+                    whole = own.stop + part.start == last
+                    found.append(_without(total, root if whole else _inverse_root(total[:n, :n])))
         return np.array(found)
 
+    def _response(
+        self, discrete: Discretisation, modes: Modes | None, bins: Bins
+    ) -> ModalResponse | Response:
+        """Raises FloatingPointError where the states grow too far."""
+        if modes is None:
+            return Response(discrete, bins, self.sigma)
+        check_growth(float(np.abs(modes.poles[0]).max(initial=0.0)), bins)
+        return ModalResponse(modes, bins, self.sigma)
 
-def _without(gram: Array, n: int) -> Array:
-    """Products of the rows behind the first n, these projected out."""
-    size = np.sqrt(np.maximum(np.diag(gram)[:n], 1e-300))
-    values, vectors = np.linalg.eigh(gram[:n, :n] / np.outer(size, size))
-    told = values > _SPRING
-    cross = (vectors[:, told] / np.sqrt(values[told])).T @ (gram[:n, n:] / size[:, None])
+
+def check_growth(radius: float, bins: Bins) -> None:
+    """Raise FloatingPointError where states grow beyond what their start decides; radius : of the poles."""
+    if bins.samples * np.log(max(radius, 1e-300)) > np.log(_GROWTH):
+        raise FloatingPointError("the states grow beyond what their start decides")
+
+
+def _cut(rows: Array, outputs: int, bins: slice) -> Array:
+    """Some of the bins of rows (k, 2 ny K), contiguous in memory."""
+    parts = rows.reshape(len(rows), outputs, -1, 2)
+    if bins.start == 0 and bins.stop == parts.shape[2]:
+        return rows
+    return np.ascontiguousarray(parts[:, :, bins]).reshape(len(rows), -1)
+
+
+def _inverse_root(gram: Array) -> Array:
+    """(n, r) whose product with its transpose inverts a Gram matrix (n, n), without what hardly shows in it."""
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    scaled = gram / np.outer(size, size)
+    try:
+        factor = np.linalg.cholesky(scaled)
+        if factor.diagonal().min(initial=1.0) > _PLAIN:
+            return np.asarray(np.linalg.inv(factor).T / size[:, None])
+    except np.linalg.LinAlgError:
+        pass
+    values, vectors = np.linalg.eigh(scaled)
+    told = values > _WEAK
+    return np.asarray(vectors[:, told] / np.sqrt(values[told]) / size[:, None])
+
+
+def _without(gram: Array, root: Array) -> Array:
+    """Products of the rows behind the first n, these projected out; root : (n, r) of their products."""
+    n = len(root)
+    cross = root.T @ gram[:n, n:]
     return np.asarray(gram[n:, n:] - cross.T @ cross)
 
 
@@ -215,8 +275,7 @@ class Response:
 
     def __init__(self, discrete: Discretisation, bins: Bins, sigma: Array) -> None:
         self._resolvent = Resolvent(discrete.f[0], bins.z)
-        if bins.samples * np.log(max(self._resolvent.radius, 1e-300)) > np.log(_GROWTH):
-            raise FloatingPointError("the states grow beyond what their start decides")
+        check_growth(self._resolvent.radius, bins)
         self._discrete, self._sigma = discrete, sigma
         self._c, self._d = discrete.c / sigma[:, None], discrete.d / sigma[:, None]
         self._rows, self._shifted = self._resolvent.rows(self._c[0]), bins.z * bins.share
@@ -237,6 +296,17 @@ class Response:
         drive = _times(hold, source[n:])
         left = np.einsum("ynk,nk->yk", self._rows, drive) + _times(self._d[0], bins.drives)
         return left - bins.measured / self._sigma[:, None], drive, source
+
+    def residual(self, bins: Bins) -> tuple[Array, tuple[Spectrum, Spectrum, Spectrum]]:
+        """Residual (2 ny K,) without transients, and what it and the slopes are made of; see ``ModalResponse``."""
+        made = self.forced(bins)
+        return _real(made[0].reshape(-1)), made
+
+    def slopes(
+        self, bins: Bins, made: tuple[Spectrum, Spectrum, Spectrum], jump: Array, active: NDArray[np.intp]
+    ) -> Array:
+        """Slopes (na, 2 ny K) at the transient ``jump`` (n,); see ``ModalResponse``."""
+        return self.columns(bins, made, jump, active)[1:]
 
     def columns(
         self,
@@ -275,80 +345,3 @@ def _real(values: Spectrum) -> Array:
 def _times(matrix: Array, spectra: Spectrum) -> Spectrum:
     """A real matrix times spectra (n, K): half the work of a complex one."""
     return np.asarray((matrix @ _real(spectra)).view(np.complex128))
-
-
-class Resolvent:
-    """(z - F)^-1 at many z (K,), by the complex Schur form of the balanced F (n, n).
-
-    Unlike eigenvectors it exists to the last digit for every matrix: two integrators in a row have but one eigenvector.
-    """
-
-    def __init__(self, f: Array, z: Spectrum) -> None:
-        turn = balance(f)
-        self._turn = np.ones(len(f)) if turn is None else turn
-        balanced = f * self._turn / self._turn[:, None]
-        self._t, _, poles, self._u, _, info = zgees(lambda _: None, balanced)
-        if info:
-            raise np.linalg.LinAlgError("the Schur form does not converge")
-        self._near = 1.0 / (z - poles[:, None])
-        self.radius = float(np.abs(poles).max(initial=0.0))
-
-    def rows(self, c: Array) -> Spectrum:
-        """C (z - F)^-1, (ny, n, K), for C (ny, n)."""
-        left, near = (c * self._turn) @ self._u, self._near
-        found = np.empty((len(near), len(c), near.shape[1]), complex)
-        for j in range(len(near)):
-            found[j] = left[:, j, None]
-            if j:
-                found[j] += (self._t[:j, j] @ found[:j].reshape(j, -1)).reshape(found[j].shape)
-            found[j] *= near[j]
-        back = self._u.conj() / self._turn[:, None]
-        return np.asarray((back @ found.reshape(len(near), -1)).reshape(found.shape).swapaxes(0, 1))
-
-    def states(self, drive: Spectrum) -> Spectrum:
-        """(z - F)^-1 times the drive (n, K)."""
-        found = (self._u.conj().T / self._turn) @ drive
-        for j in range(len(found) - 1, -1, -1):
-            found[j] += self._t[j, j + 1 :] @ found[j + 1 :]
-            found[j] *= self._near[j]
-        return np.asarray((self._u * self._turn[:, None]) @ found)
-
-
-@dataclass(frozen=True)
-class Orthonormal:
-    """Rows (r, L) that span given ones (n, L); ``back`` (n, r) makes coefficients of these of those of the rows."""
-
-    rows: Array
-    back: Array
-
-    @classmethod
-    def of(cls, given: Array) -> Orthonormal:
-        """By Cholesky factors of the Gram matrix, twice; by Householder reflections where they lose digits."""
-        size = np.linalg.norm(given, axis=1)
-        known = np.flatnonzero(size > 0)
-        back = np.zeros((len(given), len(known)))
-        back[known, np.arange(len(known))] = 1 / size[known]
-        rows = back.T @ given
-        try:
-            for _ in range(2):
-                factor = np.linalg.cholesky(rows @ rows.T)
-                if factor.diagonal().min(initial=1.0) < _DIGITS:
-                    raise np.linalg.LinAlgError
-                turn = np.linalg.inv(factor)
-                rows, back = turn @ rows, back @ turn.T
-        except np.linalg.LinAlgError:
-            return cls._by_reflections(given, size, known)
-        return cls(rows, back)
-
-    @classmethod
-    def _by_reflections(cls, given: Array, size: Array, known: NDArray[np.intp]) -> Orthonormal:
-        """With a weak spring on every row, for those that are almost combinations of the others."""
-        scaled = given[known] / size[known, None]
-        q, r = np.linalg.qr(np.vstack([scaled.T, _SPRING * np.eye(len(known))]))
-        back = np.zeros((len(given), len(known)))
-        back[known] = np.linalg.inv(r) / size[known, None]
-        return cls(np.ascontiguousarray(q[: given.shape[1]].T), back)
-
-    def best(self, target: Array) -> Array:
-        """Coefficients (n,) of the given rows that make the target (L,) least when added to it."""
-        return -self.back @ (self.rows @ target)

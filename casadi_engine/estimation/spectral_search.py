@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.estimation.levenberg_marquardt import Evaluate, Minimum, Squares, minimise
 from casadi_engine.estimation.record import RecordTerm
-from casadi_engine.estimation.spectral import LONG, Response, SpectralRecord
+from casadi_engine.estimation.spectral import Common, SpectralRecord
 
 Array = NDArray[np.float64]
 Priors = Callable[[Array], tuple[float, Array, Array, Array]]
@@ -31,8 +32,17 @@ _BLIND = 1e-12
 _FALL, _COARSE, _BANDS = 1e-5, 1e-2, 4
 # Looks at all bins, and the move in squared standard errors after which another is taken.
 _ROUNDS, _MOVED = 3, 0.1
+# Squared standard errors from an optimum within which a search goes there.
+_HOME = 0.5
 # Damping where the search goes on with all bins: it is close to the optimum.
 _NEAR = 1e-5
+# Half chi-squared in the band by which an optimum has to be above another one not to be looked at in all bins.
+_HIGHER = 4.0
+# Shares of the band that are searched before it.
+_BELOW = (0.25, 0.5)
+# Neighbours of an optimum are looked for along what a band tells least of: the lowest one that leaves no direction more
+# uncertain than by this factor.
+_LOW = 5.0
 
 
 @dataclass(frozen=True)
@@ -41,6 +51,7 @@ class Found:
 
     minimum : v (nv,), with the band's squares and those above it by their quadratic; information : (nv, nv) of all bins
     hertz, kept, bins : the band, its number of bins and that of all; share : of the information above it
+    band : the optimum of the band alone that it was found from
     """
 
     minimum: Minimum
@@ -49,6 +60,7 @@ class Found:
     kept: int
     bins: int
     share: float
+    band: Minimum | None = None
 
     def __str__(self) -> str:
         if self.kept == self.bins:
@@ -72,10 +84,11 @@ class SpectralSearch:
     ) -> None:
         """longest : (nv,) longest change of each unknown in one step from v."""
         self._records = [SpectralRecord(record) for record in records]
+        self._top = max(record.hertz[-1] for record in self._records)
         self._priors = priors
         self._limits: dict[str, Any] = {"low": low, "high": high, "longest": longest}
         self._hertz: float | None = None  # of the band
-        self._above = 0.0  # cost above it at the first start
+        self._costs = np.array([np.inf]), np.zeros(1)  # below frequencies, at the first start
         self._first: tuple[Array, Array, Array] | None = None  # products at the point that was asked for last
 
     def weigh(self, sigma: Array) -> None:
@@ -93,11 +106,11 @@ class SpectralSearch:
         """The problem at v on the bins below a frequency; None where the model cannot be evaluated."""
         cost, gradient, _, matrix = self._priors(v)
         gradient, matrix = gradient.copy(), matrix.copy()
-        common: dict[tuple[int, int, int], Response] = {}
+        common: Common = {}
         with np.errstate(all="ignore"):
             for record in self._records:
                 try:
-                    gram = _gram(record, v, record.below(hertz), common)
+                    (gram,) = record.gram(v, [record.below(hertz).stop], common)
                 except (FloatingPointError, np.linalg.LinAlgError):
                     return None
                 own = record.record.active
@@ -118,39 +131,28 @@ class SpectralSearch:
     def _ladder(self, v: Array) -> tuple[Array, Array]:
         """Frequencies (e,), each a band's, and the products in the bins below them at v."""
         if self._first is None or not np.array_equal(self._first[0], v):
-            top = max(record.hertz[-1] for record in self._records)
-            edges = top * _STEP ** np.arange(np.ceil(np.log(_LOWEST) / np.log(_STEP)), 1)
-            edges[-1] = np.inf
+            edges = self._edges()
             self._first = (v.copy(), edges, self.grams(v, edges))
         return self._first[1:]
+
+    def _edges(self) -> Array:
+        """Frequencies (e,), each a band's, the last one beyond all bins."""
+        edges = self._top * _STEP ** np.arange(np.ceil(np.log(_LOWEST) / np.log(_STEP)), 1)
+        edges[-1] = np.inf
+        return np.asarray(edges)
 
     def grams(self, v: Array, edges: Array) -> Array:
         """Products (e, 1 + nv, 1 + nv) of residual and Jacobian in the bins below each of the edges, and of priors."""
         cost, gradient, _, matrix = self._priors(v)
         priors = np.block([[2 * cost, gradient], [gradient[:, None], matrix]])
         found = np.repeat(priors[None], len(edges), axis=0)
-        common: dict[tuple[int, int, int], Response] = {}
+        common: Common = {}
         for record in self._records:
-            if record.size > LONG:
-                entries = np.append(0, 1 + record.record.active)
-                stops = [record.below(edge).stop for edge in edges]
-                parts = dict(zip(sorted(set(stops)), record.gram(v, sorted(set(stops))), strict=True))
-                for e, stop in enumerate(stops):
-                    found[e][np.ix_(entries, entries)] += parts[stop]
-                continue
-            columns, free = record.columns(v, record.below(np.inf), common)
-            rows = np.concatenate([free, columns])
-            rows = rows.reshape(len(rows), len(record.sigma), -1)
             entries = np.append(0, 1 + record.record.active)
-            own = np.ix_(entries, entries)
-            total, at, r = np.zeros((len(rows), len(rows))), 0, len(free)
-            for e, edge in enumerate(edges):
-                stop = 2 * record.below(edge).stop
-                part = np.ascontiguousarray(rows[..., at:stop]).reshape(len(rows), -1)
-                total += part @ part.T
-                at = max(at, stop)
-                spring = total[:r, :r] + _BLIND * np.eye(r)
-                found[e][own] += total[r:, r:] - total[r:, :r] @ np.linalg.solve(spring, total[:r, r:])
+            stops = [record.below(edge).stop for edge in edges]
+            parts = dict(zip(sorted(set(stops)), record.gram(v, sorted(set(stops)), common), strict=True))
+            for e, stop in enumerate(stops):
+                found[e][np.ix_(entries, entries)] += parts[stop]
         return found
 
     def band(self, v: Array) -> float:
@@ -160,22 +162,48 @@ class SpectralSearch:
             raise FloatingPointError("a parameter has no slope here")
         shares = [largest_share(grams[-1, 1:, 1:], part[1:, 1:]) for part in grams]
         chosen = int(np.argmax(np.array(shares) <= LEFT_OUT))
-        self._above = 0.5 * float(grams[-1, 0, 0] - grams[chosen, 0, 0])
+        self._costs = edges, 0.5 * grams[:, 0, 0]
         return float(edges[chosen])
 
-    def run(self, v: Array, *, steps: int, stop: Callable[[float], bool]) -> Found | None:
+    def valleys(self, found: Found, count: int) -> list[Array]:
+        """Steps (nv,) of a standard error along the ``count`` directions that the lowest frequencies tell least of,
+        beside what the band tells: where a mode is buried in noise, the optima of its frequency lie along these.
+        """
+        size = np.sqrt(np.diag(found.information))
+        whole = found.information / np.outer(size, size)
+        with np.errstate(all="ignore"):
+            try:
+                root = np.linalg.inv(np.linalg.cholesky(whole))
+                edges = self._edges()
+                for edge in edges[edges <= found.hertz]:
+                    gram = self.grams(found.minimum.x, np.array([edge]))[0]
+                    low = root @ (gram[1:, 1:] / np.outer(size, size)) @ root.T
+                    values, vectors = np.linalg.eigh(low)
+                    if values[0] > _LOW**-2:
+                        break
+            except (FloatingPointError, np.linalg.LinAlgError):
+                return []
+        values = np.maximum(values, _LOW**-2)
+        return list((vectors / np.sqrt(values)).T[:count] @ root / size)
+
+    def run(
+        self, v: Array, *, steps: int, stop: Callable[[float], bool], beside: Found | None = None
+    ) -> Found | None:
         """The optimum that a search from v leads to, or None where there is nothing to evaluate.
 
         stop : sees the cost before every step, that above the band as it was at first; True ends the search
+        beside : a lower optimum is looked for than this one
         """
         with np.errstate(all="ignore"):
             try:
-                hertz = self.band(v) if self._hertz is None else self._hertz
+                hertz = beside.hertz if beside else self.band(v) if self._hertz is None else self._hertz
             except (FloatingPointError, np.linalg.LinAlgError):
                 return None
-        done = 0
+        told, done = _Told(stop), 0
+        if beside is None:
+            v, done = self._from_below(v, hertz, steps, told)
         for tried in range(_BANDS):
-            found = self._in_band(v, hertz, max(steps - done, 1), _from_the_second(stop) if tried else stop)
+            found = self._in_band(v, hertz, max(steps - done, bool(tried)), told, None if tried else beside)
             if found is None:
                 return None
             done += found.minimum.steps
@@ -186,7 +214,34 @@ class SpectralSearch:
         self._hertz = hertz
         return found
 
-    def _in_band(self, v: Array, hertz: float, steps: int, stop: Callable[[float], bool]) -> Found | None:
+    def _from_below(self, v: Array, hertz: float, steps: int, told: _Told) -> tuple[Array, int]:
+        """Where searches in lower bands lead from v, one after the other, and their steps.
+
+        Low modes stand out of the noise: the frequency of a high one is close to where they put it, and a search that
+        looks for both at once ends at a line of the noise.
+        """
+        done = 0
+        for share in _BELOW:
+            edge = share * min(hertz, self._top)
+            found = minimise(
+                partial(self.squares, hertz=edge), v, fall=_COARSE, steps=steps - done,
+                stop=self._shown(told, edge), **self._limits,
+            )  # fmt: skip
+            if found is None:
+                break
+            v, done = found.x, done + found.steps
+            told.again()
+            if not found.converged:
+                break
+        return v, done
+
+    def _shown(self, told: Callable[[float], bool], hertz: float) -> Callable[[float], bool]:
+        """The same for the cost below a frequency, with that above as it was at the first start."""
+        edges, costs = self._costs
+        above = float(costs[-1] - costs[min(int(np.searchsorted(edges, hertz)), len(costs) - 1)])
+        return lambda cost: told(cost + above)
+
+    def _in_band(self, v: Array, hertz: float, steps: int, told: _Told, beside: Found | None) -> Found | None:
         known: list[tuple[Array, Squares | None]] = []
 
         def below(at: Array) -> Squares | None:
@@ -195,12 +250,25 @@ class SpectralSearch:
             return known[0][1]
 
         kept, bins = sum(r.below(hertz).stop for r in self._records), sum(r.size for r in self._records)
+        band = None if beside is None else beside.band
+
+        shown = self._shown(told, hertz)
+
+        def ends(cost: float) -> bool:
+            """Also where the search comes back to the optimum that it began beside."""
+            home = band is not None and beside is not None and _apart(known[0][0], band, beside) < _HOME
+            return shown(cost) or home
+
         first = minimise(
-            below, v, fall=_COARSE if kept < bins else _FALL, steps=steps,
-            stop=lambda cost: stop(cost + self._above), **self._limits,
-        )  # fmt: skip
+            below, v, fall=_COARSE if kept < bins else _FALL, steps=steps, stop=ends, **self._limits
+        )
         if first is None:
             return None
+        told.again()
+        if beside is not None and band is not None:
+            ended = _against(first, beside, band)
+            if ended is not None:
+                return ended
         if not first.converged or kept == bins:
             return Found(first, first.squares.matrix, hertz, kept, bins, 0.0)
         last, left, found = first, steps - first.steps, None
@@ -208,42 +276,69 @@ class SpectralSearch:
             whole, part, at = self.squares(last.x), below(last.x), last.x
             if whole is None or part is None:
                 return None
-            goal = _with_rest(below, _difference(whole, part), at)
+            if beside is not None:
+                foretold = _foretold(whole)
+                if foretold.cost > beside.minimum.squares.cost + 0.5 * _HIGHER:
+                    return Found(replace(last, squares=foretold), whole.matrix, hertz, kept, bins, 0.0, first)
+            rest = _difference(whole, part)
+            goal = _with_rest(below, rest, at)
             near = minimise(
-                goal, at, fall=_FALL, steps=max(left, 1), damping=_NEAR,
-                stop=_from_the_second(stop), **self._limits,
-            )  # fmt: skip
+                goal, at, fall=_FALL, steps=max(left, 1), damping=_NEAR, stop=told, **self._limits
+            )
             if near is None:
                 return None
+            told.again()
             left -= near.steps
             last = Minimum(near.x, near.squares, steps - left, near.converged)
             share = largest_share(whole.matrix, part.matrix)
-            found = Found(last, whole.matrix, hertz, kept, bins, share)
+            found = Found(last, whole.matrix, hertz, kept, bins, share, first)
             moved = near.x - at
             if not near.converged or moved @ whole.matrix @ moved < _MOVED:
                 break
         return found
 
 
-def _gram(
-    record: SpectralRecord, v: Array, part: slice, common: dict[tuple[int, int, int], Response]
-) -> Array:
-    """Products (1 + na, 1 + na) of residual and Jacobian in some bins."""
-    if part.stop > LONG:
-        return np.asarray(record.gram(v, [part.stop])[0])
-    columns, _ = record.columns(v, part, common)
-    return np.asarray(columns @ columns.T)
+def _foretold(squares: Squares) -> Squares:
+    """The squares with the cost to which one Gauss-Newton step would lower them."""
+    step = np.linalg.lstsq(squares.matrix, squares.gradient, rcond=_BLIND)[0]
+    return replace(squares, cost=squares.cost - 0.5 * float(squares.gradient @ step))
 
 
-def _from_the_second(stop: Callable[[float], bool]) -> Callable[[float], bool]:
-    """The same, but for the point at which a search goes on, which was seen before."""
-    seen: list[float] = []
+def _against(first: Minimum, beside: Found, band: Minimum) -> Found | None:
+    """What an optimum of the band is beside one that is known, if that can be told without the other bins: the same, or
+    higher by more than these could make good; band : that of the known one."""
+    higher = first.squares.cost - band.squares.cost
+    minimum = replace(beside.minimum, steps=first.steps)
+    if _apart(first.x, band, beside) < _HOME:
+        return replace(beside, minimum=minimum)
+    if not first.converged or higher < _HIGHER:
+        return None
+    squares = replace(first.squares, cost=beside.minimum.squares.cost + higher)
+    return replace(
+        beside, minimum=replace(minimum, x=first.x, squares=squares), information=squares.matrix, band=first
+    )
 
-    def later(cost: float) -> bool:
-        seen.append(cost)
-        return len(seen) > 1 and stop(cost)
 
-    return later
+def _apart(x: Array, band: Minimum, beside: Found) -> float:
+    """Squared standard errors between a point and an optimum of the band."""
+    return float((x - band.x) @ beside.information @ (x - band.x))
+
+
+class _Told:
+    """``stop``, which is asked once about a point at which one search ends and the next one begins."""
+
+    def __init__(self, stop: Callable[[float], bool]) -> None:
+        self._stop, self._same, self._ended = stop, False, False
+
+    def __call__(self, cost: float) -> bool:
+        if not self._same:
+            self._ended = self._stop(cost)
+        self._same = False
+        return self._ended
+
+    def again(self) -> None:
+        """The next point is the last one."""
+        self._same = True
 
 
 def largest_share(whole: Array, part: Array) -> float:

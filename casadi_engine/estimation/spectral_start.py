@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.scales import felt_sizes, size_factors
 from casadi_engine.estimation.spectral_search import Found, SpectralSearch
+from casadi_engine.simulation.grid import Grid
 from casadi_engine.simulation.linear import LinearPropagator
 
 if TYPE_CHECKING:
@@ -53,27 +54,38 @@ def in_full(search: Search) -> str | None:
 
 def no_spectrum(search: Search) -> str | None:
     """Why chi-squared is not to be had in the frequency domain; None if it is."""
+    return asked_in_full(search) or next((why for why in map(_record_in_full, search.records) if why), None)
+
+
+def asked_in_full(search: Search) -> str | None:
+    """Why chi-squared is not to be had in the frequency domain, whatever the records are."""
     if search.loss.robust:
         return "the loss is robust"
-    if not search.problem.nv:
+    if not search.pmap.free:
         return "no parameter is free"
     if search.predictor.kind != "none":
         return "a predictor corrects the states"
     if any(np.isfinite(low).any() or np.isfinite(high).any() for low, high, _ in search._initial):
         return "initial states are given, or have bounds"
-    return next((why for why in map(_record_in_full, search.records) if why), None)
+    return None
 
 
 def _record_in_full(record: RecordTerm) -> str | None:
     """Why one record has to be searched on all its samples."""
     if not isinstance(record.propagator, LinearPropagator):
         return f"{record.experiment.name} is not linear, or not sampled at equal steps"
-    measured = record.grid.measured
-    if any(
-        name not in measured or len(measured[name].position) < record.grid.samples for name in record.outputs
-    ):
-        return f"{record.experiment.name} lacks samples of an output"
-    return None
+    return (
+        None
+        if complete(record.grid, record.outputs)
+        else f"{record.experiment.name} lacks samples of an output"
+    )
+
+
+def complete(grid: Grid, outputs: tuple[str, ...]) -> bool:
+    """True if every output was measured at every sample."""
+    return all(
+        name in grid.measured and len(grid.measured[name].position) == grid.samples for name in outputs
+    )
 
 
 class SpectralStarts:
@@ -107,8 +119,14 @@ class SpectralStarts:
         felt = felt_sizes(float(gram[0, 0]), np.diag(gram)[1:].copy(), search.coordinates, z)
         return felt, size_factors([one for one in nodes if one is not None])
 
-    def search(self, z: Array, *, steps: int) -> Begun | None:
+    def valleys(self, begun: Begun, count: int) -> list[Array]:
+        """Steps (nv,) along which further optima may lie; see ``SpectralSearch.valleys``."""
+        return self._spectral.valleys(begun.found, count)
+
+    def search(self, z: Array, *, steps: int, beside: Begun | None = None) -> Begun | None:
         """Search from z : (nz,), in at most so many steps; None where the model has no value or no slope.
+
+        beside : a lower optimum is looked for than this one
 
         Noise levels that have to be settled are on the way: the problem is left with the last for weights.
         """
@@ -117,7 +135,12 @@ class SpectralStarts:
         self._seen, self._stopped, begun = 0, False, None
         for _ in range(_ROUNDS):
             self._spectral.weigh(search.sigma)
-            found = self._spectral.run(v, steps=max(steps - done, 1), stop=self._stop)
+            found = self._spectral.run(
+                v,
+                steps=max(steps - done, 1),
+                stop=self._stop,
+                beside=None if beside is None else beside.found,
+            )
             if found is None:
                 return None
             v, done = found.minimum.x, done + found.minimum.steps

@@ -17,6 +17,7 @@ from casadi_engine.estimation.cut_short import so_far
 from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.parallel import spread
 from casadi_engine.estimation.search import Attempt, Search
+from casadi_engine.estimation.spectral_start import Begun
 
 Array = NDArray[np.float64]
 
@@ -31,6 +32,7 @@ class _Piece:
     start: Array
     first: bool
     seconds: float
+    beside: Begun | None = None
 
 
 @dataclass
@@ -47,10 +49,13 @@ class Workers:
     finished: Callable[[Attempt], Any] | None = None
     _fit: str = field(default_factory=lambda: uuid.uuid4().hex)
 
-    def outcomes(self, starts: list[Array], first: bool) -> Iterator[Attempt | EstimationError]:
+    def outcomes(
+        self, starts: list[Array], first: bool, beside: Begun | None = None
+    ) -> Iterator[Attempt | EstimationError]:
         """The outcomes in the starts' order; after Ctrl-C, or once the time is over, those that are there."""
         pieces = [
-            _Piece(self._fit, self.arguments, z, first and k == 0, left()) for k, z in enumerate(starts)
+            _Piece(self._fit, self.arguments, z, first and k == 0, left(), beside)
+            for k, z in enumerate(starts)
         ]
         found: dict[int, Attempt | EstimationError] = {}
         try:
@@ -85,7 +90,7 @@ def _outcome(piece: _Piece) -> Attempt | EstimationError | None:
                 _own.search = Search(**piece.arguments, progress=None, interrupts=_own.interrupts)
                 _own.fit = piece.fit
             with _own.interrupts:
-                return _own.search.run(piece.start, first=piece.first, finish=False)
+                return _own.search.run(piece.start, first=piece.first, finish=False, beside=piece.beside)
         except EstimationError as error:
             return error
         except TimeUp:

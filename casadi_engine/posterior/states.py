@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dpotrs
 
+from casadi_engine.estimation.options import interval_length
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.starts import chained_nodes
 
@@ -63,6 +64,8 @@ class StatePrior:
 
 def state_prior(record: RecordTerm, v: Array, first: Array) -> StatePrior:
     """From the states along a record, simulated at v (nv,) from ``first`` (n,), scaled."""
+    if record.linear and record.plan.m > _FEWEST:  # a fit may have cut it into few intervals
+        record = record.again(gain=record.gain, length=interval_length("auto", record.grid))
     nodes = chained_nodes(record, v, first)
     if not np.isfinite(nodes).all() or len(nodes) < _FEWEST:
         size = np.maximum(np.abs(first), 1.0)

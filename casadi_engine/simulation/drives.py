@@ -13,6 +13,9 @@ from casadi_engine.simulation.grid import Grid
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.tape import ArrayFunction
 
+# Drives of a record of so many samples at most are kept, where they are the same for every z.
+_SHORT = 32768
+
 
 @dataclass(frozen=True)
 class DriveSamples:
@@ -73,8 +76,10 @@ class Drives:
         return found
 
     def part(self, z: Array, points: NDArray[np.intp] | None = None) -> DriveSamples:
-        """Samples at z : (nz,) at the grid points with these numbers (k,), all by default; nothing is kept."""
-        if self._decimation is not None and points is not None:
+        """Samples at z : (nz,) at the grid points with these numbers (k,), all by default; of a long record nothing is
+        kept."""
+        kept = not len(self.active) and self._samples <= _SHORT
+        if (kept or self._decimation is not None) and points is not None:
             found = self.at(z)
             return DriveSamples(
                 found.value[:, points], self.active, found.first[..., points], found.second[..., points]

@@ -13,9 +13,6 @@ from chain import Array
 import casadi_engine as ce
 
 UNITS = {"theta": "rad", "T_load": "N m", "omega": "rad/s", **{f"p{c}": "Pa" for c in range(1, 13)}}
-# Searches beside the optimum, along what the data tell least of: the likelihood of the crankshaft has several optima
-# along a valley. Their time counts.
-NEIGHBOURS = {"B": 1, "B6": 1}
 # The two-mass builder has names of its own.
 TWO_MASS_NAMES = {"J1": "J_eng", "J2": "J_load", "K21": "K_el", "C21": "C_el", "C1": "C_eng"}
 
@@ -92,7 +89,7 @@ def estimate(case: Case, start: Array, mark: Callable[[], None] | None = None, *
         parameters=parameters_of(case, model, names, start),
         noise=ce.Noise(omega=case.sigma),
         progress=watch if mark is not None else False,
-        **{"neighbours": NEIGHBOURS.get(case.name, 0), **options},
+        **options,
     )
 
 

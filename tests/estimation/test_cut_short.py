@@ -45,8 +45,8 @@ def costly(monkeypatch):
     """Drawn starts ask for work without end."""
     real = Search.run
 
-    def run(self, z, *, first=True, finish=True):
-        attempt = real(self, z, first=first, finish=finish)
+    def run(self, z, *, first=True, **options):
+        attempt = real(self, z, first=first, **options)
         if not first:
             for _ in range(100_000):  # without a limit it would come to an end all the same
                 ask(1e3)

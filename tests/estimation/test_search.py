@@ -320,8 +320,8 @@ def test_a_converged_start_is_preferred_to_a_lower_cost(tone, monkeypatch):
 
     run = module.Search.run
 
-    def spoilt(self, z, *, first=True, finish=True):
-        found = run(self, z, first=first, finish=finish)
+    def spoilt(self, z, *, first=True, **options):
+        found = run(self, z, first=first, **options)
         if not first:
             found.solution.status, found.merit = "not converged: for the test", 0.0
         return found

@@ -7,10 +7,13 @@ from hypothesis import strategies as st
 
 import casadi_engine as ce
 from casadi_engine.estimation.loss import Loss
+from casadi_engine.estimation.resolvent import Orthonormal, Resolvent
 from casadi_engine.estimation.search import Search
-from casadi_engine.estimation.spectral import Orthonormal, Resolvent, SpectralRecord, half_bins
+from casadi_engine.estimation.spectral import SpectralRecord, half_bins
+from casadi_engine.estimation.spectral_modes import Modes
 from casadi_engine.estimation.spectral_search import SpectralSearch, largest_share
 from casadi_engine.estimation.spectral_start import best_nodes
+from casadi_engine.simulation.discretisation import Discretisation
 
 
 def search_of(model, data, noise=None, **options):
@@ -48,10 +51,14 @@ def in_bins(record, v, sigma):
 
 
 def alike(record, v, sigma, digits=1e-7):
+    """By columns, for which matrices are multiplied, and by products alone, for which the modes are taken."""
     one, other = in_time(record, v, sigma)[0], in_bins(record, v, sigma)
-    wanted, found = one @ one.T, other @ other.T
+    wanted = one @ one.T
     size = np.sqrt(np.maximum(np.diag(wanted), 1e-12 * np.diag(wanted).max()))
-    np.testing.assert_allclose(found / np.outer(size, size), wanted / np.outer(size, size), atol=digits)
+    spectral = SpectralRecord(record)
+    spectral.sigma = sigma
+    for found in (other @ other.T, spectral.gram(v, [spectral.size])[0]):
+        np.testing.assert_allclose(found / np.outer(size, size), wanted / np.outer(size, size), atol=digits)
 
 
 # ---- the transform
@@ -168,6 +175,67 @@ def test_the_gradient_is_that_of_the_cost():
         assert (ends[0] - ends[1]) / (2 * step) == pytest.approx(slope[k], rel=1e-5)
 
 
+# ---- modes
+
+
+def discrete_of(f):
+    """A discrete system with two inputs and outputs, and slopes of everything in two parameters."""
+    rng, n = np.random.default_rng(4), len(f)
+    jets = {"f": (n, n), "g0": (n, 2), "g1": (n, 2), "c": (2, n), "d": (2, 2)}
+    made = {name: 0.1 * rng.standard_normal((3, *shape)) for name, shape in jets.items()}
+    made["f"][0] = f
+    return Discretisation(**made, parameters=2, order=1, generator=np.zeros((0, 0)))
+
+
+def test_modes_give_values_and_slopes_of_the_response():
+    """A real mode and a pair, against matrices at every frequency and differences of these."""
+    discrete = discrete_of(np.array([[0.9, 0.2, 0.0], [-0.2, 0.9, 0.1], [0.0, 0.0, 0.7]]))
+    modes, z = Modes.of(discrete), np.exp(1j * np.array([0.1, 0.5, 2.0]))
+    assert (modes.real, modes.poles.shape) == (1, (3, 2))
+
+    def response(t):
+        f, g0, g1, c, d = (
+            j[0] + t * j[1] for j in (getattr(discrete, k) for k in ("f", "g0", "g1", "c", "d"))
+        )
+        return np.array([c @ np.linalg.solve(at * np.eye(3) - f, g0 + at * g1) + d for at in z])
+
+    def of_modes(c, b, poles, d):
+        found = np.einsum("yi,im,ki->kym", c, b, 1 / (z[:, None] - poles))
+        pairs = np.einsum("yi,im,ki->kym", c[:, 1:].conj(), b[1:].conj(), 1 / (z[:, None] - poles[1:].conj()))
+        return found + pairs + d
+
+    parts = (modes.c, modes.b, modes.poles, modes.d)
+    np.testing.assert_allclose(of_modes(*(p[0] for p in parts)), response(0.0), atol=1e-12)
+    step = 1e-6
+    slopes = (of_modes(*(p[0] + s * p[1] for p in parts)) for s in (step, -step))
+    wanted = (response(step) - response(-step)) / (2 * step)
+    np.testing.assert_allclose(-np.diff(list(slopes), axis=0)[0] / (2 * step), wanted, atol=1e-7)
+
+
+@pytest.mark.parametrize("f", [
+    np.array([[1.0, 0.1], [0.0, 1.0]]),  # two integrators in a row
+    np.diag([0.9, 0.9]),  # every vector is an eigenvector
+])  # fmt: skip
+def test_modes_that_are_no_basis_are_not_taken(f):
+    assert Modes.of(discrete_of(f)) is None
+
+
+def test_two_integrators_in_a_row_are_searched_without_modes():
+    b = ce.Blueprint("cart")
+    m, x, w, force = b.parameter("m", 2.0, min=0), b.state("x"), b.state("w"), b.input("F")
+    b.ode("x", w)
+    b.ode("w", force / m)
+    b.output("seen", x)
+    t = np.arange(300) * 0.01
+    data = ce.Experiment.from_arrays(
+        "r", time=t, units={"F": "1", "seen": "1"}, F=np.sin(5 * t), seen=t**2 + 0.1 * np.cos(9 * t)
+    )
+    search = search_of(b.model(), data, ce.Noise(seen=0.1))
+    record = search.records[0]
+    assert Modes.of(record.propagator.discretisation(np.array([0.3]), 1)) is None
+    alike(record, np.array([0.3]), np.array([0.1]), digits=1e-6)
+
+
 # ---- the search in a band
 
 
@@ -209,6 +277,37 @@ def test_the_largest_share_is_that_of_the_worst_direction(seed, n):
     ratio /= np.einsum("ij,jk,ik->i", directions, part + rest, directions)
     assert 0 <= ratio.max() <= share * (1 + 1e-9) <= 1 + 1e-9
     assert share == pytest.approx(np.linalg.eigvals(np.linalg.solve(part + rest, rest)).real.max())
+
+
+def test_what_leads_back_to_an_optimum_is_that_optimum(shaft, shaft_model):
+    search = search_of(shaft_model(), shaft().data, ce.Noise(omega=0.05, omega_load=0.1))
+    spectral = spectral_of(search)
+    known = spectral.run(np.full(5, 0.1), steps=100, stop=lambda _: False)
+    assert known.kept < known.bins
+    (step,) = spectral.valleys(known, 1)
+    # a standard error of the lowest frequencies, which is one of all at least, and no more than five
+    assert 0.99 < np.sqrt(step @ known.information @ step) < 5.01
+    for side in (-2.0, 2.0):
+        costs = []
+        found = spectral.run(
+            known.minimum.x + side * step,
+            steps=100,
+            stop=lambda cost, to=costs: to.append(cost),
+            beside=known,
+        )
+        assert np.array_equal(found.minimum.x, known.minimum.x)
+        assert found.minimum.squares.cost == known.minimum.squares.cost
+        assert found.minimum.converged
+        assert costs[0] > known.minimum.squares.cost
+
+
+def test_a_point_at_which_one_search_ends_and_the_next_begins_is_shown_once(shaft, shaft_model):
+    search = search_of(shaft_model(), shaft().data, ce.Noise(omega=0.05, omega_load=0.1))
+    costs = []
+    found = spectral_of(search).run(np.full(5, 0.1), steps=100, stop=lambda cost: costs.append(cost))
+    assert len(costs) == len(set(costs))
+    assert len(costs) <= found.minimum.steps + 1
+    assert costs[-1] == pytest.approx(found.minimum.squares.cost, rel=1e-3)
 
 
 def test_the_bins_above_the_band_are_not_lost(shaft, shaft_model):
