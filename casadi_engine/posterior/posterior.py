@@ -16,8 +16,8 @@ from casadi_engine.estimation.options import chosen, whole
 from casadi_engine.posterior import ensemble, importance
 from casadi_engine.posterior.bridge import bridge
 from casadi_engine.posterior.drawn import Drawn, thinned, weighed
+from casadi_engine.posterior.left_out import with_all_data
 from casadi_engine.posterior.modes import Modes, along, find_modes, inverse, separate
-from casadi_engine.posterior.psis import log_mean, pareto_smoothed
 from casadi_engine.posterior.result import Posterior, made
 from casadi_engine.posterior.target import Target
 
@@ -29,8 +29,6 @@ METHODS = ("auto", "importance", "ensemble")
 LEFT_OUT, SCATTER = (0.1, 0.02, 0.0), 1.0
 # Optima at which that is looked at.
 OPTIMA = 6
-# Draws at which nothing is left out, for the evidence and to see what it does; scatter that the draws' weights follow.
-LOOKED_AT, FELT = 200, 0.1
 # Searches for other optima that start around the fit's, for each dimension; where an evaluation is a simulation, none.
 WIDE = 4
 
@@ -124,7 +122,7 @@ def posterior(
         target.choose([*modes.at[:OPTIMA, : target.nv], *weak[:2]], left_out)
         drawn = _drawn(target, modes, method, random, count, most, tell)
         tell("looking at all data")
-        drawn, scatter = _with_all_data(target, drawn, random)
+        drawn, scatter = with_all_data(target, drawn, random)
     return made(fit, target, modes, separate(modes, target), drawn, seed, time.process_time() - begun)
 
 
@@ -203,23 +201,6 @@ def dispersed(target: Target, modes: Modes, random: np.random.Generator) -> Arra
         if len(found) == walkers:
             break
     return np.array(found)
-
-
-def _with_all_data(target: Target, drawn: Drawn, random: np.random.Generator) -> tuple[Drawn, float]:
-    """The draws and their evidence with what was left out, and the scatter of its log likelihood over them."""
-    bins = target.likelihood.bins
-    if bins is None or bins[0] == bins[1]:
-        return drawn, 0.0
-    some = random.choice(len(drawn.u), min(LOOKED_AT, len(drawn.u)), replace=False)
-    ratio = target.full(drawn.u[some]) - drawn.density[some]
-    scatter = float(ratio.std())
-    if scatter > FELT:
-        rest = np.setdiff1d(np.arange(len(drawn.u)), some)
-        ratio = np.concatenate([ratio, target.full(drawn.u[rest]) - drawn.density[rest]])
-        smooth, _ = pareto_smoothed(ratio)
-        drawn = drawn.reweighed(np.concatenate([some, rest]), smooth, random)
-    error = scatter / np.sqrt(len(ratio))
-    return drawn.with_evidence(log_mean(ratio), error), scatter
 
 
 def _teller(progress: Callable[[str, int], Any] | None, target: Target) -> Callable[[str], Any]:

@@ -11,6 +11,7 @@ its own. The others wait for the last draws (``full``).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.estimation.levenberg_marquardt import Squares
 from casadi_engine.estimation.record import RecordTerm
-from casadi_engine.estimation.spectral import Bins, Response, SpectralRecord
+from casadi_engine.estimation.spectral import Bins, Response, SpectralRecord, Spectrum
 from casadi_engine.estimation.spectral_search import largest_share
 from casadi_engine.posterior.modal import Transients
 from casadi_engine.posterior.states import StatePrior
@@ -89,6 +90,7 @@ class SpectralLikelihood:
             if all(largest_share(w, p) <= left_out for w, p in zip(wholes, part, strict=True)):
                 break
         self._chosen, self._kept, self._joint = list(chosen), {}, {}
+        self.states = [self._settled(k, points[0], sigma) for k in range(len(self.states))]
         self._others = 0.0, 0.0, 1.0, sigma
         count = sum(2 * (r.size - len(own)) for r, own in zip(self._records, chosen, strict=True))
         rest = self.full(points[0], sigma) - self.value(points[0], sigma)
@@ -176,9 +178,11 @@ class SpectralLikelihood:
         for k, bins in zip(members, own, strict=True):
             part = slice(at, at + len(bins.z))
             at = part.stop
-            rows, rest = model.rows[:, :, part], model.rest[:, part].ravel()
-            known = StatePrior(model.turn @ self.states[k].mean, model.turn @ self.states[k].factor)
-            total -= 0.5 * sum(known.marginal(rows.reshape(len(rows), -1), rest))
+            rest = model.rest[:, part].ravel()
+            rows = model.rows[:, :, part].reshape(len(model.rows), -1)
+            known = self.states[k].turned(model.turn)
+            left = rest + known.mean @ rows
+            total += known.integral(rows, left)[0] - 0.5 * float(left @ left)
             total -= rest.size / ny * float(np.log(sigma).sum())
         return total
 
@@ -212,6 +216,22 @@ class SpectralLikelihood:
         return Squares(cost, gradient, matrix) if np.isfinite(cost) and np.isfinite(matrix).all() else None
 
     def _gram(self, k: int, v: Array, sigma: Array) -> Array:
+        response, bins, forced, left = self._response(k, v, sigma)
+        known = self.states[k]
+        best = known.best(response.seen, left)
+        flat = response.columns(bins, forced, best, _linear(self._records[k].record).drives_active)
+        flat[0] += known.mean @ response.seen
+        return np.asarray(flat @ flat.T - known.without(response.seen, flat))
+
+    def _settled(self, k: int, v: Array, sigma: Array) -> StatePrior:
+        """The prior of a record's states with the most probable width."""
+        response, _, _, left = self._response(k, v, sigma)
+        return replace(self.states[k], width=self.states[k].integral(response.seen, left)[1])
+
+    def _response(
+        self, k: int, v: Array, sigma: Array
+    ) -> tuple[Response, Bins, tuple[Spectrum, Spectrum, Spectrum], Array]:
+        """One record in the chosen bins, and its residual (L,) with the states at the prior's mean."""
         record, chosen = self._records[k].record, self._chosen[k]
         z = v[record.active]
         discrete = _linear(record).discretisation(z, 1)
@@ -221,15 +241,10 @@ class SpectralLikelihood:
                 bins.samples, bins.z[chosen], bins.share[chosen], np.ascontiguousarray(bins.drives[:, chosen]),
                 np.ascontiguousarray(bins.slopes[..., chosen]), np.ascontiguousarray(bins.measured[:, chosen]),
             )  # fmt: skip
-        response, known = Response(discrete, bins, sigma), self.states[k]
+        response = Response(discrete, bins, sigma)
         forced = response.forced(bins)
         rest = np.ascontiguousarray(forced[0].reshape(-1)).view(np.float64)
-        best = known.best(response.seen, rest)
-        flat = response.columns(bins, forced, best, _linear(record).drives_active)
-        flat[0] += known.mean @ response.seen
-        seen = known.factor.T @ response.seen
-        cross = seen @ flat.T
-        return np.asarray(flat @ flat.T - cross.T @ np.linalg.solve(np.eye(len(seen)) + seen @ seen.T, cross))
+        return response, bins, forced, rest + self.states[k].mean @ response.seen
 
 
 def _linear(record: RecordTerm) -> LinearPropagator:

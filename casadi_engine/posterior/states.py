@@ -3,23 +3,25 @@
 A flat prior does not do. An engine's record begins in the middle of its running, and each of its torsional modes may
 start with any amplitude then: a rival model, whose modes are at other frequencies, is free to fit noise by them, mode
 by mode and record by record, and wins against the truth far more often than its probability says.
+
+How much further than along the record the states may be at its start is not known: a free oscillation that dies starts
+where it is largest. The width is integrated out, flat in its logarithm from that of the motion to ten times as much.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpotrf, dpotrs
 
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.starts import chained_nodes
 
 Array = NDArray[np.float64]
 
-# The prior is so many times as wide as the states' motion along the record.
-WIDE = 1.5
+# Widths of the prior over which is integrated, in those of the states' motion along the record.
+WIDTHS = 10.0 ** np.linspace(0, 1, 5)
 # Share of a state's own standard deviation, and of its size, that it may differ by itself.
 _ALONE, _STILL = 0.1, 1e-3
 # With fewer states along the record, each state's size stands for its motion.
@@ -28,37 +30,56 @@ _FEWEST = 10
 
 @dataclass(frozen=True)
 class StatePrior:
-    """A normal density of scaled states: mean (n,), and a lower factor (n, n) of the covariance."""
+    """A normal density of scaled states: mean (n,), and a lower factor (n, n) of the covariance at width 1.
+
+    width : that searches use
+    """
 
     mean: Array
     factor: Array
+    width: float = 1.0
 
     def of_sum(self) -> StatePrior:
         """That of the sum of two independent states, the first and the last one."""
-        return StatePrior(2 * self.mean, np.sqrt(2) * self.factor)
+        return replace(self, mean=2 * self.mean, factor=np.sqrt(2) * self.factor)
 
-    def marginal(self, rows: Array, rest: Array) -> tuple[float, float]:
-        """Chi-squared at the best states, these included, and the log determinant that their integral leaves.
+    def turned(self, turn: Array) -> StatePrior:
+        """In other coordinates."""
+        return replace(self, mean=turn @ self.mean, factor=turn @ self.factor)
 
-        rows : (n, L) what a state does to the residual, whose value without any is rest (L,)
+    def integral(self, rows: Array, left: Array) -> tuple[float, float, Array]:
+        """What the integral over states and width adds to the log likelihood, the most probable width, and the mean
+        states (n,) given the data.
+
+        rows : (n, L) what a state does to the residual, which is ``left`` (L,) with the states at their mean
         Raises FloatingPointError where a number is not finite.
         """
-        left = rest + self.mean @ rows
         seen = self.factor.T @ rows
         known = seen @ seen.T
-        known.flat[:: len(known) + 1] += 1.0
-        factor, failed = dpotrf(known, lower=1)
-        if failed or not np.isfinite(factor).all():
+        if not np.isfinite(known).all():
             raise FloatingPointError("the states' share is not finite")
-        pull = seen @ left
-        squares = float(left @ left - pull @ dpotrs(factor, pull, lower=1)[0])
-        return squares, 2 * float(np.log(np.diag(factor)).sum())
+        sizes, turn = np.linalg.eigh(known)
+        pull = turn.T @ (seen @ left)
+        square = np.square(WIDTHS)[:, None]
+        grown = 1.0 + square * np.maximum(sizes, 0.0)
+        logs = 0.5 * (square * pull**2 / grown - np.log(grown)).sum(axis=1)
+        top = int(np.argmax(logs))
+        share = np.exp(logs - logs[top])
+        total = float(logs[top] + np.log(share.mean()))
+        moved = share / share.sum() @ (square * pull / grown)
+        return total, float(WIDTHS[top]), np.asarray(self.mean - self.factor @ (turn @ moved))
 
-    def best(self, rows: Array, rest: Array) -> Array:
-        """The states (n,) of the least chi-squared, these included."""
-        seen = self.factor.T @ rows
-        pull = seen @ (rest + self.mean @ rows)
-        return np.asarray(self.mean - self.factor @ np.linalg.solve(np.eye(len(seen)) + seen @ seen.T, pull))
+    def best(self, rows: Array, left: Array) -> Array:
+        """The states (n,) of the least chi-squared at the width that searches use, the prior included."""
+        seen = self.width * (self.factor.T @ rows)
+        moved = np.linalg.solve(np.eye(len(seen)) + seen @ seen.T, seen @ left)
+        return np.asarray(self.mean - self.width * (self.factor @ moved))
+
+    def without(self, rows: Array, flat: Array) -> Array:
+        """What the states at that width take from the products flat @ flat.T of rows (m, L)."""
+        seen = self.width * (self.factor.T @ rows)
+        cross = seen @ flat.T
+        return np.asarray(cross.T @ np.linalg.solve(np.eye(len(seen)) + seen @ seen.T, cross))
 
 
 def state_prior(record: RecordTerm, v: Array, first: Array) -> StatePrior:
@@ -66,9 +87,9 @@ def state_prior(record: RecordTerm, v: Array, first: Array) -> StatePrior:
     nodes = chained_nodes(record, v, first)
     if not np.isfinite(nodes).all() or len(nodes) < _FEWEST:
         size = np.maximum(np.abs(first), 1.0)
-        return StatePrior(np.zeros(len(first)), np.diag(WIDE * size))
+        return StatePrior(np.zeros(len(first)), np.diag(size))
     mean, spread = nodes.mean(axis=0), nodes.std(axis=0)
     own = (_ALONE * spread) ** 2 + (_STILL * np.abs(mean)) ** 2 + 1e-18
     away = nodes - mean
     covariance = away.T @ away / len(nodes) + np.diag(own)
-    return StatePrior(mean, WIDE * np.linalg.cholesky(covariance))
+    return StatePrior(mean, np.linalg.cholesky(covariance))
