@@ -51,8 +51,9 @@ class LaplaceLikelihood:
             if len(moving):
                 own = StatePrior(state.mean[moving], np.linalg.cholesky(covariance))
                 rows = slopes[:, at + moving].T
-                left = residual - (self._best[at + moving] - own.mean) @ rows
-                self._parts.append((at + moving, replace(own, width=own.integral(rows, left)[1])))
+                rest = residual - self._best[at + moving] @ rows
+                width = float(own.integral(rows[None], rest[None])[1][0])
+                self._parts.append((at + moving, replace(own, width=width)))
             at += len(known)
         # how the best initial states follow v
         self._turn = [
@@ -69,8 +70,11 @@ class LaplaceLikelihood:
     def choose(self, points: object, sigma: Array, left_out: float = 0.0) -> None:
         """Nothing is left out here; see ``SpectralLikelihood``."""
 
-    def value(self, v: Array, sigma: Array) -> float:
-        """Log likelihood; -inf where the model cannot be evaluated."""
+    def value(self, v: Array, sigma: Array) -> Array:
+        """Log likelihood (P,) at v (P, nv) and noise levels (P, ny); -inf where the model cannot be evaluated."""
+        return np.array([self._value(*one) for one in zip(v, sigma, strict=True)])
+
+    def _value(self, v: Array, sigma: Array) -> float:
         found = self._settled(v, sigma)
         if found is None:
             return -np.inf
@@ -79,7 +83,7 @@ class LaplaceLikelihood:
             total -= (at.stop - at.start) * float(np.log(self._level(sigma, name)))
         return total if np.isfinite(total) else -np.inf
 
-    def full(self, v: Array, sigma: Array) -> float:
+    def full(self, v: Array, sigma: Array) -> Array:
         """The same: all samples are looked at anyway."""
         return self.value(v, sigma)
 
@@ -118,8 +122,9 @@ class LaplaceLikelihood:
                     total, fall = -0.5 * float(left @ left), 0.0
                     for where, own in self._parts:
                         rows = np.ascontiguousarray(slopes[:, where].T)
-                        more, _, best = own.integral(rows, left)
-                        total, step = total + more, best - x[where]
+                        alone = left - own.mean @ rows
+                        (log,), _, (best,) = own.integral(rows[None], alone[None])
+                        total, step = total + float(log) + 0.5 * float(left @ left), best - x[where]
                         fall += float(np.sum((step @ rows) ** 2))
                         fall += float(np.sum(np.linalg.solve(own.factor, step) ** 2))
                         x[where] = best

@@ -23,7 +23,6 @@ from casadi_engine.estimation.spectral import Bins, Response, SpectralRecord, Sp
 from casadi_engine.estimation.spectral_search import largest_share
 from casadi_engine.posterior.modal import Transients
 from casadi_engine.posterior.states import StatePrior
-from casadi_engine.simulation.discretisation import Discretisation
 from casadi_engine.simulation.linear import LinearPropagator
 
 Array = NDArray[np.float64]
@@ -32,6 +31,8 @@ Array = NDArray[np.float64]
 LEFT_OUT = 0.02
 # Growth of a state over a record from which its start says nothing.
 _GROWTH = 1e8
+# Complex numbers that are worked on at once.
+_AT_ONCE = 2.0e5
 _TRIED = 2.0 ** -np.arange(8.0, -0.5, -0.5)
 
 
@@ -53,6 +54,7 @@ class SpectralLikelihood:
         # of the bins left out: log likelihood, values of an output, their mean square, at which noise levels
         self._others: tuple[float, float, float, Array] = (0.0, 0.0, 1.0, np.ones(1))
         self.outputs = len(self._records[0].sigma)
+        self._groups = self._grouped()
 
     @property
     def bins(self) -> tuple[int, int]:
@@ -93,7 +95,8 @@ class SpectralLikelihood:
         self.states = [self._settled(k, points[0], sigma) for k in range(len(self.states))]
         self._others = 0.0, 0.0, 1.0, sigma
         count = sum(2 * (r.size - len(own)) for r, own in zip(self._records, chosen, strict=True))
-        rest = self.full(points[0], sigma) - self.value(points[0], sigma)
+        at, level = points[0][None], sigma[None]
+        rest = float((self.full(at, level) - self.value(at, level))[0])
         rest = rest if np.isfinite(rest) else 0.0
         squares = -2 * (rest + count * float(np.log(sigma).sum()))
         self._others = rest, float(count), squares / max(count * self.outputs, 1), sigma
@@ -118,34 +121,42 @@ class SpectralLikelihood:
 
     # ---- the likelihood
 
-    def value(self, v: Array, sigma: Array) -> float:
-        """Log likelihood in the chosen bins, that of the others as at the first point; -inf where there is none."""
+    def value(self, v: Array, sigma: Array) -> Array:
+        """Log likelihood (P,) in the chosen bins, that of the others as at the first point, at v (P, nv) and noise
+        levels (P, ny); -inf where there is none."""
         rest, count, square, level = self._others
         ratio = level / sigma
-        rest += float(np.sum(count * (np.log(ratio) - 0.5 * square * (ratio**2 - 1))))
+        rest = rest + np.sum(count * (np.log(ratio) - 0.5 * square * (ratio**2 - 1)), axis=1)
         return self._log(v, sigma, whole=False) + rest
 
-    def full(self, v: Array, sigma: Array) -> float:
+    def full(self, v: Array, sigma: Array) -> Array:
         """The same in all bins."""
         return self._log(v, sigma, whole=True)
 
-    def _log(self, v: Array, sigma: Array, *, whole: bool) -> float:
-        total = 0.0
+    def _log(self, v: Array, sigma: Array, *, whole: bool) -> Array:
+        total = np.zeros(len(v))
         with np.errstate(all="ignore"):
-            try:
-                for discrete, members in self._groups(v).values():
-                    total += self._of_group(v, discrete, members, sigma, whole=whole)
-            except (FloatingPointError, np.linalg.LinAlgError):
-                return -np.inf
-        return total if np.isfinite(total) else -np.inf
+            for members in self._groups:
+                own = [self._bins(k, v[0], whole=whole) for k in members]
+                joint = self._side_by_side(members, own, keep=not whole)
+                n = self._records[members[0]].record.n
+                fixed = all(self._fixed[k] for k in members)
+                count = max(1, int(_AT_ONCE / (n * self.outputs * len(joint.z)))) if fixed else 1
+                for begin in range(0, len(v), count):
+                    at = slice(begin, begin + count)
+                    if not fixed and begin:
+                        own = [self._bins(k, v[begin], whole=whole) for k in members]
+                        joint = self._side_by_side(members, own, keep=False)
+                    total[at] += self._of_group(v[at], members, own, joint, sigma[at])
+        return np.where(np.isfinite(total), total, -np.inf)
 
-    def _groups(self, v: Array) -> dict[int, tuple[Discretisation, list[int]]]:
+    def _grouped(self) -> list[list[int]]:
         """Records whose discrete matrices are the same."""
-        found: dict[int, tuple[Discretisation, list[int]]] = {}
+        found: dict[tuple[int, bytes], list[int]] = {}
         for k, record in enumerate(self._records):
-            discrete = _linear(record.record).discretisation(v[record.record.active], 0)
-            found.setdefault(id(discrete), (discrete, []))[1].append(k)
-        return found
+            key = id(_linear(record.record).core), record.record.active.tobytes()
+            found.setdefault(key, []).append(k)
+        return list(found.values())
 
     def _bins(self, k: int, v: Array, *, whole: bool) -> Bins:
         if not whole and k in self._kept:
@@ -166,24 +177,20 @@ class SpectralLikelihood:
             self._kept[k] = bins
         return bins
 
-    def _of_group(
-        self, v: Array, discrete: Discretisation, members: list[int], sigma: Array, *, whole: bool
-    ) -> float:
-        own = [self._bins(k, v, whole=whole) for k in members]
-        joint = self._side_by_side(members, own, keep=not whole)
-        model, ny = Transients(discrete, joint, sigma), len(sigma)
-        if not all(np.abs(model.poles).max(initial=0.0) ** bins.samples < _GROWTH for bins in own):
-            raise FloatingPointError("the states grow beyond what their start decides")
-        total, at = 0.0, 0
+    def _of_group(self, v: Array, members: list[int], own: list[Bins], joint: Bins, sigma: Array) -> Array:
+        """Log likelihood (P,) of records with the same discrete matrices, whose bins stand side by side."""
+        first = self._records[members[0]].record
+        model = Transients(_linear(first).core, v[:, first.active], joint, sigma)
+        longest = max(bins.samples for bins in own)
+        total = np.where(longest * np.log(model.radius) < np.log(_GROWTH), 0.0, -np.inf)
+        points, n, at = len(v), model.rows.shape[1], 0
         for k, bins in zip(members, own, strict=True):
             part = slice(at, at + len(bins.z))
             at = part.stop
-            rest = model.rest[:, part].ravel()
-            rows = model.rows[:, :, part].reshape(len(model.rows), -1)
-            known = self.states[k].turned(model.turn)
-            left = rest + known.mean @ rows
-            total += known.integral(rows, left)[0] - 0.5 * float(left @ left)
-            total -= rest.size / ny * float(np.log(sigma).sum())
+            rest = model.rest[:, :, part].reshape(points, -1)
+            rows = model.rows[:, :, :, part].reshape(points, n, -1)
+            total += self.states[k].integral(rows, rest, model.turn)[0]
+            total -= 2 * len(bins.z) * np.log(sigma).sum(axis=1)
         return total
 
     def _side_by_side(self, members: list[int], own: list[Bins], *, keep: bool) -> Bins:
@@ -226,7 +233,10 @@ class SpectralLikelihood:
     def _settled(self, k: int, v: Array, sigma: Array) -> StatePrior:
         """The prior of a record's states with the most probable width."""
         response, _, _, left = self._response(k, v, sigma)
-        return replace(self.states[k], width=self.states[k].integral(response.seen, left)[1])
+        rest = left - self.states[k].mean @ response.seen
+        return replace(
+            self.states[k], width=float(self.states[k].integral(response.seen[None], rest[None])[1][0])
+        )
 
     def _response(
         self, k: int, v: Array, sigma: Array

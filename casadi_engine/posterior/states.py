@@ -43,31 +43,29 @@ class StatePrior:
         """That of the sum of two independent states, the first and the last one."""
         return replace(self, mean=2 * self.mean, factor=np.sqrt(2) * self.factor)
 
-    def turned(self, turn: Array) -> StatePrior:
-        """In other coordinates."""
-        return replace(self, mean=turn @ self.mean, factor=turn @ self.factor)
+    def integral(self, rows: Array, rest: Array, turn: Array | None = None) -> tuple[Array, Array, Array]:
+        """Log likelihood (P,) with states and width integrated out, the most probable width (P,), and the mean states
+        (P, n) given the data, at P points; NaN where a number is not finite.
 
-    def integral(self, rows: Array, left: Array) -> tuple[float, float, Array]:
-        """What the integral over states and width adds to the log likelihood, the most probable width, and the mean
-        states (n,) given the data.
-
-        rows : (n, L) what a state does to the residual, which is ``left`` (L,) with the states at their mean
-        Raises FloatingPointError where a number is not finite.
+        rows : (P, n, L) what a state does to the residual, which is ``rest`` (P, L) with states of zero
+        turn : (P, n, n) of the coordinates in which the rows are; without any, those of the prior
         """
-        seen = self.factor.T @ rows
-        known = seen @ seen.T
-        if not np.isfinite(known).all():
-            raise FloatingPointError("the states' share is not finite")
-        sizes, turn = np.linalg.eigh(known)
-        pull = turn.T @ (seen @ left)
-        square = np.square(WIDTHS)[:, None]
+        mean, factor = self.mean, self.factor
+        if turn is not None:
+            mean, factor = turn @ mean, turn @ factor
+        left = rest + (np.broadcast_to(mean, rows.shape[:2])[:, None] @ rows)[:, 0]
+        known = factor.swapaxes(-1, -2) @ (rows @ rows.swapaxes(-1, -2)) @ factor
+        fine = np.isfinite(known).all(axis=(-1, -2))
+        sizes, axes = np.linalg.eigh(np.where(fine[:, None, None], known, 0.0))
+        pull = (axes.swapaxes(-1, -2) @ (factor.swapaxes(-1, -2) @ (rows @ left[..., None])))[..., 0]
+        square = np.square(WIDTHS)[:, None, None]
         grown = 1.0 + square * np.maximum(sizes, 0.0)
-        logs = 0.5 * (square * pull**2 / grown - np.log(grown)).sum(axis=1)
-        top = int(np.argmax(logs))
-        share = np.exp(logs - logs[top])
-        total = float(logs[top] + np.log(share.mean()))
-        moved = share / share.sum() @ (square * pull / grown)
-        return total, float(WIDTHS[top]), np.asarray(self.mean - self.factor @ (turn @ moved))
+        logs = 0.5 * (square * pull**2 / grown - np.log(grown)).sum(axis=-1)
+        share = np.exp(logs - logs.max(axis=0))
+        total = logs.max(axis=0) + np.log(share.mean(axis=0)) - 0.5 * np.square(left).sum(axis=-1)
+        moved = (share[..., None] / share.sum(axis=0)[..., None] * (square * pull / grown)).sum(axis=0)
+        states = mean - (factor @ (axes @ moved[..., None]))[..., 0]
+        return np.where(fine, total, np.nan), WIDTHS[np.argmax(logs, axis=0)], states
 
     def best(self, rows: Array, left: Array) -> Array:
         """The states (n,) of the least chi-squared at the width that searches use, the prior included."""

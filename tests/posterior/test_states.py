@@ -10,14 +10,13 @@ def test_the_integral_is_that_of_normal_densities_of_all_widths(covariance, norm
     random = np.random.default_rng(0)
     rows, rest = random.standard_normal((4, 9)), 3 * random.standard_normal(9)
     prior = StatePrior(random.standard_normal(4), np.linalg.cholesky(covariance))
-    left = rest + prior.mean @ rows
-    more, width, _ = prior.integral(rows, left)
+    (log,), (width,), _ = prior.integral(rows[None], rest[None])
     whole = [
         normal(rest[None], -prior.mean @ rows, np.eye(9) + rows.T @ (w**2 * covariance) @ rows)[0]
         for w in WIDTHS
     ]
     expected = np.logaddexp.reduce(whole) - np.log(len(WIDTHS))
-    assert more - 0.5 * left @ left - 4.5 * np.log(2 * np.pi) == pytest.approx(expected)
+    assert log - 4.5 * np.log(2 * np.pi) == pytest.approx(expected)
     assert width == WIDTHS[np.argmax(whole)]
 
 
@@ -26,9 +25,9 @@ def test_the_width_is_that_of_the_data(size, width):
     """Forty states seen without noise, as wide as the prior and thirty times as wide."""
     states = size * np.random.default_rng(1).standard_normal(40)
     prior = StatePrior(np.zeros(40), np.eye(40))
-    _, found, best = prior.integral(100 * np.eye(40), -100 * states)
-    assert found == width
-    np.testing.assert_allclose(best, states, rtol=1e-3)
+    _, found, best = prior.integral(100 * np.eye(40)[None], -100 * states[None])
+    assert found == [width]
+    np.testing.assert_allclose(best[0], states, rtol=1e-3)
 
 
 def test_the_best_states_have_the_least_chi_squared(covariance):
@@ -73,7 +72,18 @@ def test_without_states_along_the_record_their_size_stands_for_them(two_masses):
     assert not prior.mean.any()
 
 
+def test_coordinates_may_be_others(covariance):
+    random = np.random.default_rng(2)
+    prior = StatePrior(random.standard_normal(4), np.linalg.cholesky(covariance))
+    rows, rest = random.standard_normal((2, 4, 9)), random.standard_normal((2, 9))
+    turn = random.standard_normal((2, 4, 4))
+    one = prior.integral(turn.swapaxes(1, 2) @ rows, rest)
+    two = prior.integral(rows, rest, turn)
+    np.testing.assert_allclose(one[0], two[0])
+    np.testing.assert_allclose((turn @ one[2][..., None])[..., 0], two[2])
+
+
 def test_what_is_no_number_has_no_integral():
     prior = StatePrior(np.zeros(1), np.eye(1))
-    with pytest.raises(FloatingPointError):
-        prior.integral(np.array([[np.nan, 0.0]]), np.zeros(2))
+    rows = np.array([[[np.nan, 0.0]], [[1.0, 0.0]]])
+    assert np.isnan(prior.integral(rows, np.zeros((2, 2)))[0]).tolist() == [True, False]
