@@ -21,7 +21,7 @@ from casadi_engine.estimation.levenberg_marquardt import Squares
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.spectral import Bins, Response, SpectralRecord, Spectrum
 from casadi_engine.estimation.spectral_search import largest_share
-from casadi_engine.posterior.modal import Transients
+from casadi_engine.posterior.modal import Basis, Transients
 from casadi_engine.posterior.states import StatePrior
 from casadi_engine.simulation.linear import LinearPropagator
 
@@ -31,8 +31,8 @@ Array = NDArray[np.float64]
 LEFT_OUT = 0.02
 # Growth of a state over a record from which its start says nothing.
 _GROWTH = 1e8
-# Complex numbers that are worked on at once.
-_AT_ONCE = 2.0e5
+# Products of states, outputs, bins and points that are worked on at once, and points.
+_AT_ONCE, _MOST = 2.0e5, 256
 _TRIED = 2.0 ** -np.arange(8.0, -0.5, -0.5)
 
 
@@ -49,8 +49,7 @@ class SpectralLikelihood:
         self._size = size
         self._fixed = [not len(_linear(record.record).drives_active) for record in self._records]
         self._chosen: list[NDArray[np.intp] | None] = [None] * len(self._records)
-        self._kept: dict[int, Bins] = {}
-        self._joint: dict[tuple[int, ...], Bins] = {}
+        self._kept: dict[int, Basis] = {}
         # of the bins left out: log likelihood, values of an output, their mean square, at which noise levels
         self._others: tuple[float, float, float, Array] = (0.0, 0.0, 1.0, np.ones(1))
         self.outputs = len(self._records[0].sigma)
@@ -91,7 +90,7 @@ class SpectralLikelihood:
             ]
             if all(largest_share(w, p) <= left_out for w, p in zip(wholes, part, strict=True)):
                 break
-        self._chosen, self._kept, self._joint = list(chosen), {}, {}
+        self._chosen, self._kept = list(chosen), {}
         self.states = [self._settled(k, points[0], sigma) for k in range(len(self.states))]
         self._others = 0.0, 0.0, 1.0, sigma
         count = sum(2 * (r.size - len(own)) for r, own in zip(self._records, chosen, strict=True))
@@ -137,17 +136,13 @@ class SpectralLikelihood:
         total = np.zeros(len(v))
         with np.errstate(all="ignore"):
             for members in self._groups:
-                own = [self._bins(k, v[0], whole=whole) for k in members]
-                joint = self._side_by_side(members, own, keep=not whole)
-                n = self._records[members[0]].record.n
                 fixed = all(self._fixed[k] for k in members)
-                count = max(1, int(_AT_ONCE / (n * self.outputs * len(joint.z)))) if fixed else 1
+                largest = max(self._used(k, whole=whole) for k in members)
+                count = int(_AT_ONCE / (self._records[members[0]].record.n * self.outputs * largest))
+                count = min(max(count, 1), _MOST) if fixed else 1
                 for begin in range(0, len(v), count):
                     at = slice(begin, begin + count)
-                    if not fixed and begin:
-                        own = [self._bins(k, v[begin], whole=whole) for k in members]
-                        joint = self._side_by_side(members, own, keep=False)
-                    total[at] += self._of_group(v[at], members, own, joint, sigma[at])
+                    total[at] += self._of_group(v[at], members, sigma[at], whole=whole)
         return np.where(np.isfinite(total), total, -np.inf)
 
     def _grouped(self) -> list[list[int]]:
@@ -158,52 +153,35 @@ class SpectralLikelihood:
             found.setdefault(key, []).append(k)
         return list(found.values())
 
-    def _bins(self, k: int, v: Array, *, whole: bool) -> Bins:
+    def _used(self, k: int, *, whole: bool) -> int:
+        chosen = self._chosen[k]
+        return self._records[k].size if whole or chosen is None else len(chosen)
+
+    def _basis(self, k: int, v: Array, *, whole: bool) -> Basis:
+        """Of one record at v, kept where it is the same for every v."""
         if not whole and k in self._kept:
             return self._kept[k]
         record, chosen = self._records[k], self._chosen[k]
         bins = record.bins(v[record.record.active], record.below(np.inf))
         if whole or chosen is None:
-            return bins
-        bins = Bins(
-            bins.samples,
-            bins.z[chosen],
-            bins.share[chosen],
-            np.ascontiguousarray(bins.drives[:, chosen]),
-            bins.slopes[:0],
-            np.ascontiguousarray(bins.measured[:, chosen]),
-        )
+            return Basis.of(bins)
+        found = Basis.of(_some(bins, chosen, bins.slopes[:0]))
         if self._fixed[k]:
-            self._kept[k] = bins
-        return bins
+            self._kept[k] = found
+        return found
 
-    def _of_group(self, v: Array, members: list[int], own: list[Bins], joint: Bins, sigma: Array) -> Array:
-        """Log likelihood (P,) of records with the same discrete matrices, whose bins stand side by side."""
+    def _of_group(self, v: Array, members: list[int], sigma: Array, *, whole: bool) -> Array:
+        """Log likelihood (P,) of records with the same discrete matrices."""
         first = self._records[members[0]].record
-        model = Transients(_linear(first).core, v[:, first.active], joint, sigma)
-        longest = max(bins.samples for bins in own)
-        total = np.where(longest * np.log(model.radius) < np.log(_GROWTH), 0.0, -np.inf)
-        points, n, at = len(v), model.rows.shape[1], 0
-        for k, bins in zip(members, own, strict=True):
-            part = slice(at, at + len(bins.z))
-            at = part.stop
-            rest = model.rest[:, :, part].reshape(points, -1)
-            rows = model.rows[:, :, :, part].reshape(points, n, -1)
+        model = Transients(_linear(first).core, v[:, first.active], sigma)
+        total = np.zeros(len(v))
+        for k in members:
+            basis = self._basis(k, v[0], whole=whole)
+            rows, rest = model.at(basis)
             total += self.states[k].integral(rows, rest, model.turn)[0]
-            total -= 2 * len(bins.z) * np.log(sigma).sum(axis=1)
+            total -= 2 * len(basis.z) * np.log(sigma).sum(axis=1)
+            total[~(basis.bins.samples * np.log(model.radius) < np.log(_GROWTH))] = -np.inf
         return total
-
-    def _side_by_side(self, members: list[int], own: list[Bins], *, keep: bool) -> Bins:
-        """The bins of several records, kept where they are the same for every v."""
-        if len(own) == 1:
-            return own[0]
-        key = tuple(members)
-        if keep and key in self._joint:
-            return self._joint[key]
-        joint = _joined(own)
-        if keep and all(self._fixed[k] for k in members):
-            self._joint[key] = joint
-        return joint
 
     # ---- slopes, for searches
 
@@ -247,10 +225,7 @@ class SpectralLikelihood:
         discrete = _linear(record).discretisation(z, 1)
         bins = self._records[k].bins(z, self._records[k].below(np.inf))
         if chosen is not None:
-            bins = Bins(
-                bins.samples, bins.z[chosen], bins.share[chosen], np.ascontiguousarray(bins.drives[:, chosen]),
-                np.ascontiguousarray(bins.slopes[..., chosen]), np.ascontiguousarray(bins.measured[:, chosen]),
-            )  # fmt: skip
+            bins = _some(bins, chosen, np.ascontiguousarray(bins.slopes[..., chosen]))
         response = Response(discrete, bins, sigma)
         forced = response.forced(bins)
         rest = np.ascontiguousarray(forced[0].reshape(-1)).view(np.float64)
@@ -261,13 +236,7 @@ def _linear(record: RecordTerm) -> LinearPropagator:
     return cast(LinearPropagator, record.propagator)
 
 
-def _joined(parts: list[Bins]) -> Bins:
-    """The bins of several records side by side."""
-    return Bins(
-        max(part.samples for part in parts),
-        np.concatenate([part.z for part in parts]),
-        np.concatenate([part.share for part in parts]),
-        np.concatenate([part.drives for part in parts], axis=1),
-        parts[0].slopes[:0],
-        np.concatenate([part.measured for part in parts], axis=1),
-    )
+def _some(bins: Bins, chosen: NDArray[np.intp], slopes: Spectrum) -> Bins:
+    """The bins with these numbers."""
+    drives, measured = (np.ascontiguousarray(own[:, chosen]) for own in (bins.drives, bins.measured))
+    return Bins(bins.samples, bins.z[chosen], bins.share[chosen], drives, slopes, measured)
