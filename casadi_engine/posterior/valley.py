@@ -26,7 +26,8 @@ LOOKED, STEP, HOLDS = (2.0, 4.0), 1.5, 0.75
 DEPTH, MOST = 12.0, 40
 # A rise by this after a fall leads to another optimum.
 _RISE = 0.5
-_FALL, _STEPS = 1e-2, 20
+# Searches across: the fall of the cost that ends them, their steps, and the longest of these [standard errors].
+_FALL, _STEPS, _LONGEST = 1e-2, 20, 100.0
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ def _follow(
         start = centre + side * far * axes[:, k]
         end = minimise(
             _across(target, start, rest), guess, np.full(len(near), -np.inf), np.full(len(near), np.inf),
-            fall=_FALL, steps=_STEPS,
+            fall=_FALL, steps=_STEPS, longest=lambda y: np.full_like(y, _LONGEST),
         )  # fmt: skip
         if end is None:
             break

@@ -216,7 +216,7 @@ def referee(folder: Path) -> dict[str, Any]:
     ours = time.process_time() - begun
     target = Target(fit)
     target.choose([target.start], 0.1)
-    prior = target.prior.log_density(target.start)
+    prior = float(target.prior.log_density(target.start[None])[0])
     width = target.high - target.low
     sampler = dynesty.NestedSampler(
         lambda u: float(target.log_density(u[None])[0]) - prior, lambda unit: target.low + unit * width,
