@@ -7,7 +7,6 @@ parameters, with their prior (``states``). For a linear model it is exact.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,13 +46,10 @@ class LaplaceLikelihood:
         at = self._size
         for known, state in zip(held.values(), states, strict=True):
             moving = np.flatnonzero(~known)
-            covariance = (state.factor @ state.factor.T)[np.ix_(moving, moving)]
             if len(moving):
-                own = StatePrior(state.mean[moving], np.linalg.cholesky(covariance))
                 rows = slopes[:, at + moving].T
                 rest = residual - self._best[at + moving] @ rows
-                width = float(own.integral(rows[None], rest[None])[1][0])
-                self._parts.append((at + moving, replace(own, width=width)))
+                self._parts.append((at + moving, state.part(moving).settled(rows, rest)))
             at += len(known)
         # how the best initial states follow v
         self._turn = [
@@ -75,13 +71,25 @@ class LaplaceLikelihood:
         return np.array([self._value(*one) for one in zip(v, sigma, strict=True)])
 
     def _value(self, v: Array, sigma: Array) -> float:
-        found = self._settled(v, sigma)
-        if found is None:
-            return -np.inf
-        total = found[0]
+        total = (
+            self._without_slopes(v, sigma) if not self._parts else (self._settled(v, sigma) or [-np.inf])[0]
+        )
         for (_, name), at in self._shots.places.items():
             total -= (at.stop - at.start) * float(np.log(self._level(sigma, name)))
         return total if np.isfinite(total) else -np.inf
+
+    def _without_slopes(self, v: Array, sigma: Array) -> float:
+        """The same where no initial state is unknown."""
+        self._shots.weigh({name: self._level(sigma, name) for name in self._outputs})
+        with np.errstate(all="ignore"):
+            try:
+                return -0.5 * float(np.square(self._shots.residuals(self._from(v))).sum())
+            except (FloatingPointError, np.linalg.LinAlgError):
+                return -np.inf
+
+    def _from(self, v: Array) -> Array:
+        """x where the best initial states are expected."""
+        return np.concatenate([v, self._best[self._size :]])
 
     def full(self, v: Array, sigma: Array) -> Array:
         """The same: all samples are looked at anyway."""
@@ -108,7 +116,7 @@ class LaplaceLikelihood:
         """Log likelihood but for the noise levels' share, the residual (K,) that a line leads to from the best initial
         states at the prior's mean of them, and the slopes (K, nx)."""
         self._shots.weigh({name: self._level(sigma, name) for name in self._outputs})
-        x = np.concatenate([v, self._best[self._size :]])
+        x = self._from(v)
         for i, (where, _) in enumerate(self._parts):
             for k, step in enumerate(v - self._at):
                 x[where] += step * self._turn[k * len(self._parts) + i]
@@ -123,7 +131,7 @@ class LaplaceLikelihood:
                     for where, own in self._parts:
                         rows = np.ascontiguousarray(slopes[:, where].T)
                         alone = left - own.mean @ rows
-                        (log,), _, (best,) = own.integral(rows[None], alone[None])
+                        (log,), (best,) = own.integral(rows[None], alone[None])
                         total, step = total + float(log) + 0.5 * float(left @ left), best - x[where]
                         fall += float(np.sum((step @ rows) ** 2))
                         fall += float(np.sum(np.linalg.solve(own.factor, step) ** 2))

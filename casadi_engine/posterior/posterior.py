@@ -199,8 +199,13 @@ def dispersed(target: Target, modes: Modes, random: np.random.Generator) -> Arra
         if np.isfinite(target.log_density(at[None])[0]):
             found.append(at)
         if len(found) == walkers:
-            break
-    return np.array(found)
+            return np.array(found)
+    raise UntrustedPosteriorError(
+        "the model cannot be evaluated around the optimum, or bounds and constraints leave no room there",
+        seen=f"{len(found)} of {100 * walkers} draws about the optima have a density",
+        allowed=f"{walkers} of them, for the walkers of an ensemble",
+        cure="widen the bounds that the fit rests on, or fix these parameters, and fit again",
+    )
 
 
 def _teller(progress: Callable[[str, int], Any] | None, target: Target) -> Callable[[str], Any]:

@@ -11,7 +11,6 @@ its own. The others wait for the last draws (``full``).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -209,12 +208,10 @@ class SpectralLikelihood:
         return np.asarray(flat @ flat.T - known.without(response.seen, flat))
 
     def _settled(self, k: int, v: Array, sigma: Array) -> StatePrior:
-        """The prior of a record's states with the most probable width."""
+        """The prior of a record's states as searches use it."""
         response, _, _, left = self._response(k, v, sigma)
         rest = left - self.states[k].mean @ response.seen
-        return replace(
-            self.states[k], width=float(self.states[k].integral(response.seen[None], rest[None])[1][0])
-        )
+        return self.states[k].settled(response.seen, rest)
 
     def _response(
         self, k: int, v: Array, sigma: Array

@@ -65,13 +65,12 @@ def _closed_form(record, inertia, damper, sigma, likelihood):
         last = np.exp(-damper / inertia * 2.0)
         rows = rows / (1 + last)
         rest = rest - 2.0 / damper * (1 - last) * rows / SCALE
-    rest, rows, mean = rest / sigma, rows / sigma, float(states.mean[0])
-    variances = np.square(WIDTHS * states.factor[0, 0])
-    logs = []
-    for variance in variances:
-        grown = 1 + variance * (rows @ rows)
+    rest, rows, logs = rest / sigma, rows / sigma, []
+    for mean, factor in zip(states.means[:, 0], states.factors[:, 0, 0], strict=True):
         left = rest + mean * rows
-        logs.append(-0.5 * (left @ left - variance * (rows @ left) ** 2 / grown + np.log(grown)))
+        for variance in np.square(WIDTHS * factor):
+            grown = 1 + variance * (rows @ rows)
+            logs.append(-0.5 * (left @ left - variance * (rows @ left) ** 2 / grown + np.log(grown)))
     return np.logaddexp.reduce(logs) - np.log(len(logs)) - seen.sum() * np.log(sigma)
 
 

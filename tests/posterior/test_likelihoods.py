@@ -13,7 +13,7 @@ from casadi_engine.posterior.spectral_likelihood import SpectralLikelihood
 from casadi_engine.posterior.states import StatePrior
 from casadi_engine.posterior.target import Target
 
-WIDE = [StatePrior(np.zeros(3), 10 * np.eye(3))]
+WIDE = [StatePrior(np.zeros((1, 3)), 10 * np.eye(3)[None])]
 POINTS = [(0.4, 0.5), (0.41, 0.49), (0.35, 0.6), (0.8, 0.01)]
 
 
@@ -40,7 +40,7 @@ def test_a_shaft_has_the_same_likelihood_in_samples_and_in_bins(two_masses):
         for record in target.search.records
     }
     held = {name: np.zeros(len(states), dtype=bool) for name, states in first.items()}
-    wide = [StatePrior(np.zeros(3), 1e3 * np.eye(3))]
+    wide = [StatePrior(np.zeros((1, 3)), 1e3 * np.eye(3)[None])]
     samples = LaplaceLikelihood(shots, first, target.start, held, wide)
     bins = SpectralLikelihood(target.search.records, target.nv, wide)
     sigma, random = np.array([0.1]), np.random.default_rng(0)
