@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -129,12 +131,25 @@ class Posterior:
 
         return predictive(self, data, draws=draws, seed=seed)
 
+    def save(self, path: Any) -> Path:
+        """Write the draws, what they say and their fit as result.json, all or nothing, and return its path.
+
+        path : a file NAME.json, or a folder, which is made and gets a result.json. ``ce.load_result`` reads it back:
+        it prints as this does and has the draws, ``load_result(path).draws["J_eng"]``; records are not in it.
+        OutputError where it cannot be written.
+        """
+        # The room above this one knows the file, and is not there before it is needed.
+        save = import_module("casadi_engine.report.result_file").save_result
+        found: Path = save(self, path, "posterior", self.seconds, self.seed)
+        return found
+
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and lists, ready for JSON; the draws among them."""
         return {
             "names": list(self.names),
             "units": list(self.units),
             "draws": {name: own.tolist() for name, own in self.draws.items()},
+            "log_density": self.log_density.tolist(),
             "intervals": {
                 name: {str(level): list(self.interval(name, level / 100)) for level in (50, 80, 95)}
                 for name in self.names

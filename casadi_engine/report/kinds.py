@@ -23,6 +23,7 @@ OTHERS = (
     "modes_figures",
     "orders_figures",
     "posterior_figures",
+    "posterior_result",
     "prediction_figures",
     "repaired",
     "repaired_figures",
