@@ -67,7 +67,8 @@ def posterior(
     ------
     PosteriorError : no fit, a fit that did not converge, a parameter without bounds, a direction that the data do not
         determine, or options that do not fit
-    UntrustedPosteriorError : the draws do not agree or are too few; nothing is returned then
+    UntrustedPosteriorError : the draws do not agree or are too few, or Ctrl-C came before they were drawn; nothing is
+        returned then
     MissingDependencyError : an ensemble is needed, and emcee is not installed
 
     Notes
@@ -103,7 +104,23 @@ def posterior(
     most = whole("evaluations", evaluations, 1000)
     begun = time.process_time()
     target = Target(fit)
-    tell = _teller(progress, target)
+    tell, said = _teller(progress, target)
+    try:
+        modes, drawn = _found(target, fit, method, count, seed, most, tell)
+    except KeyboardInterrupt:
+        raise UntrustedPosteriorError(
+            "the posterior was stopped before its draws could be trusted",
+            seen=f"Ctrl-C while {said[-1]}, after {target.evaluations} evaluations" if said else "Ctrl-C",
+            allowed="draws that pass their diagnostics",
+            cure="let it run; progress=print tells where it is",
+        ) from None
+    return made(fit, target, modes, separate(modes, target), drawn, seed, time.process_time() - begun)
+
+
+def _found(
+    target: Target, fit: Fit, method: str, count: int, seed: int, most: int, tell: Callable[[str], Any]
+) -> tuple[Modes, Drawn]:
+    """The optima and the draws, from as much of the data as it takes."""
     first = target.squares(target.start[: target.nv])
     if first is None:
         raise _improper("the slopes at the optimum are not finite")
@@ -115,15 +132,14 @@ def posterior(
         target.choose([target.start[: target.nv], *weak[:2]], left_out)
         tell("looking for optima")
         slow = target.likelihood.bins is None
-        found = find_modes(target, fit, random, wide=0 if slow else WIDE * len(target.names) + 6)
-        if found is None:
+        modes = find_modes(target, fit, random, wide=0 if slow else WIDE * len(target.names) + 6)
+        if modes is None:
             raise _improper("the optimum's information matrix is singular")
-        modes = found
         target.choose([*modes.at[:OPTIMA, : target.nv], *weak[:2]], left_out)
         drawn = _drawn(target, modes, method, random, count, most, tell)
         tell("looking at all data")
         drawn, scatter = with_all_data(target, drawn, random)
-    return made(fit, target, modes, separate(modes, target), drawn, seed, time.process_time() - begun)
+    return modes, drawn
 
 
 def _drawn(
@@ -139,7 +155,7 @@ def _drawn(
     known, why = None, "asked for"
     if method != "ensemble":
         tell("importance sampling")
-        found = importance.sample(target.log_density, modes.mixture(), random)
+        found = importance.sample(target.log_density, modes.mixture(), random, count)
         if found.trusted:
             return weighed(found, "few smooth optima", count, random)
         known, why = found.proposal, found.words
@@ -156,7 +172,7 @@ def _drawn(
     explored = ensemble.explore(target.log_density, starts, random, known)
     if method == "auto":
         tell("importance sampling where the walkers have been")
-        found = importance.sample(target.log_density, explored.proposal, random)
+        found = importance.sample(target.log_density, explored.proposal, random, count)
         if found.trusted:
             return weighed(found, "from where an ensemble of walkers has been", count, random)
         explored = replace(explored, proposal=found.proposal)
@@ -208,7 +224,10 @@ def dispersed(target: Target, modes: Modes, random: np.random.Generator) -> Arra
     )
 
 
-def _teller(progress: Callable[[str, int], Any] | None, target: Target) -> Callable[[str], Any]:
+def _teller(
+    progress: Callable[[str, int], Any] | None, target: Target
+) -> tuple[Callable[[str], Any], list[str]]:
+    """A function that is told what is done, and all that it was told."""
     if progress is not None and not callable(progress):
         raise PosteriorError(
             "invalid `progress`",
@@ -216,7 +235,14 @@ def _teller(progress: Callable[[str, int], Any] | None, target: Target) -> Calla
             allowed="None, or a function of (what is done, evaluations so far)",
             cure="leave it out",
         )
-    return lambda words: progress(words, target.evaluations) if progress is not None else None
+    said: list[str] = []
+
+    def tell(words: str) -> None:
+        said.append(words)
+        if progress is not None:
+            progress(words, target.evaluations)
+
+    return tell, said
 
 
 def _improper(seen: str) -> PosteriorError:

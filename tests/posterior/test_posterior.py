@@ -216,6 +216,18 @@ def test_draws_that_cannot_be_trusted_are_no_answer(fit, monkeypatch):
     assert UntrustedPosteriorError.exit_code == 3
 
 
+def test_walkers_that_have_no_room_are_named(two_masses, monkeypatch):
+    from casadi_engine.posterior.modes import find_modes
+
+    fit, target = two_masses
+    random = np.random.default_rng(0)
+    modes = find_modes(target, fit, random, wide=0)
+    monkeypatch.setattr(Target, "log_density", lambda self, u: np.full(len(u), -np.inf))
+    dispersed = import_module("casadi_engine.posterior.posterior").dispersed
+    with pytest.raises(UntrustedPosteriorError, match=r"cannot be evaluated around.*seen: 0 of 1200 draws"):
+        dispersed(target, modes, random)
+
+
 def test_progress_is_told(fit):
     told = []
     ce.posterior(fit, draws=100, progress=lambda words, count: told.append((words, count)))
@@ -225,6 +237,20 @@ def test_progress_is_told(fit):
         "looking at all data",
     ]
     assert told[0][1] == 0 < told[-1][1]
+
+
+@pytest.mark.parametrize("when", ["looking for optima", "importance sampling", "looking at all data"])
+def test_ctrl_c_is_no_answer_and_says_where_it_came(fit, when):
+    def stop(words, _):
+        if words == when:
+            raise KeyboardInterrupt
+
+    with pytest.raises(UntrustedPosteriorError, match=rf"stopped before.*Ctrl-C while {when}, after \d+"):
+        ce.posterior(fit, draws=100, progress=stop)
+
+
+def test_more_draws_are_worth_more(fit):
+    assert min(ce.posterior(fit, draws=4000).bulk.values()) > 3500
 
 
 # ---- what it says
