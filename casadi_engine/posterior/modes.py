@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.levenberg_marquardt import minimise
+from casadi_engine.posterior.box import Box
 from casadi_engine.posterior.mixture import Mixture
 from casadi_engine.posterior.target import Target
 from casadi_engine.posterior.valley import valleys
@@ -47,13 +48,13 @@ class Modes:
     searches: int
     valley: tuple[Array, Array, Array]
 
-    def mixture(self) -> Mixture:
-        """A proposal from the quadratics at the optima, and along their valleys."""
+    def mixture(self, box: Box) -> Mixture:
+        """A proposal from the quadratics at the optima, and along their valleys; in the coordinates of ``box``."""
         at, information, height = self.valley
         scale = np.asarray(np.linalg.inv(np.concatenate([self.information, information])), dtype=np.float64)
         mass = np.concatenate([self.height, height]) + 0.5 * np.linalg.slogdet(scale)[1]
         share = np.exp(mass - mass.max())
-        return Mixture.of(
+        return box.mixture(
             share / share.sum() + 0.3 / len(share), np.concatenate([self.at, at]), _WIDER * scale
         )
 

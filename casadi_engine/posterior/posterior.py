@@ -14,6 +14,7 @@ from casadi_engine.errors import PosteriorError, UntrustedPosteriorError
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.options import chosen, whole
 from casadi_engine.posterior import ensemble, importance
+from casadi_engine.posterior.box import Box
 from casadi_engine.posterior.bridge import bridge
 from casadi_engine.posterior.drawn import Drawn, thinned, weighed
 from casadi_engine.posterior.left_out import with_all_data
@@ -152,12 +153,13 @@ def _drawn(
     tell: Callable[[str], Any],
 ) -> Drawn:
     """Draws by the method that is asked for, or by the first that can be trusted."""
-    known, why = None, "asked for"
+    box = Box.about(modes.at[0], np.linalg.inv(modes.information[0]), target.low, target.high)
+    density, known, why = box.density(target.log_density), None, "asked for"
     if method != "ensemble":
         tell("importance sampling")
-        found = importance.sample(target.log_density, modes.mixture(), random, count)
+        found = importance.sample(density, modes.mixture(box), random, count)
         if found.trusted:
-            return weighed(found, "few smooth optima", count, random)
+            return box.drawn(weighed(found, "few smooth optima", count, random))
         known, why = found.proposal, found.words
         if method == "importance":
             raise UntrustedPosteriorError(
@@ -168,59 +170,67 @@ def _drawn(
             )
     ensemble.emcee()
     tell("ensemble")
-    starts = [dispersed(target, modes, random) for _ in range(2)]
-    explored = ensemble.explore(target.log_density, starts, random, known)
+    starts = [dispersed(density, modes, box, random) for _ in range(2)]
+    explored = ensemble.explore(density, starts, random, known)
     if method == "auto":
         tell("importance sampling where the walkers have been")
-        found = importance.sample(target.log_density, explored.proposal, random, count)
+        found = importance.sample(density, explored.proposal, random, count)
         if found.trusted:
-            return weighed(found, "from where an ensemble of walkers has been", count, random)
+            return box.drawn(weighed(found, "from where an ensemble of walkers has been", count, random))
         explored = replace(explored, proposal=found.proposal)
         tell("ensemble")
-    return _by_walking(target, explored, random, count, most, why)
+    return box.drawn(_by_walking(target.names, density, explored, random, count, most, why))
 
 
 def _by_walking(
-    target: Target, explored: ensemble.Explored, random: np.random.Generator, count: int, most: int, why: str
+    names: tuple[str, ...],
+    density: Callable[[Array], Array],
+    explored: ensemble.Explored,
+    random: np.random.Generator,
+    count: int,
+    most: int,
+    why: str,
 ) -> Drawn:
     """Draws of an ensemble; raises UntrustedPosteriorError where its walkers do not agree."""
-    chains = ensemble.walk(target.log_density, explored, random, most=most)
+    chains = ensemble.walk(density, explored, random, most=most)
     if not chains.trusted:
         worst = int(np.argmax(chains.rhat))
         raise UntrustedPosteriorError(
             "the walkers of the ensemble do not agree yet",
-            seen=f"R-hat {chains.rhat[worst]:.3f} of {target.names[worst]}, worth {chains.size:.0f} independent draws "
+            seen=f"R-hat {chains.rhat[worst]:.3f} of {names[worst]}, worth {chains.size:.0f} independent draws "
             f"after {chains.evaluations} evaluations",
             allowed=f"R-hat up to {ensemble.LARGEST:g}, and {ensemble.FEWEST:.0f} draws",
             cure=f"give more, evaluations={4 * most}, or narrower bounds or priors for what the data tell little of",
         )
-    evidence = bridge(target.log_density, chains.x, chains.density, chains.size, random)
+    evidence = bridge(density, chains.x, chains.density, chains.size, random)
     return thinned(chains, evidence, count, why)
 
 
-def dispersed(target: Target, modes: Modes, random: np.random.Generator) -> Array:
+def dispersed(
+    density: Callable[[Array], Array], modes: Modes, box: Box, random: np.random.Generator
+) -> Array:
     """Where the walkers of an ensemble (w, d) start: half about the optima, half far along the weakest directions."""
-    d = len(target.names)
+    d = modes.at.shape[1]
     walkers = 2 * (d + 1)
-    factor = np.linalg.cholesky(np.linalg.inv(modes.information))
-    values, vectors = np.linalg.eigh(np.linalg.inv(modes.information[0]))
+    about = box.mixture(np.ones(len(modes.at)), modes.at, np.asarray(np.linalg.inv(modes.information)))
+    values, vectors = np.linalg.eigh(about.factor[0] @ about.factor[0].T)
     found: list[Array] = []
     for tried in range(100 * walkers):
         k = int(random.integers(len(modes.at)))
-        at = modes.at[k] + factor[k] @ random.standard_normal(d)
+        at = about.centre[k] + about.factor[k] @ random.standard_normal(d)
         if len(found) % 2:
             weak = np.argsort(values)[::-1][: min(2, d)]
             far = random.uniform(-8, 8, len(weak)) * np.sqrt(values[weak]) / (1 + tried // (10 * walkers))
             at = at + vectors[:, weak] @ far
-        if np.isfinite(target.log_density(at[None])[0]):
+        if np.isfinite(density(at[None])[0]):
             found.append(at)
         if len(found) == walkers:
             return np.array(found)
     raise UntrustedPosteriorError(
-        "the model cannot be evaluated around the optimum, or bounds and constraints leave no room there",
+        "the model cannot be evaluated around the optimum, or constraints leave no room there",
         seen=f"{len(found)} of {100 * walkers} draws about the optima have a density",
         allowed=f"{walkers} of them, for the walkers of an ensemble",
-        cure="widen the bounds that the fit rests on, or fix these parameters, and fit again",
+        cure="widen the constraints that the fit rests on, or fix these parameters, and fit again",
     )
 
 
