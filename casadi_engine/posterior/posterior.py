@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.errors import PosteriorError, UntrustedPosteriorError
 from casadi_engine.estimation.fit import Fit
-from casadi_engine.estimation.options import chosen, whole
+from casadi_engine.estimation.options import check_likelihood, chosen, whole
 from casadi_engine.posterior import ensemble, importance
 from casadi_engine.posterior.box import Box
 from casadi_engine.posterior.bridge import bridge
@@ -266,27 +266,7 @@ def _improper(seen: str) -> PosteriorError:
 
 def _check(fit: Any) -> None:
     """Raise PosteriorError for what has no posterior here."""
-    if not isinstance(fit, Fit):
-        raise PosteriorError(
-            "a posterior needs a fit",
-            seen=type(fit).__name__,
-            allowed="a Fit",
-            cure="give what ce.estimate returned",
-        )
-    if not fit.converged or not fit.free:
-        raise PosteriorError(
-            "a posterior needs a fit that converged, with free parameters",
-            seen=fit.status if fit.free else "no free parameter",
-            allowed="a converged fit",
-            cure="fit again with other start values, more iterations, or more free parameters",
-        )
-    if fit.options.get("loss", "square") != "square":
-        raise PosteriorError(
-            "a posterior needs the likelihood of normal noise",
-            seen=f"loss={fit.options['loss']}",
-            allowed='loss="square"',
-            cure='fit again with loss="square", outliers masked',
-        )
+    check_likelihood(fit, "a posterior", PosteriorError)
     if fit.innovations is not None:
         raise PosteriorError(
             "the posterior of a model with a predictor is not available",

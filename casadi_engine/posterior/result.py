@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.errors import PosteriorError
 from casadi_engine.estimation.fit import Fit
+from casadi_engine.estimation.options import check_level
 from casadi_engine.parameters import near_matches
 from casadi_engine.posterior.drawn import Drawn
 from casadi_engine.posterior.mixture import Mixture
@@ -98,14 +99,7 @@ class Posterior:
 
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
         """The interval that holds the parameter with this probability, as much on either side, in its unit."""
-        number = isinstance(level, int | float | np.floating) and not isinstance(level, bool)
-        if not number or not 0 < level < 1:
-            raise PosteriorError(
-                "invalid `level`",
-                seen=repr(level),
-                allowed="a number between 0 and 1",
-                cure="leave it out for 0.95",
-            )
+        check_level(level, PosteriorError)
         low, high = np.quantile(self[name], [(1 - level) / 2, (1 + level) / 2])
         return float(low), float(high)
 

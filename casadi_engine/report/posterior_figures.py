@@ -118,7 +118,7 @@ def _two_ticks(values: Array) -> list[float]:
     step = 10.0 ** np.floor(np.log10(max(high - low, 1e-300)))
     step = step if high - low > 2 * step else step / 2
     first, last = np.ceil(low / step) * step, np.floor(high / step) * step
-    short = max(len(f"{end:g}") for end in (first, last)) < 8
+    short = sum(len(f"{end:g}") for end in (first, last)) < 11
     return [float(first), float(last)] if last > first and short else [float(first)]
 
 

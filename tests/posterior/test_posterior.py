@@ -275,7 +275,7 @@ def test_intervals_are_quantiles_of_the_draws(post):
     assert low < post.median["J_eng"] < high
     with pytest.raises(PosteriorError, match=r"no such parameter; seen: 'J'; allowed: .*J_eng"):
         post.interval("J")
-    with pytest.raises(PosteriorError, match="invalid `level`"):
+    with pytest.raises(PosteriorError, match="the level of the intervals is not acceptable"):
         post.interval("J_eng", 95)
 
 
