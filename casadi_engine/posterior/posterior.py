@@ -133,9 +133,10 @@ def _found(
         target.choose([target.start[: target.nv], *weak[:2]], left_out)
         tell("looking for optima")
         slow = target.likelihood.bins is None
-        modes = find_modes(target, fit, random, wide=0 if slow else WIDE * len(target.names) + 6)
-        if modes is None:
+        found = find_modes(target, fit, random, wide=0 if slow else WIDE * len(target.names) + 6)
+        if found is None:
             raise _improper("the optimum's information matrix is singular")
+        modes = found
         target.choose([*modes.at[:OPTIMA, : target.nv], *weak[:2]], left_out)
         drawn = _drawn(target, modes, method, random, count, most, tell)
         tell("looking at all data")

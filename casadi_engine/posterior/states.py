@@ -60,10 +60,9 @@ class StatePrior:
 
     def part(self, index: NDArray[np.intp]) -> StatePrior:
         """That of some of the states."""
-        covariances = self.factors @ self.factors.swapaxes(1, 2)
-        return replace(
-            self, means=self.means[:, index], factors=np.linalg.cholesky(covariances[:, index][:, :, index])
-        )
+        covariances = (self.factors @ self.factors.swapaxes(1, 2))[:, index][:, :, index]
+        factors = np.asarray(np.linalg.cholesky(covariances), dtype=np.float64)
+        return replace(self, means=self.means[:, index], factors=factors)
 
     def settled(self, rows: Array, rest: Array) -> StatePrior:
         """The same, searches with what is most probable for rows (n, L) and a residual (L,); see ``integral``."""
