@@ -1,5 +1,5 @@
-"""Coordinates without bounds, in which draws are proposed: many optima rest on a bound, where a normal density does not
-fit, and most of what is proposed lies outside.
+"""Coordinates without bounds, in which draws are proposed where an optimum rests on bounds and most of what is proposed
+about it lies outside. They bend straight valleys, and are tried second.
 """
 
 from __future__ import annotations
@@ -29,6 +29,11 @@ class Box:
     high: Array
 
     @classmethod
+    def none(cls, like: Array) -> Box:
+        """That leaves all (d,) coordinates as they are."""
+        return cls(np.full(len(like), -np.inf), np.full(len(like), np.inf))
+
+    @classmethod
     def about(cls, at: Array, scale: Array, low: Array, high: Array) -> Box:
         """For the bounds that lie near an optimum u (d,) with covariance ``scale`` (d, d); others are left where they
         are."""
@@ -37,25 +42,26 @@ class Box:
         return cls(np.where(far, -np.inf, low), np.where(far, np.inf, high))
 
     @property
-    def _closed(self) -> NDArray[np.bool_]:
+    def closed(self) -> NDArray[np.bool_]:
+        """(d,) coordinates that have bounds."""
         return np.isfinite(self.low) & np.isfinite(self.high)
 
     def of(self, u: Array) -> Array:
         """y (..., d) at u (..., d) inside."""
         low, high = self._ends()
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(self._closed, np.log(u - low) - np.log(high - u), u)
+            return np.where(self.closed, np.log(u - low) - np.log(high - u), u)
 
     def back(self, y: Array) -> Array:
         """u (..., d) at y (..., d)."""
         low, high = self._ends()
-        return np.where(self._closed, np.clip(low + (high - low) * expit(y), low, high), y)
+        return np.where(self.closed, np.clip(low + (high - low) * expit(y), low, high), y)
 
     def log_slope(self, y: Array) -> Array:
         """Log of the volume du / dy (...,) at y (..., d)."""
         low, high = self._ends()
         logs = np.log(high - low) + log_expit(y) + log_expit(-y)
-        return np.asarray(np.where(self._closed, logs, 0.0).sum(axis=-1))
+        return np.asarray(np.where(self.closed, logs, 0.0).sum(axis=-1))
 
     def density(self, log_density: LogDensity) -> LogDensity:
         """That of y, from that of u."""
@@ -67,7 +73,7 @@ class Box:
         off = np.minimum(_OFF * error, 0.4 * (self.high - self.low))
         y = self.of(np.clip(at, self.low + off, self.high - off))
         low, high = self._ends()
-        slope = np.where(self._closed, (high - low) * expit(y) * expit(-y), 1.0)
+        slope = np.where(self.closed, (high - low) * expit(y) * expit(-y), 1.0)
         return Mixture.of(share, y, scale / (slope[:, :, None] * slope[:, None, :]))
 
     def drawn(self, found: Drawn) -> Drawn:
@@ -78,4 +84,4 @@ class Box:
         )
 
     def _ends(self) -> tuple[Array, Array]:
-        return np.where(self._closed, self.low, 0.0), np.where(self._closed, self.high, 1.0)
+        return np.where(self.closed, self.low, 0.0), np.where(self.closed, self.high, 1.0)

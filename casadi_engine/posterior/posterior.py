@@ -154,14 +154,20 @@ def _drawn(
     tell: Callable[[str], Any],
 ) -> Drawn:
     """Draws by the method that is asked for, or by the first that can be trusted."""
-    box = Box.about(modes.at[0], np.linalg.inv(modes.information[0]), target.low, target.high)
+    plain = box = Box.none(target.low)
     density, known, why = box.density(target.log_density), None, "asked for"
     if method != "ensemble":
         tell("importance sampling")
-        found = importance.sample(density, modes.mixture(box), random, count)
-        if found.trusted:
-            return box.drawn(weighed(found, "few smooth optima", count, random))
-        known, why = found.proposal, found.words
+        near = Box.about(modes.at[0], np.linalg.inv(modes.information[0]), target.low, target.high)
+        tried = []
+        for box in (plain, near) if near.closed.any() else (plain,):
+            density = box.density(target.log_density)
+            found = importance.sample(density, modes.mixture(box), random, count)
+            if found.trusted:
+                return box.drawn(weighed(found, "few smooth optima", count, random))
+            tried.append((found.size, box, found))
+        _, box, found = max(tried, key=lambda one: one[0])
+        density, known, why = box.density(target.log_density), found.proposal, found.words
         if method == "importance":
             raise UntrustedPosteriorError(
                 "importance sampling does not describe this posterior",

@@ -95,6 +95,18 @@ def test_bounds_ties_and_constraints_hold(run_up):
     assert tied["J_eng"].std() < 0.001
 
 
+def test_an_optimum_in_a_corner_of_its_bounds_is_drawn_from(run_up):
+    pars = ce.one_inertia().parameters()
+    pars["J_eng"].set(0.45, min=0.4405, max=5)
+    pars["C_eng"].set(0.4, min=0.0, max=0.47)
+    fit = ce.estimate(ce.one_inertia(), run_up(), parameters=pars, noise=ce.Noise(omega=0.02), progress=False)
+    assert fit.estimates["C_eng"].at_bound
+    found = ce.posterior(fit, method="importance")
+    assert found["J_eng"].min() >= 0.4405
+    assert found["C_eng"].max() <= 0.47
+    assert found.interval("C_eng", 0.5)[0] > 0.469
+
+
 def test_a_normal_prior_counts_once(run_up, closed_form, post):
     pars = ce.one_inertia().parameters()
     pars["J_eng"].set(prior=(0.41, 0.001))
