@@ -32,6 +32,8 @@ LEFT_OUT, SCATTER = (0.1, 0.02, 0.0), 1.0
 OPTIMA = 6
 # Searches for other optima that start around the fit's, for each dimension; where an evaluation is a simulation, none.
 WIDE = 4
+# Draws that a proposal has to be worth for walkers to start in its coordinates rather than in those without bounds.
+FEW = 20.0
 
 
 def posterior(
@@ -165,8 +167,8 @@ def _drawn(
             found = importance.sample(density, modes.mixture(box), random, count)
             if found.trusted:
                 return box.drawn(weighed(found, "few smooth optima", count, random))
-            tried.append((found.size, box, found))
-        _, box, found = max(tried, key=lambda one: one[0])
+            tried.append((box, found))
+        box, found = tried[0] if tried[0][1].size > FEW else tried[-1]
         density, known, why = box.density(target.log_density), found.proposal, found.words
         if method == "importance":
             raise UntrustedPosteriorError(

@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,6 +26,7 @@ from ours import experiments, model_of, parameters_of  # noqa: E402
 from posterior_study import drawn  # noqa: E402
 
 import casadi_engine as ce  # noqa: E402
+from casadi_engine.errors import PosteriorError  # noqa: E402
 from casadi_engine.model.reduction import reduce  # noqa: E402
 from casadi_engine.posterior import Comparison, Posterior, compare  # noqa: E402
 
@@ -68,10 +70,15 @@ def posterior_of(dof: int, full: ce.Model, pars: ce.Parameters, record: ce.Exper
     )
 
 
-def counted(dof: int, seed: int = 0) -> Comparison:
-    """The models by their evidence, for a record of so many inertias."""
-    made = problem(dof, seed)
-    return compare({f"{count} inertias": posterior_of(count, *made) for count in COUNTS})
+def counted(dof: int, seed: int = 0, counts: Sequence[int] = COUNTS) -> tuple[Comparison, dict[str, str]]:
+    """The models by their evidence, for a record of so many inertias, and why some have none that can be trusted."""
+    made, found, refused = problem(dof, seed), {}, {}
+    for count in counts:
+        try:
+            found[f"{count} inertias"] = posterior_of(count, *made)
+        except PosteriorError as error:
+            refused[f"{count} inertias"] = str(error)
+    return compare(found), refused
 
 
 def main() -> None:
@@ -84,8 +91,8 @@ def main() -> None:
     parser.add_argument("--plot", type=Path)
     asked = parser.parse_args()
     begun = time.process_time()
-    found = counted(asked.dof, asked.seed)
-    print(found)
+    found, refused = counted(asked.dof, asked.seed)
+    print(found, *(f"{name}: {why}" for name, why in refused.items()), sep="\n")
     print(f"{time.process_time() - begun:.0f} s CPU")
     if asked.plot:
         ce.plot(found, path=asked.plot)

@@ -81,6 +81,13 @@ def apart(post, reference, log_weight):
     return found
 
 
+def agree(found):
+    """The ends of 95 % are known to a third of a spread from as many draws, the middle to a fifth."""
+    for name, own in found.items():
+        assert np.abs(own[1:-1]).max() < 0.2, name
+        assert np.abs(own).max() < 0.5, name
+
+
 def test_lynx_and_hare():
     """Lotka and Volterra's predators and prey, in logarithms; the first ones are parameters."""
     b = ce.Blueprint("lynx_hare")
@@ -110,15 +117,14 @@ def test_lynx_and_hare():
         model, data, parameters=pars, noise=ce.Noise(hare="estimate", lynx="estimate"), initial={"x": 0.0, "y": 0.0},
         progress=False,
     )  # fmt: skip
-    post = ce.posterior(fit, draws=4000)
+    post = ce.posterior(fit, draws=2000)
     # noise levels: log-normal about exp(-1) with sigma 1, ours flat in the logarithm
     log_weight = -0.5 * sum((np.log(post[f"sigma({name})"]) + 1) ** 2 for name in ("hare", "lynx"))
     found = apart(post, LYNX_HARE, log_weight)
-    print(post, *found.items(), sep="\n")
-    assert max(np.abs(one).max() for one in found.values()) < 0.2
+    agree(found)
     for name, known in FIRST.items():
         log = np.log(weighted_quantiles(np.exp(post[f"log_{name}"]), np.exp(log_weight - log_weight.max())))
-        assert np.abs(log - np.log(known)).max() < 0.2 * np.ptp(np.log(known)) / 4
+        assert np.abs(log - np.log(known))[1:-1].max() < 0.2 * np.ptp(np.log(known)) / 4
 
 
 def test_one_compartment_with_saturated_elimination():
@@ -135,10 +141,8 @@ def test_one_compartment_with_saturated_elimination():
         "dose", time=time, units={"D": "1", "C": "1"}, D=np.full(21, 30.0), C=np.log([np.nan, *CONCENTRATION])
     )
     fit = ce.estimate(model, data, noise=ce.Noise(C="estimate"), initial={"c": 0.0}, progress=False)
-    post = ce.posterior(fit, draws=4000)
+    post = ce.posterior(fit)
     # half-Cauchy priors of scale 1 in place of those that are flat in the logarithm
     log_weight = sum(np.log(post[name]) - np.log1p(post[name] ** 2) for name in ELIMINATION)
     found = apart(post, ELIMINATION, log_weight)
-    print(fit, post, found)
-    print(post, *found.items(), sep="\n")
-    assert max(np.abs(one).max() for one in found.values()) < 0.2
+    agree(found)
