@@ -318,7 +318,9 @@ class Repair:
         does; records, traces and figures are not in it. OutputError where it cannot be written.
         """
         # The room above this one knows the file, and is not there before it is needed.
-        found: Path = import_module("casadi_engine.report.result_file").save_result(self, path)
+        save = import_module("casadi_engine.report.result_file").save_result
+        seconds, seed = self.timing.get("total", 0.0), self.options.get("seed")
+        found: Path = save(self, path, "repair", seconds, seed)
         return found
 
     def __str__(self) -> str:

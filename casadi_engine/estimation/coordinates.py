@@ -40,7 +40,7 @@ class Coordinates:
         return ca.substitute(expression, self._pmap.z, self.z) if self.symbol.numel() else expression
 
     def values(self, v: Array) -> Array:
-        """z (nz,) at v (nz,)."""
+        """z (..., nz) at v (..., nz)."""
         power = np.clip(np.where(self.log, v, 0.0), -_FARTHEST, _FARTHEST)
         return self.scale * np.where(self.log, np.exp(power), v)
 
@@ -50,5 +50,5 @@ class Coordinates:
             return np.where(self.log, np.log(np.where(self.log, z / self.scale, 1.0)), z / self.scale)
 
     def slope(self, v: Array) -> Array:
-        """dz/dv (nz,), diagonal."""
+        """dz/dv (..., nz), diagonal."""
         return np.where(self.log, self.values(v), self.scale)

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_engine.errors import EstimationError
-from casadi_engine.estimation.fit import Estimate
+from casadi_engine.errors import CasadiEngineError, EstimationError
+from casadi_engine.estimation.fit import Estimate, Fit
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import near_matches
@@ -182,3 +182,40 @@ def small(tolerance: Any) -> float:
         allowed="a number > 0, such as 1e-9",
         cure="leave it out",
     )
+
+
+def check_likelihood(fit: Any, what: str, error: type[CasadiEngineError] = EstimationError) -> None:
+    """Raise ``error`` for what has no likelihood of normal noise at an optimum, for "a profile" or "a posterior"."""
+    if not isinstance(fit, Fit):
+        raise error(
+            f"{what} needs a fit",
+            seen=type(fit).__name__,
+            allowed="a Fit",
+            cure="give what ce.estimate returned",
+        )
+    if not fit.converged or not fit.free:
+        raise error(
+            f"{what} needs a fit that converged, with free parameters",
+            seen=fit.status if fit.free else "no free parameter",
+            allowed="a converged fit",
+            cure="fit again with other start values, more iterations, or more free parameters",
+        )
+    if fit.options.get("loss", "square") != "square":
+        raise error(
+            f"{what} needs the likelihood of normal noise",
+            seen=f"loss={fit.options['loss']}",
+            allowed='loss="square"',
+            cure='fit again with loss="square", outliers masked',
+        )
+
+
+def check_level(level: Any, error: type[CasadiEngineError] = EstimationError) -> None:
+    """Raise ``error`` for what is no probability of an interval."""
+    number = isinstance(level, int | float | np.floating) and not isinstance(level, bool)
+    if not (number and 0 < level < 1):
+        raise error(
+            "the level of the intervals is not acceptable",
+            seen=repr(level),
+            allowed="a number between 0 and 1, such as 0.95",
+            cure="leave it out for 0.95",
+        )

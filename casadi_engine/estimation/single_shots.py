@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.estimation.chained import chained_slopes
+from casadi_engine.estimation.final_check import residual
 from casadi_engine.estimation.loss import read_loss
+from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.search import Search
 from casadi_engine.estimation.starts import chained_nodes
 from casadi_engine.experiment import Experiment
@@ -126,29 +128,47 @@ class SingleShots:
         begin = len(self.free) + n * names.index(record)
         return np.concatenate([np.arange(len(self.free)), np.arange(begin, begin + n)])
 
+    def residuals(self, x: Array) -> Array:
+        """Residuals (K,), model less measured, in standard deviations; raises as ``evaluate``."""
+        found, at = np.zeros(self.count), len(self.free)
+        for record in self._search.records:
+            nodes = chained_nodes(record, x[: len(self.free)], x[at : at + record.n])
+            self._place(found, record, residual(record, record.outputs_at(x[: len(self.free)], nodes)[0]))
+            at += record.n
+        return found
+
     def evaluate(self, x: Array) -> tuple[Array, Array]:
         """Residuals (K,), model less measured, and their slopes (K, nx), both in standard deviations.
 
         Raises FloatingPointError where the model is not finite.
         """
         v = x[: len(self.free)]
-        residual, slopes = np.zeros(self.count), np.zeros((self.count, len(x)))
+        residuals, slopes = np.zeros(self.count), np.zeros((self.count, len(x)))
         at = len(self.free)
         for record in self._search.records:
             found = record.evaluate(v, chained_nodes(record, v, x[at : at + record.n]))
-            valid = record.observation.valid.ravel()
-            whole = chained_slopes(record, found).reshape(-1, len(valid))
+            whole = chained_slopes(record, found).reshape(-1, record.weight.size)
             nz = len(record.active)
-            weight = record.weight.ravel()
-            for output, where in record.observation.where.items():
-                here = where[valid[where]]
-                rows = self.places[(record.experiment.name, output)]
-                level = weight[here] * self._sigma[output]  # the terms come weighted by levels of their own
-                residual[rows] = found.r.ravel()[here] / level
+            for rows, here, level in self._place(residuals, record, found.r):
                 own = (whole[:, here] / level).T
-                slopes[rows.start : rows.stop, record.active] = own[:, :nz]
-                slopes[rows.start : rows.stop, at : at + record.n] = own[:, nz:]
+                slopes[rows, record.active] = own[:, :nz]
+                slopes[rows, at : at + record.n] = own[:, nz:]
             at += record.n
-        if not (np.isfinite(residual).all() and np.isfinite(slopes).all()):
+        if not np.isfinite(slopes).all():
             raise FloatingPointError("the sensitivities are not finite here")
-        return residual, slopes
+        return residuals, slopes
+
+    def _place(
+        self, residuals: Array, record: RecordTerm, own: Array
+    ) -> list[tuple[slice, NDArray[np.intp], Array]]:
+        """Write a record's weighted residual (K, M) to its rows; of each output the rows, its samples and levels."""
+        valid, weight, found = record.observation.valid.ravel(), record.weight.ravel(), []
+        for output, where in record.observation.where.items():
+            here = where[valid[where]]
+            rows = self.places[(record.experiment.name, output)]
+            level = weight[here] * self._sigma[output]  # the terms come weighted by levels of their own
+            residuals[rows] = own.ravel()[here] / level
+            found.append((rows, here, level))
+        if not np.isfinite(residuals).all():
+            raise FloatingPointError("the sensitivities are not finite here")
+        return found

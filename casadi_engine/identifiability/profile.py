@@ -15,7 +15,7 @@ from casadi_engine.distributions import chi2_isf, f_isf
 from casadi_engine.errors import CasadiEngineError, EstimationError
 from casadi_engine.estimation.estimate import estimate
 from casadi_engine.estimation.fit import Estimate, Fit
-from casadi_engine.estimation.options import whole
+from casadi_engine.estimation.options import check_level, check_likelihood, whole
 from casadi_engine.parameters import near_matches
 from casadi_engine.problem.noise import Noise
 
@@ -138,7 +138,8 @@ def profile(
     >>> print(f"{low:.3f} to {high:.3f} kg m2, estimate {fit.values['J_eng']:.3f}")
     0.398 to 0.404 kg m2, estimate 0.401
     """
-    _check(fit, level)
+    check_likelihood(fit, "a profile")
+    check_level(level)
     points = whole("points", points, 2)
     known = [name for name in fit.free if name in fit.parameters and fit.parameters[name].vary]
     for name in names:
@@ -155,38 +156,6 @@ def profile(
     walker = _Walker(fit, float(quantile), points, progress)
     lines = {name: walker.line(name) for name in dict.fromkeys(names or known)}
     return Profile(fit, lines, level, walker.refits, tuple(dict.fromkeys(walker.messages)))
-
-
-def _check(fit: Any, level: Any) -> None:
-    if not isinstance(fit, Fit):
-        raise EstimationError(
-            "a profile needs a fit",
-            seen=type(fit).__name__,
-            allowed="a Fit",
-            cure="give what ce.estimate returned",
-        )
-    if not fit.converged or not fit.free:
-        raise EstimationError(
-            "a profile needs a fit that converged, with free parameters",
-            seen=fit.status if fit.free else "no free parameter",
-            allowed="a converged fit",
-            cure="fit again with other start values, more iterations, or more free parameters",
-        )
-    if fit.options.get("loss", "square") != "square":
-        raise EstimationError(
-            "a profile likelihood needs the likelihood of normal noise",
-            seen=f"loss={fit.options['loss']}",
-            allowed='loss="square"',
-            cure='fit again with loss="square", outliers masked',
-        )
-    number = isinstance(level, int | float) and not isinstance(level, bool)
-    if not (number and 0 < level < 1):
-        raise EstimationError(
-            "the level of the intervals is not acceptable",
-            seen=repr(level),
-            allowed="a number between 0 and 1, such as 0.95",
-            cure="leave it out for 0.95",
-        )
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,10 @@ from casadi_engine.posterior.psis import kish, log_mean, normalised, pareto_smoo
 Array = NDArray[np.float64]
 LogDensity = Callable[[Array], Array]
 
-# Rounds in which the proposal learns, draws of each for a dimension, draws of the last one in multiples of these, and
-# trials of a last one, the second of which has twice as many.
-ROUNDS, EACH, LAST, TRIALS = 6, 100, 6, 2
+# Rounds in which the proposal learns, and draws of each for a dimension. The last draws are as many as promise to be
+# worth so many independent ones for each thousand that is wanted, between two and six rounds of them; a second trial,
+# where these are not to be trusted, has twelve.
+ROUNDS, EACH, WORTH, LAST = 6, 100, 1200.0, (2, 6, 12)
 # Share of its draws that a proposal is worth when it has learnt enough.
 ENOUGH = 0.55
 # What weights have to be for their means to be trusted: the tail's shape, and the draws they are worth, those of the
@@ -61,9 +62,10 @@ class Weighted:
         return np.asarray(random.permutation(chosen))
 
 
-def sample(density: LogDensity, start: Mixture, random: np.random.Generator) -> Weighted:
+def sample(density: LogDensity, start: Mixture, random: np.random.Generator, wanted: int = 1000) -> Weighted:
     """Draws from a mixture that starts from the modes and learns from all its draws.
 
+    wanted : draws that are to be taken from them
     The proposal of the last ones does not depend on them, so that their evidence has no bias.
     """
     d = start.centre.shape[1]
@@ -75,9 +77,11 @@ def sample(density: LogDensity, start: Mixture, random: np.random.Generator) -> 
         if shape <= 0.5 and share > ENOUGH:
             break
         proposal = learnt.refitted(proposal)
-    for trial in range(1, TRIALS + 1):
+    more = max(wanted / 1000, 1.0)
+    first = int(more * np.clip(WORTH / max(share, 1e-9), LAST[0] * each, LAST[1] * each))
+    for count in (first, int(more * LAST[2] * each)):
         wide = proposal.guarded()
-        x = wide.draw(trial * LAST * each, random)
+        x = wide.draw(count, random)
         found = _weigh(x, density(x), wide)
         if found.trusted or found.size < FEWEST / 4:
             break

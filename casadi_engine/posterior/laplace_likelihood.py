@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from casadi_engine.estimation.levenberg_marquardt import Squares
 from casadi_engine.estimation.single_shots import SingleShots
@@ -40,35 +39,59 @@ class LaplaceLikelihood:
         self._shots, self._size = shots, len(v)
         self._outputs = tuple(dict.fromkeys(output for _, output in shots.places))
         self._best, self._at = np.concatenate([v, *first.values()]), v
-        moving = ~np.concatenate(list(held.values()))
-        self._free = self._size + np.flatnonzero(moving)
-        # those that are known are held, and take no part in the others' prior
-        mean, factor = (
-            np.concatenate([one.mean for one in states]),
-            block_diag(*(one.factor for one in states)),
-        )
-        covariance = (factor @ factor.T)[np.ix_(moving, moving)]
-        self.states = StatePrior(mean[moving], np.linalg.cholesky(covariance))
-        slopes = shots.evaluate(self._best)[1]
+        residual, slopes = shots.evaluate(self._best)
+        # of each record: the places of its unknown initial states in x, and their prior; those that are known are
+        # held, and take no part in the others' prior
+        self._parts: list[tuple[NDArray[np.intp], StatePrior]] = []
+        at = self._size
+        for known, state in zip(held.values(), states, strict=True):
+            moving = np.flatnonzero(~known)
+            if len(moving):
+                rows = slopes[:, at + moving].T
+                rest = residual - self._best[at + moving] @ rows
+                self._parts.append((at + moving, state.part(moving).settled(rows, rest)))
+            at += len(known)
         # how the best initial states follow v
-        seen = self.states.factor.T @ slopes[:, self._free].T
-        known = np.eye(len(seen)) + seen @ seen.T
-        self._turn = -self.states.factor @ np.linalg.solve(known, seen @ slopes[:, : self._size])
+        self._turn = [
+            own.best(slopes[:, where].T, one) - own.mean
+            for one in slopes[:, : self._size].T
+            for where, own in self._parts
+        ]
+
+    @property
+    def states(self) -> list[StatePrior]:
+        """Of each record with unknown initial states, their prior."""
+        return [own for _, own in self._parts]
 
     def choose(self, points: object, sigma: Array, left_out: float = 0.0) -> None:
         """Nothing is left out here; see ``SpectralLikelihood``."""
 
-    def value(self, v: Array, sigma: Array) -> float:
-        """Log likelihood; -inf where the model cannot be evaluated."""
-        found = self._settled(v, sigma)
-        if found is None:
-            return -np.inf
-        total = -0.5 * (found[0] + found[1])
+    def value(self, v: Array, sigma: Array) -> Array:
+        """Log likelihood (P,) at v (P, nv) and noise levels (P, ny); -inf where the model cannot be evaluated."""
+        return np.array([self._value(*one) for one in zip(v, sigma, strict=True)])
+
+    def _value(self, v: Array, sigma: Array) -> float:
+        total = (
+            self._without_slopes(v, sigma) if not self._parts else (self._settled(v, sigma) or [-np.inf])[0]
+        )
         for (_, name), at in self._shots.places.items():
             total -= (at.stop - at.start) * float(np.log(self._level(sigma, name)))
         return total if np.isfinite(total) else -np.inf
 
-    def full(self, v: Array, sigma: Array) -> float:
+    def _without_slopes(self, v: Array, sigma: Array) -> float:
+        """The same where no initial state is unknown."""
+        self._shots.weigh({name: self._level(sigma, name) for name in self._outputs})
+        with np.errstate(all="ignore"):
+            try:
+                return -0.5 * float(np.square(self._shots.residuals(self._from(v))).sum())
+            except (FloatingPointError, np.linalg.LinAlgError):
+                return -np.inf
+
+    def _from(self, v: Array) -> Array:
+        """x where the best initial states are expected."""
+        return np.concatenate([v, self._best[self._size :]])
+
+    def full(self, v: Array, sigma: Array) -> Array:
         """The same: all samples are looked at anyway."""
         return self.value(v, sigma)
 
@@ -77,13 +100,11 @@ class LaplaceLikelihood:
         found = self._settled(v, sigma)
         if found is None:
             return None
-        _, _, rest, slopes = found
-        rows = np.concatenate(
-            [(rest + slopes[:, self._free] @ self.states.mean)[None], slopes[:, : self._size].T]
-        )
-        seen = self.states.factor.T @ slopes[:, self._free].T
-        cross = seen @ rows.T
-        gram = rows @ rows.T - cross.T @ np.linalg.solve(np.eye(len(seen)) + seen @ seen.T, cross)
+        _, left, slopes = found
+        rows = np.concatenate([left[None], slopes[:, : self._size].T])
+        gram = rows @ rows.T
+        for where, own in self._parts:
+            gram -= own.without(slopes[:, where].T, rows)
         if not np.isfinite(gram).all():
             return None
         return Squares(0.5 * float(gram[0, 0]), gram[1:, 0], gram[1:, 1:])
@@ -91,23 +112,32 @@ class LaplaceLikelihood:
     def _level(self, sigma: Array, name: str) -> float:
         return float(sigma[self._outputs.index(name)])
 
-    def _settled(self, v: Array, sigma: Array) -> tuple[float, float, Array, Array] | None:
-        """Chi-squared at the best initial states, the log determinant of their integral, the residual (K,) that a line
-        leads to from there at states of zero, and the slopes (K, nx)."""
+    def _settled(self, v: Array, sigma: Array) -> tuple[float, Array, Array] | None:
+        """Log likelihood but for the noise levels' share, the residual (K,) that a line leads to from the best initial
+        states at the prior's mean of them, and the slopes (K, nx)."""
         self._shots.weigh({name: self._level(sigma, name) for name in self._outputs})
-        x = np.concatenate([v, self._best[self._size :]])
-        x[self._free] += self._turn @ (v - self._at)
+        x = self._from(v)
+        for i, (where, _) in enumerate(self._parts):
+            for k, step in enumerate(v - self._at):
+                x[where] += step * self._turn[k * len(self._parts) + i]
         with np.errstate(all="ignore"):
             for _ in range(_STEPS):
                 try:
                     residual, slopes = self._shots.evaluate(x)
-                    rows = np.ascontiguousarray(slopes[:, self._free].T)
-                    rest = residual - x[self._free] @ rows
-                    squares, volume = self.states.marginal(rows, rest)
-                    apart = np.linalg.solve(self.states.factor, x[self._free] - self.states.mean)
-                    if float(residual @ residual + apart @ apart) - squares < _FALL:
-                        break
-                    x[self._free] = self.states.best(rows, rest)
+                    left = residual.copy()
+                    for where, own in self._parts:
+                        left -= slopes[:, where] @ (x[where] - own.mean)
+                    total, fall = -0.5 * float(left @ left), 0.0
+                    for where, own in self._parts:
+                        rows = np.ascontiguousarray(slopes[:, where].T)
+                        alone = left - own.mean @ rows
+                        (log,), (best,) = own.integral(rows[None], alone[None])
+                        total, step = total + float(log) + 0.5 * float(left @ left), best - x[where]
+                        fall += float(np.sum((step @ rows) ** 2))
+                        fall += float(np.sum(np.linalg.solve(own.factor, step) ** 2))
+                        x[where] = best
                 except (FloatingPointError, np.linalg.LinAlgError):
                     return None
-        return squares, volume, rest, slopes
+                if not fall > _FALL:
+                    break
+        return (total, left, slopes) if np.isfinite(total) else None

@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.levenberg_marquardt import minimise
+from casadi_engine.posterior.box import Box
 from casadi_engine.posterior.mixture import Mixture
 from casadi_engine.posterior.target import Target
+from casadi_engine.posterior.valley import valleys
 
 Array = NDArray[np.float64]
 
@@ -19,6 +21,8 @@ Array = NDArray[np.float64]
 ALONG, WEAK, WIDE = (3.0, 6.0, 12.0), 2, (4.0, 16.0, 40.0)
 # Other optima from which searches start again, and how far below the best they may be for that.
 _AGAIN, _NEAR = 3, 10.0
+# Directions along which valleys are looked for.
+_DIRECTIONS = 6
 # Two optima are one within this distance, in squared standard errors; those so far below the best are left out.
 _SAME, _FAR = 0.05, 15.0
 # Between two modes the density falls by this (in its logarithm) below the lower one; it is looked at so many points.
@@ -33,6 +37,8 @@ class Modes:
     """Optima at (k, d), the best first; information (k, d, d); height : (k,) log densities.
 
     ended : (k,) searches that ended at each; searches : all of them
+    valley : points (m, d) along the valleys that lead away from the best ones, with the information (m, d, d) there
+        and log densities (m,)
     """
 
     at: Array
@@ -40,13 +46,17 @@ class Modes:
     height: Array
     ended: NDArray[np.intp]
     searches: int
+    valley: tuple[Array, Array, Array]
 
-    def mixture(self) -> Mixture:
-        """A proposal from the quadratics at the optima."""
-        scale = np.asarray(np.linalg.inv(self.information), dtype=np.float64)
-        mass = self.height + 0.5 * np.linalg.slogdet(scale)[1]
+    def mixture(self, box: Box) -> Mixture:
+        """A proposal from the quadratics at the optima, and along their valleys; in the coordinates of ``box``."""
+        at, information, height = self.valley
+        scale = np.asarray(np.linalg.inv(np.concatenate([self.information, information])), dtype=np.float64)
+        mass = np.concatenate([self.height, height]) + 0.5 * np.linalg.slogdet(scale)[1]
         share = np.exp(mass - mass.max())
-        return Mixture.of(share / share.sum() + 0.3 / len(share), self.at, _WIDER * scale)
+        return box.mixture(
+            share / share.sum() + 0.3 / len(share), np.concatenate([self.at, at]), _WIDER * scale
+        )
 
 
 def find_modes(target: Target, fit: Fit, random: np.random.Generator, *, wide: int) -> Modes | None:
@@ -80,16 +90,32 @@ def find_modes(target: Target, fit: Fit, random: np.random.Generator, *, wide: i
         starts += again
         for start in again:
             search(start)
-    at = np.array([np.concatenate([x, target.start[nv:]]) for x, _, _ in found]).reshape(
-        -1, len(target.start)
-    )
-    height = target.log_density(at)
+    best = sorted(found, key=lambda one: one[2])[: _AGAIN if wide else 1]
+    paths = [valleys(target, x, matrix, _DIRECTIONS if wide else 1) for x, matrix, _ in best]
+    for start in (one for path in paths for one in path.onwards[:_AGAIN]):
+        starts.append(start)
+        search(start)
+    ends = [(x, matrix) for x, matrix, _ in found]
+    at, information, height = _dense(target, ends)
     near = np.flatnonzero(height > height.max(initial=-np.inf) - _FAR)
     order = near[np.argsort(-height[near])]
     if not len(order):
         return None
-    information = np.array([target.information(found[k][1]) for k in order])
-    return Modes(at[order], information, height[order], np.array(ended)[order], len(starts))
+    along_valleys = [
+        one for path in paths for one in zip(path.at, path.information, strict=True) if _definite(one[1])
+    ]
+    return Modes(
+        at[order], information[order], height[order], np.array(ended)[order], len(starts),
+        _dense(target, along_valleys),
+    )  # fmt: skip
+
+
+def _dense(target: Target, points: list[tuple[Array, Array]]) -> tuple[Array, Array, Array]:
+    """Points u (k, d) at the fit's noise levels, the information (k, d, d) and log density (k,) there."""
+    d = len(target.start)
+    at = np.array([np.concatenate([x, target.start[target.nv :]]) for x, _ in points]).reshape(-1, d)
+    information = np.array([target.information(matrix) for _, matrix in points]).reshape(-1, d, d)
+    return at, information, target.log_density(at)
 
 
 def inverse(matrix: Array) -> Array:

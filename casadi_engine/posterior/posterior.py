@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from casadi_engine.errors import PosteriorError, UntrustedPosteriorError
 from casadi_engine.estimation.fit import Fit
-from casadi_engine.estimation.options import chosen, whole
+from casadi_engine.estimation.options import check_likelihood, chosen, whole
 from casadi_engine.posterior import ensemble, importance
+from casadi_engine.posterior.box import Box
 from casadi_engine.posterior.bridge import bridge
 from casadi_engine.posterior.drawn import Drawn, thinned, weighed
+from casadi_engine.posterior.left_out import with_all_data
 from casadi_engine.posterior.modes import Modes, along, find_modes, inverse, separate
-from casadi_engine.posterior.psis import log_mean, pareto_smoothed
 from casadi_engine.posterior.result import Posterior, made
 from casadi_engine.posterior.target import Target
 
@@ -29,10 +30,10 @@ METHODS = ("auto", "importance", "ensemble")
 LEFT_OUT, SCATTER = (0.1, 0.02, 0.0), 1.0
 # Optima at which that is looked at.
 OPTIMA = 6
-# Draws at which nothing is left out, for the evidence and to see what it does; scatter that the draws' weights follow.
-LOOKED_AT, FELT = 200, 0.1
 # Searches for other optima that start around the fit's, for each dimension; where an evaluation is a simulation, none.
 WIDE = 4
+# Draws that a proposal has to be worth for walkers to start in its coordinates rather than in those without bounds.
+FEW = 20.0
 
 
 def posterior(
@@ -69,7 +70,8 @@ def posterior(
     ------
     PosteriorError : no fit, a fit that did not converge, a parameter without bounds, a direction that the data do not
         determine, or options that do not fit
-    UntrustedPosteriorError : the draws do not agree or are too few; nothing is returned then
+    UntrustedPosteriorError : the draws do not agree or are too few, or Ctrl-C came before they were drawn; nothing is
+        returned then
     MissingDependencyError : an ensemble is needed, and emcee is not installed
 
     Notes
@@ -105,7 +107,23 @@ def posterior(
     most = whole("evaluations", evaluations, 1000)
     begun = time.process_time()
     target = Target(fit)
-    tell = _teller(progress, target)
+    tell, said = _teller(progress, target)
+    try:
+        modes, drawn = _found(target, fit, method, count, seed, most, tell)
+    except KeyboardInterrupt:
+        raise UntrustedPosteriorError(
+            "the posterior was stopped before its draws could be trusted",
+            seen=f"Ctrl-C while {said[-1]}, after {target.evaluations} evaluations" if said else "Ctrl-C",
+            allowed="draws that pass their diagnostics",
+            cure="let it run; progress=print tells where it is",
+        ) from None
+    return made(fit, target, modes, separate(modes, target), drawn, seed, time.process_time() - begun)
+
+
+def _found(
+    target: Target, fit: Fit, method: str, count: int, seed: int, most: int, tell: Callable[[str], Any]
+) -> tuple[Modes, Drawn]:
+    """The optima and the draws, from as much of the data as it takes."""
     first = target.squares(target.start[: target.nv])
     if first is None:
         raise _improper("the slopes at the optimum are not finite")
@@ -124,8 +142,8 @@ def posterior(
         target.choose([*modes.at[:OPTIMA, : target.nv], *weak[:2]], left_out)
         drawn = _drawn(target, modes, method, random, count, most, tell)
         tell("looking at all data")
-        drawn, scatter = _with_all_data(target, drawn, random)
-    return made(fit, target, modes, separate(modes, target), drawn, seed, time.process_time() - begun)
+        drawn, scatter = with_all_data(target, drawn, random)
+    return modes, drawn
 
 
 def _drawn(
@@ -138,13 +156,20 @@ def _drawn(
     tell: Callable[[str], Any],
 ) -> Drawn:
     """Draws by the method that is asked for, or by the first that can be trusted."""
-    known, why = None, "asked for"
+    plain = box = Box.none(target.low)
+    density, known, why = box.density(target.log_density), None, "asked for"
     if method != "ensemble":
         tell("importance sampling")
-        found = importance.sample(target.log_density, modes.mixture(), random)
-        if found.trusted:
-            return weighed(found, "few smooth optima", count, random)
-        known, why = found.proposal, found.words
+        near = Box.about(modes.at[0], np.linalg.inv(modes.information[0]), target.low, target.high)
+        tried = []
+        for box in (plain, near) if near.closed.any() else (plain,):
+            density = box.density(target.log_density)
+            found = importance.sample(density, modes.mixture(box), random, count)
+            if found.trusted:
+                return box.drawn(weighed(found, "few smooth optima", count, random))
+            tried.append((box, found))
+        box, found = tried[0] if tried[0][1].size > FEW else tried[-1]
+        density, known, why = box.density(target.log_density), found.proposal, found.words
         if method == "importance":
             raise UntrustedPosteriorError(
                 "importance sampling does not describe this posterior",
@@ -154,75 +179,74 @@ def _drawn(
             )
     ensemble.emcee()
     tell("ensemble")
-    starts = [dispersed(target, modes, random) for _ in range(2)]
-    explored = ensemble.explore(target.log_density, starts, random, known)
+    starts = [dispersed(density, modes, box, random) for _ in range(2)]
+    explored = ensemble.explore(density, starts, random, known)
     if method == "auto":
         tell("importance sampling where the walkers have been")
-        found = importance.sample(target.log_density, explored.proposal, random)
+        found = importance.sample(density, explored.proposal, random, count)
         if found.trusted:
-            return weighed(found, "from where an ensemble of walkers has been", count, random)
+            return box.drawn(weighed(found, "from where an ensemble of walkers has been", count, random))
         explored = replace(explored, proposal=found.proposal)
         tell("ensemble")
-    return _by_walking(target, explored, random, count, most, why)
+    return box.drawn(_by_walking(target.names, density, explored, random, count, most, why))
 
 
 def _by_walking(
-    target: Target, explored: ensemble.Explored, random: np.random.Generator, count: int, most: int, why: str
+    names: tuple[str, ...],
+    density: Callable[[Array], Array],
+    explored: ensemble.Explored,
+    random: np.random.Generator,
+    count: int,
+    most: int,
+    why: str,
 ) -> Drawn:
     """Draws of an ensemble; raises UntrustedPosteriorError where its walkers do not agree."""
-    chains = ensemble.walk(target.log_density, explored, random, most=most)
+    chains = ensemble.walk(density, explored, random, most=most)
     if not chains.trusted:
         worst = int(np.argmax(chains.rhat))
         raise UntrustedPosteriorError(
             "the walkers of the ensemble do not agree yet",
-            seen=f"R-hat {chains.rhat[worst]:.3f} of {target.names[worst]}, worth {chains.size:.0f} independent draws "
+            seen=f"R-hat {chains.rhat[worst]:.3f} of {names[worst]}, worth {chains.size:.0f} independent draws "
             f"after {chains.evaluations} evaluations",
             allowed=f"R-hat up to {ensemble.LARGEST:g}, and {ensemble.FEWEST:.0f} draws",
             cure=f"give more, evaluations={4 * most}, or narrower bounds or priors for what the data tell little of",
         )
-    evidence = bridge(target.log_density, chains.x, chains.density, chains.size, random)
+    evidence = bridge(density, chains.x, chains.density, chains.size, random)
     return thinned(chains, evidence, count, why)
 
 
-def dispersed(target: Target, modes: Modes, random: np.random.Generator) -> Array:
+def dispersed(
+    density: Callable[[Array], Array], modes: Modes, box: Box, random: np.random.Generator
+) -> Array:
     """Where the walkers of an ensemble (w, d) start: half about the optima, half far along the weakest directions."""
-    d = len(target.names)
+    d = modes.at.shape[1]
     walkers = 2 * (d + 1)
-    factor = np.linalg.cholesky(np.linalg.inv(modes.information))
-    values, vectors = np.linalg.eigh(np.linalg.inv(modes.information[0]))
+    about = box.mixture(np.ones(len(modes.at)), modes.at, np.asarray(np.linalg.inv(modes.information)))
+    values, vectors = np.linalg.eigh(about.factor[0] @ about.factor[0].T)
     found: list[Array] = []
     for tried in range(100 * walkers):
         k = int(random.integers(len(modes.at)))
-        at = modes.at[k] + factor[k] @ random.standard_normal(d)
+        at = about.centre[k] + about.factor[k] @ random.standard_normal(d)
         if len(found) % 2:
             weak = np.argsort(values)[::-1][: min(2, d)]
             far = random.uniform(-8, 8, len(weak)) * np.sqrt(values[weak]) / (1 + tried // (10 * walkers))
             at = at + vectors[:, weak] @ far
-        if np.isfinite(target.log_density(at[None])[0]):
+        if np.isfinite(density(at[None])[0]):
             found.append(at)
         if len(found) == walkers:
-            break
-    return np.array(found)
+            return np.array(found)
+    raise UntrustedPosteriorError(
+        "the model cannot be evaluated around the optimum, or constraints leave no room there",
+        seen=f"{len(found)} of {100 * walkers} draws about the optima have a density",
+        allowed=f"{walkers} of them, for the walkers of an ensemble",
+        cure="widen the constraints that the fit rests on, or fix these parameters, and fit again",
+    )
 
 
-def _with_all_data(target: Target, drawn: Drawn, random: np.random.Generator) -> tuple[Drawn, float]:
-    """The draws and their evidence with what was left out, and the scatter of its log likelihood over them."""
-    bins = target.likelihood.bins
-    if bins is None or bins[0] == bins[1]:
-        return drawn, 0.0
-    some = random.choice(len(drawn.u), min(LOOKED_AT, len(drawn.u)), replace=False)
-    ratio = target.full(drawn.u[some]) - drawn.density[some]
-    scatter = float(ratio.std())
-    if scatter > FELT:
-        rest = np.setdiff1d(np.arange(len(drawn.u)), some)
-        ratio = np.concatenate([ratio, target.full(drawn.u[rest]) - drawn.density[rest]])
-        smooth, _ = pareto_smoothed(ratio)
-        drawn = drawn.reweighed(np.concatenate([some, rest]), smooth, random)
-    error = scatter / np.sqrt(len(ratio))
-    return drawn.with_evidence(log_mean(ratio), error), scatter
-
-
-def _teller(progress: Callable[[str, int], Any] | None, target: Target) -> Callable[[str], Any]:
+def _teller(
+    progress: Callable[[str, int], Any] | None, target: Target
+) -> tuple[Callable[[str], Any], list[str]]:
+    """A function that is told what is done, and all that it was told."""
     if progress is not None and not callable(progress):
         raise PosteriorError(
             "invalid `progress`",
@@ -230,7 +254,14 @@ def _teller(progress: Callable[[str, int], Any] | None, target: Target) -> Calla
             allowed="None, or a function of (what is done, evaluations so far)",
             cure="leave it out",
         )
-    return lambda words: progress(words, target.evaluations) if progress is not None else None
+    said: list[str] = []
+
+    def tell(words: str) -> None:
+        said.append(words)
+        if progress is not None:
+            progress(words, target.evaluations)
+
+    return tell, said
 
 
 def _improper(seen: str) -> PosteriorError:
@@ -244,27 +275,7 @@ def _improper(seen: str) -> PosteriorError:
 
 def _check(fit: Any) -> None:
     """Raise PosteriorError for what has no posterior here."""
-    if not isinstance(fit, Fit):
-        raise PosteriorError(
-            "a posterior needs a fit",
-            seen=type(fit).__name__,
-            allowed="a Fit",
-            cure="give what ce.estimate returned",
-        )
-    if not fit.converged or not fit.free:
-        raise PosteriorError(
-            "a posterior needs a fit that converged, with free parameters",
-            seen=fit.status if fit.free else "no free parameter",
-            allowed="a converged fit",
-            cure="fit again with other start values, more iterations, or more free parameters",
-        )
-    if fit.options.get("loss", "square") != "square":
-        raise PosteriorError(
-            "a posterior needs the likelihood of normal noise",
-            seen=f"loss={fit.options['loss']}",
-            allowed='loss="square"',
-            cure='fit again with loss="square", outliers masked',
-        )
+    check_likelihood(fit, "a posterior", PosteriorError)
     if fit.innovations is not None:
         raise PosteriorError(
             "the posterior of a model with a predictor is not available",

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.errors import PosteriorError
-from casadi_engine.estimation.options import whole
+from casadi_engine.estimation.options import check_level, whole
 from casadi_engine.estimation.simulate import simulate
 from casadi_engine.experiment import Experiment
 
@@ -50,6 +50,7 @@ class Predictive:
                 allowed=", ".join(self.runs),
                 cure="name an output of the model",
             )
+        check_level(level, PosteriorError)
         runs = self.runs[output]
         if not noise:
             low, high = np.quantile(runs, [(1 - level) / 2, (1 + level) / 2], axis=0)

@@ -68,18 +68,16 @@ class Prior:
             for name, log, low, high in zip(pmap.free, coordinates.log, pmap.lower, pmap.upper, strict=True)
         }
 
-    def log_density(self, v: Array) -> float:
-        """At v; -inf outside the bounds."""
-        if not ((v >= self.low) & (v <= self.high)).all():
-            return -np.inf
-        z = self._coordinates.values(v)[self._normal]
-        total = self._constant - 0.5 * float(
-            np.square((z - self._mean[self._normal]) / self._sigma[self._normal]).sum()
-        )
-        total += float(np.log(np.abs(self._coordinates.slope(v)[self._normal])).sum())
+    def log_density(self, v: Array) -> Array:
+        """(k,) at v (k, nv); -inf outside the bounds."""
+        z, slope = (one[:, self._normal] for one in (self._coordinates.values(v), self._coordinates.slope(v)))
+        total = self._constant - 0.5 * np.square(
+            (z - self._mean[self._normal]) / self._sigma[self._normal]
+        ).sum(axis=1)
+        total += np.log(np.abs(slope)).sum(axis=1)
         if self._tied is not None:
-            total -= 0.5 * float(np.square(np.asarray(self._tied(v))).sum())
-        return total
+            total -= 0.5 * np.square([np.asarray(self._tied(own))[:, 0] for own in v]).sum(axis=1)
+        return np.where(((v >= self.low) & (v <= self.high)).all(axis=1), total, -np.inf)
 
     def marginal(self, k: int, values: Array) -> Array:
         """Density of one parameter at values in its unit, in its coordinate (v), without that of the tied ones."""

@@ -33,7 +33,8 @@ def pareto_smoothed(log_weights: Array) -> tuple[Array, float]:
         return log_weights, (-np.inf if np.isfinite(found).all() else np.inf)
     k, sigma = _pareto(np.maximum(excess, 1e-300))
     share = (np.arange(tail) + 0.5) / tail
-    inverse = sigma * (np.expm1(-k * np.log1p(-share)) / k if abs(k) > 1e-12 else -np.log1p(-share))
+    with np.errstate(over="ignore"):  # of a tail that is far too heavy
+        inverse = sigma * (np.expm1(-k * np.log1p(-share)) / k if abs(k) > 1e-12 else -np.log1p(-share))
     found[largest] = np.minimum(np.log(inverse + cutoff), 0.0)
     return found + top, float(k)
 
@@ -71,4 +72,5 @@ def normalised(log_weights: Array) -> Array:
 
 def kish(weight: Array) -> float:
     """Independent draws that weighted ones are worth."""
-    return float(weight.sum() ** 2 / np.square(weight).sum())
+    most = float(weight.max(initial=0.0))
+    return float(np.sum(weight / most) ** 2 / np.square(weight / most).sum()) if most > 0 else 0.0

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +13,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.errors import PosteriorError
 from casadi_engine.estimation.fit import Fit
+from casadi_engine.estimation.options import check_level
 from casadi_engine.parameters import near_matches
 from casadi_engine.posterior.drawn import Drawn
 from casadi_engine.posterior.mixture import Mixture
@@ -96,14 +99,7 @@ class Posterior:
 
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
         """The interval that holds the parameter with this probability, as much on either side, in its unit."""
-        number = isinstance(level, int | float | np.floating) and not isinstance(level, bool)
-        if not number or not 0 < level < 1:
-            raise PosteriorError(
-                "invalid `level`",
-                seen=repr(level),
-                allowed="a number between 0 and 1",
-                cure="leave it out for 0.95",
-            )
+        check_level(level, PosteriorError)
         low, high = np.quantile(self[name], [(1 - level) / 2, (1 + level) / 2])
         return float(low), float(high)
 
@@ -129,12 +125,25 @@ class Posterior:
 
         return predictive(self, data, draws=draws, seed=seed)
 
+    def save(self, path: Any) -> Path:
+        """Write the draws, what they say and their fit as result.json, all or nothing, and return its path.
+
+        path : a file NAME.json, or a folder, which is made and gets a result.json. ``ce.load_result`` reads it back:
+        it prints as this does and has the draws, ``load_result(path).draws["J_eng"]``; records are not in it.
+        OutputError where it cannot be written.
+        """
+        # The room above this one knows the file, and is not there before it is needed.
+        save = import_module("casadi_engine.report.result_file").save_result
+        found: Path = save(self, path, "posterior", self.seconds, self.seed)
+        return found
+
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and lists, ready for JSON; the draws among them."""
         return {
             "names": list(self.names),
             "units": list(self.units),
             "draws": {name: own.tolist() for name, own in self.draws.items()},
+            "log_density": self.log_density.tolist(),
             "intervals": {
                 name: {str(level): list(self.interval(name, level / 100)) for level in (50, 80, 95)}
                 for name in self.names

@@ -18,11 +18,10 @@ from numpy.typing import NDArray
 
 from casadi_engine.estimation.levenberg_marquardt import Squares
 from casadi_engine.estimation.record import RecordTerm
-from casadi_engine.estimation.spectral import Bins, Response, SpectralRecord
+from casadi_engine.estimation.spectral import Bins, Response, SpectralRecord, Spectrum
 from casadi_engine.estimation.spectral_search import largest_share
-from casadi_engine.posterior.modal import Transients
+from casadi_engine.posterior.modal import Basis, Transients
 from casadi_engine.posterior.states import StatePrior
-from casadi_engine.simulation.discretisation import Discretisation
 from casadi_engine.simulation.linear import LinearPropagator
 
 Array = NDArray[np.float64]
@@ -31,6 +30,8 @@ Array = NDArray[np.float64]
 LEFT_OUT = 0.02
 # Growth of a state over a record from which its start says nothing.
 _GROWTH = 1e8
+# Products of states, outputs, bins and points that are worked on at once, and points.
+_AT_ONCE, _MOST = 2.0e5, 256
 _TRIED = 2.0 ** -np.arange(8.0, -0.5, -0.5)
 
 
@@ -47,11 +48,11 @@ class SpectralLikelihood:
         self._size = size
         self._fixed = [not len(_linear(record.record).drives_active) for record in self._records]
         self._chosen: list[NDArray[np.intp] | None] = [None] * len(self._records)
-        self._kept: dict[int, Bins] = {}
-        self._joint: dict[tuple[int, ...], Bins] = {}
+        self._kept: dict[int, Basis] = {}
         # of the bins left out: log likelihood, values of an output, their mean square, at which noise levels
         self._others: tuple[float, float, float, Array] = (0.0, 0.0, 1.0, np.ones(1))
         self.outputs = len(self._records[0].sigma)
+        self._groups = self._grouped()
 
     @property
     def bins(self) -> tuple[int, int]:
@@ -88,10 +89,12 @@ class SpectralLikelihood:
             ]
             if all(largest_share(w, p) <= left_out for w, p in zip(wholes, part, strict=True)):
                 break
-        self._chosen, self._kept, self._joint = list(chosen), {}, {}
+        self._chosen, self._kept = list(chosen), {}
+        self.states = [self._settled(k, points[0], sigma) for k in range(len(self.states))]
         self._others = 0.0, 0.0, 1.0, sigma
         count = sum(2 * (r.size - len(own)) for r, own in zip(self._records, chosen, strict=True))
-        rest = self.full(points[0], sigma) - self.value(points[0], sigma)
+        at, level = points[0][None], sigma[None]
+        rest = float((self.full(at, level) - self.value(at, level))[0])
         rest = rest if np.isfinite(rest) else 0.0
         squares = -2 * (rest + count * float(np.log(sigma).sum()))
         self._others = rest, float(count), squares / max(count * self.outputs, 1), sigma
@@ -116,83 +119,68 @@ class SpectralLikelihood:
 
     # ---- the likelihood
 
-    def value(self, v: Array, sigma: Array) -> float:
-        """Log likelihood in the chosen bins, that of the others as at the first point; -inf where there is none."""
+    def value(self, v: Array, sigma: Array) -> Array:
+        """Log likelihood (P,) in the chosen bins, that of the others as at the first point, at v (P, nv) and noise
+        levels (P, ny); -inf where there is none."""
         rest, count, square, level = self._others
         ratio = level / sigma
-        rest += float(np.sum(count * (np.log(ratio) - 0.5 * square * (ratio**2 - 1))))
+        rest = rest + np.sum(count * (np.log(ratio) - 0.5 * square * (ratio**2 - 1)), axis=1)
         return self._log(v, sigma, whole=False) + rest
 
-    def full(self, v: Array, sigma: Array) -> float:
+    def full(self, v: Array, sigma: Array) -> Array:
         """The same in all bins."""
         return self._log(v, sigma, whole=True)
 
-    def _log(self, v: Array, sigma: Array, *, whole: bool) -> float:
-        total = 0.0
+    def _log(self, v: Array, sigma: Array, *, whole: bool) -> Array:
+        total = np.zeros(len(v))
         with np.errstate(all="ignore"):
-            try:
-                for discrete, members in self._groups(v).values():
-                    total += self._of_group(v, discrete, members, sigma, whole=whole)
-            except (FloatingPointError, np.linalg.LinAlgError):
-                return -np.inf
-        return total if np.isfinite(total) else -np.inf
+            for members in self._groups:
+                fixed = all(self._fixed[k] for k in members)
+                largest = max(self._used(k, whole=whole) for k in members)
+                count = int(_AT_ONCE / (self._records[members[0]].record.n * self.outputs * largest))
+                count = min(max(count, 1), _MOST) if fixed else 1
+                for begin in range(0, len(v), count):
+                    at = slice(begin, begin + count)
+                    total[at] += self._of_group(v[at], members, sigma[at], whole=whole)
+        return np.where(np.isfinite(total), total, -np.inf)
 
-    def _groups(self, v: Array) -> dict[int, tuple[Discretisation, list[int]]]:
+    def _grouped(self) -> list[list[int]]:
         """Records whose discrete matrices are the same."""
-        found: dict[int, tuple[Discretisation, list[int]]] = {}
+        found: dict[tuple[int, bytes], list[int]] = {}
         for k, record in enumerate(self._records):
-            discrete = _linear(record.record).discretisation(v[record.record.active], 0)
-            found.setdefault(id(discrete), (discrete, []))[1].append(k)
-        return found
+            key = id(_linear(record.record).core), record.record.active.tobytes()
+            found.setdefault(key, []).append(k)
+        return list(found.values())
 
-    def _bins(self, k: int, v: Array, *, whole: bool) -> Bins:
+    def _used(self, k: int, *, whole: bool) -> int:
+        chosen = self._chosen[k]
+        return self._records[k].size if whole or chosen is None else len(chosen)
+
+    def _basis(self, k: int, v: Array, *, whole: bool) -> Basis:
+        """Of one record at v, kept where it is the same for every v."""
         if not whole and k in self._kept:
             return self._kept[k]
         record, chosen = self._records[k], self._chosen[k]
         bins = record.bins(v[record.record.active], record.below(np.inf))
         if whole or chosen is None:
-            return bins
-        bins = Bins(
-            bins.samples,
-            bins.z[chosen],
-            bins.share[chosen],
-            np.ascontiguousarray(bins.drives[:, chosen]),
-            bins.slopes[:0],
-            np.ascontiguousarray(bins.measured[:, chosen]),
-        )
+            return Basis.of(bins)
+        found = Basis.of(_some(bins, chosen, bins.slopes[:0]))
         if self._fixed[k]:
-            self._kept[k] = bins
-        return bins
+            self._kept[k] = found
+        return found
 
-    def _of_group(
-        self, v: Array, discrete: Discretisation, members: list[int], sigma: Array, *, whole: bool
-    ) -> float:
-        own = [self._bins(k, v, whole=whole) for k in members]
-        joint = self._side_by_side(members, own, keep=not whole)
-        model, ny = Transients(discrete, joint, sigma), len(sigma)
-        if not all(np.abs(model.poles).max(initial=0.0) ** bins.samples < _GROWTH for bins in own):
-            raise FloatingPointError("the states grow beyond what their start decides")
-        total, at = 0.0, 0
-        for k, bins in zip(members, own, strict=True):
-            part = slice(at, at + len(bins.z))
-            at = part.stop
-            rows, rest = model.rows[:, :, part], model.rest[:, part].ravel()
-            known = StatePrior(model.turn @ self.states[k].mean, model.turn @ self.states[k].factor)
-            total -= 0.5 * sum(known.marginal(rows.reshape(len(rows), -1), rest))
-            total -= rest.size / ny * float(np.log(sigma).sum())
+    def _of_group(self, v: Array, members: list[int], sigma: Array, *, whole: bool) -> Array:
+        """Log likelihood (P,) of records with the same discrete matrices."""
+        first = self._records[members[0]].record
+        model = Transients(_linear(first).core, v[:, first.active], sigma)
+        total = np.zeros(len(v))
+        for k in members:
+            basis = self._basis(k, v[0], whole=whole)
+            rows, rest = model.at(basis)
+            total += self.states[k].integral(rows, rest, model.turn)[0]
+            total -= 2 * len(basis.z) * np.log(sigma).sum(axis=1)
+            total[~(basis.bins.samples * np.log(model.radius) < np.log(_GROWTH))] = -np.inf
         return total
-
-    def _side_by_side(self, members: list[int], own: list[Bins], *, keep: bool) -> Bins:
-        """The bins of several records, kept where they are the same for every v."""
-        if len(own) == 1:
-            return own[0]
-        key = tuple(members)
-        if keep and key in self._joint:
-            return self._joint[key]
-        joint = _joined(own)
-        if keep and all(self._fixed[k] for k in members):
-            self._joint[key] = joint
-        return joint
 
     # ---- slopes, for searches
 
@@ -212,37 +200,40 @@ class SpectralLikelihood:
         return Squares(cost, gradient, matrix) if np.isfinite(cost) and np.isfinite(matrix).all() else None
 
     def _gram(self, k: int, v: Array, sigma: Array) -> Array:
+        response, bins, forced, left = self._response(k, v, sigma)
+        known = self.states[k]
+        best = known.best(response.seen, left)
+        flat = response.columns(bins, forced, best, _linear(self._records[k].record).drives_active)
+        flat[0] += known.mean @ response.seen
+        return np.asarray(flat @ flat.T - known.without(response.seen, flat))
+
+    def _settled(self, k: int, v: Array, sigma: Array) -> StatePrior:
+        """The prior of a record's states as searches use it."""
+        response, _, _, left = self._response(k, v, sigma)
+        rest = left - self.states[k].mean @ response.seen
+        return self.states[k].settled(response.seen, rest)
+
+    def _response(
+        self, k: int, v: Array, sigma: Array
+    ) -> tuple[Response, Bins, tuple[Spectrum, Spectrum, Spectrum], Array]:
+        """One record in the chosen bins, and its residual (L,) with the states at the prior's mean."""
         record, chosen = self._records[k].record, self._chosen[k]
         z = v[record.active]
         discrete = _linear(record).discretisation(z, 1)
         bins = self._records[k].bins(z, self._records[k].below(np.inf))
         if chosen is not None:
-            bins = Bins(
-                bins.samples, bins.z[chosen], bins.share[chosen], np.ascontiguousarray(bins.drives[:, chosen]),
-                np.ascontiguousarray(bins.slopes[..., chosen]), np.ascontiguousarray(bins.measured[:, chosen]),
-            )  # fmt: skip
-        response, known = Response(discrete, bins, sigma), self.states[k]
+            bins = _some(bins, chosen, np.ascontiguousarray(bins.slopes[..., chosen]))
+        response = Response(discrete, bins, sigma)
         forced = response.forced(bins)
         rest = np.ascontiguousarray(forced[0].reshape(-1)).view(np.float64)
-        best = known.best(response.seen, rest)
-        flat = response.columns(bins, forced, best, _linear(record).drives_active)
-        flat[0] += known.mean @ response.seen
-        seen = known.factor.T @ response.seen
-        cross = seen @ flat.T
-        return np.asarray(flat @ flat.T - cross.T @ np.linalg.solve(np.eye(len(seen)) + seen @ seen.T, cross))
+        return response, bins, forced, rest + self.states[k].mean @ response.seen
 
 
 def _linear(record: RecordTerm) -> LinearPropagator:
     return cast(LinearPropagator, record.propagator)
 
 
-def _joined(parts: list[Bins]) -> Bins:
-    """The bins of several records side by side."""
-    return Bins(
-        max(part.samples for part in parts),
-        np.concatenate([part.z for part in parts]),
-        np.concatenate([part.share for part in parts]),
-        np.concatenate([part.drives for part in parts], axis=1),
-        parts[0].slopes[:0],
-        np.concatenate([part.measured for part in parts], axis=1),
-    )
+def _some(bins: Bins, chosen: NDArray[np.intp], slopes: Spectrum) -> Bins:
+    """The bins with these numbers."""
+    drives, measured = (np.ascontiguousarray(own[:, chosen]) for own in (bins.drives, bins.measured))
+    return Bins(bins.samples, bins.z[chosen], bins.share[chosen], drives, slopes, measured)

@@ -1,17 +1,21 @@
 """What is known of a record's initial states before it is looked at: they are like any others along the record.
 
-A flat prior does not do. An engine's record begins in the middle of its running, and each of its torsional modes may
-start with any amplitude then: a rival model, whose modes are at other frequencies, is free to fit noise by them, mode
-by mode and record by record, and wins against the truth far more often than its probability says.
+A flat prior does not do, nor one that is far too wide. An engine's record begins in the middle of its running, and each
+of its torsional modes may start with any amplitude then: a rival model, in which some modes are hardly seen, has more
+room for amplitudes that fit noise, and wins against the truth far more often than its probability says.
+
+What a fit finds for the first states holds such noise itself, and so does the trajectory from there until it has died
+out. The prior is therefore that of the motion in the later half of the trajectory, or else, as a record may begin with
+a run-up or a free motion that dies, one as wide as the states are large: both are taken for as probable, and integrated
+over. So is the width, flat in its logarithm from that to ten times as much.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpotrf, dpotrs
 
 from casadi_engine.estimation.options import interval_length
 from casadi_engine.estimation.record import RecordTerm
@@ -19,59 +23,115 @@ from casadi_engine.estimation.starts import chained_nodes
 
 Array = NDArray[np.float64]
 
-# The prior is so many times as wide as the states' motion along the record.
-WIDE = 1.5
-# Share of a state's own standard deviation, and of its size, that it may differ by itself.
-_ALONE, _STILL = 0.1, 1e-3
-# With fewer states along the record, each state's size stands for its motion.
+# Widths of the prior over which is integrated, in those of the states' motion along the record.
+WIDTHS = 10.0 ** np.linspace(0, 1, 5)
+# Share of a state's own standard deviation, and of its size, that it may differ by itself: no more than keeps the
+# covariance off singular, as what is not seen along the record would be free to fit noise.
+_ALONE, _STILL = 1e-3, 1e-6
+# With fewer states along the record they say nothing of the motion.
 _FEWEST = 10
 
 
 @dataclass(frozen=True)
 class StatePrior:
-    """A normal density of scaled states: mean (n,), and a lower factor (n, n) of the covariance."""
+    """Normal densities of scaled states, as probable as one another: means (a, n), and lower factors (a, n, n) of the
+    covariances at width 1.
 
-    mean: Array
-    factor: Array
+    chosen, width : the one that searches use
+    """
+
+    means: Array
+    factors: Array
+    chosen: int = 0
+    width: float = 1.0
+
+    @property
+    def mean(self) -> Array:
+        """(n,) that searches use."""
+        return np.asarray(self.means[self.chosen])
+
+    @property
+    def factor(self) -> Array:
+        """(n, n) that searches use, with the width."""
+        return self.width * self.factors[self.chosen]
 
     def of_sum(self) -> StatePrior:
         """That of the sum of two independent states, the first and the last one."""
-        return StatePrior(2 * self.mean, np.sqrt(2) * self.factor)
+        return replace(self, means=2 * self.means, factors=np.sqrt(2) * self.factors)
 
-    def marginal(self, rows: Array, rest: Array) -> tuple[float, float]:
-        """Chi-squared at the best states, these included, and the log determinant that their integral leaves.
+    def part(self, index: NDArray[np.intp]) -> StatePrior:
+        """That of some of the states."""
+        covariances = (self.factors @ self.factors.swapaxes(1, 2))[:, index][:, :, index]
+        factors = np.asarray(np.linalg.cholesky(covariances), dtype=np.float64)
+        return replace(self, means=self.means[:, index], factors=factors)
 
-        rows : (n, L) what a state does to the residual, whose value without any is rest (L,)
-        Raises FloatingPointError where a number is not finite.
+    def settled(self, rows: Array, rest: Array) -> StatePrior:
+        """The same, searches with what is most probable for rows (n, L) and a residual (L,); see ``integral``."""
+        logs = self._logs(rows[None], rest[None], None)[0][:, :, 0]
+        chosen, width = np.unravel_index(np.argmax(logs), logs.shape)
+        return replace(self, chosen=int(chosen), width=float(WIDTHS[width]))
+
+    def integral(self, rows: Array, rest: Array, turn: Array | None = None) -> tuple[Array, Array]:
+        """Log likelihood (P,) with states, width and which density integrated out, and the mean states (P, n) given the
+        data, at P points; NaN where a number is not finite.
+
+        rows : (P, n, L) what a state does to the residual, which is ``rest`` (P, L) with states of zero
+        turn : (P, n, n) of the coordinates in which the rows are; without any, those of the prior
         """
-        left = rest + self.mean @ rows
-        seen = self.factor.T @ rows
-        known = seen @ seen.T
-        known.flat[:: len(known) + 1] += 1.0
-        factor, failed = dpotrf(known, lower=1)
-        if failed or not np.isfinite(factor).all():
-            raise FloatingPointError("the states' share is not finite")
-        pull = seen @ left
-        squares = float(left @ left - pull @ dpotrs(factor, pull, lower=1)[0])
-        return squares, 2 * float(np.log(np.diag(factor)).sum())
+        logs, states = self._logs(rows, rest, turn)
+        top = logs.max(axis=(0, 1))
+        share = np.exp(logs - top)
+        total = top + np.log(share.mean(axis=(0, 1)))
+        return total, (share[..., None] * states).sum(axis=(0, 1)) / share.sum(axis=(0, 1))[:, None]
 
-    def best(self, rows: Array, rest: Array) -> Array:
-        """The states (n,) of the least chi-squared, these included."""
+    def _logs(self, rows: Array, rest: Array, turn: Array | None) -> tuple[Array, Array]:
+        """Log likelihood (a, w, P) and mean states (a, w, P, n) for each density and width."""
+        gram, logs, states = rows @ rows.swapaxes(-1, -2), [], []
+        for mean, factor in zip(self.means, self.factors, strict=True):
+            if turn is not None:
+                mean, factor = turn @ mean, turn @ factor
+            left = rest + (np.broadcast_to(mean, rows.shape[:2])[:, None] @ rows)[:, 0]
+            back = factor.swapaxes(-1, -2)
+            known = back @ gram @ factor
+            fine = np.isfinite(known).all(axis=(-1, -2))
+            sizes, axes = np.linalg.eigh(np.where(fine[:, None, None], known, 0.0))
+            pull = (axes.swapaxes(-1, -2) @ (back @ (rows @ left[..., None])))[..., 0]
+            square = np.square(WIDTHS)[:, None, None]
+            grown = 1.0 + square * np.maximum(sizes, 0.0)
+            own = 0.5 * (square * pull**2 / grown - np.log(grown)).sum(axis=-1)
+            logs.append(np.where(fine, own - 0.5 * np.square(left).sum(axis=-1), np.nan))
+            states.append(mean - (factor @ (axes @ (square * pull / grown)[..., None]))[..., 0])
+        return np.array(logs), np.array(states)
+
+    def best(self, rows: Array, left: Array) -> Array:
+        """The states (n,) of the least chi-squared for searches, the prior included; ``left`` (L,) with its mean."""
         seen = self.factor.T @ rows
-        pull = seen @ (rest + self.mean @ rows)
-        return np.asarray(self.mean - self.factor @ np.linalg.solve(np.eye(len(seen)) + seen @ seen.T, pull))
+        moved = np.linalg.solve(np.eye(len(seen)) + seen @ seen.T, seen @ left)
+        return np.asarray(self.mean - self.factor @ moved)
+
+    def without(self, rows: Array, flat: Array) -> Array:
+        """What the states take in searches from the products flat @ flat.T of rows (m, L)."""
+        seen = self.factor.T @ rows
+        cross = seen @ flat.T
+        return np.asarray(cross.T @ np.linalg.solve(np.eye(len(seen)) + seen @ seen.T, cross))
 
 
 def state_prior(record: RecordTerm, v: Array, first: Array) -> StatePrior:
     """From the states along a record, simulated at v (nv,) from ``first`` (n,), scaled."""
     if record.linear and record.plan.m > _FEWEST:  # a fit may have cut it into few intervals
         record = record.again(gain=record.gain, length=interval_length("auto", record.grid))
+    size = np.maximum(np.abs(first), 1.0)
+    wide = np.zeros(len(first)), np.diag(size)
     nodes = chained_nodes(record, v, first)
-    if not np.isfinite(nodes).all() or len(nodes) < _FEWEST:
-        size = np.maximum(np.abs(first), 1.0)
-        return StatePrior(np.zeros(len(first)), np.diag(WIDE * size))
+    later = nodes[len(nodes) // 2 :]
+    known = len(later) >= _FEWEST and np.isfinite(nodes).all()
+    shapes = [(later.mean(axis=0), _factor(later)), wide] if known else [wide]
+    return StatePrior(np.array([mean for mean, _ in shapes]), np.array([factor for _, factor in shapes]))
+
+
+def _factor(nodes: Array) -> Array:
+    """Lower factor (n, n) of the covariance of states (M, n)."""
     mean, spread = nodes.mean(axis=0), nodes.std(axis=0)
     own = (_ALONE * spread) ** 2 + (_STILL * np.abs(mean)) ** 2 + 1e-18
     away = nodes - mean
-    covariance = away.T @ away / len(nodes) + np.diag(own)
-    return StatePrior(mean, WIDE * np.linalg.cholesky(covariance))
+    return np.asarray(np.linalg.cholesky(away.T @ away / len(nodes) + np.diag(own)))

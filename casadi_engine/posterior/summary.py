@@ -48,7 +48,10 @@ def _digits(ends: tuple[float, float]) -> int:
 
 
 def _number(value: float, digits: int) -> str:
-    """A number with so many digits after the point; as a power of ten where that is too long."""
+    """A number with so many digits after the point, or two that count where these are zeros; as a power of ten where
+    that is too long."""
+    if value and abs(value) < 10.0 ** (1 - digits):
+        digits = int(1 - np.floor(np.log10(abs(value))))
     size = np.floor(np.log10(abs(value))) if value else 0.0
     if size >= 7 or size < -4:
         return f"{value:.{max(int(size) + digits, 1)}e}"

@@ -37,16 +37,16 @@ class Likelihood(Protocol):
         """Leave out what says little at these points."""
         ...
 
-    def value(self, v: Array, sigma: Array) -> float:
-        """Log likelihood, but for what does not depend on v and sigma."""
+    def value(self, v: Array, sigma: Array) -> Array:
+        """(k,) log likelihood, but for what does not depend on v and sigma."""
         ...
 
-    def full(self, v: Array, sigma: Array) -> float:
+    def full(self, v: Array, sigma: Array) -> Array:
         """The same with nothing left out."""
         ...
 
     def squares(self, v: Array, sigma: Array) -> Squares | None:
-        """Half the sum of squares with slopes."""
+        """Half the sum of squares with slopes, at one point v (nv,), sigma (ny,)."""
         ...
 
 
@@ -94,27 +94,29 @@ class Target:
 
     def log_density(self, u: Array) -> Array:
         """(k,) at u (k, d): of prior and likelihood, in what is left of the data."""
-        return np.array([self._one(row, whole=False) for row in u])
+        return self._log(u, whole=False)
 
     def full(self, u: Array) -> Array:
         """(k,) of all data."""
-        return np.array([self._one(row, whole=True) for row in u])
+        return self._log(u, whole=True)
 
-    def _one(self, u: Array, *, whole: bool) -> float:
-        v = u[: self.nv]
-        prior = self.prior.log_density(v)
-        if not np.isfinite(prior) or (np.abs(u[self.nv :]) > np.log(LEVELS)).any():
-            return -np.inf
-        if self.search.problem.user.count and self.search.constraints.violated(v):
-            return -np.inf
-        self.evaluations += 1
-        evaluate = self.likelihood.full if whole else self.likelihood.value
-        return prior + evaluate(v, self.sigma(u)) + self._constant
+    def _log(self, u: Array, *, whole: bool) -> Array:
+        v = u[:, : self.nv]
+        found = self.prior.log_density(v)
+        found[(np.abs(u[:, self.nv :]) > np.log(LEVELS)).any(axis=1)] = -np.inf
+        if self.search.problem.user.count:
+            found[[bool(self.search.constraints.violated(own)) for own in v]] = -np.inf
+        inside = np.isfinite(found)
+        if inside.any():
+            self.evaluations += int(inside.sum())
+            evaluate = self.likelihood.full if whole else self.likelihood.value
+            found[inside] += evaluate(v[inside], self.sigma(u[inside])) + self._constant
+        return found
 
     def sigma(self, u: Array) -> Array:
-        """(ny,) noise levels at u (d,)."""
-        found = self._sigma.copy()
-        found[self._unknown] *= np.exp(u[self.nv :])
+        """(k, ny) noise levels at u (k, d)."""
+        found = np.tile(self._sigma, (len(u), 1))
+        found[:, self._unknown] *= np.exp(u[:, self.nv :])
         return found
 
     def squares(self, v: Array) -> Squares | None:
@@ -141,7 +143,7 @@ class Target:
 
     def values(self, u: Array) -> Array:
         """(k, d) in the parameters' units, at u (k, d)."""
-        z = np.array([self.coordinates.values(row[: self.nv]) for row in u]).reshape(len(u), self.nv)
+        z = self.coordinates.values(u[:, : self.nv])
         levels = np.exp(u[:, self.nv :]) * self._sigma[self._unknown]
         return np.concatenate([z, levels], axis=1)
 

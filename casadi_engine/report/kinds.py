@@ -16,13 +16,14 @@ KINDS = "a Fit, a Validation, a Simulated, a Repair"
 # What report and plot also take.
 READ_BACK = ", a loaded Result"
 # What can be drawn, but has no page.
-DRAWN_ONLY = ", a Posterior, Modes, a Reduction, an Experiment, Orders, a Prediction"
+DRAWN_ONLY = ", a Posterior, a Comparison, Modes, a Reduction, an Experiment, Orders, a Prediction"
 # The modules that show the less common kinds; each needs the package that its results come from.
 OTHERS = (
     "identifiability_figures",
     "modes_figures",
     "orders_figures",
     "posterior_figures",
+    "posterior_result",
     "prediction_figures",
     "repaired",
     "repaired_figures",

@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.posterior.comparison import Comparison
 from casadi_engine.posterior.predictive import Predictive
 from casadi_engine.posterior.result import Posterior
 from casadi_engine.report import panels
@@ -34,6 +35,11 @@ def _(result: Posterior) -> dict[str, Maker]:
         f"prediction {record.name}": partial(_foretold, result, record.name) for record in result.fit.data
     }
     return made
+
+
+@figures.register
+def _(result: Comparison) -> dict[str, Maker]:
+    return {"overview": lambda: _evidence(result)}
 
 
 @figures.register
@@ -112,7 +118,7 @@ def _two_ticks(values: Array) -> list[float]:
     step = 10.0 ** np.floor(np.log10(max(high - low, 1e-300)))
     step = step if high - low > 2 * step else step / 2
     first, last = np.ceil(low / step) * step, np.floor(high / step) * step
-    short = max(len(f"{end:g}") for end in (first, last)) < 8
+    short = sum(len(f"{end:g}") for end in (first, last)) < 11
     return [float(first), float(last)] if last > first and short else [float(first)]
 
 
@@ -134,6 +140,28 @@ def _modes(post: Posterior) -> Sketch:
         panel.xlim = (0.4, len(places) + 0.6)
         panels.dress(panel, x="mode", y=y, title=title)
     right.ylim = (0.0, 105.0)
+    return sketch
+
+
+def _evidence(found: Comparison) -> Sketch:
+    """How far the log evidence of each model lies below the best one's, with its standard error."""
+    names = list(found.log_evidence)
+    logs = np.array([found.log_evidence[name] for name in names])
+    below, places = logs.max() - logs, np.arange(len(names))
+    sketch = Sketch(8, 1.4 + 0.45 * len(names))
+    panel = sketch.panel()
+    for place, name in enumerate(names):
+        panel.barh(place, float(below[place]), 0.5, color=panels.SIMULATED)
+        share = 100 * found.probability[name]
+        probable = f"{share:.3g} %" if share >= 1e-3 else "< 0.001 %"
+        words = f" {below[place]:.2f} ± {found.error[name]:.2g}, probability {probable}"
+        panel.write(words, float(below[place]), place, va="center")
+    panel.ylim, panel.flipped = (-0.6, len(names) - 0.4), True
+    panel.ynames = (places.tolist(), names)
+    panel.xlim = (0.0, max(1.0, 1.8 * float(below.max())))
+    panels.dress(
+        panel, x="log evidence below that of the best model", y="", title="which model the records ask for"
+    )
     return sketch
 
 

@@ -37,7 +37,7 @@ def to_result(
 ) -> dict[str, Any]:
     """Return a Fit, a Validation or a Simulated as the plain data of result.json.
 
-    command : "fit", "validate" or "simulate".  arguments : what the command was given, JSON-able
+    command : "fit", "validate", "simulate", "repair" or "posterior".  arguments : what the command was given, JSON-able
     seconds : wall time without imports [s].  seed : of the multi-start
 
     Every null in place of a number has a reason under ``why`` of the same object.
@@ -67,12 +67,11 @@ def write_result(path: Any, document: Mapping[str, Any]) -> Path:
     return write_file(path, (text + "\n").encode())
 
 
-def save_result(result: Any, path: Any) -> Path:
-    """Write a Repair as NAME.json, or as result.json into a folder, which is made; return the path of the file."""
+def save_result(result: Any, path: Any, command: str, seconds: float, seed: int | None) -> Path:
+    """Write a result as NAME.json, or as result.json into a folder, which is made; return the path of the file."""
     named = isinstance(path, str | os.PathLike) and not os.fsdecode(path).endswith(".json")
     file = os.path.join(os.fsdecode(path), "result.json") if named else path
-    seconds, seed = result.timing.get("total", 0.0), result.options.get("seed")
-    return write_result(file, to_result(result, command="repair", arguments={}, seconds=seconds, seed=seed))
+    return write_result(file, to_result(result, command=command, arguments={}, seconds=seconds, seed=seed))
 
 
 @singledispatch

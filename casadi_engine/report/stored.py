@@ -44,7 +44,7 @@ class Result(Mapping[str, Any]):
         return f"Result({self.path!r}: {self['command']}, {self['status']})"
 
     def __str__(self) -> str:
-        """What the result printed when it was made, where that is stored (a repair)."""
+        """What the result printed when it was made, where that is stored (a repair, a posterior)."""
         return str(self.document.get("summary", repr(self)))
 
     @property
@@ -80,6 +80,18 @@ class Result(Mapping[str, Any]):
         """(nz, nz) covariance of the free parameters, NaN where the file has null."""
         rows = [[_number(entry) for entry in row] for row in self._of_fit("covariance")]
         return np.array(rows, dtype=float).reshape(len(rows), len(rows))
+
+    @property
+    def draws(self) -> dict[str, NDArray[np.float64]]:
+        """Name -> (n,) draws of a stored posterior, in the parameter's unit; those of one number belong together."""
+        if "posterior" not in self.document:
+            raise ResultError(
+                f"{self.path}: this result has no draws",
+                seen=f"a result of {self['command']}",
+                allowed="a posterior that was saved",
+                cure="write one, ce.posterior(fit).save(path)",
+            )
+        return {name: np.array(own, dtype=float) for name, own in self["posterior"]["draws"].items()}
 
     def parameter_set(self) -> Parameters:
         """Return a fresh, changeable set of parameters at the stored optimum, with ties and constraints.

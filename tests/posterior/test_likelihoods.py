@@ -13,7 +13,7 @@ from casadi_engine.posterior.spectral_likelihood import SpectralLikelihood
 from casadi_engine.posterior.states import StatePrior
 from casadi_engine.posterior.target import Target
 
-WIDE = [StatePrior(np.zeros(3), 10 * np.eye(3))]
+WIDE = [StatePrior(np.zeros((1, 3)), 10 * np.eye(3)[None])]
 POINTS = [(0.4, 0.5), (0.41, 0.49), (0.35, 0.6), (0.8, 0.01)]
 
 
@@ -23,10 +23,8 @@ def test_it_is_that_of_the_closed_form(run_up, closed_form, gap):
     target = Target(ce.estimate(ce.one_inertia(), record, noise=ce.Noise(omega=0.02), progress=False))
     assert isinstance(target.likelihood, LaplaceLikelihood if gap else SpectralLikelihood)
     levels = (0.02, 0.03, 0.02, 0.1)
-    found = [
-        target.likelihood.full(target.coordinates.of(np.array(z)), np.array([sigma]))
-        for z, sigma in zip(POINTS, levels, strict=True)
-    ]
+    points = np.array([target.coordinates.of(np.array(z)) for z in POINTS])
+    found = target.likelihood.full(points, np.array(levels)[:, None])
     expected = [
         closed_form(record, *z, sigma, target.likelihood) for z, sigma in zip(POINTS, levels, strict=True)
     ]
@@ -42,7 +40,7 @@ def test_a_shaft_has_the_same_likelihood_in_samples_and_in_bins(two_masses):
         for record in target.search.records
     }
     held = {name: np.zeros(len(states), dtype=bool) for name, states in first.items()}
-    wide = [StatePrior(np.zeros(3), 1e3 * np.eye(3))]
+    wide = [StatePrior(np.zeros((1, 3)), 1e3 * np.eye(3)[None])]
     samples = LaplaceLikelihood(shots, first, target.start, held, wide)
     bins = SpectralLikelihood(target.search.records, target.nv, wide)
     sigma, random = np.array([0.1]), np.random.default_rng(0)
@@ -64,32 +62,31 @@ def test_few_bins_keep_the_likelihood_about_the_optimum(two_masses):
     used, whole = likelihood.bins
     assert used < whole / 20
     points = [target.start + spread @ random.standard_normal(target.nv) for _ in range(30)]
-    left = np.array([likelihood.full(v, sigma) - likelihood.value(v, sigma) for v in points])
+    points, sigmas = np.array(points), np.full((30, 1), 0.1)
+    left = likelihood.full(points, sigmas) - likelihood.value(points, sigmas)
     assert np.abs(left).max() < 0.5
-    assert np.std([likelihood.value(v, sigma) for v in points]) > 5 * left.std()
+    assert np.std(likelihood.value(points, sigmas)) > 5 * left.std()
     # a larger noise level makes the bins that are left out more likely, as it does the others
-    wide = [
-        likelihood.full(target.start, s * sigma) - likelihood.value(target.start, s * sigma) for s in (1, 1.1)
-    ]
+    at, levels = np.array([target.start, target.start]), np.array([[0.1], [0.11]])
+    wide = likelihood.full(at, levels) - likelihood.value(at, levels)
     assert wide[0] == pytest.approx(wide[1], abs=0.05)
 
 
 def test_poles_that_coincide_are_worked_on_plainly(two_masses, monkeypatch):
     _, target = two_masses
     record = target.search.records[0]
-    discrete = record.propagator.discretisation(target.start, 0)
-    likelihood = SpectralLikelihood([record], target.nv, WIDE)
-    bins = likelihood._bins(0, target.start, whole=True)
-    sigma = np.array([0.1])
-    one = Transients(discrete, bins, sigma)
-    monkeypatch.setattr(import_module("casadi_engine.posterior.modal"), "_SOUND", 0.0)
-    two = Transients(discrete, bins, sigma)
-    values = [WIDE[0].marginal(own.turn.T @ own.rows.reshape(3, -1), own.rest.ravel()) for own in (one, two)]
-    assert values[0] == pytest.approx(values[1], rel=1e-8)
-    np.testing.assert_allclose(np.sort_complex(one.poles), np.sort_complex(two.poles), rtol=1e-8)
+    core, sigma = record.propagator.core, np.array([[0.1]] * 2)
+    basis = SpectralLikelihood([record], target.nv, WIDE)._basis(0, target.start, whole=True)
+    at, found = np.array([target.start, target.start + 0.1]), []
+    for sound in (1e7, 0.0):
+        monkeypatch.setattr(import_module("casadi_engine.posterior.modal"), "_SOUND", sound)
+        model = Transients(core, at, sigma)
+        found.append((WIDE[0].integral(*model.at(basis), model.turn)[0], model.radius))
+    np.testing.assert_allclose(found[0][0], found[1][0], rtol=1e-8)
+    np.testing.assert_allclose(found[0][1], found[1][1], rtol=1e-8)
 
 
 def test_what_cannot_be_evaluated_has_no_likelihood(two_masses):
     _, target = two_masses
-    assert target.likelihood.full(np.full(target.nv, np.nan), np.array([0.1])) == -np.inf
+    assert target.likelihood.full(np.full((1, target.nv), np.nan), np.array([[0.1]])) == [-np.inf]
     assert target.likelihood.squares(np.full(target.nv, np.nan), np.array([0.1])) is None

@@ -8,6 +8,7 @@ import pytest
 
 import casadi_engine as ce
 from casadi_engine.errors import PosteriorError, UntrustedPosteriorError
+from casadi_engine.posterior.box import Box
 from casadi_engine.posterior.target import Target
 
 SIGMA = 0.02
@@ -92,6 +93,18 @@ def test_bounds_ties_and_constraints_hold(run_up):
     )
     assert tied.names == ("J_eng",)
     assert tied["J_eng"].std() < 0.001
+
+
+def test_an_optimum_in_a_corner_of_its_bounds_is_drawn_from(run_up):
+    pars = ce.one_inertia().parameters()
+    pars["J_eng"].set(0.45, min=0.4405, max=5)
+    pars["C_eng"].set(0.4, min=0.0, max=0.47)
+    fit = ce.estimate(ce.one_inertia(), run_up(), parameters=pars, noise=ce.Noise(omega=0.02), progress=False)
+    assert fit.estimates["C_eng"].at_bound
+    found = ce.posterior(fit, method="importance")
+    assert found["J_eng"].min() >= 0.4405
+    assert found["C_eng"].max() <= 0.47
+    assert found.interval("C_eng", 0.5)[0] > 0.469
 
 
 def test_a_normal_prior_counts_once(run_up, closed_form, post):
@@ -216,6 +229,17 @@ def test_draws_that_cannot_be_trusted_are_no_answer(fit, monkeypatch):
     assert UntrustedPosteriorError.exit_code == 3
 
 
+def test_walkers_that_have_no_room_are_named(two_masses):
+    from casadi_engine.posterior.modes import find_modes
+
+    fit, target = two_masses
+    random = np.random.default_rng(0)
+    modes = find_modes(target, fit, random, wide=0)
+    dispersed = import_module("casadi_engine.posterior.posterior").dispersed
+    with pytest.raises(UntrustedPosteriorError, match=r"cannot be evaluated around.*seen: 0 of 1200 draws"):
+        dispersed(lambda y: np.full(len(y), -np.inf), modes, Box(target.low, target.high), random)
+
+
 def test_progress_is_told(fit):
     told = []
     ce.posterior(fit, draws=100, progress=lambda words, count: told.append((words, count)))
@@ -225,6 +249,20 @@ def test_progress_is_told(fit):
         "looking at all data",
     ]
     assert told[0][1] == 0 < told[-1][1]
+
+
+@pytest.mark.parametrize("when", ["looking for optima", "importance sampling", "looking at all data"])
+def test_ctrl_c_is_no_answer_and_says_where_it_came(fit, when):
+    def stop(words, _):
+        if words == when:
+            raise KeyboardInterrupt
+
+    with pytest.raises(UntrustedPosteriorError, match=rf"stopped before.*Ctrl-C while {when}, after \d+"):
+        ce.posterior(fit, draws=100, progress=stop)
+
+
+def test_more_draws_are_worth_more(fit):
+    assert min(ce.posterior(fit, draws=4000).bulk.values()) > 3500
 
 
 # ---- what it says
@@ -249,7 +287,7 @@ def test_intervals_are_quantiles_of_the_draws(post):
     assert low < post.median["J_eng"] < high
     with pytest.raises(PosteriorError, match=r"no such parameter; seen: 'J'; allowed: .*J_eng"):
         post.interval("J")
-    with pytest.raises(PosteriorError, match="invalid `level`"):
+    with pytest.raises(PosteriorError, match="the level of the intervals is not acceptable"):
         post.interval("J_eng", 95)
 
 

@@ -35,3 +35,14 @@ def test_too_few_weights_are_not_trusted():
 def test_a_draw_that_outweighs_all_is_worth_one():
     assert kish(normalised(np.array([0.0, -800.0, -900.0]))) == pytest.approx(1.0)
     assert kish(normalised(np.full(50, -3.0))) == pytest.approx(50.0)
+
+
+def test_a_tail_beyond_all_numbers_is_heavy():
+    smooth, shape = pareto_smoothed(-np.random.default_rng(0).exponential(3e4, 1000))
+    assert shape > 100
+    assert np.isfinite(smooth).all()
+
+
+def test_tiny_weights_are_worth_as_many_as_their_multiples():
+    assert kish(np.full(7, 1e-200)) == pytest.approx(7)
+    assert kish(np.zeros(7)) == 0

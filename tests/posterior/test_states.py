@@ -1,28 +1,71 @@
 """The prior of initial states, and their integral."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from casadi_engine.posterior.states import StatePrior, state_prior
+from casadi_engine.posterior.states import WIDTHS, StatePrior, state_prior
 
 
-def test_the_integral_is_that_of_a_normal_density(covariance, normal):
+def prior_of(random, covariance):
+    """Two densities of four states."""
+    factor = np.linalg.cholesky(covariance)
+    return StatePrior(random.standard_normal((2, 4)), np.array([factor, 0.3 * np.eye(4)]))
+
+
+def test_the_integral_is_that_of_normal_densities_of_all_shapes_and_widths(covariance, normal):
     random = np.random.default_rng(0)
     rows, rest = random.standard_normal((4, 9)), 3 * random.standard_normal(9)
-    prior = StatePrior(random.standard_normal(4), np.linalg.cholesky(covariance))
-    squares, volume = prior.marginal(rows, rest)
-    whole = normal(rest[None], -prior.mean @ rows, np.eye(9) + rows.T @ covariance @ rows)[0]
-    assert -0.5 * (squares + volume) - 4.5 * np.log(2 * np.pi) == pytest.approx(whole)
-    best = prior.best(rows, rest)
-    apart = np.linalg.solve(prior.factor, best - prior.mean)
-    assert np.square(rest + best @ rows).sum() + apart @ apart == pytest.approx(squares)
-    for side in np.eye(4):
-        moved = np.linalg.solve(prior.factor, best + 0.1 * side - prior.mean)
-        assert np.square(rest + (best + 0.1 * side) @ rows).sum() + moved @ moved > squares
+    prior = prior_of(random, covariance)
+    (log,), _ = prior.integral(rows[None], rest[None])
+    shapes = list(zip(prior.means, (covariance, 0.09 * np.eye(4)), strict=True))
+    whole = [
+        normal(rest[None], -mean @ rows, np.eye(9) + rows.T @ (w**2 * shape) @ rows)[0]
+        for mean, shape in shapes
+        for w in WIDTHS
+    ]
+    expected = np.logaddexp.reduce(whole) - np.log(len(whole))
+    assert log - 4.5 * np.log(2 * np.pi) == pytest.approx(expected)
+    settled = prior.settled(rows, rest)
+    assert len(WIDTHS) * settled.chosen + WIDTHS.tolist().index(settled.width) == np.argmax(whole)
+
+
+@pytest.mark.parametrize(("size", "chosen", "width"), [(1.0, 0, 1.0), (30.0, 0, 10.0), (0.03, 1, 1.0)])
+def test_shape_and_width_are_those_of_the_data(size, chosen, width):
+    """Forty states seen without noise: as wide as the prior, thirty times as wide, and like the second prior."""
+    states = size * np.random.default_rng(1).standard_normal(40)
+    prior = StatePrior(np.zeros((2, 40)), np.array([np.eye(40), 0.03 * np.eye(40)]))
+    rows, rest = 3000 * np.eye(40), -3000 * states
+    found = prior.settled(rows, rest)
+    assert (found.chosen, found.width) == (chosen, width)
+    np.testing.assert_allclose(prior.integral(rows[None], rest[None])[1][0], states, rtol=1e-3)
+
+
+def test_the_best_states_have_the_least_chi_squared(covariance):
+    random = np.random.default_rng(0)
+    rows, rest = random.standard_normal((4, 9)), 3 * random.standard_normal(9)
+    prior = replace(prior_of(random, covariance), width=3.0)
+
+    def squares(states):
+        apart = np.linalg.solve(prior.factor, states - prior.mean)
+        return np.square(rest + states @ rows).sum() + apart @ apart
+
+    left = rest + prior.mean @ rows
+    best = prior.best(rows, left)
+    least = left @ left - prior.without(rows, left[None])[0, 0]
+    assert squares(best) == pytest.approx(least)
+    assert all(squares(best + 0.1 * side) > least for side in (*np.eye(4), *-np.eye(4)))
+
+
+def test_some_of_the_states_have_their_own_share(covariance):
+    prior = StatePrior(np.arange(4.0)[None], np.linalg.cholesky(covariance)[None]).part(np.array([1, 3]))
+    np.testing.assert_allclose(prior.mean, [1, 3])
+    np.testing.assert_allclose(prior.factor @ prior.factor.T, covariance[np.ix_([1, 3], [1, 3])])
 
 
 def test_two_states_have_twice_the_mean_and_the_variance(covariance):
-    prior = StatePrior(np.arange(4.0), np.linalg.cholesky(covariance)).of_sum()
+    prior = StatePrior(np.arange(4.0)[None], np.linalg.cholesky(covariance)[None]).of_sum()
     np.testing.assert_allclose(prior.mean, 2 * np.arange(4.0))
     np.testing.assert_allclose(prior.factor @ prior.factor.T, 2 * covariance)
 
@@ -32,22 +75,45 @@ def test_a_record_is_the_prior_of_its_own_states(two_masses):
     record = target.search.records[0]
     first = np.array([one.value for one in fit.initial[record.experiment.name].values()]) / record.scale
     prior = state_prior(record, target.start, first)
-    apart = np.linalg.solve(prior.factor, first - prior.mean)
-    assert apart @ apart < 9  # three states
     speed = fit.traces[record.experiment.name]["omega"].simulated / record.scale[0]
-    assert prior.mean[0] == pytest.approx(speed.mean(), rel=0.01)
-    assert np.sqrt((prior.factor @ prior.factor.T)[0, 0]) == pytest.approx(1.5 * speed.std(), rel=0.1)
+    later = speed[len(speed) // 2 :]
+    apart = np.linalg.solve(prior.factor, first - prior.mean)
+    assert apart @ apart < 16  # three states, the first of which is farther out than most
+    assert prior.mean[0] == pytest.approx(later.mean(), rel=0.01)
+    assert np.sqrt((prior.factor @ prior.factor.T)[0, 0]) == pytest.approx(later.std(), rel=0.1)
+    assert not prior.means[1].any()
+    np.testing.assert_allclose(prior.factors[1], np.diag(np.maximum(np.abs(first), 1)))
+
+
+def test_noise_in_the_first_states_does_not_widen_it(two_masses):
+    """A shaft that the fit starts with a twist far from any that follow."""
+    _, target = two_masses
+    record = target.search.records[0]
+    still, twisted = (state_prior(record, target.start, np.array([1.2, 1.2, twist])) for twist in (0.1, 3.0))
+    assert twisted.factor[2, 2] == pytest.approx(still.factor[2, 2], rel=0.1)
 
 
 def test_without_states_along_the_record_their_size_stands_for_them(two_masses):
     _, target = two_masses
     single = target.search.records[0].single()
     prior = state_prior(single, target.start, np.array([1.2, 1.2, 0.1]))
-    np.testing.assert_allclose(prior.factor, 1.5 * np.diag([1.2, 1.2, 1.0]))
+    np.testing.assert_allclose(prior.factor, np.diag([1.2, 1.2, 1.0]))
+    assert len(prior.means) == 1
     assert not prior.mean.any()
 
 
+def test_coordinates_may_be_others(covariance):
+    random = np.random.default_rng(2)
+    prior = prior_of(random, covariance)
+    rows, rest = random.standard_normal((2, 4, 9)), random.standard_normal((2, 9))
+    turn = random.standard_normal((2, 4, 4))
+    one = prior.integral(turn.swapaxes(1, 2) @ rows, rest)
+    two = prior.integral(rows, rest, turn)
+    np.testing.assert_allclose(one[0], two[0])
+    np.testing.assert_allclose((turn @ one[1][..., None])[..., 0], two[1])
+
+
 def test_what_is_no_number_has_no_integral():
-    prior = StatePrior(np.zeros(1), np.eye(1))
-    with pytest.raises(FloatingPointError):
-        prior.marginal(np.array([[np.nan, 0.0]]), np.zeros(2))
+    prior = StatePrior(np.zeros((1, 1)), np.eye(1)[None])
+    rows = np.array([[[np.nan, 0.0]], [[1.0, 0.0]]])
+    assert np.isnan(prior.integral(rows, np.zeros((2, 2)))[0]).tolist() == [True, False]

@@ -1,10 +1,12 @@
 """Figures and tables of a posterior: what they draw, not how it looks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import casadi_engine as ce
-from casadi_engine.posterior import Mode
+from casadi_engine.posterior import Mode, compare
 from casadi_engine.report import as_html, text
 from casadi_engine.report.figures import figures
 
@@ -65,3 +67,11 @@ def test_it_has_words_and_a_table(post):
     page = as_html(post)
     assert all(name in page for name in post.names)
     assert "Posterior by importance, 300 draws" in page
+
+
+def test_a_comparison_shows_how_far_each_model_lies_below_the_best(post):
+    found = compare({"one": post, "other": replace(post, log_evidence=post.log_evidence - 20.0)})
+    axes = ce.plot(found).axes[0]
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["one", "other"]
+    assert [bar.get_width() for bar in axes.patches] == pytest.approx([0.0, 20.0])
+    assert any("20.00" in words.get_text() and "< 0.001 %" in words.get_text() for words in axes.texts)

@@ -1,0 +1,60 @@
+"""What data that were left out of the likelihood say of draws that were made without them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.posterior.drawn import Drawn
+from casadi_engine.posterior.psis import log_mean, pareto_smoothed
+from casadi_engine.posterior.target import Target
+
+Array = NDArray[np.float64]
+
+# Draws at which nothing is left out, and more of them for each term of a quadratic; scatter of the log likelihood that
+# the draws' weights follow.
+LOOKED_AT, TERMS, FELT = 200, 4, 0.1
+
+
+def with_all_data(target: Target, drawn: Drawn, random: np.random.Generator) -> tuple[Drawn, float]:
+    """The draws and their evidence with what was left out, and the scatter of its log likelihood over them."""
+    bins = target.likelihood.bins
+    if bins is None or bins[0] == bins[1]:
+        return drawn, 0.0
+    count = max(LOOKED_AT, TERMS * quadratic(drawn.u[:1]).shape[1])
+    some = random.choice(len(drawn.u), min(count, len(drawn.u)), replace=False)
+    ratio = target.full(drawn.u[some]) - drawn.density[some]
+    scatter = float(ratio.std())
+    if not scatter > FELT:
+        return drawn.with_evidence(log_mean(ratio), scatter / np.sqrt(len(ratio))), scatter
+    rest = np.setdiff1d(np.arange(len(drawn.u)), some)
+    foretold, error = foresee(drawn.u[some], ratio, drawn.u[rest])
+    if not error <= FELT:
+        foretold, error = target.full(drawn.u[rest]) - drawn.density[rest], 0.0
+    ratio = np.concatenate([ratio, foretold])
+    smooth, _ = pareto_smoothed(ratio)
+    drawn = drawn.reweighed(np.concatenate([some, rest]), smooth, random)
+    return drawn.with_evidence(
+        log_mean(ratio), float(np.hypot(scatter, error)) / np.sqrt(len(ratio))
+    ), scatter
+
+
+def foresee(x: Array, values: Array, others: Array) -> tuple[Array, float]:
+    """Values (m,) at ``others`` (m, d) by a quadratic through those at x (n, d), and how far it is off at each of these
+    when it is left out (root mean square); infinite where the points are too few."""
+    mean, spread = x.mean(axis=0), x.std(axis=0) + 1e-300
+    rows = quadratic((x - mean) / spread)
+    if len(rows) < 2 * rows.shape[1]:
+        return np.full(len(others), np.nan), np.inf
+    q, r = np.linalg.qr(rows)
+    away = values - q @ (q.T @ values)
+    alone = away / np.maximum(1 - np.square(q).sum(axis=1), 1e-9)
+    terms = np.linalg.lstsq(r, q.T @ values, rcond=None)[0]
+    found = quadratic((others - mean) / spread) @ terms
+    return np.asarray(found), float(np.sqrt(np.mean(np.square(alone))))
+
+
+def quadratic(x: Array) -> Array:
+    """Terms (n, 1 + d + d (d + 1) / 2) of a quadratic at x (n, d)."""
+    first, second = np.triu_indices(x.shape[1])
+    return np.concatenate([np.ones((len(x), 1)), x, x[:, first] * x[:, second]], axis=1)
