@@ -49,6 +49,8 @@ _STEPS = 20
 _SHARPER, _INTEGRATED = 3, 1e5
 # How many times corners are wider by that factor when a refit begins: then about as wide as the motion.
 _WIDER = 3
+# A refit with sharper corners whose chi-squared is larger by this factor was lost.
+_LOST = 1.2
 # A refit is given up that has cost so many times as much as they do in the middle, or as one of its structure that
 # arrived, and more than this; what the first one may well cost, in steps over the whole record for every step allowed
 # over one horizon.
@@ -99,23 +101,29 @@ class Path:
         next: a wide corner bends the simulation everywhere and shows the way, a sharp one only where it is passed.
         """
         refitter, own = self.refitter, self.refitter.share
-        ends: list[Arrived] = []
+        least: Arrived | None = None
+        lost = False
         if self.cornered(effects[-1:]):
             try:
                 for level in range(_WIDER, 0, -1):
                     refitter.share = own * SHARPER_BY**level
-                    there = self._ended(effects, ends[-1] if ends else start, (None,) if ends else None)
-                    ends += [] if there is None else [there]
+                    there = self._ended(effects, least or start, (None,) if least else None)
+                    lost = there is None or (least is not None and there.cost > _LOST * least.cost)
+                    if lost:
+                        break
+                    least = there
             finally:
                 refitter.share = own
-        if not ends:
+        if least is None:
             return self._ended(effects, start, None)
-        found = self._ended(effects, ends[-1], (None,))
-        widest = min(ends, key=lambda one: one.cost)
-        if found is None or found.cost > widest.cost + FELT:  # it was lost on the way
-            others = self._ended(effects, widest, (None,)), self._ended(effects, start, None)
-            known = [one for one in (found, *others) if one is not None]
+        found = None if lost else self._ended(effects, least, (None,))
+        if found is None or found.cost > _LOST * least.cost:
+            plain = self._ended(effects, start, None)
+            known = [one for one in (found, plain) if one is not None]
             found = min(known, key=lambda one: one.cost, default=None)
+        if lost and (found is None or found.cost > _LOST * least.cost):
+            direct = self._ended(effects, least, (None,))
+            found = direct if found is None or (direct is not None and direct.cost < found.cost) else found
         return found
 
     def cornered(self, effects: Sequence[Addition]) -> bool:
@@ -247,8 +255,9 @@ class Path:
             with Deadline(work=patience * self._allowed(problem)) as own:
                 near = start.refit.nodes if initial is not None and isinstance(start, Arrived) else None
                 found = problem.run(start=values, initial=initial, horizons=horizons, most=_STEPS, near=near)
-            self._work.append(own.done)
-            self._least[id(problem)] = min(own.done, self._least.get(id(problem), math.inf))
+            if found.converged:  # what wanders is no measure of what refits cost
+                self._work.append(own.done)
+                self._least[id(problem)] = min(own.done, self._least.get(id(problem), math.inf))
             return _arrived(problem, found)
         except (*FAILURES, TimeUp):
             return None
