@@ -226,6 +226,31 @@ class Path:
             found.append(found[-1] / SHARPER_BY)
         return found
 
+    def sharpest(
+        self, effects: Sequence[Addition], arrived: Arrived, target: float, worth: float
+    ) -> tuple[float, Arrived] | None:
+        """The sharpest corners, down to a share, with which a refit settles or is better, and where it arrived; no
+        sharper than chi-squared of the refits feels. None where there are none."""
+        refitter, before = self.refitter, self.refitter.share
+        _, _, own = self._problem(effects)
+        felt = FELT * max(arrived.cost / max(own.count, 1), 1.0) / worth
+        reached, last = None, arrived
+        try:
+            for share in self.shares(before)[1:]:
+                if share < 0.99 * target:
+                    break
+                refitter.share = share
+                there = self._ended(effects, last, (None,), patience=_PATIENCE)
+                if there is None or (not there.settled and there.cost > last.cost):
+                    break
+                self.felt = FELT * abs(there.cost - last.cost) / (SHARPER_BY - 1) / felt
+                reached, last = (share, there), there
+                if self.felt < FELT or not there.settled:
+                    break
+        finally:
+            refitter.share = before
+        return reached
+
     def sharper(self, effects: Sequence[Addition], arrived: Arrived, before: float) -> Arrived | None:
         """A refit with corners as sharp as they are now, from where it arrived with those before, in steps."""
         refitter, own, found = self.refitter, self.refitter.share, arrived

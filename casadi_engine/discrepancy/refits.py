@@ -118,6 +118,7 @@ class Refits:
             None  # share and pool before corners were sharpened
         )
         self._blunt = False
+        self._fine: set[Key] = set()  # structures whose corners are as sharp as the data feel
         self._tell = tell
 
     def tried(self, effects: tuple[Addition, ...], start: Start | None) -> list[Tried]:
@@ -195,18 +196,25 @@ class Refits:
     def sharpened(self, best: Tried) -> bool:
         """Refit the best structure and its rivals with corners so sharp that the data do not tell them from sharper
         ones; False where they are."""
-        worth = 1.0 / max(self.levels.memory.values(), default=1.0)
-        share = self.path.sharpness(best.effects, best.arrived, max(worth, 1e-6))
-        if self._blunt or share >= self.refitter.share:
+        if self._blunt or best.key in self._fine:
             return False
+        worth = max(1.0 / max(self.levels.memory.values(), default=1.0), 1e-6)
+        target = self.path.sharpness(best.effects, best.arrived, worth)
+        if target >= self.refitter.share:
+            return False
+        found = self.path.sharpest(best.effects, best.arrived, target, worth)
+        if found is None or found[1].cost > best.arrived.cost + FELT:
+            self._blunt = True
+            self.path.felt = math.nan if found is None else 0.0  # the law itself is no sharper
+            return False
+        self._fine |= {best.key} if self.path.felt < FELT else set()
         self._wide = self.refitter.share, dict(self.pool)
-        self.refitter.share = share
-        arrives = self._again_sharp(best)
-        sharp = self.pool[best.key]
-        if not arrives or sharp.arrived.cost > best.arrived.cost + FELT:
+        self.refitter.share = found[0]
+        sharp = self._counted(best.effects, found[1])
+        if sharp is None:
             self.blunted()
-            self.path.felt = 0.0 if arrives else math.nan  # the law itself is no sharper
             return False
+        self.pool[best.key] = sharp
         least = best.log - abs(sharp.log - best.log) - math.log(FACTOR * len(self.pool))
         alike = [one for one in self.pool.values() if len(one.effects) == len(best.effects)]
         near = sorted(

@@ -118,7 +118,7 @@ def repair(
     >>> exp = ce.Experiment.from_arrays("swing", time=t, units={"T": "N m", "omega": "rad/s"}, T=exp["T"].values,
     ...     omega=noisy)
     >>> found = ce.repair(ce.one_inertia(), exp, noise=ce.Noise(omega=0.1), progress=False)
-    >>> found.verdict, found.confirmed, found.effects[0].key, round(found.effects[0].amplitude.value, 2)
+    >>> found.verdict, found.confirmed, found.effects[0].key, round(found.effects[0].amplitude.value, 1)
     ('named', True, 'engine.coulomb_friction', 3.0)
     """
     begun = time.perf_counter()

@@ -155,7 +155,7 @@ def screen(
     >>> exp = ce.Experiment.from_arrays("run", time=t, units={"T": "N m", "omega": "rad/s"}, T=exp["T"].values,
     ...     omega=noisy)
     >>> fit = ce.estimate(ce.one_inertia(), exp, noise=ce.Noise(omega=0.01), progress=False)
-    >>> screened = screen(fit)
+    >>> screened = screen(fit, ["coulomb_friction", "quadratic_drag"])
     >>> screened.candidates[screened.order[0]].label
     'coulomb_friction at engine'
     """
