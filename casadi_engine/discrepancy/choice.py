@@ -49,6 +49,8 @@ _FIRST = 6
 TIME_UP = "the time was up"
 # Shares of the spare time behind a budget at which whole fits, and the search for the colour of the noise, have to end.
 _FIT, _COLOUR = 0.35, 0.45
+# Times the spare time that is kept before the end of the budget, for fresh data.
+_KEPT = 0.5
 _NO_FIT = "its fit of all data does not converge"
 _NOTHING_LEFT = "its fit of all data leaves nothing of it"
 # What the time did not allow where every effect was refitted once.
@@ -80,7 +82,7 @@ class Choice:
         self._stations[frozenset()] = Station(null_fit, (), first)
         self.refits = Refits(self.refitter, null_fit, first.noise, cylinders=self.cylinders, tell=self.tell)
         here = self.refits.none(null_fit)
-        with self.deadline.spared(0.0):
+        with self.deadline.spared(-_KEPT):  # time for what judges the answer
             self._rounds(here)
         self._with_colour()
 

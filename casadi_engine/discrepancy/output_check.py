@@ -27,8 +27,10 @@ _NAMED = 5
 
 
 def refuse_still(model: Model, records: Sequence[Experiment]) -> None:
-    """Raise ExperimentError where no output of any record moves by more than its resolution."""
-    seen = []
+    """Raise ExperimentError where no output of any record moves by more than its resolution, and for an output that is
+    one and the same number everywhere: it has no noise by which the others could be weighed against it."""
+    seen, levels = [], dict[str, list[str]]()
+    moves = False
     for record in records:
         for out in model.outputs:
             if out.name not in record:
@@ -36,16 +38,27 @@ def refuse_still(model: Model, records: Sequence[Experiment]) -> None:
             channel = record[out.name]
             values = np.unique(channel.values[channel.mask & np.isfinite(channel.values)])
             if len(values) > _VALUES or len(channel.values) < _FEW:
-                return
-            if len(values):
-                levels = " or ".join(f"{value:.6g}" for value in values)
-                seen.append(f"{out.name} of {record.name} is {levels} in all samples")
-    if seen:
+                moves = True
+            words = " or ".join(f"{value:.6g}" for value in values[:_VALUES])
+            told = f"{out.name} of {record.name} is {words} in all samples"
+            seen += [told] if len(values) else []
+            levels.setdefault(out.name, []).append(
+                told if len(values) == 1 and len(channel.values) >= _FEW else ""
+            )
+    if seen and not moves:
         raise ExperimentError(
             "no output moves, and nothing can be learnt from it",
             seen="; ".join(seen[:_NAMED]),
             allowed="an output that moves by more than its resolution",
             cure="look whether the sensor is connected and the channel is the right one; record one with motion",
+        )
+    still = [told[0] for told in levels.values() if all(told)]
+    if still:
+        raise ExperimentError(
+            "an output does not move at all",
+            seen="; ".join(still[:_NAMED]),
+            allowed="outputs that move, if only by their noise",
+            cure="look whether its sensor is connected, or leave the channel out of the record",
         )
 
 

@@ -27,6 +27,8 @@ def headline(repair: Repair) -> str:
         return f"nothing is missing that these data could show{_on_fresh(repair)}"
     if repair.verdict == "unnamed":
         why = "no physical effect could be looked for" if blind else "no effect of the library names it"
+        if repair.stopped and not blind:
+            why = "the search ended before an effect of the library could name it"
         return f"something is missing, and {why}"
     sure = {True: "confirmed on fresh data", False: "not confirmed by fresh data", None: "unconfirmed"}
     others = [m.label for one in repair.effects for m in one.members[1:]]
@@ -99,6 +101,8 @@ def next_step(repair: Repair) -> str:
         return _of_class(repair)
     if repair.unknown is not None:
         return "look at the figures of the residuals after the repair: they hold more"
+    if repair.confirmed is None and repair.fresh:
+        return "give it more time, budget=..., or shorter fresh records: the fresh data have not judged it"
     if repair.confirmed is None:
         return "test it on data it has not seen: --validate FILE, or ce.repair(..., fresh=other_record)"
     if repair.confirmed is False:

@@ -105,7 +105,9 @@ class AsymmetricFriction(_Rounded):
     attaches = ("inertia",)
     kin = ("coulomb_friction", "constant_torque", "stribeck_friction")
     limit = "coulomb_friction"
-    sentence = "dry friction at {port} that differs by direction"
+    sentence = (
+        "dry friction at {port} that differs by direction, or beside a constant {effort}: one and the same"
+    )
     neutral = "a constant loss at {port} that differs with the sign of {motion}"
     amplitude = Amplitude("torque", unit="N m", min=0)
     # an even number of values: without asymmetry it is dry friction

@@ -160,8 +160,17 @@ def _is_constant(model: Model, port: Port, name: str) -> bool:
     values = ca.vertcat(*[one.value for one in model.declarations])
     function = ca.Function("slopes", [*unknown, model.p], [slot, ca.jacobian(both, symbol)])
     rng = np.random.default_rng(0)
-    points = [function(*(rng.uniform(0.5, 1.5, one.numel()) for one in unknown), values) for _ in range(3)]
-    unit, own = (np.concatenate([np.array(point[k]).ravel() for point in points]) for k in range(2))
+    # on both sides of zero, where the equations have numbers there: a sign is constant on one
+    drawn = [
+        [side * rng.uniform(0.5, 1.5, one.numel()) for one in unknown] for _ in range(3) for side in (1, -1)
+    ]
+    points = [[np.array(part).ravel() for part in function(*point, values)] for point in drawn]
+    points = [
+        point
+        for k, point in enumerate(points)
+        if k % 2 == 0 or all(np.isfinite(part).all() for part in point)
+    ]
+    unit, own = (np.concatenate([point[k] for point in points]) for k in range(2))
     if not (np.isfinite(own).all() and np.isfinite(unit).all() and unit.any() and own.any()):
         return False
     ratio = float(own @ unit) / float(unit @ unit)

@@ -114,3 +114,22 @@ def test_the_wild_are_counted_and_the_first_ones_listed():
 )
 def test_what_lasts_or_is_common_is_not_wild(e):
     assert wild_samples(fit_that_leaves(e)) is None
+
+
+def test_an_output_that_is_one_number_beside_others_that_move_is_refused(moved):
+    b = ce.Blueprint("spring")
+    x, v = b.state("x", unit="m"), b.state("v", unit="m/s")
+    force = b.input("F", unit="N")
+    b.ode("x", v)
+    b.ode("v", force - b.parameter("c", 1.0, unit="1/s") * v - b.parameter("k", 100.0, unit="1/s2") * x)
+    b.output("pos", 1000 * x, unit="mm")
+    b.output("speed", v, unit="m/s")
+    units = {"F": "N", "pos": "mm", "speed": "m/s"}
+    stuck, live = (
+        ce.Experiment.from_arrays(name, time=T, units=units, F=np.sin(T), pos=moved, speed=speed)
+        for name, speed in (("stuck", np.zeros(len(T))), ("live", np.sin(T)))
+    )
+    with pytest.raises(ExperimentError, match="an output does not move at all") as refused:
+        refuse_still(b.model(), [stuck])
+    assert "seen: speed of stuck is 0 in all samples" in str(refused.value)
+    refuse_still(b.model(), [stuck, live])

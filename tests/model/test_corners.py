@@ -7,6 +7,7 @@ import pytest
 import casadi_engine as ce
 from casadi_engine.model.corners import with_rounded_jumps
 from casadi_engine.model.jumps import jumps_in
+from casadi_engine.model.port_view import port_view
 
 
 def slide(law, scale=1.0):
@@ -86,3 +87,16 @@ def test_repair_takes_friction_that_is_written_as_a_sign():
     assert found.effects[0].amplitude.value == pytest.approx(-0.4, abs=0.02)
     assert found.fit.values["Fc"] == pytest.approx(0.5, abs=0.03)
     assert any("tanh stands in place of their jumps" in one for one in found.messages)
+
+
+def test_friction_beside_a_rounded_sign_is_no_constant_torque():
+    b = ce.Blueprint("slide")
+    v, force = b.state("v", unit="m/s"), b.parameter("force", 2.0, unit="N", min=0)
+    b.ode("v", b.port("slide", "inertia", {"speed": v}) - force * ca.sign(v))
+    b.output("v", v, unit="m/s")
+    assert not port_view(with_rounded_jumps(b.model()), "slide").has_free_constant
+    pushed = ce.Blueprint("pushed")
+    v, force = pushed.state("v", unit="m/s"), pushed.parameter("force", 2.0, unit="N", min=0)
+    pushed.ode("v", pushed.port("slide", "inertia", {"speed": v}) - force)
+    pushed.output("v", v, unit="m/s")
+    assert port_view(pushed.model(), "slide").has_free_constant

@@ -75,7 +75,9 @@ CONSTANTS = (
     Constant("FELT", ("path", "refits"), "chi-squared by which a corner's width is felt"),
     Constant("_WIDER", ("path",), "times that corners are four times as wide where a refit begins"),
     Constant("_SHARPER", ("path",), "times that corners are made four times as sharp at most"),
-    Constant("_INTEGRATED", ("path",), "steps of the integration beyond which they are short in places alone"),
+    Constant(
+        "_INTEGRATED", ("path",), "steps of the integration beyond which they are short in places alone"
+    ),
     Constant("_PATIENCE", ("path",), "what a refit with sharper corners may cost more than others"),
     Constant("_RIVALS", ("pairs",), "rivals of an effect that are tried with one more effect each"),
     Constant("_SECONDS", ("pairs",), "effects that such a rival is tried with"),
