@@ -154,7 +154,16 @@ class Refits:
         return {r.name: scatter_columns(r, scatter) for r in null.records} if scatter else None
 
     def weigh(self) -> None:
-        """Count every structure's evidence with the noise that the most probable one leaves."""
+        """Count every structure's evidence with the noise that the most probable one leaves.
+
+        A law that rests where it is a simpler one (friction that fades beyond all speeds is dry friction) is no rival
+        of that: nothing of what it has more was estimated.
+        """
+        for key, one in self.pool.items():
+            for added in one.effects:
+                effect, (_, at) = added.candidate.source.effect, added.candidate.key
+                rests = f"{added.key}.{effect.limit_at}" in one.arrived.held if effect.limit_at else False
+                one.failed |= rests and key - {added.candidate.key} | {(effect.limit, at)} in self.pool
         known = {name: s for name, (s, own) in self.null_fit.noise.items() if not own}
         seen: set[Key] = set()
         while True:

@@ -183,7 +183,7 @@ class StribeckFriction(_Rounded):
     name = "stribeck_friction"
     attaches = ("inertia",)
     kin = ("coulomb_friction", "constant_torque", "viscous_friction")
-    limit = "coulomb_friction"
+    limit, limit_at = "coulomb_friction", "fading"
     sentence = "friction at {port} that fades with {motion}"
     neutral = "a loss at {port} that fades as {motion} grows"
     amplitude = Amplitude("torque", unit="N m", min=0)

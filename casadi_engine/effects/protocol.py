@@ -160,7 +160,7 @@ class Effect:
         or masses), pipe (between two of anything else)
     kin : names of effects that look alike, for the reader of a class
     limit : name of the simpler effect that this one becomes at an end or in the middle of its
-        grid; "" for none
+        grid; "" for none. limit_at : the nuisance parameter at whose bound it is that one, "" for none
     sentence : one clause with {port}, for reports; {effort} and {motion} stand for what acts there ("torque") and for
         what is read ("speed", or the signal's expression)
     neutral : the clause for ports where no torque or force acts; "" for the same
@@ -184,6 +184,7 @@ class Effect:
     attaches: ClassVar[tuple[str, ...]] = ()
     kin: ClassVar[tuple[str, ...]] = ()
     limit: ClassVar[str] = ""
+    limit_at: ClassVar[str] = ""
     sentence: ClassVar[str] = ""
     neutral: ClassVar[str] = ""
     fixed_only: ClassVar[bool] = False

@@ -415,3 +415,13 @@ def test_an_effect_of_which_the_whole_fit_leaves_nothing_is_none():
     assert not module.vanished([play], fit(**{name: (0.04, True)}))  # at the other bound
     assert not module.vanished([play], fit(**{f"{name}@a": (0.0, True), f"{name}@b": (0.01, False)}))
     assert not module.vanished([play], fit(K=(0.0, True)))
+
+
+def test_friction_that_fades_beyond_all_speeds_is_no_rival_of_dry_friction(pendulum):
+    data = pendulum.decay(rubbing, samples=300)
+    found = ce.repair(
+        pendulum.model, data, effects=["coulomb_friction", "stribeck_friction"], noise=ce.Noise(y=pendulum.level),
+        starts=1, holdout=0.0, progress=False,
+    )  # fmt: skip
+    (one,) = found.effects
+    assert (found.verdict, one.name, len(one.members)) == ("named", "coulomb_friction", 1)
