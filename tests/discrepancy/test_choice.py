@@ -417,11 +417,24 @@ def test_an_effect_of_which_the_whole_fit_leaves_nothing_is_none():
     assert not module.vanished([play], fit(K=(0.0, True)))
 
 
-def test_friction_that_fades_beyond_all_speeds_is_no_rival_of_dry_friction(pendulum):
-    data = pendulum.decay(rubbing, samples=300)
-    found = ce.repair(
-        pendulum.model, data, effects=["coulomb_friction", "stribeck_friction"], noise=ce.Noise(y=pendulum.level),
-        starts=1, holdout=0.0, progress=False,
-    )  # fmt: skip
-    (one,) = found.effects
-    assert (found.verdict, one.name, len(one.members)) == ("named", "coulomb_friction", 1)
+@pytest.mark.parametrize(
+    ("held", "beside", "rival"), [(True, True, False), (False, True, True), (True, False, True)]
+)
+def test_friction_that_fades_beyond_all_speeds_is_no_rival_of_dry_friction(held, beside, rival):
+    def tried(effect):
+        candidate = SimpleNamespace(key=(effect.name, "load"), source=SimpleNamespace(effect=effect))
+        one = SimpleNamespace(candidate=candidate, key=f"load.{effect.name}")
+        rests = frozenset({"load.stribeck_friction.fading"} if held else ())
+        arrived = SimpleNamespace(held=rests)
+        return refits.Tried((one,), arrived, None, SimpleNamespace(log=1.0))
+
+    def fails(*_):
+        raise FloatingPointError
+
+    fading = tried(ce.effects.StribeckFriction())
+    every = [fading, tried(ce.effects.CoulombFriction())] if beside else [fading]
+    all_of_them = refits.Refits.__new__(refits.Refits)
+    all_of_them.null_fit, all_of_them.path = SimpleNamespace(noise={}), SimpleNamespace(residuals=fails)
+    all_of_them.pool = {one.key: one for one in every}
+    all_of_them.weigh()
+    assert (fading.log > -np.inf) == rival

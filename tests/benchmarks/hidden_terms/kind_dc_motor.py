@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+
+import casadi_engine as ce
 from hidden_terms.kind import Hidden, Kind, Manoeuvre
 from hidden_terms.records import levels, sines
 from hidden_terms.simulator import Dry, simulate
-
-import casadi_engine as ce
 
 CONSTANT = 0.05
 
