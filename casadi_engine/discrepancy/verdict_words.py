@@ -101,7 +101,8 @@ def next_step(repair: Repair) -> str:
         return _of_class(repair)
     if repair.unknown is not None:
         return "look at the figures of the residuals after the repair: they hold more"
-    if repair.confirmed is None and repair.fresh:
+    unjudged = bool(repair.stopped) or any("not judged" in words for words in repair.messages)
+    if repair.confirmed is None and repair.fresh and unjudged:
         return "give it more time, budget=..., or shorter fresh records: the fresh data have not judged it"
     if repair.confirmed is None:
         return "test it on data it has not seen: --validate FILE, or ce.repair(..., fresh=other_record)"

@@ -227,3 +227,9 @@ def test_an_interrupted_search_blames_no_fit(no_answer):
     stopped = replace(no_answer, status="interrupted")
     assert next_step(stopped) == "run it again and let it end; repair.fit is the best model so far"
     assert verdict_lines(stopped)[0] == "No answer: interrupted."
+
+
+def test_fresh_data_that_were_not_judged_are_not_asked_for_again(repaired):
+    words = "it was not judged on the fresh data: looking for its initial states there had cost too much"
+    changed = replace(repaired, confirmed=None, messages=(words,))
+    assert next_step(changed).startswith("give it more time, budget=..., or shorter fresh records")
