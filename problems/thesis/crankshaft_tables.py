@@ -136,7 +136,7 @@ def compare(old_two, old, new, modes, two, full):
              "the same", many > 2 * few),
         Line("Table 4.12", "six numbers from six normal cycles",
              f"{what} off by {worst:.0f} % its way, {other} by {best:.1f} % jointly", "a joint fit at the full rate",
-             worst > max(20, 4 * best)),  # noise decides which optimum is the lowest: no error is known
+             worst > max(20, 4 * best)),  # optima that are as probable lie so far apart: no error is known
         Line("Table 4.13", "six natural frequencies", f"within {apart:.1f} Hz", "the same", apart < 1),
         Line("Table 4.13", "deformations to four digits", f"within {off:.4f}", "the same (damped)", off < 6e-4),
         Line("Figures 4.14, 4.20", "fit 63.32 % (two), 43.21 % (seven)", f"{percent:.1f} %, {more:.1f} % at 1400 RPM",

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 import casadi_engine as ce
 from casadi_engine import cli
@@ -58,4 +59,17 @@ def test_the_fit_finds_the_truth(tmp_path, monkeypatch, capsys):
     for name in ("J3", "J4", "J5"):
         assert result["parameters"][name]["value"] == result["parameters"]["J2"]["value"]
     assert result["noise"]["omega"]["sigma"] == pytest.approx(0.1, rel=0.02)
+
+
+def test_the_likelihood_of_the_truth_is_that_of_the_fit_within_chance():
+    """The values of an optimum may be far from the truth; its likelihood may not."""
+    problem = ce.load_problem(PAGE)
+    records = [ce.read_experiment(path) for path in problem.records]
+    pars = problem.parameters.copy()
+    fit = ce.estimate(problem.model, records, parameters=pars, noise=problem.noise, progress=False)
+    for name, value in TRUTH.items():
+        pars.fix(name, value)
+    known = ce.estimate(problem.model, records, parameters=pars, noise=problem.noise, progress=False)
+    gain = 2 * fit.n * np.log(known.noise["omega"][0] / fit.noise["omega"][0])
+    assert abs(gain) < chi2.ppf(0.999, len(TRUTH))
     assert result["validation"]["passed"] is True
