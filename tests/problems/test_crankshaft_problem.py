@@ -59,6 +59,7 @@ def test_the_fit_finds_the_truth(tmp_path, monkeypatch, capsys):
     for name in ("J3", "J4", "J5"):
         assert result["parameters"][name]["value"] == result["parameters"]["J2"]["value"]
     assert result["noise"]["omega"]["sigma"] == pytest.approx(0.1, rel=0.02)
+    assert result["validation"]["passed"] is True
 
 
 def test_the_likelihood_of_the_truth_is_that_of_the_fit_within_chance():
@@ -72,4 +73,3 @@ def test_the_likelihood_of_the_truth_is_that_of_the_fit_within_chance():
     known = ce.estimate(problem.model, records, parameters=pars, noise=problem.noise, progress=False)
     gain = 2 * fit.n * np.log(known.noise["omega"][0] / fit.noise["omega"][0])
     assert abs(gain) < chi2.ppf(0.999, len(TRUTH))
-    assert result["validation"]["passed"] is True
