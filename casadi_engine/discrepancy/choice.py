@@ -469,7 +469,8 @@ class Choice:
     def _fitted(self, tried: Tried) -> Station | None:
         if tried.key not in self._stations:
             self.tell(f"fit with {tried.label}")
-            start = Start(tried.arrived.values, tried.arrived.initial, {}, tried.arrived.settled)
+            there = tried.arrived
+            start = Start(there.values, there.initial, {}, there.settled, fineness=there.refit.fineness)
             fit = self._timed("fit", lambda: self.refitter(self.null_fit, tried.effects, start=start))
             if fit is None or not fit.converged:
                 return None

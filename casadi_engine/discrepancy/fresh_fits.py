@@ -76,7 +76,7 @@ def held_fit(
         try:
             made = estimate(
                 model, record, parameters=held, noise=Noise(**levels), method=method, warm=starts[number],
-                progress=False, max_iterations=most, interval=fit.options.get("interval", "auto"),
+                progress=False, max_iterations=most, interval=fit.options.get("interval", "auto"), errors="quadratic",
             )  # fmt: skip
         except (CasadiEngineError, FloatingPointError) as error:
             fault = error

@@ -393,7 +393,9 @@ def first_states_on(
         found = RefitProblem(model, (record,), parameters.unconstrained(), levels=levels).run()
     except FAILURES:
         return None
-    return Start(found.values, found.initial, {}, found.converged) if found.initial else None
+    if not found.initial:
+        return None
+    return Start(found.values, found.initial, {}, found.converged, fineness=found.fineness)
 
 
 def _arrived(problem: RefitProblem, found: Refit) -> Arrived | None:

@@ -21,6 +21,7 @@ from casadi_engine.effects import Effect
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation import Estimate, Fit, estimate
 from casadi_engine.estimation.corner_widths import courses, paths_of
+from casadi_engine.estimation.refit_problem import RefitProblem
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.model.port_view import PortView
@@ -29,8 +30,8 @@ from casadi_engine.problem.noise import Noise
 from casadi_engine.simulation.null_path import NullPath
 from casadi_engine.simulation.propagator import switches_with_states
 
-# Iterations of one try; of one that holds an amplitude.
-_ITERATIONS, _FEWER = 60, 30
+# Iterations of one try; of one that holds an amplitude; and of one that is to show that it cannot be held.
+_ITERATIONS, _FEWER, _GLANCE = 60, 30, 10
 # Intervals into which a record is cut for laws with sharp corners.
 _INTERVALS = 400
 
@@ -201,8 +202,18 @@ class Refitter:
         own, size = pars[one.amplitude], 2 * fit.values[one.amplitude]
         own.set(size, min=min(size, own.min), max=max(size, own.max))
         pars.fix(one.amplitude)
-        step = self._try(fit.model, pars, Start.of(fit), most=_FEWER)
-        return step is not None and merit(step) <= merit(fit) + _CONTENT
+        levels = {name: sigma for name, (sigma, _) in fit.noise.items()}
+        initial = {r: {n: e.value for n, e in states.items()} for r, states in fit.initial.items()}
+        try:
+            problem = RefitProblem(
+                fit.model, self.data, pars.unconstrained(), levels=levels, interval=self.interval
+            )
+            if self.in_places:
+                problem.step_in_places()
+            found = problem.run(start=fit.values, initial=initial, horizons=(None,), most=_GLANCE)
+        except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
+            return False  # a model that fails explains nothing
+        return found.cost <= fit.cost + _CONTENT
 
     def extended(self, effects: Sequence[Addition]) -> Model:
         """The null fit's model with these effects; the same one each time.

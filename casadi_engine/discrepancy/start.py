@@ -14,6 +14,7 @@ class Start:
     """Values to start from, and initial states, or none: the measurement gives them.
 
     converged : an optimum is to be near; in_places : laws are so sharp that steps are short in places alone
+    fineness : record -> how finely the integration is to be, as it was before
     """
 
     values: Mapping[str, float]
@@ -21,6 +22,7 @@ class Start:
     noise: Mapping[str, tuple[float, bool]] = field(default_factory=dict)
     converged: bool = False
     in_places: bool = False
+    fineness: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
     def of(cls, fit: Fit, *, near: bool = True) -> Start:

@@ -11,6 +11,9 @@ import numpy as np
 
 from casadi_engine.effects.protocol import Amplitude, Effect, Grid
 
+# Width of an event in samples of the record, and of an impulse where no record is known [s].
+_SAMPLES, _SHORT = 1.0, 0.01
+
 
 @dataclass(frozen=True)
 class ConstantTorque(Effect):
@@ -33,9 +36,14 @@ class ConstantTorque(Effect):
 class LoadStep(Effect):
     """A load that is switched on (positive) or off (negative) within the record; it brakes.
 
-    ``effects.by_record`` gives it a time of its own in each of several records. The switch is sharp, in fits too. At
-    zero torque nothing depends on its time: start a fit at a torque near the right one.
+    ``effects.by_record`` gives it a time of its own in each of several records. At zero torque nothing depends on its
+    time: start a fit at a torque near the right one.
+
+    width : over which it is switched in fits [s]; None is at once. A repair takes one sample of the record: the impulse
+        is the same, the time moves the simulation smoothly, and a linear model stays one
     """
+
+    width: float | None = None
 
     name = "load_step"
     attaches = ("inertia",)
@@ -45,13 +53,17 @@ class LoadStep(Effect):
     amplitude = Amplitude("torque", unit="N m")
     nuisance = {"time": Grid(0.02, 0.98, steps=49, unit="s", over="time")}  # noqa: RUF012 (read only)
 
+    def fitted(self, port: Any, record: Any, values: Mapping[str, float]) -> Effect:
+        """The effect with a width of one sample of the record, where none was given."""
+        del port, values
+        return self if self.width is not None else replace(self, width=_one_sample(record))
+
     def law(self, port: Any, p: Any, math: Any) -> Any:
         """−T for t > t_0."""
-        return -p.torque * math.step(port.time - p.time, width=0.0)
-
-
-# Width of an impulse in samples, and where no record is known [s].
-_SAMPLES, _SHORT = 1.0, 0.01
+        since = port.time - p.time
+        if math.sharp or not self.width:
+            return -p.torque * math.step(since, width=0.0)
+        return -0.5 * p.torque * (1 + math.tanh(since / self.width))
 
 
 @dataclass(frozen=True)
@@ -80,13 +92,16 @@ class Impulse(Effect):
     def fitted(self, port: Any, record: Any, values: Mapping[str, float]) -> Effect:
         """The effect with a width of one sample of the record, where none was given."""
         del port, values
-        if self.width is not None:
-            return self
-        gap = max(float(np.median(np.diff(record[name].time))) for name in record.names)
-        return replace(self, width=float(f"{_SAMPLES * gap:.3g}"))
+        return self if self.width is not None else replace(self, width=_one_sample(record))
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
         """The impulse, spread over the width."""
         width = _SHORT if self.width is None else self.width
         away = (port.time - p.time) / width
         return p.impulse * math.exp(-(away**2)) / (width * _math.sqrt(_math.pi))
+
+
+def _one_sample(record: Any) -> float:
+    """The width of an event [s]: a sample of the record's slowest channel."""
+    gap = max(float(np.median(np.diff(record[name].time))) for name in record.names)
+    return float(f"{_SAMPLES * gap:.3g}")

@@ -29,6 +29,8 @@ _STUCK = ("Search_Direction_Becomes_Too_Small", "Maximum_Iterations_Exceeded")
 _FALL = 0.1
 # Parts of a step that are tried where it may lead over a corner.
 _PARTS = (1.0, 0.3, 0.1)
+# Share of chi-squared by which rounding moves it.
+_UNMOVED = 1e-10
 # Directions that are tried so, each by itself.
 _MOST = 4
 
@@ -118,6 +120,7 @@ def _saddle(search: Search, errors: Uncertainty, cost: float) -> str | None:
         tried += [(np.sum(lost, axis=0), text), (alternating @ np.array(lost), text)]
     nv, lower, upper = len(errors.v), search.lower, search.upper
     for direction, text in tried:
+        idle = not direction[:nv].any()
         for step in (-1e-2, 1e-2, -1.0, 1.0):
             v = np.clip(errors.v + step * direction[:nv], lower[:nv], upper[:nv])
             moved, at = [], nv
@@ -130,6 +133,8 @@ def _saddle(search: Search, errors: Uncertainty, cost: float) -> str | None:
                 fall = cost - printed_cost(search, v, moved)
             except (FloatingPointError, np.linalg.LinAlgError, ModelError):
                 continue
+            if idle and abs(fall) <= _UNMOVED * cost:
+                break  # what nothing depends on, as an angle that is counted from anywhere
             if fall > _FALL + SHARE * cost and not search.constraints.violated(v):
                 return (
                     f"the data have no slope in {text} here, yet a step of {step:g} times its scale lowers "

@@ -217,6 +217,12 @@ class RecordTerm:
         )
         return True
 
+    def as_fine_as(self, known: Any) -> None:
+        """Integrate as finely as a propagator of this record did elsewhere (`fineness_of`), where both are alike."""
+        propagator: Any = self.propagator
+        if known is not None and isinstance(known, type(fineness_of(propagator))):
+            self.propagator = propagator.refined(known)
+
     def single(self) -> RecordTerm:
         """The same record as one interval, for simulation; made once for one fineness of the integration."""
         steps = fineness_of(self.propagator)

@@ -143,10 +143,7 @@ class RefitProblem:
     def _as_fine_as(self, warm: Refit | None) -> None:
         """Integrate as finely as a refit before did in the end, where the integrators are alike."""
         for record in self.records:
-            known = None if warm is None else warm.fineness.get(record.experiment.name)
-            own: Any = record.propagator
-            if known is not None and isinstance(known, type(fineness_of(own))) and hasattr(own, "refined"):
-                record.propagator = own.refined(known)
+            record.as_fine_as(None if warm is None else warm.fineness.get(record.experiment.name))
 
     def _descended(
         self, counts: list[int], v: Array, nodes: list[Array], most: int, *, last: bool

@@ -157,6 +157,8 @@ class Search:
         if getattr(self.warm, "in_places", False):
             for record in self.records:
                 record.step_in_places()
+        for record in self.records:
+            record.as_fine_as(getattr(self.warm, "fineness", {}).get(record.experiment.name))
         priors: Any = Priors(self.pmap, self.coordinates)
         if level is not None:
             self._check_loss()
