@@ -19,7 +19,7 @@ from casadi_engine.discrepancy.certificate import (
     score_rows,
     unknown_of,
 )
-from casadi_engine.discrepancy.choice import TIME_UP, Choice
+from casadi_engine.discrepancy.choice import BEYOND, TIME_UP, Choice
 from casadi_engine.discrepancy.confirmation import PairedGain
 from casadi_engine.discrepancy.fresh import (
     Portions,
@@ -176,6 +176,7 @@ class Answer:
 
     def _say(self, null: Station, last: Station, proof: Confirmation) -> None:
         self.messages += [*last.screened.choice.messages, *_without_answer(self.search), *_elsewhere(last)]
+        self.messages += _so_far(self.search)
         own = {
             record.name: {int(c) for n in record.cycle.values() for c in n}
             for record in null.screened.null.records
@@ -205,6 +206,19 @@ class Answer:
                 and last.fit.values[name] < one.candidate.source.effect.amplitude.max
             ]  # fmt: skip
             self.messages += _at_bounds(late, inside)
+
+
+def _so_far(search: Choice) -> list[str]:
+    """What the refits point at, where the time was up before the best of them was fitted to its end."""
+    if TIME_UP not in search.failed.values():
+        return []
+    now = search.pool[search.best]
+    ready = [one for one in search.pool.values() if one.beyond > BEYOND and one.log > now.log + search.price]
+    top = max(ready, key=lambda one: one.log, default=now)
+    if top is now:
+        return []
+    gone = f"chi-squared {top.evidence.cost:.4g} in place of {now.evidence.cost:.4g}"
+    return [f"the most probable so far is {top.label} ({gone}), which was not fitted to its end"]
 
 
 def _without_answer(search: Choice) -> list[str]:

@@ -119,7 +119,7 @@ class FreshChoice:
         self.tell("fresh data")
         noise = station.screened.noise
         try:
-            with Deadline(work=self._allowed):
+            with Deadline(work=self._allowed, best=True):
                 return fresh_sides(station.fit, station.effects, self.portion, noise, self.search.refitter)
         except TimeUp:
             if late():

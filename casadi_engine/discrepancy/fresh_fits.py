@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from casadi_engine.deadline import TimeUp, unmetered
 from casadi_engine.discrepancy.assumed_pressure import SCATTER, is_carried, with_priors
 from casadi_engine.discrepancy.events import place_of_event
 from casadi_engine.discrepancy.fresh import Portions
@@ -35,6 +37,8 @@ from casadi_engine.validation.held import parameters_for
 _POOR = 1.1
 # Iterations for first states from which no path led to rest: a model that is far off has none that fit.
 _LOST, _MOST = 20, 60
+# The status of a simulation whose first states had not settled.
+_UNSETTLED = "not converged: its initial states had not settled"
 # Name of a parameter -> its start, least and largest value.
 Places = Mapping[str, tuple[float, float, float]]
 
@@ -66,7 +70,13 @@ def held_fit(
     found, fault = None, None
     near = first_states_on(model, record, held, levels)
     starts: list[Start | None] = [near and replace(near, in_places=_in_places(fit)), None]
-    for number in range(3):
+    known = near is not None and not any(held[name].vary for name in held)
+    if near is not None and known:
+        with unmetered(), suppress(CasadiEngineError, FloatingPointError):
+            found = _simulated(fit, near, model, record, held, levels)
+            if near.converged and found.cost / found.n <= _chance(found) * _misfit(fit, noise):
+                return found
+    for number in range(1 if found is not None and found.converged else 0, 3):
         if number == 2:
             if found is None:
                 break
@@ -81,14 +91,34 @@ def held_fit(
         except (CasadiEngineError, FloatingPointError) as error:
             fault = error
             continue
+        except TimeUp:
+            if found is None:
+                raise
+            break
         found = made if found is None else min(found, made, key=lambda one: (not one.converged, one.cost))
-        chance = max(_POOR, 1 + 3 * math.sqrt(2 / found.n))
-        if found.cost / found.n <= chance * _misfit(fit, noise):
+        if found.cost / found.n <= _chance(found) * _misfit(fit, noise):
             break
     if found is None:
         assert fault is not None
         raise fault
     return found
+
+
+def _simulated(
+    fit: Fit, near: Start, model: Model, record: Experiment, held: Parameters, levels: Mapping[str, float]
+) -> Fit:
+    """The simulation of a record from first states that were found, as a Fit of nothing."""
+    made = estimate(
+        model, record, parameters=held, noise=Noise(**levels), initial=near.initial[record.name], progress=False,
+        method=str(fit.options.get("method", "exact")), warm=replace(near, in_places=_in_places(fit)),
+        errors="quadratic", interval=fit.options.get("interval", "auto"),
+    )  # fmt: skip
+    return made if near.converged else replace(made, status=_UNSETTLED)
+
+
+def _chance(found: Fit) -> float:
+    """Ratio of chi-squared per sample that chance may make between these data and others."""
+    return max(_POOR, 1 + 3 * math.sqrt(2 / found.n))
 
 
 def _held_parameters(
@@ -157,7 +187,8 @@ def fresh_sides(
             ]
             fits += _with_events(fit, effects, record, noise, idle, fits[0], refitter)
             held = min(fits, key=lambda one: one.cost)
-            found.append((held, null_model(held)))
+            with unmetered():  # what was found is to count
+                found.append((held, null_model(held)))
         except (CasadiEngineError, FloatingPointError):
             return None
     return found

@@ -78,10 +78,16 @@ def shift_of(record: RecordTerm, found: SignedError) -> float:
     return norm if np.isfinite(norm) else np.inf
 
 
-def shorten_steps(records: Sequence[RecordTerm], v: Array, nodes: Sequence[Array]) -> bool:
-    """Give shorter steps to records whose integration moves the estimates; True if any has them now."""
+def shorten_steps(
+    records: Sequence[RecordTerm], v: Array, nodes: Sequence[Array], misfit: float = 1.0
+) -> bool:
+    """Give shorter steps to records whose integration moves the estimates; True if any has them now.
+
+    misfit : chi-squared per sample; where it is above 1 the residuals are no noise of the levels by which records are
+    weighed, and what is left of a wrong model tells the estimates so much less
+    """
     errors = signed_errors(records, v, nodes)
-    limit, changed = SHIFT / np.sqrt(len(records)), False
+    limit, changed = SHIFT * np.sqrt(max(misfit, 1.0) / len(records)), False
     for record, found in zip(records, errors, strict=True):
         if found is None or record.limited:
             continue

@@ -133,7 +133,8 @@ class RefitProblem:
         place, status = self._descended(ladder[-1], v, nodes, most, last=True)
         for _ in range(_SHORTENED):
             try:
-                if status != "converged" or not shorten_steps(self.records, place.v, place.nodes):
+                misfit = 2 * place.squares.cost / max(self.count, 1)
+                if status != "converged" or not shorten_steps(self.records, place.v, place.nodes, misfit):
                     break
                 place, status = self._descended(ladder[-1], place.v, list(place.nodes), most, last=True)
             except TimeUp:  # what there is stays what it was

@@ -471,7 +471,8 @@ class Search:
             self._weigh(attempt.sigma)
             try:
                 nodes = [lay.take(x) for lay in self.problem.layouts]
-                if not shorten_steps(self.records, x[: self.problem.nv], nodes):
+                misfit = attempt.cost / max(self.problem.samples, 1)
+                if not shorten_steps(self.records, x[: self.problem.nv], nodes, misfit):
                     break
                 self.problem.forget()
                 solution = self.solver.solve(x, self.lower, self.upper, exact=True)
