@@ -55,7 +55,7 @@ _NO_FIT = "its fit of all data does not converge"
 _NOTHING_LEFT = "its fit of all data leaves nothing of it"
 # What the time did not allow where every effect was refitted once.
 _OTHER_STARTS = "other starts of these effects"
-# Share of where its search started at which an amplitude on its bound is none.
+# Share of where its search started at which an amplitude is none.
 _GONE = 1e-6
 
 
@@ -332,7 +332,7 @@ class Choice:
         if known is None or known.arrived.cost > here.arrived.cost + _NESTED:
             one = chosen()
             small = replace(one, start=_SMALL * one.start)
-            self._try(here, small, Start(here.arrived.values, here.arrived.initial))
+            self._try(here, small, Start(here.arrived.values, here.arrived.initial), near=True)
             known = self.pool.get(self._key(here, key))
         if known is None or known.arrived.cost > here.arrived.cost + _NESTED:
             self.failed[f"{key[0]} at {key[1]}"] = TIME_UP if late() else "no refit of it arrives"
@@ -436,9 +436,9 @@ class Choice:
     def _key(self, here: Tried, key: tuple[str, str]) -> Key:
         return here.key | {key}
 
-    def _try(self, here: Tried, one: Addition, start: Start | None) -> None:
+    def _try(self, here: Tried, one: Addition, start: Start | None, *, near: bool = False) -> None:
         for form in one.forms:
-            self.refits.tried((*here.effects, form), start)
+            self.refits.tried((*here.effects, form), start, near=near)
 
     def _own_step(self, here: Tried, screened: Screened) -> OneStep | None:
         """One step from the parameters' own values, the effects so far as they were found."""
@@ -524,10 +524,11 @@ class Choice:
 
 
 def vanished(effects: Sequence[Addition], fit: Fit) -> bool:
-    """True if a fit leaves nothing of one of its effects: all its amplitudes rest on the bound where it is none."""
+    """True if a fit leaves nothing of one of its effects: on the bound where it is none, or made smaller and smaller
+    while the data were content."""
     for one in effects:
         own = [e for name, e in fit.estimates.items() if name.partition("@")[0] == one.amplitude]
-        if own and all(e.at_bound and abs(e.value) <= _GONE * abs(one.start) for e in own):
+        if own and all(abs(e.value) <= _GONE * abs(one.start) for e in own):
             return True
     return False
 

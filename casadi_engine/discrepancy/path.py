@@ -143,11 +143,12 @@ class Path:
         return not any(isinstance(record.propagator, RungeKuttaPropagator) for record in problem.records)
 
     def at(self, values: Mapping[str, float], initial: Mapping[str, Mapping[str, float]]) -> Arrived | None:
-        """The model without effects at known parameters and first states."""
+        """The model without effects near known parameters and first states: an optimum of another integrator is one
+        here but for its steps, which are as long as they may be only where a search has settled."""
         _, _, problem = self._problem(())
         with Deadline() as own:
-            found = problem.run(start=values, initial=initial, horizons=(None,), most=1)
-        self._work[:1] = [_AHEAD * _STEPS * own.done]
+            found = problem.run(start=values, initial=initial, horizons=(None,), most=_STEPS)
+        self._work[:1] = [_AHEAD * _STEPS * own.done / max(found.steps, 1)]
         return _arrived(problem, found)
 
     def residuals(self, effects: Sequence[Addition], arrived: Arrived) -> NullModel:

@@ -121,10 +121,13 @@ class Refits:
         self._fine: set[Key] = set()  # structures whose corners are as sharp as the data feel
         self._tell = tell
 
-    def tried(self, effects: tuple[Addition, ...], start: Start | None) -> list[Tried]:
-        """The structure in the pool, after another refit of it from a start; empty where none has arrived."""
+    def tried(self, effects: tuple[Addition, ...], start: Start | None, *, near: bool = False) -> list[Tried]:
+        """The structure in the pool, after another refit of it from a start; empty where none has arrived.
+
+        near : an optimum is to be near, so that no short windows show the way
+        """
         key = key_of(effects)
-        arrived = self.path.from_windows(effects, start)
+        arrived = (self.path.from_point if near else self.path.from_windows)(effects, start)
         known = self.pool.get(key)
         if arrived is None or not math.isfinite(arrived.cost):
             return [] if known is None else [known]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -21,6 +22,7 @@ from casadi_engine.discrepancy.lower_rate import at_lower_rate
 from casadi_engine.discrepancy.noise_choice import ColourChoice, check_choice
 from casadi_engine.discrepancy.null_model import refuse_jumps
 from casadi_engine.discrepancy.output_check import noise_alone, refuse_still, wild_samples
+from casadi_engine.discrepancy.own_jumps import JUMPED, with_own_jumps
 from casadi_engine.discrepancy.progress import Progress, shown
 from casadi_engine.discrepancy.refit import Refitter
 from casadi_engine.discrepancy.repaired import Repair
@@ -47,7 +49,7 @@ _STARTS, _MOST = 4, 4
 # share of that time up to which the fit without effects and its scores may last, without which there is no answer.
 _SPARE, _LEAST_SPARE, _FIRST = 0.1, 2.0, 0.5
 _JUMPED = (
-    "the equations jump with their states; here tanh stands in place of their jumps, as sharp as the motion asks for "
+    JUMPED + "; here tanh stands in place of their jumps, as sharp as the motion asks for "
     "({}): the parameters of repair.fit belong to these equations"
 )
 _LOWER = "the time was up before the whole data were fitted: all values are those of records of a lower rate"
@@ -122,10 +124,9 @@ def repair(
     ('named', True, 'engine.coulomb_friction', 3.0)
     """
     begun = time.perf_counter()
-    pars, given, records = _own(model, parameters), model, _records(data, model)
+    own, given, records = _own(model, parameters), model, _records(data, model)
     model = with_rounded_jumps(model, _largest(model, records))
-    if model is not given:
-        pars = pars.extended(model)
+    pars = own if model is given else own.extended(model)
     others = () if fresh is None else _records(fresh, model)
     effects = left_out(effects, without)
     read_request(model, effects, at)
@@ -164,7 +165,7 @@ def repair(
     with deadline, Interrupts(job.stop) as asked_to_stop:
         job.interrupts = asked_to_stop
         try:
-            return job.run(scores, alpha=alpha, most=most, scatter=scatter, jobs=jobs)
+            return job.run(scores, alpha=alpha, most=most, scatter=scatter, jobs=jobs, given=(given, own))
         except (KeyboardInterrupt, TimeUp):
             return job.interrupted(alpha)
         finally:
@@ -196,10 +197,25 @@ class _Job:
         self.tell.stopping = True
         self.deadline.stop()
 
-    def run(self, scores: Any, *, alpha: float, most: int, scatter: Any, jobs: int | None) -> Repair:
-        """The answer; that for another hold of the inputs where this is what the records ask for."""
+    def run(
+        self,
+        scores: Any,
+        *,
+        alpha: float,
+        most: int,
+        scatter: Any,
+        jobs: int | None,
+        given: tuple[Model, Parameters],
+    ) -> Repair:
+        """The answer; that for another hold of the inputs where this is what the records ask for.
+
+        given : model and parameters as they were given, before jumps were rounded
+        """
         how: dict[str, Any] = {"alpha": alpha, "most": most, "scatter": scatter, "jobs": jobs}
         found = self._answered(scores, **how)
+        if self.model.corners and found.verdict == "nothing missing":
+            with suppress(TimeUp):
+                found = with_own_jumps(found, *given, self.noise, self.options)
         if self.search is None:
             return found
         memory = max(self.search.refits.levels.memory.values(), default=1.0)
