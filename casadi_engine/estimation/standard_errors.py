@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -28,6 +29,9 @@ Array = NDArray[np.float64]
 # tell: it changes chi-squared by the square, 1e-3), and if without it the estimate would go beyond it by more than
 # ``_BEYOND`` times as far. The standard error is the one that the estimate has without bounds.
 _NEAR, _BEYOND = 0.03, 3.0
+# Chi-squared by which the data may ask for less than a bound by chance, and standard errors of 95 %: a range counts as
+# an error of so much less.
+_CHANCE, _TWO_SIDED = 4.0, 1.96
 # A variance below this share of what its parts would give is rounding: the constraints leave nothing open.
 _HELD = 1e-12
 
@@ -59,6 +63,7 @@ class Uncertainty:
     decrement: float = 0.0
     step: Array | None = None
     released: Released | None = None  # where bounds or inequalities act: the errors if they did not
+    blind: Sequence[Array] = ()  # directions of which nothing is known but for what is at its bound
 
     @property
     def v(self) -> Array:
@@ -127,6 +132,8 @@ class Uncertainty:
         size = float(np.linalg.norm(slope))
         if any(abs(d[: len(slope)] @ slope) > 1e-6 * size for d in self.covariance.directions):
             return None, "the data do not determine it"
+        if any(abs(d[: len(slope)] @ slope) > 1e-6 * size for d in self.blind):
+            return None, "the data tell it only for what is at its bound"
         variance = float(slope @ matrix @ slope)
         # what it would be if the entries were independent
         if variance <= _HELD * float(slope**2 @ np.diag(matrix)):
@@ -187,9 +194,38 @@ def uncertainty(search: Search, best: Attempt) -> Uncertainty:
     found = invert(information, closed, rows, entries)
     step = -found.matrix @ gradient
     decrement = float(-gradient @ step)
+    held = np.flatnonzero(closed[: search.problem.nv] & ~fixed[: search.problem.nv])
+    more, blind = _inside_bounds(search, information, found, held, force)
+    found = replace(found, matrix=found.matrix + more)
     acts = bool(closed[: search.problem.nv].any()) or bool(acting)
     released = _released(search, best, information, closed, x[: search.problem.nv]) if acts else None
-    return Uncertainty(search, x, bound, found, acting, optimal, decrement, step, released)
+    return Uncertainty(search, x, bound, found, acting, optimal, decrement, step, released, blind)
+
+
+def _inside_bounds(
+    search: Search, information: Array, found: Covariance, held: NDArray[np.intp], force: Array
+) -> tuple[Array, list[Array]]:
+    """What estimates at a bound add to the covariance of the others, and directions (N,) of which they leave nothing
+    known.
+
+    The data say that such a parameter is at its bound or inside by as much as its own error, which may be all of its
+    range: the others move with it. Nothing is added where the data pull it beyond the bound by more than chance does.
+    """
+    more: Array = np.zeros_like(information)
+    if not len(held) or not np.isfinite(information).all():
+        return more, []
+    moved = -found.matrix @ information[:, held]
+    moved[held] = np.eye(len(held))
+    own = information[np.ix_(held, held)] + information[held] @ (moved - np.eye(len(information))[:, held])
+    reach = _TWO_SIDED / (search.upper[held] - search.lower[held])
+    values, vectors = np.linalg.eigh((own + own.T) / 2 + np.diag(reach**2))
+    lost = values <= _HELD * max(float(np.diag(information)[held].max()), 1e-300)
+    known = vectors[:, ~lost] / np.sqrt(values[~lost])
+    if float(((known.T @ force[held]) ** 2).sum()) > _CHANCE:
+        return more, []
+    moved[held] = 0.0  # they have no symmetric error
+    spread = moved @ known
+    return spread @ spread.T, list((moved @ vectors[:, lost]).T)
 
 
 def _released(
