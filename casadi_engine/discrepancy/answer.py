@@ -20,6 +20,7 @@ from casadi_engine.discrepancy.certificate import (
     unknown_of,
 )
 from casadi_engine.discrepancy.choice import BEYOND, TIME_UP, Choice
+from casadi_engine.discrepancy.coloured_errors import with_coloured_errors
 from casadi_engine.discrepancy.confirmation import PairedGain
 from casadi_engine.discrepancy.fresh import (
     Portions,
@@ -70,7 +71,7 @@ class Answer:
             self.messages.append(self.portion.why)
         choice = FreshChoice(self.search, self.portion, self.tell, self.messages, self.work)
         proof = self._timed("confirm", choice.run)
-        last = proof.kept[-1]
+        proof, last = self._honest(proof)
         found, withdrawn = self._timed("certificate", lambda: _effects(proof))
         cut = TIME_UP in self.search.failed.values()
         unknown = None if found else Unknown(_UNTOLD, {})
@@ -135,6 +136,17 @@ class Answer:
         if done.verdict == "nothing missing" and done.noise is not None and done.noise.colour:
             done = replace(done, messages=(*done.messages, _MAY_HIDE))
         return held_to_fresh_data(done)
+
+    def _honest(self, proof: Confirmation) -> tuple[Confirmation, Station]:
+        """The last model with errors that count with the colour of its noise."""
+        last = proof.kept[-1]
+        screened = last.screened
+        fit, words = with_coloured_errors(last.fit, screened.null, screened.noise)
+        if not words:
+            return proof, last
+        self.messages.append(words)
+        last = replace(last, fit=fit)
+        return replace(proof, kept=(*proof.kept[:-1], last)), last
 
     def _timed(self, what: str, work: Any) -> Any:
         begun = time.perf_counter()

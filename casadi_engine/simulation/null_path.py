@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_engine.model import Model
+from casadi_engine.model.linearity import is_affine
 from casadi_engine.simulation.adaptive import Adaptive
 from casadi_engine.simulation.drives import Drives
 from casadi_engine.simulation.finer_grid import around_instants, with_parts
@@ -119,12 +120,15 @@ def null_path(model: Model, grid: Grid, p: Array, start: Array, *, steps: int | 
     """Simulate a record at p : (np,) from the state ``start`` : (n,) at its first sample, by single shooting.
 
     steps : to a sample of an exponential integrator, as in the fit whose path this is; None for the fewest that are
-    stable. Any model that is not integrated so, and any on unequal steps or with equations that depend on time itself,
-    is simulated by steps that follow the error, and gets points between its samples where the states bend there.
+    stable. Any model that is not integrated so, and any on unequal steps or with equations that depend on time itself
+    and are affine in the channels, is simulated by steps that follow the error, and gets points between its samples
+    where the states bend there.
     Raises FloatingPointError where the states are not finite.
     """
     p, start = np.asarray(p, dtype=float), np.asarray(start, dtype=float)
-    if not grid.uniform or timed_drives(model) or switches_in_time(model):
+    # equations that bend in the channels are read as lines between samples by a fit with a linear core, and so here
+    timed = timed_drives(model) and is_affine(model.closed_ode, model.u, ca.SX(0, 1))
+    if not grid.uniform or timed or switches_in_time(model):
         return _adaptive_path(model, grid, p, start)
     observed = replace(model, outputs=model.states, output_expressions=model.x)
     bare = replace(grid, measured={})

@@ -152,7 +152,11 @@ def test_a_damper_that_would_be_negative_rests_on_zero(run_up):
     fit = ce.estimate(ce.one_inertia(), data, parameters=pars, progress=False)
     assert fit.estimates["C_eng"].at_bound == "min"
     assert fit.values["C_eng"] == 0.0
-    assert fit.stderr["J_eng"] > 0
+    # the damper may be as large as the data allow, and a larger one makes the inertia smaller, never larger
+    low, high = fit.estimates["J_eng"].interval
+    free_error = unbounded.stderr["J_eng"]
+    assert fit.values["J_eng"] - low > free_error > high - fit.values["J_eng"]
+    assert low < 0.4 < high
 
 
 # ---- per-experiment parameters

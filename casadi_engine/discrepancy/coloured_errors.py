@@ -1,0 +1,118 @@
+"""Standard errors of a fit whose noise is coloured: those of white noise are too small, or too large.
+
+A fit weighs all samples alike. With J the slopes of the outputs, sigma their level in the fit and V the covariance of
+the noise, its estimates scatter by A^-1 B A^-1, A = J'J/sigma^2 and B = J'VJ/sigma^4, priors in both.
+Source: White, Econometrica 48 (1980) 817; with autoregressions, Newey & West (1987).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from casadi_engine.discrepancy.linear_algebra import REPEATED, Array
+from casadi_engine.discrepancy.noise_model import NoiseModel
+from casadi_engine.discrepancy.null_model import NullModel, RecordNull
+from casadi_engine.estimation import Estimate, Fit
+
+# Errors are said to count with the colour where it changes one by more than this share.
+_SEEN = 0.1
+# How what an estimate says of a coloured residual ends.
+_TOO_SMALL = "and the standard errors are too small"
+
+
+def with_coloured_errors(fit: Fit, null: NullModel, noise: NoiseModel) -> tuple[Fit, str]:
+    """The fit with errors that count with the noise's colour, and what to say of it; none smaller than before.
+
+    null : the model linearised at this fit; noise : as it was estimated beside it
+    """
+    if not noise.colour or null.parameters != fit.free:
+        return fit, ""
+    of_parameters, of_starts = _ratios(fit, null, noise)
+    ratio = dict(zip(fit.free, of_parameters.tolist(), strict=True))
+    most = max(ratio.values(), default=1.0)
+    if most < 1 + _SEEN:
+        return fit, ""
+    estimates = {name: _wider(one, ratio.get(name, most)) for name, one in fit.estimates.items()}
+    initial = {
+        record: {state: _wider(one, of_starts.get((record, state), 1.0)) for state, one in states.items()}
+        for record, states in fit.initial.items()
+    }
+    scale = np.array([ratio[name] for name in fit.free])
+    errors = fit.errors and replace(
+        fit.errors, rows=fit.errors.rows / np.array([ratio[n] for n in fit.errors.names])
+    )
+    messages = tuple(_TOLD if _TOO_SMALL in words else words for words in fit.messages)
+    told = replace(
+        fit, estimates=estimates, initial=initial, covariance=fit.covariance * np.outer(scale, scale), errors=errors,
+        messages=tuple(dict.fromkeys(messages)),
+    )  # fmt: skip
+    return told, f"{_TOLD}: they are up to {most:.2g} times those of white noise"
+
+
+_TOLD = "the standard errors count with the colour of the noise"
+
+
+def _ratios(fit: Fit, null: NullModel, noise: NoiseModel) -> tuple[Array, dict[tuple[str, str], float]]:
+    """By how much errors of the free parameters (nz,), and of record's states, are larger than with white noise."""
+    nz, places, size = null.turn.shape[1], {}, null.turn.shape[1]
+    for record in null.records:
+        places[record.name] = size
+        size += len(record.starts)
+    prior = null.prior[:, :nz].T @ null.prior[:, :nz]
+    flat, coloured = np.zeros((size, size)), np.zeros((size, size))
+    for one in (flat, coloured):
+        one[:nz, :nz] = prior
+    for record in null.records:
+        at = np.concatenate([np.arange(nz), places[record.name] + np.arange(len(record.starts))])
+        for output in record.outputs:
+            level = fit.noise[output][0]
+            slopes = record.slopes[output] / level
+            flat[np.ix_(at, at)] += slopes.T @ slopes
+            own = _coloured(record, output, slopes, noise) / level
+            coloured[np.ix_(at, at)] += own.T @ own
+    spread = np.sqrt(np.maximum(np.diag(flat), 1e-300))
+    values, vectors = np.linalg.eigh(flat / np.outer(spread, spread))
+    seen = values > REPEATED * values.max(initial=0.0)
+    inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T / np.outer(spread, spread)
+    sandwich = inverse @ coloured @ inverse
+    turned = [null.turn @ one[:nz, :nz] @ null.turn.T for one in (sandwich, inverse)]
+    ratio = [_ratio(*numbers) for numbers in zip(*map(np.diag, turned), strict=True)]
+    starts = {
+        (record.name, state): _ratio(sandwich[k, k], inverse[k, k])
+        for record in null.records
+        for k, state in enumerate(record.starts, places[record.name])
+    }
+    return np.array(ratio), starts
+
+
+def _ratio(then: float, now: float) -> float:
+    return float(np.sqrt(max(then / now, 1.0))) if now > 0 else 1.0
+
+
+def _coloured(record: RecordNull, output: str, slopes: Array, noise: NoiseModel) -> Array:
+    """L' J, (n, k), where the noise of an output is L times white noise of unit variance."""
+    from scipy.signal import lfilter
+
+    colour = noise.colour.get((record.name, output))
+    if colour is None or colour.order == 0:
+        return slopes * noise.sigma[output]
+    full = np.zeros((record.length[output], slopes.shape[1]))
+    full[record.valid(output)] = slopes
+    backwards = lfilter([noise.sigma[output]], colour.predictors[-1], full[::-1], axis=0)
+    return np.asarray(backwards)
+
+
+def _wider(one: Estimate, ratio: float) -> Estimate:
+    """The estimate with errors so many times as large."""
+    if ratio <= 1:
+        return one
+    own: Mapping[str, Any] = {
+        "stderr": one.stderr and one.stderr * ratio,
+        "quadratic": one.quadratic and one.quadratic * ratio,
+        "interval": one.interval and tuple(one.value + ratio * (end - one.value) for end in one.interval),
+    }
+    return replace(one, **own)
