@@ -18,9 +18,11 @@ import numpy as np
 
 from casadi_engine.deadline import Deadline, TimeUp, ask, late
 from casadi_engine.discrepancy.assumed_pressure import settle_scatter
+from casadi_engine.discrepancy.coloured_errors import coloured_errors
 from casadi_engine.discrepancy.events import by_one_step
 from casadi_engine.discrepancy.linearised import OneStep, one_step, without_effect
 from casadi_engine.discrepancy.membership import class_of, ordered, reached
+from casadi_engine.discrepancy.noise_model import estimated_noise
 from casadi_engine.discrepancy.null_model import null_at
 from casadi_engine.discrepancy.pairs import price_of, tried_in_two
 from casadi_engine.discrepancy.path import FAILURES
@@ -207,9 +209,15 @@ class Choice:
             if best is None or not (calibrated or gain > math.log(FACTOR * max(known, 1))):
                 self._told(here, tried, None)
                 return None
+            if self._weak(best):
+                best.failed = True
+                continue
             best = self._timed("exchange", lambda: self._exchanged(best, here))  # noqa: B023
             if self._timed("refit", lambda: self._sharpened(best)):  # noqa: B023
                 here, tried = self.pool[here.key], [self.pool[one.key] for one in tried]
+                continue
+            if self._weak(best):
+                best.failed = True
                 continue
             arrived = self._station(best)
             if arrived is not None and not vanished(best.effects, arrived.fit):
@@ -222,6 +230,22 @@ class Choice:
             ask()
         self._told(here, tried, best)
         return best
+
+    def _weak(self, best: Tried) -> bool:
+        """True if an amplitude is no finding beside coloured noise, whose slow part may do as much."""
+        refits = self.refits
+        if not refits.levels.memory:
+            return False
+        null = refits.path.residuals(best.effects, best.arrived)
+        slopes = {record.name: dict(record.slopes) for record in null.records}
+        noise = estimated_noise(null, explained=slopes, colour=True)
+        error = coloured_errors(null, refits.path.levels, noise)
+        values = best.arrived.values
+        for one in best.effects:
+            own = [n for n in values if n.partition("@")[0] == one.amplitude]
+            if all(abs(values[n]) < BEYOND * error.get(n, math.inf) for n in own):
+                return True
+        return False
 
     def _without_idle(self, tried: Sequence[Tried]) -> list[Tried]:
         """The most probable structure without members of which it leaves next to nothing: what was added may do alone

@@ -31,7 +31,7 @@ def with_coloured_errors(fit: Fit, null: NullModel, noise: NoiseModel) -> tuple[
     """
     if not noise.colour or null.parameters != fit.free:
         return fit, ""
-    of_parameters, of_starts = _ratios(fit, null, noise)
+    of_parameters, of_starts = _ratios({name: level for name, (level, _) in fit.noise.items()}, null, noise)
     ratio = dict(zip(fit.free, of_parameters.tolist(), strict=True))
     most = max(ratio.values(), default=1.0)
     if most < 1 + _SEEN:
@@ -56,8 +56,11 @@ def with_coloured_errors(fit: Fit, null: NullModel, noise: NoiseModel) -> tuple[
 _TOLD = "the standard errors count with the colour of the noise"
 
 
-def _ratios(fit: Fit, null: NullModel, noise: NoiseModel) -> tuple[Array, dict[tuple[str, str], float]]:
-    """By how much errors of the free parameters (nz,), and of record's states, are larger than with white noise."""
+def _covariances(
+    null: NullModel, levels: Mapping[str, float], noise: NoiseModel
+) -> tuple[Array, Array, dict[str, int]]:
+    """Of steps of the parameters and first states: with the noise's colour, and with white noise of these levels;
+    record -> where its states begin."""
     nz, places, size = null.turn.shape[1], {}, null.turn.shape[1]
     for record in null.records:
         places[record.name] = size
@@ -69,7 +72,7 @@ def _ratios(fit: Fit, null: NullModel, noise: NoiseModel) -> tuple[Array, dict[t
     for record in null.records:
         at = np.concatenate([np.arange(nz), places[record.name] + np.arange(len(record.starts))])
         for output in record.outputs:
-            level = fit.noise[output][0]
+            level = levels[output]
             slopes = record.slopes[output] / level
             flat[np.ix_(at, at)] += slopes.T @ slopes
             own = _coloured(record, output, slopes, noise) / level
@@ -78,7 +81,22 @@ def _ratios(fit: Fit, null: NullModel, noise: NoiseModel) -> tuple[Array, dict[t
     values, vectors = np.linalg.eigh(flat / np.outer(spread, spread))
     seen = values > REPEATED * values.max(initial=0.0)
     inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T / np.outer(spread, spread)
-    sandwich = inverse @ coloured @ inverse
+    return inverse @ coloured @ inverse, inverse, places
+
+
+def coloured_errors(null: NullModel, levels: Mapping[str, float], noise: NoiseModel) -> dict[str, float]:
+    """Free parameter -> its standard error in this noise, of least squares weighted by ``levels``."""
+    nz = null.turn.shape[1]
+    own = null.turn @ _covariances(null, levels, noise)[0][:nz, :nz] @ null.turn.T
+    return dict(zip(null.parameters, np.sqrt(np.maximum(np.diag(own), 0.0)).tolist(), strict=True))
+
+
+def _ratios(
+    levels: Mapping[str, float], null: NullModel, noise: NoiseModel
+) -> tuple[Array, dict[tuple[str, str], float]]:
+    """By how much errors of the free parameters (nz,), and of record's states, are larger than with white noise."""
+    nz = null.turn.shape[1]
+    sandwich, inverse, places = _covariances(null, levels, noise)
     turned = [null.turn @ one[:nz, :nz] @ null.turn.T for one in (sandwich, inverse)]
     ratio = [_ratio(*numbers) for numbers in zip(*map(np.diag, turned), strict=True)]
     starts = {
