@@ -52,6 +52,7 @@ Array = NDArray[np.float64]
 _ROUNDS, _LEVEL = 12, 1e-6
 # Rounds of shorter integration steps, each with a refit that begins at the optimum.
 _SHORTENED = 6
+_NOWHERE = "the frequency domain led nowhere"
 # Points from which values that meet all constraints are looked for, where a search has ended without.
 _TRIED = 5
 
@@ -329,38 +330,41 @@ class Search:
         except FloatingPointError:
             return None
 
-    def run(
-        self, z: Array, *, first: bool = True, finish: bool = True, beside: Begun | None = None
-    ) -> Attempt:
-        """Search from z : (nz,), in the parameters' units.
+    def run(self, z: Array, *, first: bool = True, beside: Begun | None = None) -> Attempt:
+        """Search from z : (nz,), in the parameters' units, but for the last steps on all samples after a search in the
+        frequency domain; see ``finished``.
 
-        finish : take the last steps on all samples, whatever the search began on; else see ``finished``
         beside : a lower optimum is looked for than this one in the frequency domain
         """
         self.reached = None
         self.solver.forget()
         z = self._warm_values(z) if first and self.warm is not None else z
         given, z = z, self._approached(z) if first else z
-        self._weigh(self.levels.first(self.warm if first else None))
+        self._weigh(beside.sigma if beside else self.levels.first(self.warm if first else None))
         known = {record.experiment.name for record in self.records} <= set(getattr(self.warm, "initial", ()))
         near = first and known and bool(getattr(self.warm, "converged", False))
         why = "it starts at an optimum" if near else in_full(self)
-        self._before, solution, begun = 0, None, None
+        self._before, begun = 0, None
         if why is None:
             begun = self.spectral.search(z, steps=self.solver.most, beside=beside)
-            if begun is not None and begun.converged and not finish and not any(self.levels.estimated):
-                return self._unfinished(begun, given)
             if begun is not None and begun.stopped:
                 return self._stopped(begun, given)
-            solution, searched = self._on_all_samples(begun)
-            why = "the frequency domain led nowhere"
-        if solution is None:
-            self._before = 0
-            solution = self._solved(self._checked(self._start(z, first=first), z), exact=near)
-            searched = f"all samples: {why}"
+            if begun is not None:
+                found = self._unfinished(begun, given)
+                return found if begun.converged else self.finished(found)
+            why = _NOWHERE
+        return self._in_full(z, given, why, first=first, near=near)
+
+    def _in_full(self, z: Array, given: Array, why: str, *, first: bool, near: bool = False) -> Attempt:
+        """Search on all samples from z, which the start that was given led to."""
+        self._before = 0
+        solution = self._solved(self._checked(self._start(z, first=first), z), exact=near)
+        return replace(self._ended(solution, given), searched=f"all samples: {why}")
+
+    def _ended(self, solution: Solution, given: Array) -> Attempt:
+        """The attempt that ends at a solution, its noise levels settled."""
         solution, iterations = self._levelled(solution)
-        last = self._outcome(self._blamed(solution), iterations, given)
-        return replace(last, searched=searched, begun=begun)
+        return self._outcome(self._blamed(solution), iterations, given)
 
     def _stopped(self, begun: Begun, z: Array) -> Attempt:
         """The attempt where the time was over, or the user ended it, in the frequency domain."""
@@ -371,14 +375,12 @@ class Search:
             return replace(self._outcome(solution, begun.steps, z), searched=searched, begun=begun)
 
     def _unfinished(self, begun: Begun, z: Array) -> Attempt:
-        """The attempt at an optimum in the frequency domain, at known noise levels."""
+        """The attempt at an optimum in the frequency domain, at the noise levels there."""
         nothing = np.zeros(0)
         solution = Solution(begun.v, nothing, nothing, "converged", begun.steps, "")
         cost = 2 * begun.found.minimum.squares.cost
-        merit = cost + 2 * float(np.log(self.sigma) @ self.levels.counts)
-        return Attempt(
-            solution, begun.v, self.sigma.copy(), cost, merit, begun.steps, z, "", begun, pending=True
-        )
+        merit = cost + 2 * float(np.log(begun.sigma) @ self.levels.counts)
+        return Attempt(solution, begun.v, begun.sigma, cost, merit, begun.steps, z, "", begun, pending=True)
 
     def finished(self, attempt: Attempt) -> Attempt:
         """An attempt with its last steps on all samples; itself if it has them."""
@@ -387,9 +389,10 @@ class Search:
         self._weigh(attempt.sigma)
         solution, searched = self._on_all_samples(attempt.begun)
         if solution is None:
-            return self.run(attempt.start, first=False)
-        last = self._outcome(solution, solution.iterations, attempt.start)
-        return replace(last, searched=searched, begun=attempt.begun)
+            first = np.array_equal(attempt.start, self._warm_values(self.pmap.start))
+            self._weigh(self.levels.first(self.warm if first else None))
+            return self._in_full(attempt.start, attempt.start, _NOWHERE, first=first)
+        return replace(self._ended(solution, attempt.start), searched=searched, begun=attempt.begun)
 
     def _checked(self, x: Array, z: Array) -> Array:
         """The point itself, if the model can be evaluated there."""
@@ -575,7 +578,11 @@ class Search:
 
     def cost_of(self, attempt: Attempt, sigma: Array) -> float:
         """The cost of an attempt at other noise levels (ny,)."""
-        if attempt.pending or attempt.cut:  # at known levels, and without the nodes that all samples ask for
+        if (
+            attempt.pending
+        ):  # without the nodes that all samples ask for: at its own levels likelihoods compare
+            return attempt.merit - 2 * float(np.log(sigma) @ self.levels.counts)
+        if attempt.cut:
             return attempt.cost
         self._weigh(sigma)
         return 2 * self.problem.samples * self._objective(attempt.solution.x)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,13 +31,15 @@ _UNLIKE = 1e-2
 class Begun:
     """Where a search in the frequency domain ended.
 
-    found : its last optimum; steps : of all rounds; stopped : by the user; converged : at an optimum
+    found : its last optimum, at the levels sigma (ny,); steps : of all rounds; stopped : by the user;
+    converged : at an optimum
     """
 
     found: Found
     steps: int
     stopped: bool
     converged: bool
+    sigma: Array
 
     @property
     def v(self) -> Array:
@@ -144,13 +146,23 @@ class SpectralStarts:
             if found is None:
                 return None
             v, done = found.minimum.x, done + found.minimum.steps
-            begun = Begun(found, done, self._stopped, found.minimum.converged)
+            begun = Begun(found, done, self._stopped, found.minimum.converged, search.sigma.copy())
             x = self.variables(begun) if begun.converged and search.settles else None
             if x is None or self._settled(x):
                 break
             self._seen -= 1  # the next begins where this one ended
         self._spectral.release()
-        return begun
+        return begun if begun is None or search.settles else self._at_own_level(begun)
+
+    def _at_own_level(self, begun: Begun) -> Begun:
+        """The same at the noise level that its residual has, where one level is estimated and moves no optimum."""
+        search = self._search
+        if not (begun.converged and any(search.levels.estimated)):
+            return begun
+        before, left = begun.sigma, search.levels.counts.sum() - search.free_count
+        search._weigh(search.levels.weights(before * np.sqrt(2 * begun.found.minimum.squares.cost / left)))
+        share = float((before / search.sigma)[0] ** 2)
+        return replace(begun, found=begun.found.scaled(share), sigma=search.sigma.copy())
 
     def _settled(self, x: Array) -> bool:
         """Weigh by the noise levels at a point; True if they are what they were."""
