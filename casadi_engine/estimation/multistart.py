@@ -52,12 +52,15 @@ def attempts_from(
             if _tried(run, attempts, starts):
                 pending, asked = best_of(attempts).pending, len(attempts)
                 if neighbours or pending:
+                    search.quiet = not neighbours
                     _follow(search, run, attempts, max(neighbours, 1))
                 if not neighbours:
                     attempts[asked:] = _others(attempts, asked)
         except TimeUp:
             if not attempts or not best_wanted():
                 raise
+        finally:
+            search.quiet = False
         return in_time(lambda: _finished(search, attempts))
     finally:
         search.close()

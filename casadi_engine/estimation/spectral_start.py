@@ -15,6 +15,7 @@ from casadi_engine.simulation.grid import Grid
 from casadi_engine.simulation.linear import LinearPropagator
 
 if TYPE_CHECKING:
+    from casadi_engine.estimation.laid_problem import LaidProblem
     from casadi_engine.estimation.search import Search
 
 Array = NDArray[np.float64]
@@ -47,19 +48,19 @@ class Begun:
         return self.found.minimum.x
 
 
-def in_full(search: Search) -> str | None:
+def in_full(search: LaidProblem) -> str | None:
     """Why a search has to be on all samples from its start; None if it can begin in the frequency domain."""
     if search.problem.nv and search.problem.user.count:
         return "constraints hold the parameters"
     return no_spectrum(search)
 
 
-def no_spectrum(search: Search) -> str | None:
+def no_spectrum(search: LaidProblem) -> str | None:
     """Why chi-squared is not to be had in the frequency domain; None if it is."""
     return asked_in_full(search) or next((why for why in map(_record_in_full, search.records) if why), None)
 
 
-def asked_in_full(search: Search) -> str | None:
+def asked_in_full(search: LaidProblem) -> str | None:
     """Why chi-squared is not to be had in the frequency domain, whatever the records are."""
     if search.loss.robust:
         return "the loss is robust"
