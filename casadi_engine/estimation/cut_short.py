@@ -77,13 +77,10 @@ def fineness_kept(search: Search) -> Callable[[], None]:
 
 
 class Starts:
-    """Runs one start after the other; the best one so far says what the next may cost.
+    """Runs one start after the other; the best one so far says what the next may cost."""
 
-    finish : as in ``Search.run``
-    """
-
-    def __init__(self, search: Search, *, finish: bool) -> None:
-        self.search, self.finish = search, finish
+    def __init__(self, search: Search) -> None:
+        self.search = search
         self._beside: Begun | None = None
         self._best: tuple[float, float] | None = None  # merit, and the least work that led to it
 
@@ -126,7 +123,7 @@ class Starts:
         """One start that may cost so much, and its cost in units of work."""
         with Deadline(work=allowed) as own:
             try:
-                found = self.search.run(start, first=first, finish=self.finish, beside=self._beside)
+                found = self.search.run(start, first=first, beside=self._beside)
                 return found, own.done
             except TimeUp:
                 pass

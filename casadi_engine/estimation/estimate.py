@@ -81,7 +81,7 @@ def estimate(
         short pieces of the data first, from there and from points around it, and then to longer and longer ones
     starts, seed : number of starts, the first from the set's values, the others drawn within the bounds
     neighbours : number of directions, those the data tell least of, along which to look for a lower optimum beside
-        the best: searches that start 5 standard errors to either side of it
+        the best: searches that start to either side of it; in the frequency domain one is looked along in any case
     jobs : processes for the starts and neighbours, by joblib (extra "cluster"): the same answer as in one; None takes
         what ``joblib.parallel_config`` says, such as a dask cluster
     warm : a Fit (or loaded result) whose parameters and initial states are the start
@@ -94,6 +94,9 @@ def estimate(
     A linear model on complete, equally spaced records is searched in the frequency domain first, in the band in which
     its parameters act; the last steps, the errors and all that is reported are of all samples.
     ``fit.options["searched on"]`` says which, or why all samples were searched from the start.
+
+    Equations that jump with their states (a play, dry friction as a sign) are searched with rounded corners over short
+    windows first, and then as they are.
 
     A parameter that starts at 0 takes its scale from what the data feel of it, never from a bound; one counts as at its
     bound only within 0.03 standard errors of it, and if it would go beyond.

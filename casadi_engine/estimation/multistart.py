@@ -41,20 +41,39 @@ def attempts_from(
 ) -> list[Attempt]:
     """The outcome of every start up to an interruption; drawn starts at which the model fails are passed over.
 
+    Beside an optimum in the frequency domain, where a look costs little, the data's weakest direction is always
+    followed; what is found there counts as an attempt only if it is another optimum.
     outcomes : runs several starts at a time, in their order (see ``workers``); None runs one after the other
     """
     attempts: list[Attempt] = []
-    run = outcomes or Starts(search, finish=len(starts) == 1 and not neighbours)
+    run = outcomes or Starts(search)
     try:
         try:
-            if _tried(run, attempts, starts) and neighbours:
-                _follow(search, run, attempts, neighbours)
+            if _tried(run, attempts, starts):
+                pending, asked = best_of(attempts).pending, len(attempts)
+                if neighbours or pending:
+                    search.quiet = not neighbours
+                    _follow(search, run, attempts, max(neighbours, 1))
+                if not neighbours:
+                    attempts[asked:] = _others(attempts, asked)
         except TimeUp:
             if not attempts or not best_wanted():
                 raise
+        finally:
+            search.quiet = False
         return in_time(lambda: _finished(search, attempts))
     finally:
         search.close()
+
+
+def _others(attempts: list[Attempt], asked: int) -> list[Attempt]:
+    """Of the attempts beyond those that were asked for, the optima at which none before has ended."""
+    return [
+        one
+        for k, one in enumerate(attempts[asked:], start=asked)
+        if one.solution.status in ("converged", "interrupted")
+        and not any(_alike(before, one) for before in attempts[:k])
+    ]
 
 
 def _finished(search: Search, attempts: list[Attempt]) -> list[Attempt]:
@@ -74,7 +93,7 @@ def _finished(search: Search, attempts: list[Attempt]) -> list[Attempt]:
 def _alike(one: Attempt, other: Attempt) -> bool:
     """True if two searches ended at one optimum, within a tenth of a standard error, as far as that is known."""
     begun = one.begun or other.begun
-    if begun is None or abs(one.cost - other.cost) > _SAME_NOISE:
+    if begun is None or abs(one.merit - other.merit) > _SAME_NOISE:
         return False
     apart = other.v - one.v
     return bool(apart @ begun.found.information @ apart < _SAME_NOISE)

@@ -213,13 +213,26 @@ class RefitProblem:
 
     def paths(self, values: Mapping[str, float], nodes: Sequence[Array]) -> list[NullPath]:
         """The records' simulations at these values, likewise."""
-        z, found = np.array([values[name] for name in self.pmap.free]), []
+        z = np.array([values[name] for name in self.pmap.free])
         points = simulated(self.records, self.coordinates.of(z), nodes)[2]
-        for record, point in zip(self.records, points, strict=True):
-            states = point.path.x[: record.plan.length].transpose(1, 2, 0).reshape(record.n, -1)
-            x = states[:, : record.grid.samples] * record.scale[:, None]
-            found.append(with_slope(self.model, record.grid, x, self.pmap.unpack(z, record.experiment.name)))
+        return [
+            self._path(record, point.path.x, z) for record, point in zip(self.records, points, strict=True)
+        ]
+
+    def measured_paths(self, start: Mapping[str, float]) -> list[NullPath]:
+        """The same piece by piece, each shooting interval from the states that explain its own samples."""
+        z, found = self._values(start, None), []
+        v = self.coordinates.of(z)
+        for record in self.records:
+            nodes = self._nodes(record, v, z, None, None)
+            found.append(self._path(record, record.outputs_at(v, nodes)[1].x, z))
         return found
+
+    def _path(self, record: RecordTerm, states: Array, z: Array) -> NullPath:
+        """From the scaled states of a record's intervals."""
+        whole = states[: record.plan.length].transpose(1, 2, 0).reshape(record.n, -1)
+        x = whole[:, : record.grid.samples] * record.scale[:, None]
+        return with_slope(self.model, record.grid, x, self.pmap.unpack(z, record.experiment.name))
 
     # ---- where it starts
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,40 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.deadline import TimeUp, late, lifted
-from casadi_engine.errors import EstimationError
-from casadi_engine.estimation.constraints import ParameterConstraints, Priors
 from casadi_engine.estimation.coordinates import Coordinates
-from casadi_engine.estimation.growth import check_growth
-from casadi_engine.estimation.innovations import SizedPriors, StableLoop
+from casadi_engine.estimation.first_points import FirstPoints
 from casadi_engine.estimation.integration import alike, shorten_steps
-from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.ipopt import OUT_OF_ITERATIONS, Solution, Solver
-from casadi_engine.estimation.levels import NoiseLevels, check_noise, check_samples
-from casadi_engine.estimation.loss import Loss
-from casadi_engine.estimation.options import initial_bounds, interval_length
-from casadi_engine.estimation.pieces import REACH, SCREENED, approach
-from casadi_engine.estimation.predictor import Predictor
-from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.scales import felt_scale, state_factors
-from casadi_engine.estimation.shooting import ShootingProblem
-from casadi_engine.estimation.slopes import check_slopes
-from casadi_engine.estimation.spectral_start import Begun, SpectralStarts, asked_in_full, complete, in_full
-from casadi_engine.estimation.starts import (
-    chained_nodes,
-    drawn_starts,
-    fitted_nodes,
-    joined_nodes,
-    nodes_from_measurement,
-)
+from casadi_engine.estimation.spectral_start import Begun, SpectralStarts, in_full
 from casadi_engine.estimation.unreachable import unreachable
-from casadi_engine.experiment import Experiment
-from casadi_engine.model import Model
-from casadi_engine.parameters import Parameters, compile
-from casadi_engine.problem.noise import Noise
-from casadi_engine.simulation.grid import Grid, lay_grid
-from casadi_engine.simulation.propagator import switches_with_states
-from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
-from casadi_engine.simulation.shared_core import Cores
 
 Array = NDArray[np.float64]
 
@@ -52,6 +25,7 @@ Array = NDArray[np.float64]
 _ROUNDS, _LEVEL = 12, 1e-6
 # Rounds of shorter integration steps, each with a refit that begins at the optimum.
 _SHORTENED = 6
+_NOWHERE = "the frequency domain led nowhere"
 # Points from which values that meet all constraints are looked for, where a search has ended without.
 _TRIED = 5
 
@@ -81,63 +55,27 @@ class Attempt:
     run: bool = True
 
 
-class Search:
+class Search(FirstPoints):
     """A fit's problem and solver."""
 
     solver: Solver
 
     def __init__(
         self,
-        model: Model,
-        data: tuple[Experiment, ...],
-        parameters: Parameters,
-        noise: Noise | None,
-        *,
-        interval: Any,
-        initial: Any,
-        loss: Loss,
-        ties: str,
-        method: str,
+        *arguments: Any,
         max_iterations: int,
         tolerance: float,
-        warm: Any,
         progress: Callable[[int, float, float], Any] | None,
-        interrupts: Interrupts | None = None,
-        approach: str = "direct",
+        **laid: Any,
     ) -> None:
-        noise = check_noise(noise, model)
-        self.model, self.data, self.noise, self.loss = model, data, noise, loss
-        self.warm, self._progress = _checked_warm(warm), progress
-        self._approach, self._interrupts = approach, interrupts or Interrupts()
-        names = tuple(record.name for record in data)
-        self._grids = {record.name: lay_grid(model, record) for record in data}
-        self.predictor = Predictor(noise, model, list(self._grids.values()), parameters)
-        wanted = (*model.parameter_names, *self.predictor.names)
-        whole = compile(parameters, wanted, names, ties=ties)  # type: ignore[arg-type]
-        self.pmap, self._whole_tails = self.predictor.split(whole)
-        self.parameters = parameters
-        self._initial = [initial_bounds(initial, model, name, names) for name in names]
-        self.cut, self._method = interval, method
+        """Sets the problem up; the other arguments are those of ``FirstPoints``."""
+        self._progress, self.quiet = progress, False  # quiet : show nothing of what is searched now
         self._spectral: SpectralStarts | None = None  # set up once it is wanted
         self._before = 0  # iterations in the frequency domain, before those on all samples
-        self._first: tuple[Array, Array] | None = None  # the set's own start and its variables, once laid out
         # objective, point (size,) and levels (ny,) of the last solution of a run
         self.reached: tuple[float, Array, Array] | None = None
-        self._lay(noise, Coordinates(self.pmap))
-        if self.problem.nv:
-            check_samples(noise, self.records, self.free_count, len(self.pmap.priors))
-        self._weigh(self.levels.first(self.warm))
-        z = self._warm_values(self.pmap.start) if self.warm is not None else self.pmap.start
-        if self.warm is None and in_full(self) is None:
-            felt, larger = self.spectral.sizes(z)
-        else:
-            x = self.first_point()
-            felt = felt_scale(self.problem, self.coordinates, z, x)
-            larger = state_factors(self.problem, x) if self.predictor.kind == "none" else None
-        if felt is not None or larger is not None:
-            self._first = self._spectral = None
-            self._lay(noise, Coordinates(self.pmap, felt), larger)
-            self._weigh(self.levels.first(self.warm))
+        super().__init__(*arguments, **laid)
+        self._scaled()
         self.solver = Solver(
             self.problem,
             self.coordinates.log,
@@ -147,222 +85,58 @@ class Search:
             interrupts=self._interrupts,
         )
 
-    def _lay(self, noise: Noise, coordinates: Coordinates, larger: Array | None = None) -> None:
-        """Set the problem up in these coordinates, the states' scales times ``larger`` (n,)."""
-        scale = np.array([state.scale for state in self.model.states])
-        self._scale = scale if larger is None else scale * larger
-        self.coordinates = coordinates
-        self._tails: dict[str, Any] = {}
-        self.records, level = self._terms(self._grids, self._whole_tails, self.cut, self._method)
-        if getattr(self.warm, "in_places", False):
-            for record in self.records:
-                record.step_in_places()
-        for record in self.records:
-            record.as_fine_as(getattr(self.warm, "fineness", {}).get(record.experiment.name))
-        priors: Any = Priors(self.pmap, self.coordinates)
-        if level is not None:
-            self._check_loss()
-            priors = SizedPriors(priors, self.records, level)
-            noise = Noise(**dict(zip(self.predictor.outputs, level.tolist(), strict=True)))
-        self.constraints = ParameterConstraints(self.model, self.pmap, self.coordinates, self._stable())
-        self.problem = ShootingProblem(self.records, self.constraints, priors, self.loss, len(self.pmap.free))
-        self._bounds()
-        self.sigma = np.zeros(0)
-        self.levels = NoiseLevels(noise, self.model, self.records)
-
-    def _terms(
-        self, grids: dict[str, Grid], tails: dict[str, Any], interval: Any, method: str
-    ) -> tuple[list[RecordTerm], Array | None]:
-        """The records' terms, and with noise covariances the levels (ny,) to which innovations are whitened."""
-        made: dict[int, Any] = {}
-        cores, records = Cores(), []
-        level: Array | None = None
-        outputs = tuple(out.name for out in self.model.outputs)
-        linear = self.model.linear is not None and not self.model.has_slot_laws
-        bins = linear and not self.pmap.constraints and asked_in_full(self) is None
-        for record in self.data:
-            grid, physical = grids[record.name], self.pmap.physical[record.name]
-            local = made.setdefault(id(physical), self.coordinates.substitute(physical))
-            own = self._tails[record.name] = self.coordinates.substitute(tails[record.name])
-            if self.predictor.kind == "process" and level is None:
-                start = self.coordinates.of(self.pmap.start)
-                level = self.predictor.reference(own, local, self.coordinates.symbol, start, grid)
-            term = RecordTerm(
-                self.model,
-                record,
-                self.coordinates.symbol,
-                local,
-                length=interval_length(
-                    interval,
-                    grid,
-                    whole=switches_with_states(self.model),
-                    few=bins and grid.uniform and complete(grid, outputs),
-                ),
-                gain=self.predictor.plan(own, local, level),
-                method=method,
-                grid=grid,
-                cores=cores,
-                scale=self._scale,
-            )
-            records.append(term)
-        return records, level
-
-    def _check_loss(self) -> None:
-        """Raise for a robust loss beside noise covariances."""
-        if self.loss.robust:
-            raise EstimationError(
-                "a robust loss does not go with noise covariances: outliers would pass for process noise",
-                seen="process= and a robust loss",
-                allowed='loss="square" with process=',
-                cure='take Noise(omega="innovations"), whose gain is free, or mask the outliers',
-            )
-
-    def plain_gain(self, record: RecordTerm) -> Any:
-        """The gain of a record whose innovations stay in the outputs' units."""
-        return self.predictor.plan(self._tails[record.experiment.name], record.symbols[1])
-
-    def _stable(self) -> list[StableLoop]:
-        """For an estimated gain, that every record's predictor forgets; once for records that share it."""
-        if self.predictor.kind != "innovations":
-            return []
-        own = {tuple(r.active.tolist()): r for r in reversed(self.records)}
-        size, every = len(self.pmap.free), self.predictor.every
-        return [StableLoop(record, every, size, alone=len(own) == 1) for record in own.values()]
-
-    # ---- bounds, noise
-
-    def _bounds(self) -> None:
-        pmap, problem = self.pmap, self.problem
-        self.lower, self.upper = np.full(problem.size, -np.inf), np.full(problem.size, np.inf)
-        nv = problem.nv
-        self.lower[:nv], self.upper[:nv] = self.coordinates.of(pmap.lower), self.coordinates.of(pmap.upper)
-        for lay, record, (low, high, _) in zip(problem.layouts, self.records, self._initial, strict=True):
-            self.lower[lay.at : lay.at + lay.n] = low / record.scale
-            self.upper[lay.at : lay.at + lay.n] = high / record.scale
-
-    def _weigh(self, sigma: Array) -> None:
-        """Weight all residuals by the levels (ny,)."""
-        if np.array_equal(sigma, self.sigma):  # what was evaluated still holds
-            return
-        self.sigma = sigma
-        for record in self.records:
-            record.set_sigma(sigma)
-        self.problem.forget()
-        self._fraction: float | None = None
-
-    def levels_at(self, x: Array) -> Array:
-        """Noise levels (ny,) from the residuals at x; known ones as they are."""
-        return self.levels.at(self.problem.at(x).records, self.sigma, self.loss, self.free_count)
-
-    @property
-    def free_count(self) -> int:
-        """Number of free parameters and initial states, less the equalities between them."""
-        fixed = sum(int((low == high).sum()) for low, high, _ in self._initial)
-        fixed += int((self.constraints.lower == self.constraints.upper).sum())
-        return self.problem.nv + sum(record.n for record in self.records) - fixed
-
-    # ---- run
-
-    def _warm_values(self, z: Array) -> Array:
-        """The free parameters of a warm start as far as it has them, moved into the bounds."""
-        known = self.warm.values
-        found = [known.get(name, value) for name, value in zip(self.pmap.free, z, strict=True)]
-        values = np.array(found, dtype=float)
-        return np.clip(np.where(np.isfinite(values), values, z), self.pmap.lower, self.pmap.upper)
-
-    def _start(self, z: Array, *, first: bool) -> Array:
-        if first and self._first is not None and np.array_equal(self._first[0], z):
-            return self._first[1].copy()
-        x = np.zeros(self.problem.size)
-        nv = self.problem.nv
-        x[:nv] = self.coordinates.of(z)
-        for record, lay, bounds in zip(self.records, self.problem.layouts, self._initial, strict=True):
-            nodes = self._warm_nodes(record, x[:nv]) if first else None
-            if nodes is None:
-                nodes = nodes_from_measurement(record, self.pmap.unpack(z, record.experiment.name))
-                if isinstance(record.propagator, RungeKuttaPropagator):
-                    nodes = fitted_nodes(record, x[:nv], nodes)
-            low, high, given = (part / record.scale for part in bounds)
-            nodes[0] = np.clip(np.where(np.isfinite(given), given, nodes[0]), low, high)
-            x[lay.at : lay.at + nodes.size] = nodes.ravel()
-        simulated = self._simulated(x)
-        return x if simulated is None or not self._lower(simulated, x) else simulated
-
-    def first_point(self) -> Array:
-        """The point (size,) at which a search from the set's own values begins."""
+    def _scaled(self) -> None:
+        """Lay the problem out again where the start says nothing of the scales of parameters or states."""
         z = self._warm_values(self.pmap.start) if self.warm is not None else self.pmap.start
-        if self._first is None or not np.array_equal(self._first[0], z):
-            self._first = (z, self._start(z, first=True))
-        return self._first[1]
+        if self.warm is None and in_full(self) is None:
+            felt, larger = self.spectral.sizes(z)
+        else:
+            x = self.first_point()
+            felt = felt_scale(self.problem, self.coordinates, z, x)
+            larger = state_factors(self.problem, x) if self.predictor.kind == "none" else None
+        if felt is not None or larger is not None:
+            self._first = self._spectral = None
+            self._lay(self.noise, Coordinates(self.pmap, felt), larger)
+            self._weigh(self.levels.first(self.warm))
 
-    def _lower(self, one: Array, other: Array) -> bool:
-        """True if the objective is lower at one point than at another, or is none there."""
-        before, after = self._objective(other), self._objective(one)
-        return bool(after < before or (np.isfinite(after) and not np.isfinite(before)))
+    def run(self, z: Array, *, first: bool = True, beside: Begun | None = None) -> Attempt:
+        """Search from z : (nz,), in the parameters' units, but for the last steps on all samples after a search in the
+        frequency domain; see ``finished``.
 
-    def _simulated(self, x: Array) -> Array | None:
-        """The point with the nodes of one run from its first states; None where no nodes change.
-
-        Measured outputs say little of the states of a model without a linear core.
-        """
-        found, nv = x.copy(), self.problem.nv
-        for record, lay in zip(self.records, self.problem.layouts, strict=True):
-            if isinstance(record.propagator, RungeKuttaPropagator) and lay.m > 1:
-                try:
-                    nodes = joined_nodes(record, x[:nv], lay.take(x))
-                except FloatingPointError:
-                    return None
-                found[lay.at : lay.at + nodes.size] = nodes.ravel()
-        return None if np.array_equal(found, x) else found
-
-    def _warm_nodes(self, record: RecordTerm, v: Array) -> Array | None:
-        states = (
-            getattr(self.warm, "initial", {}).get(record.experiment.name) if self.warm is not None else None
-        )
-        if not states:
-            return None
-        names = [state.name for state in self.model.states]
-        if not all(name in states for name in names):
-            return None
-        # the states of a Fit are estimates, those of a stored result numbers
-        first = np.array([float(getattr(states[name], "value", states[name])) for name in names])
-        try:
-            return chained_nodes(record, v, first / record.scale)
-        except FloatingPointError:
-            return None
-
-    def run(
-        self, z: Array, *, first: bool = True, finish: bool = True, beside: Begun | None = None
-    ) -> Attempt:
-        """Search from z : (nz,), in the parameters' units.
-
-        finish : take the last steps on all samples, whatever the search began on; else see ``finished``
         beside : a lower optimum is looked for than this one in the frequency domain
         """
         self.reached = None
         self.solver.forget()
         z = self._warm_values(z) if first and self.warm is not None else z
         given, z = z, self._approached(z) if first else z
-        self._weigh(self.levels.first(self.warm if first else None))
+        self._weigh(beside.sigma if beside else self.levels.first(self.warm if first else None))
         known = {record.experiment.name for record in self.records} <= set(getattr(self.warm, "initial", ()))
         near = first and known and bool(getattr(self.warm, "converged", False))
         why = "it starts at an optimum" if near else in_full(self)
-        self._before, solution, begun = 0, None, None
+        self._before, begun = 0, None
         if why is None:
             begun = self.spectral.search(z, steps=self.solver.most, beside=beside)
-            if begun is not None and begun.converged and not finish and not any(self.levels.estimated):
-                return self._unfinished(begun, given)
             if begun is not None and begun.stopped:
                 return self._stopped(begun, given)
-            solution, searched = self._on_all_samples(begun)
-            why = "the frequency domain led nowhere"
-        if solution is None:
-            self._before = 0
-            solution = self._solved(self._checked(self._start(z, first=first), z), exact=near)
-            searched = f"all samples: {why}"
+            if begun is not None:
+                found = self._unfinished(begun, given)
+                return found if begun.converged else self.finished(found)
+            why = _NOWHERE
+        return self._in_full(z, given, why, first=first, near=near)
+
+    def _in_full(self, z: Array, given: Array, why: str, *, first: bool, near: bool = False) -> Attempt:
+        """Search on all samples from z, which the start that was given led to."""
+        self._before = 0
+        x = self._checked(self._start(z, first=first), z)
+        if not near:
+            x, near = self._rounded(x, z)
+        solution = self._solved(x, exact=near)
+        return replace(self._ended(solution, given), searched=f"all samples: {why}")
+
+    def _ended(self, solution: Solution, given: Array) -> Attempt:
+        """The attempt that ends at a solution, its noise levels settled."""
         solution, iterations = self._levelled(solution)
-        last = self._outcome(self._blamed(solution), iterations, given)
-        return replace(last, searched=searched, begun=begun)
+        return self._outcome(self._blamed(solution), iterations, given)
 
     def _stopped(self, begun: Begun, z: Array) -> Attempt:
         """The attempt where the time was over, or the user ended it, in the frequency domain."""
@@ -373,14 +147,12 @@ class Search:
             return replace(self._outcome(solution, begun.steps, z), searched=searched, begun=begun)
 
     def _unfinished(self, begun: Begun, z: Array) -> Attempt:
-        """The attempt at an optimum in the frequency domain, at known noise levels."""
+        """The attempt at an optimum in the frequency domain, at the noise levels there."""
         nothing = np.zeros(0)
         solution = Solution(begun.v, nothing, nothing, "converged", begun.steps, "")
         cost = 2 * begun.found.minimum.squares.cost
-        merit = cost + 2 * float(np.log(self.sigma) @ self.levels.counts)
-        return Attempt(
-            solution, begun.v, self.sigma.copy(), cost, merit, begun.steps, z, "", begun, pending=True
-        )
+        merit = cost + 2 * float(np.log(begun.sigma) @ self.levels.counts)
+        return Attempt(solution, begun.v, begun.sigma, cost, merit, begun.steps, z, "", begun, pending=True)
 
     def finished(self, attempt: Attempt) -> Attempt:
         """An attempt with its last steps on all samples; itself if it has them."""
@@ -389,22 +161,10 @@ class Search:
         self._weigh(attempt.sigma)
         solution, searched = self._on_all_samples(attempt.begun)
         if solution is None:
-            return self.run(attempt.start, first=False)
-        last = self._outcome(solution, solution.iterations, attempt.start)
-        return replace(last, searched=searched, begun=attempt.begun)
-
-    def _checked(self, x: Array, z: Array) -> Array:
-        """The point itself, if the model can be evaluated there."""
-        if not np.isfinite(self._objective(x)):
-            raise EstimationError(
-                "the model cannot be evaluated at the start values",
-                seen=", ".join(f"{n}={value:.6g}" for n, value in zip(self.pmap.free, z, strict=True)),
-                allowed="values for which the equations give finite numbers",
-                cure="change the start values or the bounds",
-            )
-        check_growth(self.records, self.problem.at(x).records)
-        check_slopes(self.records, self.problem.at(x))
-        return x
+            first = np.array_equal(attempt.start, self._warm_values(self.pmap.start))
+            self._weigh(self.levels.first(self.warm if first else None))
+            return self._in_full(attempt.start, attempt.start, _NOWHERE, first=first)
+        return replace(self._ended(solution, attempt.start), searched=searched, begun=attempt.begun)
 
     @property
     def spectral(self) -> SpectralStarts:
@@ -507,14 +267,6 @@ class Search:
             pass
         return replace(attempt, run=False)
 
-    def _chained(self, x: Array) -> Array:
-        """The point with the nodes of one run from its first states."""
-        found, nv = x.copy(), self.problem.nv
-        for record, lay in zip(self.records, self.problem.layouts, strict=True):
-            nodes = joined_nodes(record, x[:nv], lay.take(x))
-            found[lay.at : lay.at + nodes.size] = nodes.ravel()
-        return found
-
     def _blamed(self, solution: Solution) -> Solution:
         """The solution with a status that names the constraints no values meet, if they are why there is no optimum."""
         nv, v = self.problem.nv, solution.x[: self.problem.nv]
@@ -525,28 +277,6 @@ class Search:
         if not found:
             return solution
         return replace(solution, status=f"not converged: no values within the bounds meet {'; '.join(found)}")
-
-    def drawn(self, count: int, seed: int) -> list[Array]:
-        """Starts of z, the set's own and others around it."""
-        return drawn_starts(self.pmap, count, seed, scale=self.coordinates.scale)
-
-    def _approached(self, z: Array) -> Array:
-        """The start of the simulation that predictions over short pieces lead to; ``z`` itself without them."""
-        if self._approach == "direct" or self.warm is not None or not self.problem.nv:
-            return z
-        self._weigh(self.levels.first())
-        drawn = drawn_starts(replace(self.pmap, start=z), 1 + SCREENED, 0, REACH, self.coordinates.scale)
-        v = approach(
-            self.records,
-            [self.coordinates.of(point) for point in drawn],
-            lambda record: nodes_from_measurement(record, self.pmap.unpack(z, record.experiment.name)),
-            coordinates=self.coordinates,
-            bounds=(self.lower[: self.problem.nv], self.upper[: self.problem.nv]),
-            sigma=self.sigma,
-            stop=lambda: self._interrupts.stopped,
-        )
-        found = np.clip(self.coordinates.values(v), self.pmap.lower, self.pmap.upper)
-        return found if np.isfinite(found).all() else z
 
     @property
     def settles(self) -> bool:
@@ -578,21 +308,18 @@ class Search:
 
     def cost_of(self, attempt: Attempt, sigma: Array) -> float:
         """The cost of an attempt at other noise levels (ny,)."""
-        if attempt.pending or attempt.cut:  # at known levels, and without the nodes that all samples ask for
+        if (
+            attempt.pending
+        ):  # without the nodes that all samples ask for: at its own levels likelihoods compare
+            return attempt.merit - 2 * float(np.log(sigma) @ self.levels.counts)
+        if attempt.cut:
             return attempt.cost
         self._weigh(sigma)
         return 2 * self.problem.samples * self._objective(attempt.solution.x)
 
-    def _objective(self, x: Array) -> float:
-        try:
-            return self.problem.at(x).objective
-        except (FloatingPointError, np.linalg.LinAlgError):
-            return float("nan")
-
     def _report(self, iteration: int, objective: float) -> bool:
-        if self._progress is None or (
-            self._before and not iteration
-        ):  # the point that it begins at was shown
+        shown = self._before and not iteration  # the point that it begins at
+        if self._progress is None or self.quiet or shown:
             return False
         iteration += self._before
         chi2 = 2 * objective
@@ -618,14 +345,3 @@ class Search:
         """End the progress display."""
         if hasattr(self._progress, "close"):
             self._progress.close()  # type: ignore[union-attr]
-
-
-def _checked_warm(warm: Any) -> Any:
-    if warm is None or isinstance(getattr(warm, "values", None), Mapping):
-        return warm
-    raise EstimationError(
-        "warm is not a result to start from",
-        seen=repr(warm),
-        allowed="a Fit, or a result loaded from a file",
-        cure="give the fit itself: warm=fit",
-    )

@@ -15,9 +15,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_engine.estimation.levenberg_marquardt import Evaluate, Minimum, Squares, minimise
+from casadi_engine.estimation.levenberg_marquardt import Minimum, Squares, minimise
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.spectral import Common, SpectralRecord
+from casadi_engine.estimation.spectral_squares import (
+    BLIND,
+    Told,
+    difference,
+    foretold,
+    largest_share,
+    scaled,
+    with_rest,
+)
 
 Array = NDArray[np.float64]
 Priors = Callable[[Array], tuple[float, Array, Array, Array]]
@@ -26,14 +35,15 @@ Priors = Callable[[Array], tuple[float, Array, Array, Array]]
 LEFT_OUT = 0.05
 # Bands that are compared, from one to the next; the lowest has this share of the bins.
 _STEP, _LOWEST = 2**0.5, 1 / 128
-# A direction with less information than this share of an entry's own is not determined: rounding.
-_BLIND = 1e-12
-# Fall of half chi-squared that ends the search, and that which ends it on the band alone; bands tried.
-_FALL, _COARSE, _BANDS = 1e-5, 1e-2, 4
+# Fall of half chi-squared that ends the search, that which ends it on the band alone, and that which ends it on a band
+# before this one, which moves the estimates by more than a standard error anyhow; bands tried.
+_FALL, _COARSE, _BEFORE, _BANDS = 1e-5, 1e-2, 0.5, 4
 # Looks at all bins, and the move in squared standard errors after which another is taken.
 _ROUNDS, _MOVED = 3, 0.1
 # Squared standard errors from an optimum within which a search goes there.
 _HOME = 0.5
+# Share of its quadratic by which the rise from an optimum may differ from it for the way back to be known.
+_BENT = 0.2
 # Damping where the search goes on with all bins: it is close to the optimum.
 _NEAR = 1e-5
 # Half chi-squared in the band by which an optimum has to be above another one not to be looked at in all bins.
@@ -62,6 +72,13 @@ class Found:
     share: float
     band: Minimum | None = None
 
+    def scaled(self, share: float) -> Found:
+        """The same with all squares times a share: at another noise level."""
+        band = None if self.band is None else scaled(self.band, share)
+        return replace(
+            self, minimum=scaled(self.minimum, share), information=share * self.information, band=band
+        )
+
     def __str__(self) -> str:
         if self.kept == self.bins:
             return f"all {self.bins} frequency bins"
@@ -83,8 +100,8 @@ class SpectralSearch:
         longest: Callable[[Array], Array],
     ) -> None:
         """longest : (nv,) longest change of each unknown in one step from v."""
-        self._records = [SpectralRecord(record) for record in records]
-        self._top = max(record.hertz[-1] for record in self._records)
+        self.records = [SpectralRecord(record) for record in records]
+        self._top = max(record.hertz[-1] for record in self.records)
         self._priors = priors
         self._limits: dict[str, Any] = {"low": low, "high": high, "longest": longest}
         self._hertz: float | None = None  # of the band
@@ -93,13 +110,13 @@ class SpectralSearch:
 
     def weigh(self, sigma: Array) -> None:
         """Divide the outputs by these standard deviations (ny,)."""
-        for record in self._records:
+        for record in self.records:
             if not np.array_equal(record.sigma, sigma):
                 record.sigma, self._first = sigma, None
 
     def release(self) -> None:
         """Give back the memory of long records' spectra until they are asked for again."""
-        for record in self._records:
+        for record in self.records:
             record.release()
 
     def squares(self, v: Array, hertz: float = np.inf) -> Squares | None:
@@ -108,7 +125,7 @@ class SpectralSearch:
         gradient, matrix = gradient.copy(), matrix.copy()
         common: Common = {}
         with np.errstate(all="ignore"):
-            for record in self._records:
+            for record in self.records:
                 try:
                     (gram,) = record.gram(v, [record.below(hertz).stop], common)
                 except (FloatingPointError, np.linalg.LinAlgError):
@@ -147,7 +164,7 @@ class SpectralSearch:
         priors = np.block([[2 * cost, gradient], [gradient[:, None], matrix]])
         found = np.repeat(priors[None], len(edges), axis=0)
         common: Common = {}
-        for record in self._records:
+        for record in self.records:
             entries = np.append(0, 1 + record.record.active)
             stops = [record.below(edge).stop for edge in edges]
             parts = dict(zip(sorted(set(stops)), record.gram(v, sorted(set(stops)), common), strict=True))
@@ -175,8 +192,7 @@ class SpectralSearch:
             try:
                 root = np.linalg.inv(np.linalg.cholesky(whole))
                 edges = self._edges()
-                for edge in edges[edges <= found.hertz]:
-                    gram = self.grams(found.minimum.x, np.array([edge]))[0]
+                for gram in self.grams(found.minimum.x, edges[edges <= found.hertz]):
                     low = root @ (gram[1:, 1:] / np.outer(size, size)) @ root.T
                     values, vectors = np.linalg.eigh(low)
                     if values[0] > _LOW**-2:
@@ -199,7 +215,7 @@ class SpectralSearch:
                 hertz = beside.hertz if beside else self.band(v) if self._hertz is None else self._hertz
             except (FloatingPointError, np.linalg.LinAlgError):
                 return None
-        told, done = _Told(stop), 0
+        told, done = Told(stop), 0
         if beside is None:
             v, done = self._from_below(v, hertz, steps, told)
         for tried in range(_BANDS):
@@ -214,7 +230,7 @@ class SpectralSearch:
         self._hertz = hertz
         return found
 
-    def _from_below(self, v: Array, hertz: float, steps: int, told: _Told) -> tuple[Array, int]:
+    def _from_below(self, v: Array, hertz: float, steps: int, told: Told) -> tuple[Array, int]:
         """Where searches in lower bands lead from v, one after the other, and their steps.
 
         Low modes stand out of the noise: the frequency of a high one is close to where they put it, and a search that
@@ -224,7 +240,7 @@ class SpectralSearch:
         for share in _BELOW:
             edge = share * min(hertz, self._top)
             found = minimise(
-                partial(self.squares, hertz=edge), v, fall=_COARSE, steps=steps - done,
+                partial(self.squares, hertz=edge), v, fall=_BEFORE, steps=steps - done,
                 stop=self._shown(told, edge), **self._limits,
             )  # fmt: skip
             if found is None:
@@ -241,128 +257,124 @@ class SpectralSearch:
         above = float(costs[-1] - costs[min(int(np.searchsorted(edges, hertz)), len(costs) - 1)])
         return lambda cost: told(cost + above)
 
-    def _in_band(self, v: Array, hertz: float, steps: int, told: _Told, beside: Found | None) -> Found | None:
-        known: list[tuple[Array, Squares | None]] = []
-
-        def below(at: Array) -> Squares | None:
-            if not known or not np.array_equal(known[0][0], at):
-                known[:] = [(at, self.squares(at, hertz))]
-            return known[0][1]
-
-        kept, bins = sum(r.below(hertz).stop for r in self._records), sum(r.size for r in self._records)
-        band = None if beside is None else beside.band
-
-        shown = self._shown(told, hertz)
-
-        def ends(cost: float) -> bool:
-            """Also where the search comes back to the optimum that it began beside."""
-            home = band is not None and beside is not None and _apart(known[0][0], band, beside) < _HOME
-            return shown(cost) or home
-
+    def _in_band(self, v: Array, hertz: float, steps: int, told: Told, beside: Found | None) -> Found | None:
+        band = _Band(self, hertz)
+        shown, way = self._shown(told, hertz), _WayBack(beside, band)
         first = minimise(
-            below, v, fall=_COARSE if kept < bins else _FALL, steps=steps, stop=ends, **self._limits
-        )
+            band, v, fall=_COARSE if band.kept < band.bins else _FALL, steps=steps,
+            stop=lambda cost: shown(cost) or way.found_in_band(), **self._limits,
+        )  # fmt: skip
         if first is None:
             return None
         told.again()
-        if beside is not None and band is not None:
-            ended = _against(first, beside, band)
+        if beside is not None:
+            ended = way.against(first)
             if ended is not None:
                 return ended
-        if not first.converged or kept == bins:
-            return Found(first, first.squares.matrix, hertz, kept, bins, 0.0)
+        if not first.converged or band.kept == band.bins:
+            return Found(first, first.squares.matrix, hertz, band.kept, band.bins, 0.0)
+        return self._in_all_bins(first, band, steps, told, way)
+
+    def _in_all_bins(
+        self, first: Minimum, band: _Band, steps: int, told: Told, way: _WayBack
+    ) -> Found | None:
+        """From an optimum of the band on, with the bins above it by their quadratic."""
         last, left, found = first, steps - first.steps, None
         for _ in range(_ROUNDS):
-            whole, part, at = self.squares(last.x), below(last.x), last.x
+            whole, part, at = self.squares(last.x), band(last.x), last.x
             if whole is None or part is None:
                 return None
-            if beside is not None:
-                foretold = _foretold(whole)
-                if foretold.cost > beside.minimum.squares.cost + 0.5 * _HIGHER:
-                    return Found(replace(last, squares=foretold), whole.matrix, hertz, kept, bins, 0.0, first)
-            rest = _difference(whole, part)
-            goal = _with_rest(below, rest, at)
+            ahead = foretold(whole)
+            if ahead.cost > way.least + 0.5 * _HIGHER:
+                high = replace(last, squares=ahead)
+                return Found(high, whole.matrix, band.hertz, band.kept, band.bins, 0.0, first)
             near = minimise(
-                goal, at, fall=_FALL, steps=max(left, 1), damping=_NEAR, stop=told, **self._limits
-            )
+                with_rest(band, difference(whole, part), at), at, fall=_FALL, steps=max(left, 1),
+                damping=_NEAR, stop=lambda cost: told(cost) or way.found(), **self._limits,
+            )  # fmt: skip
             if near is None:
                 return None
-            told.again()
             left -= near.steps
+            if way.beside is not None and (
+                way.home or _apart(near.x, way.beside.minimum, way.beside) < _HOME
+            ):
+                return replace(way.beside, minimum=replace(way.beside.minimum, steps=steps - left))
+            told.again()
             last = Minimum(near.x, near.squares, steps - left, near.converged)
             share = largest_share(whole.matrix, part.matrix)
-            found = Found(last, whole.matrix, hertz, kept, bins, share, first)
+            found = Found(last, whole.matrix, band.hertz, band.kept, band.bins, share, first)
             moved = near.x - at
             if not near.converged or moved @ whole.matrix @ moved < _MOVED:
                 break
         return found
 
 
-def _foretold(squares: Squares) -> Squares:
-    """The squares with the cost to which one Gauss-Newton step would lower them."""
-    step = np.linalg.lstsq(squares.matrix, squares.gradient, rcond=_BLIND)[0]
-    return replace(squares, cost=squares.cost - 0.5 * float(squares.gradient @ step))
+class _Band:
+    """The problem on the bins below a frequency; remembers the point that it was asked for last."""
+
+    def __init__(self, search: SpectralSearch, hertz: float) -> None:
+        self._search, self.hertz = search, hertz
+        self.kept = sum(record.below(hertz).stop for record in search.records)
+        self.bins = sum(record.size for record in search.records)
+        self.at: tuple[Array, Squares | None] | None = None
+
+    def __call__(self, v: Array) -> Squares | None:
+        if self.at is None or not np.array_equal(self.at[0], v):
+            self.at = (v, self._search.squares(v, self.hertz))
+        return self.at[1]
 
 
-def _against(first: Minimum, beside: Found, band: Minimum) -> Found | None:
-    """What an optimum of the band is beside one that is known, if that can be told without the other bins: the same, or
-    higher by more than these could make good; band : that of the known one."""
-    higher = first.squares.cost - band.squares.cost
-    minimum = replace(beside.minimum, steps=first.steps)
-    if _apart(first.x, band, beside) < _HOME:
-        return replace(beside, minimum=minimum)
-    if not first.converged or higher < _HIGHER:
-        return None
-    squares = replace(first.squares, cost=beside.minimum.squares.cost + higher)
-    return replace(
-        beside, minimum=replace(minimum, x=first.x, squares=squares), information=squares.matrix, band=first
-    )
+class _WayBack:
+    """Where a search that began beside an optimum comes back to it; home : it did.
+
+    least : half chi-squared there, and what another one is compared with
+    """
+
+    def __init__(self, beside: Found | None, band: _Band) -> None:
+        self.beside, self._band, self.home = beside, band, False
+        self.least = np.inf if beside is None else beside.minimum.squares.cost
+
+    def found_in_band(self) -> bool:
+        """True at the optimum of the band, and where its own quadratic holds and leads there."""
+        beside, at = self.beside, self._band.at
+        if beside is None or beside.band is None or at is None:
+            return False
+        (x, here), goal = at, beside.band
+        self.home = _apart(x, goal, beside) < _HOME
+        if not self.home and here is not None:
+            moved = x - goal.x
+            risen, bent = here.cost - goal.squares.cost, 0.5 * float(moved @ goal.squares.matrix @ moved)
+            step = np.linalg.lstsq(here.matrix, here.gradient, rcond=BLIND)[0]
+            self.home = abs(risen - bent) < _BENT * bent and _apart(x - step, goal, beside) < _HOME
+        return self.home
+
+    def found(self) -> bool:
+        """True at the optimum of all bins."""
+        if self.beside is not None and self._band.at is not None:
+            self.home = _apart(self._band.at[0], self.beside.minimum, self.beside) < _HOME
+        return self.home
+
+    def against(self, first: Minimum) -> Found | None:
+        """What an optimum of the band is beside the known one, if that can be told without the other bins: the same, or
+        higher by more than these could make good."""
+        beside = self.beside
+        if beside is None or beside.band is None:
+            return None
+        higher = first.squares.cost - beside.band.squares.cost
+        minimum = replace(beside.minimum, steps=first.steps)
+        if self.home or _apart(first.x, beside.band, beside) < _HOME:
+            return replace(beside, minimum=minimum)
+        if not first.converged or higher < _HIGHER:
+            return None
+        squares = replace(first.squares, cost=beside.minimum.squares.cost + higher)
+        return replace(
+            beside,
+            minimum=replace(minimum, x=first.x, squares=squares),
+            information=squares.matrix,
+            band=first,
+        )
 
 
 def _apart(x: Array, band: Minimum, beside: Found) -> float:
     """Squared standard errors between a point and an optimum of the band."""
     return float((x - band.x) @ beside.information @ (x - band.x))
-
-
-class _Told:
-    """``stop``, which is asked once about a point at which one search ends and the next one begins."""
-
-    def __init__(self, stop: Callable[[float], bool]) -> None:
-        self._stop, self._same, self._ended = stop, False, False
-
-    def __call__(self, cost: float) -> bool:
-        if not self._same:
-            self._ended = self._stop(cost)
-        self._same = False
-        return self._ended
-
-    def again(self) -> None:
-        """The next point is the last one."""
-        self._same = True
-
-
-def largest_share(whole: Array, part: Array) -> float:
-    """The largest share of the information ``whole`` (n, n) in a direction that ``part`` of it lacks."""
-    size = np.sqrt(np.maximum(np.diag(whole), 1e-300))
-    values, vectors = np.linalg.eigh(whole / np.outer(size, size))
-    known = values > _BLIND
-    turn = vectors[:, known] / np.sqrt(values[known]) / size[:, None]
-    return float(np.linalg.eigvalsh(turn.T @ (whole - part) @ turn).max(initial=0.0))
-
-
-def _difference(one: Squares, other: Squares) -> Squares:
-    return Squares(one.cost - other.cost, one.gradient - other.gradient, one.matrix - other.matrix)
-
-
-def _with_rest(below: Evaluate, rest: Squares, at: Array) -> Evaluate:
-    """The problem on a band, and that above it by its quadratic about a point."""
-
-    def goal(x: Array) -> Squares | None:
-        found, moved = below(x), x - at
-        if found is None:
-            return None
-        bent = rest.matrix @ moved
-        cost = found.cost + rest.cost + float(rest.gradient @ moved + 0.5 * moved @ bent)
-        return Squares(cost, found.gradient + rest.gradient + bent, found.matrix + rest.matrix)
-
-    return goal

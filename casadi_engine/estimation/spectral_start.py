@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +15,7 @@ from casadi_engine.simulation.grid import Grid
 from casadi_engine.simulation.linear import LinearPropagator
 
 if TYPE_CHECKING:
+    from casadi_engine.estimation.laid_problem import LaidProblem
     from casadi_engine.estimation.search import Search
 
 Array = NDArray[np.float64]
@@ -31,13 +32,15 @@ _UNLIKE = 1e-2
 class Begun:
     """Where a search in the frequency domain ended.
 
-    found : its last optimum; steps : of all rounds; stopped : by the user; converged : at an optimum
+    found : its last optimum, at the levels sigma (ny,); steps : of all rounds; stopped : by the user;
+    converged : at an optimum
     """
 
     found: Found
     steps: int
     stopped: bool
     converged: bool
+    sigma: Array
 
     @property
     def v(self) -> Array:
@@ -45,19 +48,19 @@ class Begun:
         return self.found.minimum.x
 
 
-def in_full(search: Search) -> str | None:
+def in_full(search: LaidProblem) -> str | None:
     """Why a search has to be on all samples from its start; None if it can begin in the frequency domain."""
     if search.problem.nv and search.problem.user.count:
         return "constraints hold the parameters"
     return no_spectrum(search)
 
 
-def no_spectrum(search: Search) -> str | None:
+def no_spectrum(search: LaidProblem) -> str | None:
     """Why chi-squared is not to be had in the frequency domain; None if it is."""
     return asked_in_full(search) or next((why for why in map(_record_in_full, search.records) if why), None)
 
 
-def asked_in_full(search: Search) -> str | None:
+def asked_in_full(search: LaidProblem) -> str | None:
     """Why chi-squared is not to be had in the frequency domain, whatever the records are."""
     if search.loss.robust:
         return "the loss is robust"
@@ -144,13 +147,23 @@ class SpectralStarts:
             if found is None:
                 return None
             v, done = found.minimum.x, done + found.minimum.steps
-            begun = Begun(found, done, self._stopped, found.minimum.converged)
+            begun = Begun(found, done, self._stopped, found.minimum.converged, search.sigma.copy())
             x = self.variables(begun) if begun.converged and search.settles else None
             if x is None or self._settled(x):
                 break
             self._seen -= 1  # the next begins where this one ended
         self._spectral.release()
-        return begun
+        return begun if begun is None or search.settles else self._at_own_level(begun)
+
+    def _at_own_level(self, begun: Begun) -> Begun:
+        """The same at the noise level that its residual has, where one level is estimated and moves no optimum."""
+        search = self._search
+        if not (begun.converged and any(search.levels.estimated)):
+            return begun
+        before, left = begun.sigma, search.levels.counts.sum() - search.free_count
+        search._weigh(search.levels.weights(before * np.sqrt(2 * begun.found.minimum.squares.cost / left)))
+        share = float((before / search.sigma)[0] ** 2)
+        return replace(begun, found=begun.found.scaled(share), sigma=search.sigma.copy())
 
     def _settled(self, x: Array) -> bool:
         """Weigh by the noise levels at a point; True if they are what they were."""

@@ -129,10 +129,10 @@ def _followed(whole: Search, first: Search, attempt: Attempt, *, search: bool) -
 def _run(whole: Search, attempt: Attempt, z: Array) -> Attempt:
     """The search on all samples from where the first stage ended."""
     try:
-        return whole.run(z, first=True)
+        return whole.finished(whole.run(z, first=True))
     except EstimationError:  # there the whole data cannot be simulated
         whole.warm = None
-        return whole.run(attempt.start, first=False)
+        return whole.finished(whole.run(attempt.start, first=False))
 
 
 def _end_of(first: Search, attempt: Attempt) -> _Found:

@@ -90,7 +90,7 @@ def _outcome(piece: _Piece) -> Attempt | EstimationError | None:
                 _own.search = Search(**piece.arguments, progress=None, interrupts=_own.interrupts)
                 _own.fit = piece.fit
             with _own.interrupts:
-                return _own.search.run(piece.start, first=piece.first, finish=False, beside=piece.beside)
+                return _own.search.run(piece.start, first=piece.first, beside=piece.beside)
         except EstimationError as error:
             return error
         except TimeUp:

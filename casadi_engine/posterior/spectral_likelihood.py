@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from casadi_engine.estimation.levenberg_marquardt import Squares
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.spectral import Bins, Response, SpectralRecord, Spectrum
-from casadi_engine.estimation.spectral_search import largest_share
+from casadi_engine.estimation.spectral_squares import largest_share
 from casadi_engine.posterior.modal import Basis, Transients
 from casadi_engine.posterior.states import StatePrior
 from casadi_engine.simulation.linear import LinearPropagator

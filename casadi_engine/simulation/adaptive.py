@@ -70,7 +70,9 @@ class Adaptive:
         self.steps = self.events = self.limited = 0
         self.stiff = False
         self.h = self.time = 0.0
+        # of the switching functions and themselves at the beginning and the end of the last explicit step
         self._rates: list[Array] = []
+        self._ends: list[Array] = []
         # (n,) what the fields on both sides of the switches differ by on which the state stays: they cancel
         self._held = np.zeros(field.n)
 
@@ -158,7 +160,8 @@ class Adaptive:
         """A step that meets the tolerance: its length, end, and α there."""
         h = min(self.h, left)
         while True:
-            ahead, fifth, third, share, passing5, passing3, *self._rates = self._step(x, t, h, segment)
+            ahead, fifth, third, share, passing5, passing3, *ends = self._step(x, t, h, segment)
+            self._rates, self._ends = ends[:2], ends[2:]
             weight = self._weights(np.maximum(np.abs(x), np.abs(ahead)))
             weight[: self.field.n] += _ROUNDING * h * self._held
             finite = bool(np.isfinite(ahead).all())
@@ -166,9 +169,7 @@ class Adaptive:
             if (
                 self.field.switches and h > _BRIEF * self._span
             ):  # a switch that is passed twice within a step is seen where its course is known
-                weight = _COURSE * np.maximum(
-                    self.g_peak, np.abs(self.field.g(ahead, t + h, segment, self.b))
-                )
+                weight = _COURSE * np.maximum(self.g_peak, np.abs(self._ends[1]))
                 error = max(error, error_norm(passing5 / (weight + 1e-300), passing3 / (weight + 1e-300)))
             finite = finite and bool(np.isfinite(error))
             if finite and error <= 1:
@@ -235,9 +236,12 @@ class Adaptive:
 
     # ---- events
 
-    def _functions(self, x: Array, t: float, share: Array, segment: Array) -> Array:
-        """What has to stay positive: side * g of the free switches, and α, 1 - α of those the state stays on."""
-        g = self.field.g(x, t, segment, self.b)
+    def _functions(self, x: Array, t: float, share: Array, segment: Array, g: Array | None = None) -> Array:
+        """What has to stay positive: side * g of the free switches, and α, 1 - α of those the state stays on.
+
+        g : (switches,) where they are known
+        """
+        g = self.field.g(x, t, segment, self.b) if g is None else g
         self.g_peak = np.maximum(self.g_peak, np.abs(g))
         # on a side, or where the function is flat at 0
         within = _PASSED * self.g_peak
@@ -258,12 +262,12 @@ class Adaptive:
         """The first event within a step, (its instant, the state after it), or None."""
         from scipy.optimize import brentq
 
-        end = self._functions(ahead, t + h, share, segment)
+        end = self._functions(ahead, t + h, share, segment, None if self.stiff else self._ends[1])
         if not np.isfinite(end).all():
             raise FloatingPointError("the equations are not finite at a switch")
         reach = h
         if (end >= 0).all():
-            if self._far(x, t, h, ahead, segment):
+            if self._far(h):
                 return None
             flat = self._turned_flat(x, t, h, ahead, segment)
             if flat is not None:
@@ -293,7 +297,7 @@ class Adaptive:
         passed = [i for instant, i in instants if instant <= length * (1 + 1e-12)]
         return at, self._after(where, at, segment, passed)
 
-    def _far(self, x: Array, t: float, h: float, ahead: Array, segment: Array) -> bool:
+    def _far(self, h: float) -> bool:
         """True if the free switches are so far from 0 at both ends of a step that none is passed in between."""
         if self.stiff:
             return False
@@ -301,7 +305,7 @@ class Adaptive:
         free[list(self.mode)] = False
         if (free & (self.side == 0)).any():
             return False
-        ends = [self.side * self.field.g(*point, segment, self.b) for point in ((x, t), (ahead, t + h))]
+        ends = [self.side * g for g in self._ends]
         reach = 0.5 * h * np.maximum(np.abs(self._rates[0]), np.abs(self._rates[1]))
         return bool((np.minimum(*ends) > reach)[free].all())
 

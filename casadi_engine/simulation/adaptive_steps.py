@@ -21,13 +21,15 @@ def dormand_prince(field: ca.Function) -> ca.Function:
         for weight, (slope, _) in zip(row, slopes, strict=False):
             if weight:
                 inner = inner + h * weight * slope
-        rate, _, passing = field(inner, t + node * h, *rest)
+        rate, _, passing, g = field(inner, t + node * h, *rest)
+        if not slopes:
+            begin = g
         slopes.append((rate, passing))
     end = x
     for weight, (slope, _) in zip(DOP853.B, slopes, strict=True):
         if weight:
             end = end + h * weight * slope
-    last, share, last_rate = field(end, t + h, *rest)
+    last, share, last_rate, g = field(end, t + h, *rest)
     slopes.append((last, last_rate))
     errors = []
     for part in (0, 1):
@@ -37,7 +39,7 @@ def dormand_prince(field: ca.Function) -> ca.Function:
                 if weight:
                     error = error + h * weight * pair[part]
             errors.append(error)
-    found = [end, *errors[:2], share, *errors[2:], slopes[0][1], last_rate]
+    found = [end, *errors[:2], share, *errors[2:], slopes[0][1], last_rate, begin, g]
     return ca.Function("step", [x, t, h, *rest], found)
 
 

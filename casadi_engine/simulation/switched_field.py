@@ -117,7 +117,7 @@ class SwitchedField:
         return self._g_of(x[: self.n], t, segment, b)[0]
 
     def field_function(self, mode: Mode) -> ca.Function:
-        """(x, t, segment, b, c) -> (dx/dt, α, dg/dt); with sensitivities x is [x; vec S], S : (n, n + nz)."""
+        """(x, t, segment, b, c) -> (dx/dt, α, dg/dt, g); with sensitivities x is [x; vec S], S : (n, n + nz)."""
         b, c, field, share = self._sliding(mode)
         g = ca.substitute(self._g, self._b, b) if self._b.numel() else self._g
         passing = ca.jacobian(g, self.x) @ field + ca.jacobian(g, self.t)
@@ -127,7 +127,7 @@ class SwitchedField:
             rate = ca.jacobian(field, self.x) @ s
             rate += ca.horzcat(ca.SX.zeros(self.n, self.n), ca.jacobian(field, self._z))
             x, field = ca.vertcat(self.x, ca.vec(s)), ca.vertcat(field, ca.vec(rate))
-        found = [ca.densify(part) for part in (field, share, passing)]
+        found = [ca.densify(part) for part in (field, share, passing, g)]
         return ca.Function("field", [x, self.t, self._segment, b, c], found)
 
     def field(self, mode: Mode) -> Callable[..., list[Array]]:

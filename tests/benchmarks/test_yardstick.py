@@ -109,3 +109,20 @@ def test_the_package_sees_the_same_problem():
     package = ours.fit(case, case.start(0), lambda: None)["values"]
     other = opponent_spectral.fit(case, case.start(0), lambda: None)["values"]
     np.testing.assert_allclose(package, other, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "seed", [3, 7, 13]
+)  # a search that ends at the first valley it meets misses the lowest
+def test_of_the_valleys_of_noise_the_lowest_is_found_from_any_start(seed):
+    records = tuple(
+        cases.crankshaft_record(kind, 1200, 2000 + 10 * seed + k)
+        for k, kind in enumerate(("normal", "misfire"))
+    )
+    case = cases.Case("two", cases.CRANKSHAFT, cases.CRANKSHAFT_TRUTH, tuple(cases.SIX), records, cases.SIX)
+    fits = [
+        ours.estimate(case, start) for start in (case.start(seed), case.start(seed + 1), case.true_values)
+    ]
+    ends = np.array([fit.cost for fit in fits])
+    assert np.ptp(ends) < 1e-3
+    assert ends.max() < yardstick.chi_squared(case, case.true_values)

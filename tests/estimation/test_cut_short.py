@@ -73,7 +73,7 @@ def test_no_start_is_given_up_where_all_are_quick(record):
 def test_a_start_is_not_given_up_where_the_best_one_cost_nothing(record):
     """As a search in the frequency domain, which integrates nothing."""
     search = search_of(record)
-    run = Starts(search, finish=True)
+    run = Starts(search)
     run._best = (-math.inf, 0.0)
     (found,) = run([search.drawn(2, 0)[1]], False)
     assert found.solution.status == "converged"
@@ -87,7 +87,7 @@ def test_a_costly_start_that_is_lower_goes_on(record, monkeypatch):
         assert search.run(starts[1], first=False).solution.status == "converged"
     monkeypatch.setattr(cut_short, "MANY", 0.7)
     monkeypatch.setattr(cut_short, "FREE", 0.0)
-    run = Starts(search, finish=True)
+    run = Starts(search)
     run._best = (math.inf, whole.done)
     (found,) = run([starts[1]], False)
     assert found.solution.status == "converged"

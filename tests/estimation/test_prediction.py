@@ -25,8 +25,16 @@ def record(seed, name="run_up", n=120, start=3.0, rest=False):
     return ce.Experiment.from_arrays(name, time=time, units=units, hold="zero", T=torque, omega=speed)
 
 
+MODEL = ce.one_inertia()
+
+
 def fit_of(*data, **options):
-    return ce.estimate(ce.one_inertia(), list(data), **{**QUIET, **options})
+    return ce.estimate(MODEL, list(data), **{**QUIET, **options})
+
+
+@pytest.fixture(scope="module")
+def many_fits():
+    return [fit_of(record(seed)) for seed in range(100)]
 
 
 def test_the_squares_of_the_errors_add_up_to_what_was_estimated():
@@ -42,12 +50,11 @@ def test_the_squares_of_the_errors_add_up_to_what_was_estimated():
 
 
 @pytest.mark.parametrize("kind", ["its own record", "fresh", "given start"])
-def test_errors_are_the_scatter_of_refits(kind):
+def test_errors_are_the_scatter_of_refits(kind, many_fits):
     """Of the record that was fitted, of another one to which the start is fitted, and from a start that is known."""
     found, errors = [], []
     options = {"initial": {"omega_eng": 3.0}} if kind == "given start" else {}
-    for seed in range(100):
-        fit = fit_of(record(seed))
+    for seed, fit in enumerate(many_fits):
         fresh = record(1000 + seed, "fresh", n=60, start=1.0, rest=True)
         data = fit.data[0] if kind == "its own record" else fresh
         prediction = ce.simulate(fit, data, band=True, **options)

@@ -11,7 +11,8 @@ from casadi_engine.estimation.resolvent import Orthonormal, Resolvent
 from casadi_engine.estimation.search import Search
 from casadi_engine.estimation.spectral import SpectralRecord, half_bins
 from casadi_engine.estimation.spectral_modes import Modes
-from casadi_engine.estimation.spectral_search import SpectralSearch, largest_share
+from casadi_engine.estimation.spectral_search import SpectralSearch
+from casadi_engine.estimation.spectral_squares import largest_share
 from casadi_engine.estimation.spectral_start import best_nodes
 from casadi_engine.simulation.discretisation import Discretisation
 
@@ -251,7 +252,7 @@ def spectral_of(search, longest=np.ones_like):
 def test_the_share_of_information_left_out_is_that_of_brute_force(shaft, shaft_model):
     search = search_of(shaft_model(), shaft().data, ce.Noise(omega=0.05, omega_load=0.1))
     spectral, v = spectral_of(search), np.full(5, 0.1)
-    record = spectral._records[0]
+    record = spectral.records[0]
     edges = record.hertz[-1] * np.array([0.2, 0.5, 2.0])
     grams = spectral.grams(v, edges)
     whole = record.columns(v, record.below(np.inf))[0]

@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
-from casadi_engine.estimation import search as searches
+from casadi_engine.estimation import first_points
 from casadi_engine.estimation.loss import Loss
 from casadi_engine.estimation.search import Search
 from casadi_engine.simulation.adaptive import Adaptive
@@ -52,14 +52,14 @@ def test_a_fast_swing_is_found_from_beside_the_truth(initial):
 
 def test_the_simulation_from_the_given_states_is_a_start_too(monkeypatch):
     # Without the states that explain their intervals, those of a steady state are left, with speeds of 0.
-    monkeypatch.setattr(searches, "fitted_nodes", lambda record, v, nodes: nodes)
+    monkeypatch.setattr(first_points, "fitted_nodes", lambda record, v, nodes: nodes)
     model, data = duffing(1)
     fit = ce.estimate(model, data, noise=ce.Noise(q=0.02), initial={"q": 20.0, "v": 0.0}, progress=False)
     arrived(fit, {"c": 0.2, "k3": 3.0})
 
 
 def test_a_fit_that_ends_worse_than_the_simulation_at_its_start_begins_again_there(monkeypatch):
-    monkeypatch.setattr(searches, "fitted_nodes", lambda record, v, nodes: nodes)
+    monkeypatch.setattr(first_points, "fitted_nodes", lambda record, v, nodes: nodes)
     model, data = duffing(2)
     search = Search(
         model, (data,), model.parameters(), ce.Noise(q=0.02), interval="auto",

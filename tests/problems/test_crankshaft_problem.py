@@ -16,6 +16,8 @@ from casadi_engine import cli
 PAGE = Path(__file__).resolve().parents[2] / "problems" / "crankshaft.py"
 # Table 4.12 of the thesis, which the bundled records were made with.
 TRUTH = {"J1": 1 / 33.39, "J2": 1 / 22.3, "J6": 1 / 5.968, "K21": 241.8e3, "K32": 1270e3, "K65": 1427e3}
+NOISE = ce.Noise(omega=0.1)  # known: an estimated level counts the free parameters
+CHANCE = chi2.ppf(0.999, len(TRUTH))
 
 
 def test_the_page_loads():
@@ -47,9 +49,15 @@ def test_the_fit_finds_the_truth(tmp_path, monkeypatch, capsys):
     result = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
     assert result["status"] == "converged"
     size = np.sqrt(np.diag(result["covariance"]))
+    # noise puts an optimum beside the truth's a little lower: both are named
+    optima = [found["values"] for found in result["optima"] if found["cost"] < result["cost"] + CHANCE]
+    off = [
+        max(abs(values[name] - TRUTH[name]) / one for name, one in zip(TRUTH, size, strict=True))
+        for values in optima
+    ]
+    assert min(off) < 4
     for name, truth, quadratic in zip(TRUTH, TRUTH.values(), size, strict=True):
         found = result["parameters"][name]
-        assert abs(found["value"] / truth - 1) < 0.15, name
         assert quadratic < 0.08 * truth, name
         # noise decides which optimum is the lowest: no error is known
         assert found["stderr"] is None, name
@@ -63,13 +71,12 @@ def test_the_fit_finds_the_truth(tmp_path, monkeypatch, capsys):
 
 
 def test_the_likelihood_of_the_truth_is_that_of_the_fit_within_chance():
-    """The values of an optimum may be far from the truth; its likelihood may not."""
+    """The values of the lowest optimum may be far from the truth; its likelihood may not."""
     problem = ce.load_problem(PAGE)
     records = [ce.read_experiment(path) for path in problem.records]
     pars = problem.parameters.copy()
-    fit = ce.estimate(problem.model, records, parameters=pars, noise=problem.noise, progress=False)
+    fit = ce.estimate(problem.model, records, parameters=pars, noise=NOISE, progress=False)
     for name, value in TRUTH.items():
         pars.fix(name, value)
-    known = ce.estimate(problem.model, records, parameters=pars, noise=problem.noise, progress=False)
-    gain = 2 * fit.n * np.log(known.noise["omega"][0] / fit.noise["omega"][0])
-    assert abs(gain) < chi2.ppf(0.999, len(TRUTH))
+    known = ce.estimate(problem.model, records, parameters=pars, noise=NOISE, progress=False)
+    assert 0 < known.cost - fit.cost < CHANCE
