@@ -45,7 +45,7 @@ from casadi_engine.errors import CasadiEngineError  # noqa: E402
 from casadi_engine.estimation.study import study  # noqa: E402
 
 Rows = list[dict[str, Any]]
-SETTING = {"version": 2, "draws": 999}
+SETTING = {"version": 3, "draws": 999}
 LEVELS = (50, 80, 95)
 
 

@@ -8,7 +8,6 @@ import pytest
 
 import casadi_engine as ce
 from casadi_engine.errors import PosteriorError, UntrustedPosteriorError
-from casadi_engine.posterior.box import Box
 from casadi_engine.posterior.target import Target
 
 SIGMA = 0.02
@@ -227,17 +226,6 @@ def test_draws_that_cannot_be_trusted_are_no_answer(fit, monkeypatch):
     ):
         ce.posterior(fit, evaluations=1000)
     assert UntrustedPosteriorError.exit_code == 3
-
-
-def test_walkers_that_have_no_room_are_named(two_masses):
-    from casadi_engine.posterior.modes import find_modes
-
-    fit, target = two_masses
-    random = np.random.default_rng(0)
-    modes = find_modes(target, fit, random, wide=0)
-    dispersed = import_module("casadi_engine.posterior.posterior").dispersed
-    with pytest.raises(UntrustedPosteriorError, match=r"cannot be evaluated around.*seen: 0 of 1200 draws"):
-        dispersed(lambda y: np.full(len(y), -np.inf), modes, Box(target.low, target.high), random)
 
 
 def test_progress_is_told(fit):
