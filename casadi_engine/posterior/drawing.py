@@ -15,7 +15,7 @@ from casadi_engine.posterior.box import Box
 from casadi_engine.posterior.bridge import bridge
 from casadi_engine.posterior.drawn import Drawn, thinned, weighed
 from casadi_engine.posterior.left_out import SCATTER
-from casadi_engine.posterior.mixture import Mixture
+from casadi_engine.posterior.mixture import Mixture, around
 from casadi_engine.posterior.modes import Modes
 from casadi_engine.posterior.target import Target
 
@@ -27,6 +27,8 @@ LogDensity = Callable[[Array], Array]
 HIGHER, OPTIMA = 3.0, 6
 # Draws that a proposal has to be worth for walkers to start in its coordinates rather than in those without bounds.
 FEW = 20.0
+# Components of a mixture that is fitted to so many draws of walkers that do not agree.
+COMPONENTS, FITTED = 8, 8000
 
 
 @dataclass(frozen=True)
@@ -77,14 +79,20 @@ class Drawing:
         if self._left_out(been, height) > SCATTER:
             return Met()
         if self.method == "auto":
-            self.tell("importance sampling where the walkers have been")
-            weighted = importance.sample(density, explored.proposal, self.random, self.count)
-            if weighted.trusted:
-                words = "from where an ensemble of walkers has been"
-                return box.drawn(weighed(weighted, words, self.count, self.random))
-            explored = replace(explored, proposal=weighted.proposal)
+            weighted = self._where_walkers_were(density, explored.proposal)
+            if isinstance(weighted, Drawn):
+                return box.drawn(weighted)
+            explored = replace(explored, proposal=weighted)
             self.tell("ensemble")
         return box.drawn(self._by_walking(density, explored, modes, why))
+
+    def _where_walkers_were(self, density: LogDensity, proposal: Mixture) -> Drawn | Mixture:
+        """Importance sampling from a mixture that was fitted to walkers; what it learnt where it cannot be trusted."""
+        self.tell("importance sampling where the walkers have been")
+        weighted = importance.sample(density, proposal, self.random, self.count)
+        if not weighted.trusted:
+            return weighted.proposal
+        return weighed(weighted, "from where an ensemble of walkers has been", self.count, self.random)
 
     def _at_optima(self, modes: Modes, *, last: bool) -> Drawn | Met | tuple[Box, Mixture, str]:
         """Importance sampling from the optima; where it cannot be trusted the coordinates and the proposal from which
@@ -136,6 +144,12 @@ class Drawing:
     def _by_walking(self, density: LogDensity, explored: ensemble.Explored, modes: Modes, why: str) -> Drawn:
         """Draws of an ensemble; raises UntrustedPosteriorError where its walkers do not agree."""
         chains = ensemble.walk(density, explored, self.random, most=self.most)
+        if not chains.trusted and self.method == "auto":  # the weights judge by themselves
+            later = chains.x[:, chains.x.shape[1] // 2 :].reshape(-1, chains.x.shape[2])
+            thin = self.random.choice(len(later), min(len(later), FITTED), replace=False)
+            drawn = self._where_walkers_were(density, around(later[thin], COMPONENTS, self.random))
+            if isinstance(drawn, Drawn):
+                return drawn
         if not chains.trusted:
             worst = int(np.argmax(chains.rhat))
             raise UntrustedPosteriorError(

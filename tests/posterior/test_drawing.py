@@ -79,6 +79,26 @@ def test_walkers_that_do_not_agree_say_what_the_evidence_cannot_exceed(fit, post
     assert post.log_evidence < limit == pytest.approx(best[0], abs=0.05)
 
 
+def test_walkers_that_do_not_agree_are_judged_by_weights(fit, post, monkeypatch):
+    pytest.importorskip("emcee")
+    target = Target(fit)
+    modes = modes_at(target, target.start)
+    own, asked = drawing_of(target), []
+    sample = importance.sample
+
+    def untrusted_at_first(density, start, *others):
+        asked.append(len(start.share))
+        monkeypatch.setattr(importance, "FEWEST", 1e9 if len(asked) < 3 else 400.0)
+        return sample(density, start, *others)
+
+    monkeypatch.setattr(importance, "sample", untrusted_at_first)
+    monkeypatch.setattr(ensemble, "FEWEST", 1e9)
+    found = own.draws(modes, last=True)
+    assert asked[2] == drawing.COMPONENTS
+    assert found.why == "from where an ensemble of walkers has been"
+    assert found.log_evidence == pytest.approx(post.log_evidence, abs=0.5)
+
+
 def test_more_of_the_data_are_taken_where_those_left_out_say_much(fit, monkeypatch):
     pytest.importorskip("emcee")
     target = Target(fit)
