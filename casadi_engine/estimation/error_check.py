@@ -1,7 +1,8 @@
 """Whether standard errors describe the likelihood: it is looked at two standard errors away from the optimum.
 
 The errors of a fit are those of a quadratic around it. Along a few directions, those that the data tell least of, the
-model is simulated at two standard errors to either side, the initial states at their best. Two numbers tell:
+model is simulated at two standard errors to either side, in the parameters as they are printed, the initial states at
+their best. Two numbers tell:
 
 - the rise of chi-squared, which the quadratic says is 4;
 - the intrinsic curvature: how far the outputs leave their tangent, less what parameters and initial states could make
@@ -140,10 +141,12 @@ class _Around:
     ) -> None:
         self.search, self.best, self.errors, self.residuals = search, best, errors, residuals
         self.cost = printed_cost(search, errors.v, residuals)
-        self.entries, self.lower, self.upper = (
-            _entries(search, x) for x in (errors.x, search.lower, search.upper)
-        )
         nv, covariance = search.problem.nv, errors.covariance
+        self.entries, self.lower, self.upper = (
+            _printed(search, _entries(search, x)) for x in (errors.x, search.lower, search.upper)
+        )
+        self._slope = np.ones(len(self.entries))  # of what is printed, in the coordinates of the search
+        self._slope[:nv] = search.coordinates.slope(errors.v)
         self._inverse = np.linalg.pinv(covariance.matrix[:nv, :nv], hermitian=True)
         # a long record's slopes are not kept: one direction has to do, and its initial state follows to first order
         self.long = not all(
@@ -157,7 +160,8 @@ class _Around:
 
     def doubts(self, move: Array) -> list[Doubt]:
         """What is seen to both sides of the optimum."""
-        sides = [min(_FAR, _room(self.lower, self.upper, self.entries, side * move)) for side in (-1.0, 1.0)]
+        along = self._slope * move
+        sides = [min(_FAR, _room(self.lower, self.upper, self.entries, side * along)) for side in (-1.0, 1.0)]
         if min(sides) < _NEAR:  # a bound is close, and that is said of it
             return []
         fars = -sides[0], sides[1]
@@ -187,9 +191,12 @@ class _Around:
         return []
 
     def _simulated(self, move: Array, far: float) -> tuple[float, list[Array]] | None:
-        """Rise of chi-squared and change of each record's residual (K, M); None where the model has no value."""
-        step = far * move
-        v = self.errors.v + step[: self.search.problem.nv]
+        """Rise of chi-squared and change of each record's residual (K, M); None where the model has no value.
+
+        ± is symmetric in what is printed: so is the step, whatever the coordinates of the search.
+        """
+        step, nv = far * move, self.search.problem.nv
+        v = self.search.coordinates.of((self.entries + self._slope * step)[:nv])
         try:
             found = self._residuals(v, step)
         except (FloatingPointError, np.linalg.LinAlgError, ModelError):
@@ -312,6 +319,12 @@ def _followed(record: RecordTerm, point: RecordPoint, nodes: Array, v: Array, st
 def _entries(search: Search, x: Array) -> Array:
     """The parameters and initial states (N,) of variables (size,)."""
     return np.concatenate([x[: search.problem.nv], *[lay.take(x)[0] for lay in search.problem.layouts]])
+
+
+def _printed(search: Search, entries: Array) -> Array:
+    """Entries (N,) with the parameters as they are printed."""
+    nv = search.problem.nv
+    return np.concatenate([search.coordinates.values(entries[:nv]), entries[nv:]])
 
 
 def _room(lower: Array, upper: Array, entries: Array, move: Array) -> float:

@@ -8,6 +8,7 @@ from scipy.stats import norm
 
 import casadi_engine as ce
 from casadi_engine.errors import EstimationError
+from casadi_engine.estimation import error_check
 from casadi_engine.estimation import record as records
 
 REST = {"initial": {"x": 0.0, "w": 0.0}, "progress": False}
@@ -119,7 +120,11 @@ def test_a_positive_parameter_that_is_known_to_a_fifth(by_logarithm):
         assert fit.stderr["p"] is None
         ends = np.exp(-0.2 * EDGE), np.exp(0.2 * EDGE)
         assert fit.estimates["p"].interval == pytest.approx(ends, abs=3e-3)
-        assert fit.messages == ("p is known to 20 %: no symmetric error",)
+        rises = (np.log(1 - 0.4) / 0.2) ** 2, (np.log(1 + 0.4) / 0.2) ** 2  # at p 0.4 lower and higher
+        (said,) = fit.messages
+        assert (
+            f"along p: 2 standard errors away chi-squared rises by {rises[0]:.2g} and {rises[1]:.2g}" in said
+        )
     else:
         assert fit.stderr["p"] == pytest.approx(0.2, rel=1e-6)
         assert fit.messages == ()
@@ -227,3 +232,30 @@ def test_a_long_record_is_judged_as_a_short_one(monkeypatch):
     monkeypatch.setattr(records, "_PART", 60)
     parts = ce.estimate(pendulum(False), swing(), noise=ce.Noise(y=0.25), initial={"w": 0.0}, progress=False)
     assert parts.messages == plain.messages
+
+
+@pytest.mark.parametrize("by_logarithm", [False, True])
+def test_it_is_looked_at_two_errors_of_what_is_printed(by_logarithm):
+    """Known to 10 %: where the data tell the amount, chi-squared rises by 4 on both sides, though the search has its
+    logarithm; where they tell the logarithm itself, ± is a little off, which passes."""
+    b = ce.Blueprint("line")
+    p = b.parameter("p", 1.0, min=1e-3, max=1e3)
+    w = b.state("w")
+    b.ode("w", casadi.log(p) if by_logarithm else p)
+    b.output("y", w)
+    data = ce.Experiment.from_arrays("r", time=TIME, units={"y": "1"}, y=0 * TIME if by_logarithm else TIME)
+    seen, asked = [], error_check._Around._simulated
+
+    def watched(self, move, far):
+        found = asked(self, move, far)
+        seen.append(found[0])
+        return found
+
+    noise = ce.Noise(y=0.1 * np.sqrt((TIME**2).sum()))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(error_check._Around, "_simulated", watched)
+        fit = ce.estimate(b.model(), data, noise=noise, initial={"w": 0.0}, progress=False)
+    expected = [(np.log1p(far) / 0.1) ** 2 if by_logarithm else 4.0 for far in (-0.2, 0.2)]
+    assert seen == pytest.approx(expected, rel=1e-3)
+    assert fit.messages == ()
+    assert fit.stderr["p"] == pytest.approx(0.1, rel=1e-3)
