@@ -26,6 +26,8 @@ METHODS = ("auto", "importance", "ensemble")
 LEFT_OUT = (0.1, 0.02, 0.0)
 # Searches for other optima that start around the fit's, for each dimension; where an evaluation is a simulation, none.
 WIDE = 4
+# Share of an output below which its estimated noise is that of rounding.
+ROUNDING = 1e-9
 # How often optima are looked for at most: again where a draw lies higher than all of them.
 TRIALS = 4
 
@@ -195,5 +197,15 @@ def _check(fit: Any) -> None:
             allowed="a fit whose noise is that of the measurement alone",
             cure="fit again with ce.Noise(output=sigma), without gain or process noise",
         )
+    for name, (sigma, free) in fit.noise.items():
+        seen = [own[name].measured[own[name].mask] for own in fit.traces.values() if name in own]
+        size = max((float(np.abs(one).max(initial=0.0)) for one in seen), default=0.0)
+        if free and sigma < ROUNDING * size:
+            raise PosteriorError(
+                "the model explains the data to rounding, so that there is no noise to make a posterior of",
+                seen=f"sigma({name}) = {sigma:.2g}, estimated, beside values up to {size:.3g}",
+                allowed=f"noise of {ROUNDING:g} of the output or more",
+                cure=f"state the noise of the measurement, ce.Noise({name}=...), and fit again",
+            )
     if fit.undetermined:
         raise _improper("; ".join(direction.text for direction in fit.undetermined))
