@@ -37,7 +37,7 @@ Rows = list[dict[str, Any]]
 PROBLEMS: dict[str, tuple[str, tuple[float, ...], int]] = {
     "A": ("known", (0.1, 1.0, 3.0, 8.0), 200),
     "B": ("crankshaft_plain", (0.003, 0.01, 0.03, 0.1), 100),
-    "pendulum": ("", (0.01, 0.1, 0.3, 1.0), 200),
+    "pendulum": ("", (0.01, 0.1, 0.3, 1.0), 100),
 }
 TRUTH = {"g_l": 9.81, "c": 0.1}
 LEVEL = 1.959964
