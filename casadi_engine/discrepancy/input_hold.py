@@ -104,7 +104,8 @@ def _matching(repair: Repair, delays: Sequence[FoundEffect]) -> dict[str, str]:
 
 def _near(one: FoundEffect, wanted: float) -> bool:
     off = abs(one.amplitude.value - wanted)
-    return off <= _ERRORS * (one.amplitude.stderr or 0.0) + _SHARE * abs(wanted)
+    error = one.amplitude.stderr or one.amplitude.quadratic or 0.0
+    return off <= _ERRORS * error + _SHARE * abs(wanted)
 
 
 def _subsets(holds: Mapping[str, str]) -> Iterator[dict[str, str]]:

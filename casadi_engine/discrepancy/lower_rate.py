@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from casadi_engine.discrepancy.checked_errors import as_fitted, with_errors_of
 from casadi_engine.discrepancy.confirmation import Residuals, gap
 from casadi_engine.discrepancy.fresh import Portions
-from casadi_engine.discrepancy.repaired import FoundEffect, Gaps, NoiseFound, Repair, Side
+from casadi_engine.discrepancy.repaired import Gaps, NoiseFound, Repair, Side
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation import Fit, estimate
@@ -80,7 +81,7 @@ class LowerRate:
             repair,
             null_fit=self.whole_fit,
             fit=fit,
-            effects=tuple(_with_errors_of(one, fit) for one in repair.effects),
+            effects=tuple(with_errors_of(one, fit) for one in repair.effects),
             gaps=None if repair.gaps is None or noise is None else self._gaps(repair.gaps, fit, noise),
             data=self.whole.data,
             fresh=self.whole.fresh,
@@ -90,16 +91,12 @@ class LowerRate:
 
     def _refitted(self, fit: Fit) -> Fit | None:
         """A fit of the lower rate on the whole data; None where it does not converge."""
-        pars = fit.parameters.copy()
-        for one in fit.model.effects:  # corners are as sharp as the search found them felt
-            if one.width and not pars[one.width].vary:
-                pars.fix(one.width)
         noise = {name: (level / self.share, own) for name, (level, own) in fit.noise.items()}
         warm = Start(fit.values, fit.initial, noise, fit.converged)
         try:
             found = estimate(
-                fit.model, self.whole.data, parameters=pars, noise=self.whole_noise, warm=warm, progress=False,
-                **self.options,
+                fit.model, self.whole.data, parameters=as_fitted(fit), noise=self.whole_noise, warm=warm,
+                progress=False, **self.options,
             )  # fmt: skip
         except CasadiEngineError:
             return None
@@ -153,13 +150,6 @@ def _traces(fit: Fit, record: Experiment) -> dict[str, Trace]:
         simulated[sample.index] = shown[name][0]
         found[name] = Trace(channel.time, channel.values, channel.mask, simulated, None)
     return found
-
-
-def _with_errors_of(effect: FoundEffect, fit: Fit) -> FoundEffect:
-    """An effect with its estimates of another fit."""
-    return replace(
-        effect, parameters={name: fit.estimates.get(name, own) for name, own in effect.parameters.items()}
-    )
 
 
 def at_lower_rate(

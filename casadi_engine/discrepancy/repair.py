@@ -15,6 +15,7 @@ import numpy as np
 from casadi_engine.deadline import Deadline, TimeUp
 from casadi_engine.discrepancy.answer import Answer
 from casadi_engine.discrepancy.assumed_pressure import carry, remarks, settle_scatter
+from casadi_engine.discrepancy.checked_errors import with_checked_errors
 from casadi_engine.discrepancy.choice import TIME_UP, Choice
 from casadi_engine.discrepancy.fresh import Portions, portions
 from casadi_engine.discrepancy.input_hold import other_hold
@@ -276,7 +277,10 @@ class _Job:
                 made = replace(made, messages=(*made.messages, _LOWER))
                 search.failed["the whole data"] = TIME_UP
             self.timing["whole data"] = time.perf_counter() - clock
-            self.timing["total"] = time.perf_counter() - self.begun
+        else:
+            with self.deadline.spared(1.0):
+                made = with_checked_errors(made, self.noise, options, in_places=refitter.in_places)
+        self.timing["total"] = time.perf_counter() - self.begun
         missed = tuple(name for name, why in search.failed.items() if why == TIME_UP)
         return replace(made, stopped=self._by if missed else "", not_searched=missed)
 

@@ -140,10 +140,10 @@ class _Around:
     ) -> None:
         self.search, self.best, self.errors, self.residuals = search, best, errors, residuals
         self.cost = printed_cost(search, errors.v, residuals)
+        nv, covariance = search.problem.nv, errors.covariance
         self.entries, self.lower, self.upper = (
             _entries(search, x) for x in (errors.x, search.lower, search.upper)
         )
-        nv, covariance = search.problem.nv, errors.covariance
         self._inverse = np.linalg.pinv(covariance.matrix[:nv, :nv], hermitian=True)
         # a long record's slopes are not kept: one direction has to do, and its initial state follows to first order
         self.long = not all(
@@ -153,15 +153,34 @@ class _Around:
             record.linear and np.isinf(search.upper[lay.at : lay.at + lay.n]).all()
             for record, lay in zip(search.records, search.problem.layouts, strict=True)
         )
+        self._to_printed = np.ones(len(self.entries))
+        self._to_printed[:nv] = search.coordinates.slope(errors.v)
         self._radius = np.sqrt(chi2_isf(0.05, max(covariance.rank, 1)))
 
     def doubts(self, move: Array) -> list[Doubt]:
-        """What is seen to both sides of the optimum."""
-        sides = [min(_FAR, _room(self.lower, self.upper, self.entries, side * move)) for side in (-1.0, 1.0)]
+        """What is seen to both sides of the optimum.
+
+        A line in the coordinates of the search is one way along this direction, a line in the parameters as they are
+        printed another: stiffnesses and inertias keep their ratio along the first, the amount of a damper that is
+        hardly known changes by two of its errors along the second. The milder one is what the surface asks for.
+        """
+        found = self._along(move, printed=False) or []
+        if not found or not self.search.coordinates.log.any():
+            return found
+        other = self._along(move, printed=True)
+        return found if other is None else min(found, other, key=_gravity)
+
+    def _along(self, move: Array, *, printed: bool) -> list[Doubt] | None:
+        """What is seen along one line; None where a bound is so near that nothing can be."""
+        ends, here, way = (self.lower, self.upper), self.entries, move
+        if printed:
+            ends, here = tuple(_printed(self.search, one) for one in ends), _printed(self.search, here)  # type: ignore[assignment]
+            way = self._to_printed * move
+        sides = [min(_FAR, _room(*ends, here, side * way)) for side in (-1.0, 1.0)]
         if min(sides) < _NEAR:  # a bound is close, and that is said of it
-            return []
+            return None
         fars = -sides[0], sides[1]
-        there = [self._simulated(move, far) for far in fars]
+        there = [self._simulated(move, far, printed=printed) for far in fars]
         names = _names_along(self.search, move)
         if there[0] is None or there[1] is None:
             text = f"the errors are not known: within {_FAR:g} standard errors along {names} the model has no value"
@@ -186,10 +205,12 @@ class _Around:
             return [Doubt("curved", text, move, curvature)]
         return []
 
-    def _simulated(self, move: Array, far: float) -> tuple[float, list[Array]] | None:
+    def _simulated(self, move: Array, far: float, *, printed: bool) -> tuple[float, list[Array]] | None:
         """Rise of chi-squared and change of each record's residual (K, M); None where the model has no value."""
-        step = far * move
-        v = self.errors.v + step[: self.search.problem.nv]
+        step, coordinates, nv = far * move, self.search.coordinates, self.search.problem.nv
+        v = self.errors.v + step[:nv]
+        if printed:
+            v = coordinates.of(coordinates.values(self.errors.v) + (self._to_printed * step)[:nv])
         try:
             found = self._residuals(v, step)
         except (FloatingPointError, np.linalg.LinAlgError, ModelError):
@@ -312,6 +333,17 @@ def _followed(record: RecordTerm, point: RecordPoint, nodes: Array, v: Array, st
 def _entries(search: Search, x: Array) -> Array:
     """The parameters and initial states (N,) of variables (size,)."""
     return np.concatenate([x[: search.problem.nv], *[lay.take(x)[0] for lay in search.problem.layouts]])
+
+
+def _gravity(found: Sequence[Doubt]) -> tuple[bool, bool, float]:
+    """How grave doubts are, for the milder of two."""
+    return bool(found), any(not one.profiles for one in found), max((one.size for one in found), default=0.0)
+
+
+def _printed(search: Search, entries: Array) -> Array:
+    """Entries (N,) with the parameters as they are printed."""
+    nv = search.problem.nv
+    return np.concatenate([search.coordinates.values(entries[:nv]), entries[nv:]])
 
 
 def _room(lower: Array, upper: Array, entries: Array, move: Array) -> float:

@@ -14,6 +14,8 @@ Array = NDArray[np.float64]
 # Draws at which nothing is left out, and more of them for each term of a quadratic; scatter of the log likelihood that
 # the draws' weights follow.
 LOOKED_AT, TERMS, FELT = 200, 4, 0.1
+# Scatter of it with which more of the data have to be looked at before anything is drawn.
+SCATTER = 1.0
 
 
 def with_all_data(target: Target, drawn: Drawn, random: np.random.Generator) -> tuple[Drawn, float]:
@@ -28,9 +30,10 @@ def with_all_data(target: Target, drawn: Drawn, random: np.random.Generator) -> 
     if not scatter > FELT:
         return drawn.with_evidence(log_mean(ratio), scatter / np.sqrt(len(ratio))), scatter
     rest = np.setdiff1d(np.arange(len(drawn.u)), some)
-    foretold, error = foresee(drawn.u[some], ratio, drawn.u[rest])
+    foretold, error, beyond = foresee(drawn.u[some], ratio, drawn.u[rest])
     if not error <= FELT:
-        foretold, error = target.full(drawn.u[rest]) - drawn.density[rest], 0.0
+        error, beyond = 0.0, np.ones(len(rest), dtype=bool)
+    foretold[beyond] = target.full(drawn.u[rest[beyond]]) - drawn.density[rest[beyond]]
     ratio = np.concatenate([ratio, foretold])
     smooth, _ = pareto_smoothed(ratio)
     drawn = drawn.reweighed(np.concatenate([some, rest]), smooth, random)
@@ -39,19 +42,21 @@ def with_all_data(target: Target, drawn: Drawn, random: np.random.Generator) -> 
     ), scatter
 
 
-def foresee(x: Array, values: Array, others: Array) -> tuple[Array, float]:
-    """Values (m,) at ``others`` (m, d) by a quadratic through those at x (n, d), and how far it is off at each of these
-    when it is left out (root mean square); infinite where the points are too few."""
+def foresee(x: Array, values: Array, others: Array) -> tuple[Array, float, NDArray[np.bool_]]:
+    """Values (m,) at ``others`` (m, d) by a quadratic through those at x (n, d); how far it is off at each of x when
+    that is left out (root mean square), infinite where they are too few; and which of the others (m,) lie beyond all of
+    them, where it would be extrapolated."""
     mean, spread = x.mean(axis=0), x.std(axis=0) + 1e-300
     rows = quadratic((x - mean) / spread)
     if len(rows) < 2 * rows.shape[1]:
-        return np.full(len(others), np.nan), np.inf
+        return np.full(len(others), np.nan), np.inf, np.ones(len(others), dtype=bool)
     q, r = np.linalg.qr(rows)
-    away = values - q @ (q.T @ values)
-    alone = away / np.maximum(1 - np.square(q).sum(axis=1), 1e-9)
-    terms = np.linalg.lstsq(r, q.T @ values, rcond=None)[0]
-    found = quadratic((others - mean) / spread) @ terms
-    return np.asarray(found), float(np.sqrt(np.mean(np.square(alone))))
+    away, own = values - q @ (q.T @ values), np.square(q).sum(axis=1)
+    alone = away / np.maximum(1 - own, 1e-9)
+    back = np.linalg.pinv(r)
+    turned = quadratic((others - mean) / spread) @ back
+    beyond = np.square(turned).sum(axis=1) > own.max()
+    return np.asarray(turned @ (q.T @ values)), float(np.sqrt(np.mean(np.square(alone)))), beyond
 
 
 def quadratic(x: Array) -> Array:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.estimation.fit import Fit
-from casadi_engine.estimation.levenberg_marquardt import minimise
+from casadi_engine.estimation.levenberg_marquardt import Minimum, minimise
 from casadi_engine.posterior.box import Box
 from casadi_engine.posterior.mixture import Mixture
 from casadi_engine.posterior.target import Target
@@ -17,8 +18,8 @@ from casadi_engine.posterior.valley import valleys
 Array = NDArray[np.float64]
 
 # Starts along the weakest directions, in standard errors, and their number; others are drawn so many times as wide,
-# in turn.
-ALONG, WEAK, WIDE = (3.0, 6.0, 12.0), 2, (4.0, 16.0, 40.0)
+# in turn, or from all over the bounds.
+ALONG, WEAK, WIDE = (3.0, 6.0, 12.0), 2, (4.0, 16.0, np.inf)
 # Other optima from which searches start again, and how far below the best they may be for that.
 _AGAIN, _NEAR = 3, 10.0
 # Directions along which valleys are looked for.
@@ -48,6 +49,20 @@ class Modes:
     searches: int
     valley: tuple[Array, Array, Array]
 
+    def again(self, target: Target) -> Modes:
+        """The same with the heights of a target that has other bins by now."""
+        at, information, _ = self.valley
+        height = target.log_density(self.at)
+        order = np.argsort(-height)
+        return replace(
+            self,
+            at=self.at[order],
+            information=self.information[order],
+            height=height[order],
+            ended=self.ended[order],
+            valley=(at, information, target.log_density(at)),
+        )
+
     def mixture(self, box: Box) -> Mixture:
         """A proposal from the quadratics at the optima, and along their valleys; in the coordinates of ``box``."""
         at, information, height = self.valley
@@ -59,12 +74,15 @@ class Modes:
         )
 
 
-def find_modes(target: Target, fit: Fit, random: np.random.Generator, *, wide: int) -> Modes | None:
-    """The optima that searches lead to; ``wide`` of them start around. None where the data do not hold a parameter."""
+def find_modes(
+    target: Target, fit: Fit, random: np.random.Generator, *, wide: int, met: Sequence[Array] = ()
+) -> Modes | None:
+    """The optima that searches lead to; ``wide`` of them start around, others at points v that were ``met``. None where
+    the data do not hold a parameter."""
     first = target.squares(target.start[: target.nv])
     if first is None or not _definite(first.matrix):
         return None
-    starts = _starts(target, fit, inverse(first.matrix), random, wide)
+    starts = [*_starts(target, fit, inverse(first.matrix), random, wide), *met]
     nv = target.nv
     low, high = target.low[:nv], target.high[:nv]
     found: list[tuple[Array, Array, float]] = []
@@ -76,7 +94,7 @@ def find_modes(target: Target, fit: Fit, random: np.random.Generator, *, wide: i
             return
         same = _place(found, end.x)
         if same is None:
-            found.append((end.x, end.squares.matrix, end.squares.cost))
+            found.append((end.x, _held(end, low, high), end.squares.cost))
             ended.append(1)
         else:
             ended[same] += 1
@@ -130,6 +148,14 @@ def _definite(matrix: Array) -> bool:
     return bool(np.isfinite(matrix).all() and np.linalg.eigvalsh(matrix / np.outer(size, size))[0] > 1e-11)
 
 
+def _held(end: Minimum, low: Array, high: Array) -> Array:
+    """The information (nv, nv) at an optimum. On a bound towards which the density still rises it falls inwards as an
+    exponential of that slope, and a normal density is as wide with the slope's square as its information."""
+    slope = end.squares.gradient
+    pressed = ((end.x <= low) & (slope > 0)) | ((end.x >= high) & (slope < 0))
+    return np.asarray(end.squares.matrix + np.diag(np.where(pressed, slope, 0.0) ** 2))
+
+
 def _place(found: list[tuple[Array, Array, float]], x: Array) -> int | None:
     for k, (at, matrix, _) in enumerate(found):
         moved = x - at
@@ -158,9 +184,21 @@ def _starts(
         if optimum.status == "converged" and all(name in optimum.values for name in target.free):
             known.append(target.coordinates.of(np.array([optimum.values[name] for name in target.free])))
     lines = along(centre, covariance) if wide else along(centre, covariance)[:2]
-    factor = np.linalg.cholesky(covariance)
-    around = [centre + WIDE[k % len(WIDE)] * factor @ random.standard_normal(target.nv) for k in range(wide)]
+    factor = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+    around = [_drawn(target, centre, factor, WIDE[k % len(WIDE)], random) for k in range(wide)]
     return [centre, *known, *lines, *around]
+
+
+def _drawn(target: Target, centre: Array, factor: Array, wide: float, random: np.random.Generator) -> Array:
+    """A start so many standard errors away, at random; between the bounds where these are nearer."""
+    away = factor @ random.standard_normal(target.nv)
+    low, high = target.low[: target.nv], target.high[: target.nv]
+    if np.isfinite(wide):
+        return np.asarray(centre + wide * away)
+    width = high - low
+    bounded = np.isfinite(width)
+    anywhere = np.where(bounded, low, 0.0) + random.random(len(low)) * np.where(bounded, width, 0.0)
+    return np.where(bounded, anywhere, centre + WIDE[-2] * away)
 
 
 def separate(modes: Modes, target: Target) -> list[list[int]]:

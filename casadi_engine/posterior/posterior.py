@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,11 +12,9 @@ from numpy.typing import NDArray
 from casadi_engine.errors import PosteriorError, UntrustedPosteriorError
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.options import check_likelihood, chosen, whole
-from casadi_engine.posterior import ensemble, importance
-from casadi_engine.posterior.box import Box
-from casadi_engine.posterior.bridge import bridge
-from casadi_engine.posterior.drawn import Drawn, thinned, weighed
-from casadi_engine.posterior.left_out import with_all_data
+from casadi_engine.posterior.drawing import OPTIMA, Drawing, Met
+from casadi_engine.posterior.drawn import Drawn
+from casadi_engine.posterior.left_out import SCATTER, with_all_data
 from casadi_engine.posterior.modes import Modes, along, find_modes, inverse, separate
 from casadi_engine.posterior.result import Posterior, made
 from casadi_engine.posterior.target import Target
@@ -25,15 +22,14 @@ from casadi_engine.posterior.target import Target
 Array = NDArray[np.float64]
 
 METHODS = ("auto", "importance", "ensemble")
-# Shares of the information that may be left out of the likelihood that is drawn from, one tried after the other, and
-# the scatter of what is left out above which the next one is.
-LEFT_OUT, SCATTER = (0.1, 0.02, 0.0), 1.0
-# Optima at which that is looked at.
-OPTIMA = 6
+# Shares of the information that may be left out of the likelihood that is drawn from, one tried after the other.
+LEFT_OUT = (0.1, 0.02, 0.0)
 # Searches for other optima that start around the fit's, for each dimension; where an evaluation is a simulation, none.
 WIDE = 4
-# Draws that a proposal has to be worth for walkers to start in its coordinates rather than in those without bounds.
-FEW = 20.0
+# Share of an output below which its estimated noise is that of rounding.
+ROUNDING = 1e-9
+# How often optima are looked for at most: again where a draw lies higher than all of them.
+TRIALS = 4
 
 
 def posterior(
@@ -128,119 +124,37 @@ def _found(
     if first is None:
         raise _improper("the slopes at the optimum are not finite")
     weak = along(target.start[: target.nv], inverse(first.matrix))
-    scatter, left = np.inf, list(LEFT_OUT)
-    while scatter > SCATTER:
-        random = np.random.default_rng(seed)
-        left_out = left.pop(0)
+    for left_out in LEFT_OUT:
+        drawing = Drawing(target, method, np.random.default_rng(seed), count, most, tell)
         target.choose([target.start[: target.nv], *weak[:2]], left_out)
-        tell("looking for optima")
-        slow = target.likelihood.bins is None
-        found = find_modes(target, fit, random, wide=0 if slow else WIDE * len(target.names) + 6)
-        if found is None:
-            raise _improper("the optimum's information matrix is singular")
-        modes = found
-        target.choose([*modes.at[:OPTIMA, : target.nv], *weak[:2]], left_out)
-        drawn = _drawn(target, modes, method, random, count, most, tell)
-        tell("looking at all data")
-        drawn, scatter = with_all_data(target, drawn, random)
+        modes, found = _met(drawing, fit, weak[:2], left_out)
+        if isinstance(found, Drawn):
+            tell("looking at all data")
+            drawn, scatter = with_all_data(target, found, drawing.random)
+            if scatter <= SCATTER:
+                break
     return modes, drawn
 
 
-def _drawn(
-    target: Target,
-    modes: Modes,
-    method: str,
-    random: np.random.Generator,
-    count: int,
-    most: int,
-    tell: Callable[[str], Any],
-) -> Drawn:
-    """Draws by the method that is asked for, or by the first that can be trusted."""
-    plain = box = Box.none(target.low)
-    density, known, why = box.density(target.log_density), None, "asked for"
-    if method != "ensemble":
-        tell("importance sampling")
-        near = Box.about(modes.at[0], np.linalg.inv(modes.information[0]), target.low, target.high)
-        tried = []
-        for box in (plain, near) if near.closed.any() else (plain,):
-            density = box.density(target.log_density)
-            found = importance.sample(density, modes.mixture(box), random, count)
-            if found.trusted:
-                return box.drawn(weighed(found, "few smooth optima", count, random))
-            tried.append((box, found))
-        box, found = tried[0] if tried[0][1].size > FEW else tried[-1]
-        density, known, why = box.density(target.log_density), found.proposal, found.words
-        if method == "importance":
-            raise UntrustedPosteriorError(
-                "importance sampling does not describe this posterior",
-                seen=why,
-                allowed=f"k-hat up to {importance.LARGEST_SHAPE:g}, and {importance.FEWEST:.0f} draws",
-                cure='take method="ensemble", which crosses many optima and curved valleys',
-            )
-    ensemble.emcee()
-    tell("ensemble")
-    starts = [dispersed(density, modes, box, random) for _ in range(2)]
-    explored = ensemble.explore(density, starts, random, known)
-    if method == "auto":
-        tell("importance sampling where the walkers have been")
-        found = importance.sample(density, explored.proposal, random, count)
-        if found.trusted:
-            return box.drawn(weighed(found, "from where an ensemble of walkers has been", count, random))
-        explored = replace(explored, proposal=found.proposal)
-        tell("ensemble")
-    return box.drawn(_by_walking(target.names, density, explored, random, count, most, why))
+def _met(drawing: Drawing, fit: Fit, weak: list[Array], left_out: float) -> tuple[Modes, Drawn | Met]:
+    """The optima and the draws, or why there are none, with this share of the information left out.
 
-
-def _by_walking(
-    names: tuple[str, ...],
-    density: Callable[[Array], Array],
-    explored: ensemble.Explored,
-    random: np.random.Generator,
-    count: int,
-    most: int,
-    why: str,
-) -> Drawn:
-    """Draws of an ensemble; raises UntrustedPosteriorError where its walkers do not agree."""
-    chains = ensemble.walk(density, explored, random, most=most)
-    if not chains.trusted:
-        worst = int(np.argmax(chains.rhat))
-        raise UntrustedPosteriorError(
-            "the walkers of the ensemble do not agree yet",
-            seen=f"R-hat {chains.rhat[worst]:.3f} of {names[worst]}, worth {chains.size:.0f} independent draws "
-            f"after {chains.evaluations} evaluations",
-            allowed=f"R-hat up to {ensemble.LARGEST:g}, and {ensemble.FEWEST:.0f} draws",
-            cure=f"give more, evaluations={4 * most}, or narrower bounds or priors for what the data tell little of",
-        )
-    evidence = bridge(density, chains.x, chains.density, chains.size, random)
-    return thinned(chains, evidence, count, why)
-
-
-def dispersed(
-    density: Callable[[Array], Array], modes: Modes, box: Box, random: np.random.Generator
-) -> Array:
-    """Where the walkers of an ensemble (w, d) start: half about the optima, half far along the weakest directions."""
-    d = modes.at.shape[1]
-    walkers = 2 * (d + 1)
-    about = box.mixture(np.ones(len(modes.at)), modes.at, np.asarray(np.linalg.inv(modes.information)))
-    values, vectors = np.linalg.eigh(about.factor[0] @ about.factor[0].T)
-    found: list[Array] = []
-    for tried in range(100 * walkers):
-        k = int(random.integers(len(modes.at)))
-        at = about.centre[k] + about.factor[k] @ random.standard_normal(d)
-        if len(found) % 2:
-            weak = np.argsort(values)[::-1][: min(2, d)]
-            far = random.uniform(-8, 8, len(weak)) * np.sqrt(values[weak]) / (1 + tried // (10 * walkers))
-            at = at + vectors[:, weak] @ far
-        if np.isfinite(density(at[None])[0]):
-            found.append(at)
-        if len(found) == walkers:
-            return np.array(found)
-    raise UntrustedPosteriorError(
-        "the model cannot be evaluated around the optimum, or constraints leave no room there",
-        seen=f"{len(found)} of {100 * walkers} draws about the optima have a density",
-        allowed=f"{walkers} of them, for the walkers of an ensemble",
-        cure="widen the constraints that the fit rests on, or fix these parameters, and fit again",
-    )
+    weak : points v along what the data tell least of, where they have to tell something too
+    """
+    target, found = drawing.target, Met()
+    wide = 0 if target.likelihood.bins is None else WIDE * len(target.names) + 6
+    for trial in range(TRIALS):
+        drawing.tell("looking for optima")
+        modes = find_modes(target, fit, drawing.random, wide=wide, met=found.higher)
+        if modes is None:
+            raise _improper("the optimum's information matrix is singular")
+        target.choose([*modes.at[:OPTIMA, : target.nv], *weak], left_out)
+        best = modes.again(target)
+        drawn = drawing.draws(best, last=trial == TRIALS - 1)
+        if isinstance(drawn, Drawn) or not drawn.higher:
+            break
+        found = drawn
+    return best, drawn
 
 
 def _teller(
@@ -283,5 +197,15 @@ def _check(fit: Any) -> None:
             allowed="a fit whose noise is that of the measurement alone",
             cure="fit again with ce.Noise(output=sigma), without gain or process noise",
         )
+    for name, (sigma, free) in fit.noise.items():
+        seen = [own[name].measured[own[name].mask] for own in fit.traces.values() if name in own]
+        size = max((float(np.abs(one).max(initial=0.0)) for one in seen), default=0.0)
+        if free and sigma < ROUNDING * size:
+            raise PosteriorError(
+                "the model explains the data to rounding, so that there is no noise to make a posterior of",
+                seen=f"sigma({name}) = {sigma:.2g}, estimated, beside values up to {size:.3g}",
+                allowed=f"noise of {ROUNDING:g} of the output or more",
+                cure=f"state the noise of the measurement, ce.Noise({name}=...), and fit again",
+            )
     if fit.undetermined:
         raise _improper("; ".join(direction.text for direction in fit.undetermined))

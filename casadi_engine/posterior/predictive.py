@@ -30,6 +30,7 @@ class Predictive:
     runs : output -> (draws, N) simulated, in the output's unit
     sigma : output -> (draws,) standard deviation of the noise
     measured : output -> (N,) where it was measured, else absent
+    units : output -> its unit
     """
 
     record: str
@@ -37,6 +38,7 @@ class Predictive:
     runs: Mapping[str, Array]
     sigma: Mapping[str, Array]
     measured: Mapping[str, Array]
+    units: Mapping[str, str]
 
     def band(self, output: str, level: float = 0.95, *, noise: bool = False) -> tuple[Array, Array]:
         """The lower and upper limit (N,) that hold the output with this probability at each time, in its unit.
@@ -103,6 +105,7 @@ def predictive(post: Posterior, data: Any = None, *, draws: int = 60, seed: int 
         {name: np.array(rows) for name, rows in runs.items()},
         {name: np.array(rows) for name, rows in sigma.items()},
         measured,
+        {out.name: out.unit for out in fit.model.outputs},
     )
 
 

@@ -93,6 +93,16 @@ class Prior:
             )
         return np.full_like(values, 1.0 / (self.high[k] - self.low[k]))
 
+    def share(self, k: int, low: float, high: float) -> float:
+        """Probability of one parameter between two values in its unit, without that of the tied ones."""
+        if self._normal[k]:
+            ends = (np.array([low, high]) - self._mean[k]) / self._sigma[k]
+            return float(np.exp(_log_share(ends[:1], ends[1:]))[0])
+        width = self.high[k] - self.low[k]
+        if self._coordinates.log[k]:
+            return float(np.log(high / low) / width)
+        return float((high - low) / self._coordinates.scale[k] / width)
+
     def coordinate_slope(self, k: int, values: Array) -> Array:
         """dv/dz of one parameter at values in its unit: what makes a density in v one in the unit."""
         if self._coordinates.log[k]:

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 # Modes with a smaller share of the draws are not shown, and of the others at most so many.
 _SMALL, _SHOWN = 0.01, 4
 _LEVELS = (50, 80, 95)
+# Share of the prior in a 95 % interval of the posterior from which the records tell hardly anything.
+_UNTOLD = 0.8
 
 
 def table(post: Posterior) -> str:
@@ -61,13 +63,42 @@ def _number(value: float, digits: int) -> str:
 def summary(post: Posterior) -> str:
     """What was found, how, and what it means."""
     records = post.fit.data
-    head = f"Posterior of {len(post.names)} parameters given {len(records)} record{'s' * (len(records) > 1)}"
+    count = len(post.names)
+    head = f"Posterior of {count} parameter{'s' * (count > 1)} given {len(records)} record{'s' * (len(records) > 1)}"
     lines = [f"{head}: {len(post.values)} draws, {post.method}", "", table(post), ""]
     lines += _modes(post)
     lines.append(f"log evidence: {post.log_evidence:.2f} ± {post.log_evidence_error:.2g}")
     lines.append(f"prior: {_priors(post)}")
+    lines += _untold(post) + _elsewhere(post)
     lines.append(_quality(post))
     return "\n".join(lines)
+
+
+def _untold(post: Posterior) -> list[str]:
+    """Parameters whose interval is nearly that of the prior."""
+    names = post.names[: len(post.prior.low)]
+    shares = {name: post.prior.share(k, *post.interval(name, 0.95)) for k, name in enumerate(names)}
+    untold = [name for name, share in shares.items() if share > _UNTOLD]
+    return (
+        [f"the records tell hardly anything of {', '.join(untold)}: intervals are the prior's"]
+        if untold
+        else []
+    )
+
+
+def _elsewhere(post: Posterior) -> list[str]:
+    """That the fit ended at a poor optimum, if it did."""
+    outside = [
+        name
+        for name, own in post.draws.items()
+        if name in post.fit.free
+        and post.fit.estimates[name].at_bound is False
+        and not own.min() <= post.fit.values[name] <= own.max()
+    ]
+    if not outside:
+        return []
+    words = f"the fit's {', '.join(outside)} lies outside all draws: a better optimum was met"
+    return [f"{words}; start a fit from post.modes[0].values"]
 
 
 def _modes(post: Posterior) -> list[str]:

@@ -21,6 +21,8 @@ ACROSS = 3
 BARS = 24
 # More parameters than this are too many for pairs; more draws are not all drawn there.
 PAIRED, DOTS = 8, 500
+# Samples of a record that can be told apart in its figure.
+SEEN = 400
 # Modes with a smaller share of the draws are not marked.
 SMALL = 0.01
 
@@ -66,8 +68,9 @@ def draw_marginal(panel: Panel, post: Posterior, name: str) -> None:
     panel.fill_between(steps, tops, color=panels.SIMULATED, alpha=0.35)
     panel.plot(steps, tops, color=panels.SIMULATED, linewidth=0.9, label="posterior, its 95 % shaded")
     fine = np.linspace(edges[0], edges[-1], 200)
-    estimate = post.fit.estimates.get(name)
+    estimate, room = post.fit.estimates.get(name), 1.15
     if estimate is not None and estimate.stderr:
+        room = 1.7
         normal = np.exp(-0.5 * ((fine - estimate.value) / estimate.stderr) ** 2)
         normal *= min(1 / (estimate.stderr * np.sqrt(2 * np.pi)), 1.6 * float(height.max()))
         panel.plot(fine, normal, color="0.45", linestyle="--", linewidth=1.0, label="the fit's error (cut)")
@@ -76,10 +79,9 @@ def draw_marginal(panel: Panel, post: Posterior, name: str) -> None:
         panel.plot(fine, density, color="#009E73", linewidth=1.0, label="prior")
     for mode in post.modes:
         if mode.mass >= SMALL:
-            panel.plot(
-                [mode.values[name]] * 2, [0, 0.06 * height.max()], color=panels.PREDICTED, linewidth=2.0
-            )
-    panel.ylim = (0.0, 1.7 * float(height.max()))
+            ends = [0.0, 0.06 * float(height.max())]
+            panel.plot([mode.values[name]] * 2, ends, color=panels.PREDICTED, linewidth=2.0, label="modes")
+    panel.ylim = (0.0, room * float(height.max()))
     unit = post.units[k]
     panels.dress(
         panel, x=f"{name} [{unit}]", y=f"density [1/({unit})]" if unit != "1" else "density", title=name
@@ -113,12 +115,12 @@ def _pairs(post: Posterior) -> Sketch:
 
 
 def _two_ticks(values: Array) -> list[float]:
-    """Two round numbers within the middle of the values: more do not fit under a small panel."""
-    low, high = np.quantile(values, [0.15, 0.85])
+    """Two round numbers well apart among the values: more do not fit under a small panel."""
+    low, high = np.quantile(values, [0.03, 0.97])
     step = 10.0 ** np.floor(np.log10(max(high - low, 1e-300)))
     step = step if high - low > 2 * step else step / 2
     first, last = np.ceil(low / step) * step, np.floor(high / step) * step
-    short = sum(len(f"{end:g}") for end in (first, last)) < 11
+    short = sum(len(f"{end:g}") for end in (first, last)) < 13
     return [float(first), float(last)] if last > first and short else [float(first)]
 
 
@@ -173,12 +175,12 @@ def _foretold(post: Posterior, record: str) -> Sketch:
 def _prediction(found: Predictive, post: Posterior | None) -> Sketch:
     """Measured outputs and the band of the simulated ones, whole and the last engine cycle; less their median below."""
     names = list(found.runs)
-    units = {} if post is None else {out.name: out.unit for out in post.fit.model.outputs}
     sketch = Sketch(10, 2.4 * 2 * len(names) + 0.5, (2 * len(names), 1), key=True)
     for k, name in enumerate(names):
         low, high = found.band(name)
         middle = np.median(found.runs[name], axis=0)
         inside = found.time >= _zoom(found, post)
+        part = "" if inside.all() else ", the last part"
         at, measured = found.time[inside], found.measured.get(name)
         top, bottom = sketch.panel(2 * k), sketch.panel(2 * k + 1)
         for panel, base in ((top, np.zeros_like(middle)), (bottom, middle)):
@@ -195,19 +197,20 @@ def _prediction(found: Predictive, post: Posterior | None) -> Sketch:
         sigma = float(np.median(found.sigma[name]))
         for side in (-1.96, 1.96):
             bottom.axhline(side * sigma, color="0.6", linewidth=0.8, linestyle=":")
-        label = f"{name} [{units[name]}]" if name in units else name
-        panels.dress(top, x="", y=label, title=f"{found.record}: {name}, the last part")
+        label = f"{name} [{found.units[name]}]"
+        panels.dress(top, x="", y=label, title=f"{found.record}: {name}{part}")
         panels.dress(bottom, x="time [s]", y=label, title="less the median; dotted: 95 % of the noise")
     return sketch
 
 
 def _zoom(found: Predictive, post: Posterior | None) -> float:
-    """Begin of what is drawn [s]: the last engine cycle, or the last twentieth."""
-    if post is None:
-        return float(found.time[-1] - (found.time[-1] - found.time[0]) / 20)
-    traces = post.fit.traces[found.record]
-    data = next(one for one in post.fit.data if one.name == found.record)
-    return last_cycle(next(iter(traces.values())), data)[0]
+    """Begin of what is drawn [s]: the last engine cycle, or the last twentieth, with as many samples as can be seen."""
+    begin = found.time[-1] - (found.time[-1] - found.time[0]) / 20
+    if post is not None:
+        traces = post.fit.traces[found.record]
+        data = next(one for one in post.fit.data if one.name == found.record)
+        begin = last_cycle(next(iter(traces.values())), data)[0]
+    return float(min(begin, found.time[-min(SEEN, len(found.time))]))
 
 
 @text.register

@@ -53,7 +53,7 @@ def values(full: ce.Model, pars: ce.Parameters) -> dict[str, float]:
     return {name: pars[name].value for name in full.parameter_names}
 
 
-def posterior_of(dof: int, full: ce.Model, pars: ce.Parameters, record: ce.Experiment) -> Posterior:
+def fit_of(dof: int, full: ce.Model, pars: ce.Parameters, record: ce.Experiment) -> ce.Fit:
     """With so many inertias. Two and three are sums that stand for themselves, as the record tells no more."""
     model, own = full, pars.copy()
     if dof < 7:
@@ -65,9 +65,12 @@ def posterior_of(dof: int, full: ce.Model, pars: ce.Parameters, record: ce.Exper
             own[name].set(value, min=value / WIDTH, max=value * WIDTH)
         elif own[name].tie is None:
             own.fix(name)
-    return ce.posterior(
-        ce.estimate(model, record, parameters=own, noise=ce.Noise(omega=SIGMA), progress=False)
-    )
+    return ce.estimate(model, record, parameters=own, noise=ce.Noise(omega=SIGMA), progress=False)
+
+
+def posterior_of(dof: int, full: ce.Model, pars: ce.Parameters, record: ce.Experiment) -> Posterior:
+    """Of the model with so many inertias."""
+    return ce.posterior(fit_of(dof, full, pars, record))
 
 
 def counted(dof: int, seed: int = 0, counts: Sequence[int] = COUNTS) -> tuple[Comparison, dict[str, str]]:

@@ -31,9 +31,10 @@ CONSTANTS = {
     "valley": ("STEP", "HOLDS", "DEPTH"),
     "modes": ("WEAK", "_WIDER", "_SAME", "_FAR"),
     "left_out": ("LOOKED_AT", "FELT"),
+    "drawing": ("HIGHER", "SCATTER", "FEW"),
     "states": ("WIDTHS", "_ALONE", "_STILL"),
     "box": ("_NEAR", "_OFF"),
-    "posterior": ("SCATTER", "WIDE"),
+    "posterior": ("WIDE",),
 }
 
 

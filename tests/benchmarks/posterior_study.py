@@ -1,12 +1,12 @@
 """Is the posterior calibrated? Simulation-based: parameters drawn from the prior, records, fit, posterior, rank.
 
-    OPENBLAS_NUM_THREADS=1 python tests/benchmarks/posterior_study.py [NAME ...] [--count N] [--write] [--referee]
+    OPENBLAS_NUM_THREADS=1 python tests/benchmarks/posterior_study.py [NAME ...] [--count N] [--write]
 
 NAME : A, A_quiet, B, B6, B6_quiet, described in VARIANTS; all of them if none is given. The parameters are drawn flat
 in their logarithms between bounds, which are the prior; the rank of the truth among the draws is then uniform, and an
 interval of 80 % holds the truth in 80 % (Talts et al. 2018). Every finished simulation goes into a checkpoint beside
 this file (`posterior-*.jsonl`, --folder for another place): a study that was stopped goes on with the same command.
-`--write` puts the dated table into POSTERIOR.md; `--referee` compares log evidence and medians of one B6 with dynesty.
+`--write` puts the dated table into POSTERIOR.md, and what posterior_referee.py found.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ HERE = Path(__file__).parent
 if str(HERE) not in sys.path:
     sys.path.insert(0, str(HERE))
 
+import posterior_referee  # noqa: E402
 from calibration_cases import _two_mass_source, simulate  # noqa: E402
 from cases import (  # noqa: E402
     CRANKSHAFT,
@@ -45,7 +46,7 @@ from casadi_engine.errors import CasadiEngineError  # noqa: E402
 from casadi_engine.estimation.study import study  # noqa: E402
 
 Rows = list[dict[str, Any]]
-SETTING = {"version": 2, "draws": 999}
+SETTING = {"version": 3, "draws": 999}
 LEVELS = (50, 80, 95)
 
 
@@ -200,64 +201,6 @@ def joint(name: str, rows: Rows) -> str:
     )
 
 
-# ---- the referee
-
-
-def referee(folder: Path) -> dict[str, Any]:
-    """Log evidence and medians of one B6, by the package and by dynesty on the same density."""
-    path = folder / "posterior-referee.json"
-    if path.exists():
-        return dict(json.loads(path.read_text("utf-8")))
-    import dynesty
-
-    from casadi_engine.posterior.target import Target
-
-    case, _ = drawn("B6", 1)
-    fit = fit_of(case, 1)
-    begun = time.process_time()
-    post = ce.posterior(fit)
-    ours = time.process_time() - begun
-    target = Target(fit)
-    target.choose([target.start], 0.1)
-    prior = float(target.prior.log_density(target.start[None])[0])
-    width = target.high - target.low
-    sampler = dynesty.NestedSampler(
-        lambda u: float(target.log_density(u[None])[0]) - prior, lambda unit: target.low + unit * width,
-        len(width), nlive=150, rstate=np.random.default_rng(0), sample="rwalk",
-    )  # fmt: skip
-    begun = time.process_time()
-    sampler.run_nested(dlogz=0.1, print_progress=False)
-    found = sampler.results
-    draws = target.values(found.samples_equal(rstate=np.random.default_rng(0)))
-    answer = {
-        "ours": {"log_evidence": post.log_evidence, "error": post.log_evidence_error, "seconds": ours,
-                 "evaluations": post.evaluations, "median": post.median,
-                 "spread": {name: float(post[name].std()) for name in post.names}},
-        "dynesty": {"log_evidence": float(found.logz[-1]), "error": float(found.logzerr[-1]),
-                    "seconds": time.process_time() - begun, "evaluations": int(found.ncall.sum()),
-                    "median": dict(zip(target.names, np.median(draws, axis=0).tolist(), strict=True)),
-                    "spread": dict(zip(target.names, draws.std(axis=0).tolist(), strict=True))},
-    }  # fmt: skip
-    part = path.with_suffix(".part")
-    part.write_text(json.dumps(answer, indent=1), "utf-8")
-    part.replace(path)
-    return answer
-
-
-def judged(answer: dict[str, Any]) -> str:
-    """What the referee says, as a line."""
-    one, two = answer["ours"], answer["dynesty"]
-    apart = max(abs(one["median"][k] - two["median"][k]) / one["spread"][k] for k in one["median"])
-    wider = [two["spread"][k] / one["spread"][k] for k in one["spread"]]
-    return (
-        f"- One B6 against dynesty (150 live points, on the bins that hold 90 % of the information): log evidence "
-        f"{one['log_evidence']:.2f} ± {one['error']:.2f} here, {two['log_evidence']:.2f} ± {two['error']:.2f} there; "
-        f"medians {apart:.2f} standard deviations apart at most, spreads {min(wider):.2f} to {max(wider):.2f} of ours; "
-        f"{one['evaluations']} evaluations and {one['seconds']:.0f} s CPU here, {two['evaluations']} and "
-        f"{two['seconds']:.0f} s there."
-    )
-
-
 def write(text: str) -> None:
     """POSTERIOR.md: the table between its marks, what is said of it stays."""
     path = HERE / "POSTERIOR.md"
@@ -279,7 +222,6 @@ def main() -> None:
     parser.add_argument(
         "--kept", action="store_true", help="run nothing: the table of what the checkpoints hold"
     )
-    parser.add_argument("--referee", action="store_true", help="compare one B6 with dynesty")
     parser.add_argument("--write", action="store_true", help="write POSTERIOR.md from all checkpoints")
     asked = parser.parse_args()
     if not asked.kept:
@@ -287,8 +229,9 @@ def main() -> None:
             run(name, asked.count or VARIANTS[name].count, asked.folder)
     found = {name: rows for name in VARIANTS if (rows := kept(name, asked.folder))}
     text = table(found)
-    if asked.referee or (asked.folder / "posterior-referee.json").exists():
-        text += "\n" + judged(referee(asked.folder))
+    referee = posterior_referee.kept(asked.folder)
+    if referee:
+        text += "\n\n" + posterior_referee.table(referee)
     print(text)
     if asked.write:
         write(text)

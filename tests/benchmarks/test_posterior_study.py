@@ -1,7 +1,12 @@
 """The study of the posterior's calibration, small: what it draws, and what its table says."""
 
+import doubt_study
 import numpy as np
+import posterior_referee
 import posterior_study
+import pytest
+
+from casadi_engine.posterior.target import Target
 
 
 def row(rank, **more):
@@ -53,7 +58,46 @@ def test_the_page_keeps_what_is_said_around_the_table(tmp_path, monkeypatch):
 
 
 def test_the_referee_is_put_into_words():
-    one = {"log_evidence": -1.0, "error": 0.01, "seconds": 30.0, "evaluations": 6000, "median": {"J1": 1.0},
-           "spread": {"J1": 0.1}}  # fmt: skip
-    words = posterior_study.judged({"ours": one, "dynesty": one | {"median": {"J1": 1.05}}})
-    assert "medians 0.50 standard deviations apart at most" in words
+    one = {"log_evidence": -1.0, "error": 0.01, "seconds": 3.0, "evaluations": 6000, "masses": [0.8, 0.2]}
+    other = one | {"log_evidence": -1.25, "error": 0.08, "evaluations": 70_000, "masses": [0.79, 0.21]}
+    line = posterior_referee.table({"A": {"ours": one, "dynesty": other}}).splitlines()[-1]
+    assert "| -1.00 ± 0.01 | -1.25 ± 0.08 | 0.25 | 0.800, 0.200 | 0.790, 0.210 | 6000 | 70000 |" in line
+
+
+def test_masses_are_those_of_the_nearest_modes():
+    x = np.array([[0.0, 0.1], [0.2, 0.0], [5.0, 4.0], [6.0, 6.0]])
+    tops = np.array([[0.0, 0.0], [5.0, 5.0]])
+    assert posterior_referee._masses(x, np.array([1.0, 1.0, 1.0, 5.0]), tops) == pytest.approx([0.25, 0.75])
+
+
+def test_the_referee_draws_from_the_same_prior():
+    case, _ = posterior_study.drawn("A", 0)
+    fit = posterior_study.fit_of(case, 0)
+    target = Target(fit)
+    from_unit = posterior_referee._prior_of(fit, target)
+    u = np.array([from_unit(one) for one in np.random.default_rng(0).random((200, len(target.names)))])
+    assert (u >= target.low).all()
+    assert (u <= target.high).all()
+    np.testing.assert_allclose(
+        u.mean(axis=0), (target.low + target.high) / 2, atol=0.2 * (target.high - target.low).max()
+    )
+
+
+def test_doubts_are_counted():
+    sure, doubted = (
+        {"z": z, "doubted": word, "held": held} for z, word, held in ((1.0, False, None), (3.0, True, True))
+    )
+    rows = [{"status": "converged", "check": 0.1, "seconds": 1.1, "of": {"a": sure, "b": doubted}}] * 4
+    (line,) = doubt_study.table({("A", 0.1): rows}).splitlines()[2:]
+    assert line.startswith(
+        "| A | 0.1 | 4 | 50 % | 1.000 ± 0.109 | 50 % | 0.000 ± 0.109 | 50 % | 1.000 ± 0.109 | 10 % |"
+    )
+
+
+def test_a_pendulum_is_checked_as_it_is_fitted():
+    found = doubt_study.row({"problem": "pendulum", "sigma": 0.01, "seed": 0})
+    assert found["status"] == "converged"
+    assert set(found["of"]) == {"g_l", "c"}
+    assert not any(one["doubted"] for one in found["of"].values())
+    assert all(abs(one["z"]) < 4 for one in found["of"].values())
+    assert 0 < found["check"] < found["seconds"]

@@ -1,5 +1,7 @@
 """What a fit finds out about its own standard errors, against curvatures and rises of chi-squared in closed form."""
 
+import itertools
+
 import casadi
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from scipy.stats import norm
 
 import casadi_engine as ce
 from casadi_engine.errors import EstimationError
+from casadi_engine.estimation import error_check
 from casadi_engine.estimation import record as records
 
 REST = {"initial": {"x": 0.0, "w": 0.0}, "progress": False}
@@ -227,3 +230,42 @@ def test_a_long_record_is_judged_as_a_short_one(monkeypatch):
     monkeypatch.setattr(records, "_PART", 60)
     parts = ce.estimate(pendulum(False), swing(), noise=ce.Noise(y=0.25), initial={"w": 0.0}, progress=False)
     assert parts.messages == plain.messages
+
+
+def test_what_is_not_quadratic_in_the_logarithm_may_be_so_in_what_is_printed(monkeypatch):
+    """An amount known to 20 %: chi-squared rises by 6 and 2.7 two errors of the logarithm away, by 4 of the amount."""
+    b = ce.Blueprint("line")
+    p = b.parameter("p", 1.0, min=1e-3, max=1e3)
+    w = b.state("w")
+    b.ode("w", p)
+    b.output("y", w)
+    data = ce.Experiment.from_arrays("r", time=TIME, units={"y": "1"}, y=TIME)
+    seen, asked = [], error_check._Around._simulated
+
+    def watched(self, *arguments, **options):
+        found = asked(self, *arguments, **options)
+        seen.append(found[0])
+        return found
+
+    monkeypatch.setattr(error_check._Around, "_simulated", watched)
+    noise = ce.Noise(y=0.2 * np.sqrt((TIME**2).sum()))
+    fit = ce.estimate(b.model(), data, noise=noise, initial={"w": 0.0}, progress=False)
+    logs = [(np.expm1(far) / 0.2) ** 2 for far in (-0.4, 0.4)]
+    assert seen == pytest.approx([*logs, 4.0, 4.0], rel=1e-3)
+    assert fit.messages == ()
+    assert fit.stderr["p"] == pytest.approx(0.2, rel=1e-3)
+
+
+def test_of_two_ways_the_milder_one_counts():
+    def doubt(kind, size):
+        return error_check.Doubt(kind, "", np.zeros(1), size)
+
+    order = [
+        [],
+        [doubt("curved", 0.2)],
+        [doubt("curved", 0.9)],
+        [doubt("rugged", 0.5)],
+        [doubt("rugged", 2.0)],
+    ]
+    for mild, grave in itertools.pairwise(order):
+        assert min(grave, mild, key=error_check._gravity) is mild

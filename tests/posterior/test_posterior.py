@@ -8,7 +8,6 @@ import pytest
 
 import casadi_engine as ce
 from casadi_engine.errors import PosteriorError, UntrustedPosteriorError
-from casadi_engine.posterior.box import Box
 from casadi_engine.posterior.target import Target
 
 SIGMA = 0.02
@@ -196,6 +195,17 @@ def test_parameters_without_bounds_are_refused(run_up):
         ce.posterior(fit)
 
 
+def test_data_without_noise_are_refused():
+    time = np.arange(60) * 0.05
+    exact = ce.Experiment.from_arrays(
+        "exact", time=time, units={"T": "N m", "omega": "rad/s"}, hold="zero", T=np.full(60, 2.0),
+        omega=4 * (1 - np.exp(-time / 0.8)),
+    )  # fmt: skip
+    fit = ce.estimate(ce.one_inertia(), exact, progress=False)
+    with pytest.raises(PosteriorError, match=r"to rounding.*seen: sigma\(omega\) = .*do: state the noise"):
+        ce.posterior(fit)
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -227,17 +237,6 @@ def test_draws_that_cannot_be_trusted_are_no_answer(fit, monkeypatch):
     ):
         ce.posterior(fit, evaluations=1000)
     assert UntrustedPosteriorError.exit_code == 3
-
-
-def test_walkers_that_have_no_room_are_named(two_masses):
-    from casadi_engine.posterior.modes import find_modes
-
-    fit, target = two_masses
-    random = np.random.default_rng(0)
-    modes = find_modes(target, fit, random, wide=0)
-    dispersed = import_module("casadi_engine.posterior.posterior").dispersed
-    with pytest.raises(UntrustedPosteriorError, match=r"cannot be evaluated around.*seen: 0 of 1200 draws"):
-        dispersed(lambda y: np.full(len(y), -np.inf), modes, Box(target.low, target.high), random)
 
 
 def test_progress_is_told(fit):
@@ -279,6 +278,30 @@ def test_it_prints_one_screen(post):
     assert "quality: Pareto k-hat" in text
     assert max(map(len, text.splitlines())) < 150
     assert len(text.splitlines()) < 30
+
+
+def test_it_says_of_what_the_records_tell_hardly_anything(run_up):
+    pars = ce.one_inertia().parameters()
+    pars["J_eng"].set(0.4, min=0.3999, max=0.4001)
+    pars["C_eng"].set(0.5, min=0.0, max=2.0)
+    fit = ce.estimate(
+        ce.one_inertia(), run_up(), parameters=pars, noise=ce.Noise(omega=SIGMA), progress=False
+    )
+    text = str(ce.posterior(fit))
+    assert "the records tell hardly anything of J_eng: intervals are the prior's" in text
+
+
+def test_it_says_where_the_fit_ended_at_a_poor_optimum(post):
+    from dataclasses import replace
+
+    assert "outside all draws" not in str(post)
+    estimates = dict(post.fit.estimates)
+    estimates["J_eng"] = replace(estimates["J_eng"], value=9.0)
+    moved = replace(post, fit=replace(post.fit, estimates=estimates))
+    assert "the fit's J_eng lies outside all draws: a better optimum was met" in str(moved)
+    held = replace(estimates["J_eng"], at_bound="max")
+    moved = replace(post, fit=replace(post.fit, estimates=estimates | {"J_eng": held}))
+    assert "outside all draws" not in str(moved)
 
 
 def test_intervals_are_quantiles_of_the_draws(post):

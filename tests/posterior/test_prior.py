@@ -51,6 +51,15 @@ def test_a_normal_prior_is_normal_in_the_value_and_cut_at_the_bounds(bounds):
     assert prior.words["J_eng"] == "normal, 0.4 ± 0.05"
 
 
+def test_shares_of_the_prior_between_values():
+    prior, _ = made(J_eng={"min": 0.1, "max": 1.0}, C_eng={"min": 0.0, "max": 2.0})
+    assert prior.share(0, 0.1, 1.0) == pytest.approx(1.0)
+    assert prior.share(0, 0.1, np.sqrt(0.1)) == pytest.approx(0.5)
+    assert prior.share(1, 0.5, 1.0) == pytest.approx(0.25)
+    prior, _ = made(J_eng={"value": 0.42, "prior": (0.4, 0.05)}, C_eng={"min": 0.0, "max": 2.0})
+    assert prior.share(0, 0.35, 0.45) == pytest.approx(0.6827, abs=1e-4)
+
+
 def test_the_prior_of_a_tied_parameter_holds_what_it_is_tied_to():
     pars = ce.one_inertia().parameters()
     pars["J_eng"].set(min=0.1, max=1.0)

@@ -88,7 +88,7 @@ def agree(found):
         assert np.abs(own).max() < 0.5, name
 
 
-def test_lynx_and_hare():
+def lynx_hare_fit():
     """Lotka and Volterra's predators and prey, in logarithms; the first ones are parameters."""
     b = ce.Blueprint("lynx_hare")
     alpha, beta = b.parameter("alpha", 0.8, min=1e-3), b.parameter("beta", 0.04, min=1e-5)
@@ -113,11 +113,14 @@ def test_lynx_and_hare():
     data = ce.Experiment.from_arrays(
         "pelts", time=np.arange(21.0), units={"hare": "1", "lynx": "1"}, hare=np.log(HARE), lynx=np.log(LYNX)
     )
-    fit = ce.estimate(
+    return ce.estimate(
         model, data, parameters=pars, noise=ce.Noise(hare="estimate", lynx="estimate"), initial={"x": 0.0, "y": 0.0},
         progress=False,
     )  # fmt: skip
-    post = ce.posterior(fit, draws=2000)
+
+
+def test_lynx_and_hare():
+    post = ce.posterior(lynx_hare_fit(), draws=2000)
     # noise levels: log-normal about exp(-1) with sigma 1, ours flat in the logarithm
     log_weight = -0.5 * sum((np.log(post[f"sigma({name})"]) + 1) ** 2 for name in ("hare", "lynx"))
     found = apart(post, LYNX_HARE, log_weight)
@@ -127,7 +130,7 @@ def test_lynx_and_hare():
         assert np.abs(log - np.log(known))[1:-1].max() < 0.2 * np.ptp(np.log(known)) / 4
 
 
-def test_one_compartment_with_saturated_elimination():
+def one_compartment_fit():
     """A drug that is absorbed and eliminated (Michaelis and Menten); the data hardly tell K_m, whose tail is long."""
     b = ce.Blueprint("one_compartment")
     k_a = b.parameter("k_a", 0.8, min=1e-3, max=1e3)
@@ -140,8 +143,11 @@ def test_one_compartment_with_saturated_elimination():
     data = ce.Experiment.from_arrays(
         "dose", time=time, units={"D": "1", "C": "1"}, D=np.full(21, 30.0), C=np.log([np.nan, *CONCENTRATION])
     )
-    fit = ce.estimate(model, data, noise=ce.Noise(C="estimate"), initial={"c": 0.0}, progress=False)
-    post = ce.posterior(fit)
+    return ce.estimate(model, data, noise=ce.Noise(C="estimate"), initial={"c": 0.0}, progress=False)
+
+
+def test_one_compartment_with_saturated_elimination():
+    post = ce.posterior(one_compartment_fit())
     # half-Cauchy priors of scale 1 in place of those that are flat in the logarithm
     log_weight = sum(np.log(post[name]) - np.log1p(post[name] ** 2) for name in ELIMINATION)
     found = apart(post, ELIMINATION, log_weight)

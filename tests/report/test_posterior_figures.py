@@ -75,3 +75,28 @@ def test_a_comparison_shows_how_far_each_model_lies_below_the_best(post):
     assert [label.get_text() for label in axes.get_yticklabels()] == ["one", "other"]
     assert [bar.get_width() for bar in axes.patches] == pytest.approx([0.0, 20.0])
     assert any("20.00" in words.get_text() and "< 0.001 %" in words.get_text() for words in axes.texts)
+
+
+def test_a_short_record_is_drawn_whole_and_a_long_one_at_its_end(post, monkeypatch):
+    from casadi_engine.report import posterior_figures
+
+    (top, _) = ce.plot(post, what="prediction run").axes
+    assert (top.get_title(loc="left") or top.get_title()) == "run: omega"
+    assert len(top.lines[0].get_xdata()) == 100
+    monkeypatch.setattr(posterior_figures, "SEEN", 30)
+    (top, _) = ce.plot(post.predictive(draws=5)).axes
+    assert len(top.lines[0].get_xdata()) == 30
+    assert (top.get_title(loc="left") or top.get_title()).endswith(", the last part")
+    assert top.get_ylabel() == "omega [rad/s]"
+
+
+def test_modes_are_named_in_the_key_and_room_is_left_for_the_fits_error_alone(post):
+    labels = [line.get_label() for line in ce.plot(post).axes[0].lines]
+    assert "modes" in labels
+    without = {
+        name: replace(one, stderr=None, why="not known (see note)")
+        for name, one in post.fit.estimates.items()
+    }
+    bare = replace(post, fit=replace(post.fit, estimates=without))
+    tops = [ce.plot(one).axes[0].get_ylim()[1] for one in (post, bare)]
+    assert tops[0] == pytest.approx(1.7 / 1.15 * tops[1])

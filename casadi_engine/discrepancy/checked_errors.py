@@ -1,0 +1,82 @@
+"""The numbers of a repair with errors that its likelihood bears out, as those of every fit.
+
+Refits have the errors of the quadratic at their optimum, which is enough to compare structures by. What is printed goes
+through the checks of ``estimate``: at the optimum, once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from casadi_engine.deadline import TimeUp
+from casadi_engine.discrepancy.repaired import FoundEffect, Repair
+from casadi_engine.discrepancy.start import Start
+from casadi_engine.errors import CasadiEngineError
+from casadi_engine.estimation import Estimate, Fit, estimate
+from casadi_engine.parameters import Parameters
+from casadi_engine.problem.noise import Noise
+
+# Rise or fall of chi-squared with which an optimum is still the same.
+_SAME = 0.1
+_UNCHECKED = "the standard errors are those of the curvature at the optimum; they were not checked"
+
+
+def with_checked_errors(
+    repair: Repair, noise: Noise | None, options: Mapping[str, Any], *, in_places: bool
+) -> Repair:
+    """The same values with the errors that ``estimate`` prints for them, or a message that these were not checked.
+
+    noise, options : of its fits; in_places : their laws are so sharp that steps are short in places alone
+    """
+    if not repair.effects:  # the fit without effects was checked
+        return repair
+    unchecked = replace(repair, messages=(*repair.messages, _UNCHECKED))
+    fit = repair.fit
+    start = Start(fit.values, fit.initial, fit.noise, fit.converged, in_places)
+    own = {**options, "interval": fit.options.get("interval", "auto"), "progress": False}
+    try:
+        found = estimate(fit.model, fit.data, parameters=as_fitted(fit), noise=noise, warm=start, **own)
+    except (CasadiEngineError, TimeUp):
+        return unchecked
+    if not found.converged or abs(found.cost - fit.cost) > _SAME:
+        return unchecked
+    estimates = {name: _with_error_of(one, found.estimates.get(name)) for name, one in fit.estimates.items()}
+    checked = replace(fit, estimates=estimates)
+    effects = tuple(with_errors_of(one, checked) for one in repair.effects)
+    said = (*repair.messages, *_doubts(estimates))
+    return replace(repair, fit=checked, effects=effects, messages=said)
+
+
+def as_fitted(fit: Fit) -> Parameters:
+    """A fit's parameters to go on from, with the widths of its corners held."""
+    pars = fit.parameters.copy()
+    for one in fit.model.effects:  # corners are as sharp as the search found them felt
+        if one.width and not pars[one.width].vary:
+            pars.fix(one.width)
+    return pars
+
+
+def with_errors_of(effect: FoundEffect, fit: Fit) -> FoundEffect:
+    """An effect with its estimates of another fit."""
+    return replace(
+        effect, parameters={name: fit.estimates.get(name, own) for name, own in effect.parameters.items()}
+    )
+
+
+def _with_error_of(one: Estimate, other: Estimate | None) -> Estimate:
+    """An estimate that has an error, with what the checks made of it."""
+    if other is None or one.stderr is None or other.quadratic is None:
+        return one
+    return replace(one, stderr=None, why=other.why, interval=other.interval, quadratic=one.stderr)
+
+
+def _doubts(estimates: Mapping[str, Estimate]) -> list[str]:
+    """What is said of estimates without a symmetric error."""
+    doubted = [name for name, one in estimates.items() if one.quadratic is not None]
+    if not doubted:
+        return []
+    open_ends = [name for name in doubted if estimates[name].interval is None]
+    call = f"; for {', '.join(open_ends)} call ce.posterior(repair.fit)" if open_ends else ""
+    return [f"no symmetric error describes {', '.join(doubted)}: the likelihood is not quadratic there{call}"]
