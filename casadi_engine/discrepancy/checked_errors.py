@@ -69,7 +69,33 @@ def _with_error_of(one: Estimate, other: Estimate | None) -> Estimate:
     """An estimate that has an error, with what the checks made of it."""
     if other is None or one.stderr is None or other.quadratic is None:
         return one
-    return replace(one, stderr=None, why=other.why, interval=other.interval, quadratic=one.stderr)
+    # coloured noise stretches what the likelihood of white noise gives
+    ratio = max(one.stderr / other.quadratic, 1.0)
+    return replace(one, stderr=None, why=other.why, interval=_stretched(other, ratio), quadratic=one.stderr)
+
+
+def _stretched(one: Estimate, ratio: float) -> tuple[float, float] | None:
+    """The interval of an estimate, so many times as wide."""
+    if one.interval is None:
+        return None
+    low, high = one.interval
+    return one.value - ratio * (one.value - low), one.value + ratio * (high - one.value)
+
+
+def no_smaller_errors(fit: Fit, known: Fit) -> Fit:
+    """A fit whose errors are no smaller than those of another one that knows as much, and the noise's colour."""
+    found = {}
+    for name, one in fit.estimates.items():
+        other = known.estimates.get(name)
+        own = one.stderr or one.quadratic
+        then = None if other is None else other.stderr or other.quadratic
+        if own is None or then is None or then <= own:
+            found[name] = one
+        elif one.stderr is not None:
+            found[name] = replace(one, stderr=then)
+        else:
+            found[name] = replace(one, quadratic=then, interval=_stretched(one, then / own))
+    return replace(fit, estimates=found)
 
 
 def _doubts(estimates: Mapping[str, Estimate]) -> list[str]:

@@ -105,7 +105,7 @@ def held_fit(
 
 
 def _simulated(
-    fit: Fit, near: Start, model: Model, record: Experiment, held: Parameters, levels: Mapping[str, float]
+    fit: Fit, near: Start, model: Model, record: Experiment, held: Parameters, levels: Mapping[str, Any]
 ) -> Fit:
     """The simulation of a record from first states that were found, as a Fit of nothing."""
     made = estimate(

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from casadi_engine.discrepancy.checked_errors import as_fitted, with_errors_of
+from casadi_engine.discrepancy.checked_errors import as_fitted, no_smaller_errors, with_errors_of
 from casadi_engine.discrepancy.confirmation import Residuals, gap
 from casadi_engine.discrepancy.fresh import Portions
 from casadi_engine.discrepancy.repaired import Gaps, NoiseFound, Repair, Side
@@ -100,7 +100,7 @@ class LowerRate:
             )  # fmt: skip
         except CasadiEngineError:
             return None
-        return found if found.converged else None
+        return no_smaller_errors(found, fit) if found.converged else None
 
     def _gaps(self, gaps: Gaps, fit: Fit, noise: NoiseFound) -> Gaps:
         before, after = gaps.validation_before, gaps.validation_after

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.checked_errors import with_checked_errors
+from casadi_engine.discrepancy.checked_errors import no_smaller_errors, with_checked_errors
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair
 
 TIME = np.linspace(0, 1, 50)
@@ -91,3 +91,15 @@ def test_errors_that_could_not_be_checked_are_said_to_be_unchecked():
 def test_without_an_effect_there_is_nothing_to_check():
     made = replace(repaired(1.5, 2.0), effects=())
     assert checked(made, 1.5, 2.0) is made
+
+
+def test_errors_of_a_fit_are_no_smaller_than_those_that_know_the_colour():
+    found = repaired(10, 20).fit
+    own = found.estimates["p"]
+    wide = replace(found, estimates={"p": replace(own, stderr=2 * own.stderr)})
+    assert no_smaller_errors(found, wide).estimates["p"].stderr == 2 * own.stderr
+    assert no_smaller_errors(wide, found).estimates["p"].stderr == 2 * own.stderr
+    told = replace(own, stderr=None, quadratic=own.stderr, interval=(own.value - 1, own.value + 2))
+    doubted = no_smaller_errors(replace(found, estimates={"p": told}), wide).estimates["p"]
+    assert doubted.quadratic == 2 * own.stderr
+    np.testing.assert_allclose(doubted.interval, (own.value - 2, own.value + 4))
