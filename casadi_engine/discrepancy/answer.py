@@ -128,7 +128,7 @@ class Answer:
             not_applicable=screened.not_applicable,
             next_experiment=split,
             equation=equation_of(last.fit.model, null.fit.model) if blank.effects else None,
-            noise=noise_found(last.screened, null.fit.noise),
+            noise=noise_found(_quietest(last, proof).screened, null.fit.noise),
             latent=latent,
             timing=self.timing,
             messages=tuple(dict.fromkeys(self.messages)),
@@ -171,7 +171,7 @@ class Answer:
         return {**self.options, "left out": words} if words else self.options
 
     def _gaps(self, null: Station, last: Station, proof: Confirmation) -> Gaps:
-        choice = last.screened.choice
+        choice = _quietest(last, proof).screened.choice
         gain: PairedGain | None = proof.judgement.gain if proof.judgement else None
         return Gaps(
             side([(null.fit, null.screened.null)], choice),
@@ -263,6 +263,11 @@ def _at_bounds(names: Sequence[str], least: Sequence[str]) -> list[str]:
     others = [name for name in names if name not in least]
     said = [f"{name} is known from below alone: larger ones explain these data as well" for name in least]
     return said + ([f"in the repaired model {', '.join(others)} is at a bound"] if others else [])
+
+
+def _quietest(last: Station, proof: Confirmation) -> Station:
+    """The model that tells the noise: one that fresh data refuse still explains what was searched."""
+    return proof.refused[-1] if proof.refused else last
 
 
 def _noise_of_place(last: Station) -> NoiseModel:
