@@ -5,7 +5,18 @@ import threading
 
 import pytest
 
-from casadi_engine.deadline import Deadline, TimeUp, ask, best_wanted, is_set, late, left, lifted, was_stopped
+from casadi_engine.deadline import (
+    Deadline,
+    TimeUp,
+    ask,
+    best_wanted,
+    is_set,
+    late,
+    left,
+    lifted,
+    unmetered,
+    was_stopped,
+)
 
 
 class Hands:
@@ -211,3 +222,21 @@ def test_another_thread_has_a_time_of_its_own():
         thread.join()
         assert is_up()
     assert found == [False]
+
+
+def test_unmetered_work_is_not_counted_and_time_is(clock):
+    with Deadline(5.0, work=10.0, clock=clock) as own:
+        ask(8.0)
+        with unmetered():
+            ask(1000.0)
+            clock.now += 6.0
+            assert is_up()
+        assert own.work == 10.0
+    with Deadline(work=1.0):
+        with unmetered():
+            ask(0.5)
+        assert not is_up()
+        with pytest.raises(TimeUp):
+            ask(1.0)
+    with unmetered():  # where no deadline holds
+        ask(5.0)

@@ -144,3 +144,25 @@ def test_wrong_starts_are_refused(effect, at, starts, message):
     data = [shaft(name, 0, step=(1.0, 1.0)) for name in ("a", "b")]
     with pytest.raises(EffectError, match=message):
         by_record(model, data, starts=starts)
+
+
+def test_a_load_step_in_a_repair_is_as_wide_as_a_sample_and_its_impulse_that_of_a_sharp_one():
+    times = np.arange(400) * 0.05
+    columns = {"T": np.zeros(400), "omega": np.zeros(400)}
+    units = {"T": "N m", "omega": "rad/s"}
+    data = ce.Experiment.from_arrays("still", time=times, units=units, T=columns["T"], omega=columns["omega"])
+    rounded = LoadStep().fitted(None, data, {})
+    assert rounded == LoadStep(width=0.05)
+    assert LoadStep(width=0.2).fitted(None, data, {}) == LoadStep(width=0.2)
+    runs = [
+        ce.simulate(
+            MODEL.with_effect(one, at="engine", values={"torque": 2.0, "time": 10.0131}), data,
+            initial={"omega_eng": 0.0},
+        )["omega"].values
+        for one in (LoadStep(), rounded)
+    ]  # fmt: skip
+    apart = np.abs(runs[1] - runs[0])
+    size = np.abs(runs[0]).max()
+    assert apart[np.abs(times - 10.0131) > 0.4].max() < 1e-3 * size
+    # three widths away nothing is left of it
+    assert 0 < apart.max() < 0.05 * size
