@@ -36,8 +36,8 @@ LEFT_OUT = 0.05
 # Bands that are compared, from one to the next; the lowest has this share of the bins.
 _STEP, _LOWEST = 2**0.5, 1 / 128
 # Fall of half chi-squared that ends the search, that which ends it on the band alone, and that which ends it on a band
-# before this one, which moves the estimates by more than a standard error anyhow; bands tried.
-_FALL, _COARSE, _BEFORE, _BANDS = 1e-5, 1e-2, 0.5, 4
+# before this one, which moves the estimates by more anyhow; bands tried.
+_FALL, _COARSE, _BEFORE, _BANDS = 1e-5, 1e-2, 0.1, 4
 # Looks at all bins, and the move in squared standard errors after which another is taken.
 _ROUNDS, _MOVED = 3, 0.1
 # Squared standard errors from an optimum within which a search goes there.
