@@ -35,8 +35,8 @@ from casadi_engine.estimation.study import study  # noqa: E402
 Rows = list[dict[str, Any]]
 # name -> variant of the calibration study (none for the pendulum), noise levels in the output's unit, fits of each
 PROBLEMS: dict[str, tuple[str, tuple[float, ...], int]] = {
-    "A": ("known", (0.1, 1.0, 3.0, 8.0), 200),
-    "B": ("crankshaft_plain", (0.003, 0.01, 0.03, 0.1), 100),
+    "A": ("known", (0.1, 1.0, 3.0, 8.0), 100),
+    "B": ("crankshaft_plain", (0.003, 0.01, 0.03, 0.1), 60),
     "pendulum": ("", (0.01, 0.1, 0.3, 1.0), 100),
 }
 TRUTH = {"g_l": 9.81, "c": 0.1}
