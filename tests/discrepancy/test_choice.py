@@ -411,7 +411,8 @@ def test_an_effect_of_which_the_whole_fit_leaves_nothing_is_none():
 
     name = play.amplitude
     assert module.vanished([play], fit(**{name: (0.0, True)}))
-    assert not module.vanished([play], fit(**{name: (0.0, False)}))
+    assert module.vanished([play], fit(**{name: (1e-30, False)}))  # made smaller while the data were content
+    assert not module.vanished([play], fit(**{name: (1e-3, False)}))
     assert not module.vanished([play], fit(**{name: (0.04, True)}))  # at the other bound
     assert not module.vanished([play], fit(**{f"{name}@a": (0.0, True), f"{name}@b": (0.01, False)}))
     assert not module.vanished([play], fit(K=(0.0, True)))
