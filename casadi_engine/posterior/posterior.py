@@ -95,7 +95,7 @@ def posterior(
     >>> post = ce.posterior(fit)
     >>> low, high = post.interval("J_eng", 0.8)
     >>> print(f"{low:.3f} to {high:.3f} kg m2")
-    0.399 to 0.403 kg m2
+    0.399 to 0.402 kg m2
     """
     _check(fit)
     chosen("method", method, METHODS)

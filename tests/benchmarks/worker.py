@@ -73,7 +73,7 @@ def case_of(name: str) -> Case:
 
 def run(solver: Any, case: Case, number: int, limit: float) -> dict[str, Any]:
     """One start: times, what was found, and the chi-squared of the yardstick."""
-    signal.signal(signal.SIGINT, _stop)
+    before = signal.signal(signal.SIGINT, _stop)
     watch = Watch(limit)
     watch.start()
     begun = time.process_time()
@@ -86,6 +86,7 @@ def run(solver: Any, case: Case, number: int, limit: float) -> dict[str, Any]:
     finally:
         ended = time.process_time()
         watch.stop()
+        signal.signal(signal.SIGINT, before)
     row |= {"setup": marks[:2][-1] - begun, "solve": ended - marks[:2][-1], "iterations": found["iterations"]}
     row["words"] = str(found.get("words", ""))
     row["peak_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
