@@ -225,8 +225,12 @@ def _so_far(search: Choice) -> list[str]:
     if TIME_UP not in search.failed.values():
         return []
     now = search.pool[search.best]
-    ready = [one for one in search.pool.values() if one.beyond > BEYOND and one.log > now.log + search.price]
-    top = max(ready, key=lambda one: one.log, default=now)
+    ready = [
+        one for one in search.pool.values()
+        if one.beyond > BEYOND and one.evidence.log > now.log + search.price
+        and (not one.failed or search.failed.get(one.label) == TIME_UP)
+    ]  # fmt: skip
+    top = max(ready, key=lambda one: one.evidence.log, default=now)
     if top is now:
         return []
     gone = f"chi-squared {top.evidence.cost:.4g} in place of {now.evidence.cost:.4g}"

@@ -185,3 +185,26 @@ def test_what_was_not_tried_is_told_but_not_of_what_was_chosen():
     assert module._without_answer(search) == [
         "no answer for play at belt: no refit of it arrives; nothing excludes what was not tried"
     ]
+
+
+def test_what_the_time_left_unfitted_is_told_where_it_is_far_more_probable():
+    def tried(label, log, cost, *, beyond=9.0, failed=False):
+        own = SimpleNamespace(log=log, cost=cost)
+        return SimpleNamespace(
+            label=label, evidence=own, log=-np.inf if failed else log, beyond=beyond, failed=failed
+        )
+
+    pool = {
+        "none": tried("no effects", -100.0, 3000.0, beyond=np.inf),
+        "play": tried("a play", -20.0, 800.0, failed=True),
+        "lost": tried("a law whose fit fails", 50.0, 10.0, failed=True),
+        "weak": tried("a weak law", 0.0, 20.0, beyond=1.0),
+    }
+    search = SimpleNamespace(pool=pool, best="none", price=3.0, failed={"a play": TIME_UP})
+    assert module._so_far(search) == [
+        "the most probable so far is a play (chi-squared 800 in place of 3000), which was not fitted to its end"
+    ]
+    search.failed = {"a play": "its fit of all data does not converge"}
+    assert module._so_far(search) == []
+    search.failed, pool["play"].evidence.log = {"a play": TIME_UP}, -98.0
+    assert module._so_far(search) == []
