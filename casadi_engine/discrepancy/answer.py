@@ -46,8 +46,10 @@ _MAY_HIDE = (
 _TESTS, _EXTRA = 0.75, 0.9
 _LEFT_OUT = {"leftover": "what no effect of the library names", "latent torque": "where something acts"}
 _UNTOLD = "the time was up before it could be told whether anything is missing"
-# Independent samples that a coloured residual has to be worth to be called noise.
-_SWINGS = 6.0
+# Independent samples that a coloured residual has to be worth to be called noise, and per cent of an output's motion
+# that the model has to explain beside it.
+_SWINGS, _MOST = 6.0, 50.0
+_NOT_NOISE = "no noise of that kind can be told from a missing effect"
 
 
 @dataclass
@@ -77,6 +79,8 @@ class Answer:
         unknown = None if found else Unknown(_UNTOLD, {})
         if self._in_time("leftover", lambda: last.screened.leftover, _TESTS) is not None:
             unknown = _unknown(last, null, found, withdrawn, cut=cut)
+            if unknown is None and not found and (words := _so_far(self.search)):
+                unknown = Unknown(words[0], {})
         if null.screened.request.blind and not found:
             way = self.search.way(self.search.best)
             if way is not None and len(way) > 1:
@@ -331,7 +335,8 @@ def _unknown(
 
 
 def _no_noise(null: Station) -> Unknown | None:
-    """A residual that swings a few times in its whole record may be called no noise, whatever its colour."""
+    """A coloured residual that swings a few times in its whole record, or is most of what was measured, may be called
+    no noise."""
     screened = null.screened
     for record in screened.null.records:
         for output, e in record.residual.items():
@@ -339,9 +344,13 @@ def _no_noise(null: Station) -> Unknown | None:
             if (record.name, output) in screened.noise.colour and swings < _SWINGS:
                 words = (
                     f"what the model leaves of {output} in {record.name} changes as slowly as if the record held "
-                    f"{swings:.0f} independent samples: no noise of that kind can be told from a missing effect"
+                    f"{swings:.0f} independent samples: {_NOT_NOISE}"
                 )
                 return Unknown(words, {})
+            share = null.fit.fit_percent[record.name][output]["simulation"]
+            if (record.name, output) in screened.noise.colour and share is not None and share < _MOST:
+                words = f"the model explains {max(share, 0.0):.0f} % of {output} in {record.name}, and the rest is"
+                return Unknown(f"{words} coloured: {_NOT_NOISE}", {})
     return None
 
 

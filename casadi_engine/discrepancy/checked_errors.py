@@ -42,7 +42,10 @@ def with_checked_errors(
         return unchecked
     if not found.converged or abs(found.cost - fit.cost) > _SAME:
         return unchecked
-    estimates = {name: _with_error_of(one, found.estimates.get(name)) for name, one in fit.estimates.items()}
+    estimates = {
+        name: _with_error_of(one, found.estimates.get(name), _limits(fit, name))
+        for name, one in fit.estimates.items()
+    }
     checked = replace(fit, estimates=estimates)
     effects = tuple(with_errors_of(one, checked) for one in repair.effects)
     said = (*repair.messages, *_doubts(estimates))
@@ -65,21 +68,30 @@ def with_errors_of(effect: FoundEffect, fit: Fit) -> FoundEffect:
     )
 
 
-def _with_error_of(one: Estimate, other: Estimate | None) -> Estimate:
+def _limits(fit: Fit, name: str) -> tuple[float, float]:
+    """The bounds of a parameter, of its value in one record too."""
+    own = fit.parameters[name.partition("@")[0]]
+    return own.min, own.max
+
+
+def _with_error_of(one: Estimate, other: Estimate | None, limits: tuple[float, float]) -> Estimate:
     """An estimate that has an error, with what the checks made of it."""
     if other is None or one.stderr is None or other.quadratic is None:
         return one
     # coloured noise stretches what the likelihood of white noise gives
     ratio = max(one.stderr / other.quadratic, 1.0)
-    return replace(one, stderr=None, why=other.why, interval=_stretched(other, ratio), quadratic=one.stderr)
+    return replace(
+        one, stderr=None, why=other.why, interval=_stretched(other, ratio, limits), quadratic=one.stderr
+    )
 
 
-def _stretched(one: Estimate, ratio: float) -> tuple[float, float] | None:
-    """The interval of an estimate, so many times as wide."""
+def _stretched(one: Estimate, ratio: float, limits: tuple[float, float]) -> tuple[float, float] | None:
+    """The interval of an estimate, so many times as wide, within its bounds."""
     if one.interval is None:
         return None
     low, high = one.interval
-    return one.value - ratio * (one.value - low), one.value + ratio * (high - one.value)
+    low, high = one.value - ratio * (one.value - low), one.value + ratio * (high - one.value)
+    return max(low, limits[0]), min(high, limits[1])
 
 
 def no_smaller_errors(fit: Fit, known: Fit) -> Fit:
@@ -94,7 +106,9 @@ def no_smaller_errors(fit: Fit, known: Fit) -> Fit:
         elif one.stderr is not None:
             found[name] = replace(one, stderr=then)
         else:
-            found[name] = replace(one, quadratic=then, interval=_stretched(one, then / own))
+            found[name] = replace(
+                one, quadratic=then, interval=_stretched(one, then / own, _limits(fit, name))
+            )
     return replace(fit, estimates=found)
 
 

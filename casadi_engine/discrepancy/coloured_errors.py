@@ -45,12 +45,14 @@ def with_coloured_errors(fit: Fit, null: NullModel, noise: NoiseModel) -> tuple[
     errors = fit.errors and replace(
         fit.errors, rows=fit.errors.rows / np.array([ratio[n] for n in fit.errors.names])
     )
-    messages = tuple(_TOLD if _TOO_SMALL in words else words for words in fit.messages)
     told = replace(
-        fit, estimates=estimates, initial=initial, covariance=fit.covariance * np.outer(scale, scale), errors=errors,
-        messages=tuple(dict.fromkeys(messages)),
-    )  # fmt: skip
-    return told, f"{_TOLD}: they are up to {most:.2g} times those of white noise"
+        fit,
+        estimates=estimates,
+        initial=initial,
+        covariance=fit.covariance * np.outer(scale, scale),
+        errors=errors,
+    )
+    return with_colour_told(told), f"{_TOLD}: they are up to {most:.2g} times those of white noise"
 
 
 _TOLD = "the standard errors count with the colour of the noise"
@@ -82,6 +84,12 @@ def _covariances(
     seen = values > REPEATED * values.max(initial=0.0)
     inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T / np.outer(spread, spread)
     return inverse @ coloured @ inverse, inverse, places
+
+
+def with_colour_told(fit: Fit) -> Fit:
+    """A fit that no longer says that its errors are too small, for they count with the colour."""
+    told = [_TOLD if _TOO_SMALL in words else words for words in fit.messages]
+    return replace(fit, messages=tuple(dict.fromkeys(told)))
 
 
 def coloured_errors(null: NullModel, levels: Mapping[str, float], noise: NoiseModel) -> dict[str, float]:

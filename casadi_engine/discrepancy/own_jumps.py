@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from casadi_engine.discrepancy.checked_errors import no_smaller_errors
+from casadi_engine.discrepancy.coloured_errors import with_colour_told
 from casadi_engine.discrepancy.refit import merit
 from casadi_engine.discrepancy.repaired import Repair
 from casadi_engine.discrepancy.start import Start
@@ -42,6 +44,9 @@ def with_own_jumps(
         return found
     if not fit.converged or merit(fit) > merit(null) + FELT:
         return found
+    fit = no_smaller_errors(fit, found.fit)  # which know the colour of the noise
+    if found.noise is not None and found.noise.colour:
+        fit = with_colour_told(fit)
     kept = [words for words in found.messages if not words.startswith((JUMPED, ROUNDED))]
     said = "repair.fit is of the equations as they were written, jumps included"
     return replace(found, null_fit=fit, fit=fit, messages=(*kept, said))

@@ -24,7 +24,8 @@ def headline(repair: Repair) -> str:
     if repair.verdict == "nothing missing":
         if blind:
             return "nothing was found, but no physical effect could be looked for"
-        return f"nothing is missing that these data could show{_on_fresh(repair)}"
+        tried = " (of what was tried)" if repair.stopped else ""
+        return f"nothing is missing that these data could show{tried}{_on_fresh(repair)}"
     if repair.verdict == "unnamed":
         why = "no physical effect could be looked for" if blind else "no effect of the library names it"
         if repair.stopped and not blind:

@@ -172,9 +172,23 @@ def test_a_coloured_residual_of_few_swings_is_not_called_noise(turns, said):
     residual = np.sign(np.sin(2 * np.pi * turns * np.arange(2000) / 2000 + 0.3))
     record = stub(name="run", residual={"y": residual})
     noise = stub(colour={("run", "y"): object()})
-    found = module._no_noise(stub(screened=stub(null=stub(records=(record,)), noise=noise)))
+    fit = stub(fit_percent={"run": {"y": {"simulation": 80.0}}})
+    found = module._no_noise(stub(fit=fit, screened=stub(null=stub(records=(record,)), noise=noise)))
     assert (found is not None) == said
     assert not said or "y in run changes as slowly as if" in found.sentence
+
+
+@pytest.mark.parametrize(
+    ("explained", "coloured", "said"), [(-0.5, True, True), (68.0, True, False), (-0.5, False, False)]
+)
+def test_a_coloured_residual_that_is_most_of_the_motion_is_not_called_noise(explained, coloured, said):
+    residual = np.random.default_rng(0).standard_normal(500)
+    record = stub(name="run", residual={"y": residual})
+    noise = stub(colour={("run", "y"): object()} if coloured else {})
+    fit = stub(fit_percent={"run": {"y": {"simulation": explained}}})
+    found = module._no_noise(stub(fit=fit, screened=stub(null=stub(records=(record,)), noise=noise)))
+    assert (found is not None) == said
+    assert not said or "explains 0 % of y in run, and the rest is coloured" in found.sentence
 
 
 def test_what_was_not_tried_is_told_but_not_of_what_was_chosen():
