@@ -38,7 +38,8 @@ def fresh_misfit(repair: Repair) -> str | None:
     if _beyond(repair, left):
         within = "" if left == found else f", {left:.3g} within the errors of the parameters"
         return (
-            f"the fresh data do not fit: {where}{within}; something acts in them alone, or is still missing"
+            f"the fresh data do not fit: {where}{within}; something acts in them alone or is still "
+            "missing, or their noise is larger"
         )
     far = fresh.parameters_p is not None and fresh.parameters_p < _SURE
     if far and found > _LARGER * own.chi2_per_sample:
