@@ -236,10 +236,14 @@ class Choice:
         refits = self.refits
         if not refits.levels.memory:
             return False
-        null = refits.path.residuals(best.effects, best.arrived)
-        slopes = {record.name: dict(record.slopes) for record in null.records}
-        noise = estimated_noise(null, explained=slopes, colour=True)
-        error = coloured_errors(null, refits.path.levels, noise)
+        try:
+            with np.errstate(all="ignore"):
+                null = refits.path.residuals(best.effects, best.arrived)
+                slopes = {record.name: dict(record.slopes) for record in null.records}
+                noise = estimated_noise(null, explained=slopes, colour=True)
+                error = coloured_errors(null, refits.path.levels, noise)
+        except FAILURES:
+            return False  # its whole fit has the last word
         values = best.arrived.values
         for one in best.effects:
             own = [n for n in values if n.partition("@")[0] == one.amplitude]
