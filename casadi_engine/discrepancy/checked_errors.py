@@ -34,7 +34,7 @@ def with_checked_errors(
         return repair
     unchecked = replace(repair, messages=(*repair.messages, _UNCHECKED))
     fit = repair.fit
-    start = Start(fit.values, fit.initial, fit.noise, fit.converged, in_places)
+    start = replace(Start.of(fit), in_places=in_places)
     own = {**options, "interval": fit.options.get("interval", "auto"), "progress": False}
     try:
         found = estimate(fit.model, fit.data, parameters=as_fitted(fit), noise=noise, warm=start, **own)

@@ -27,4 +27,4 @@ class Start:
     @classmethod
     def of(cls, fit: Fit, *, near: bool = True) -> Start:
         """A fit as a start; near : an optimum is to be near."""
-        return cls(fit.values, fit.initial, fit.noise, near and fit.converged)
+        return cls(fit.values, fit.initial, fit.noise, near and fit.converged, fineness=fit.fineness)

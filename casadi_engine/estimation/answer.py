@@ -22,6 +22,7 @@ from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty, uncertainty
 from casadi_engine.simulation.error_estimate import ErrorEstimate
+from casadi_engine.simulation.propagator import fineness_of
 
 Array = NDArray[np.float64]
 
@@ -122,6 +123,7 @@ def make_fit(
         innovations=predictor,
         integration=integration,
         errors=errors.as_prior(),
+        fineness={record.experiment.name: fineness_of(record.propagator) for record in search.records},
     )
 
 

@@ -41,7 +41,9 @@ class FirstPoints(LaidProblem):
         super().__init__(*arguments, **laid)
 
     def _warm_values(self, z: Array) -> Array:
-        """The free parameters of a warm start as far as it has them, moved into the bounds."""
+        """The free parameters of a warm start as far as it has them, moved into the bounds; as they are without one."""
+        if self.warm is None:
+            return z
         known = self.warm.values
         found = [known.get(name, value) for name, value in zip(self.pmap.free, z, strict=True)]
         values = np.array(found, dtype=float)
@@ -67,7 +69,7 @@ class FirstPoints(LaidProblem):
 
     def first_point(self) -> Array:
         """The point (size,) at which a search from the set's own values begins."""
-        z = self._warm_values(self.pmap.start) if self.warm is not None else self.pmap.start
+        z = self._warm_values(self.pmap.start)
         if self._first is None or not np.array_equal(self._first[0], z):
             self._first = (z, self._start(z, first=True))
         return self._first[1]

@@ -135,6 +135,7 @@ class Fit:
     innovations : the predictor, with K and its errors, None for output error; with process noise ``noise`` holds the
     levels of the measurement alone
     errors : the errors of z as a prior for other data, whatever directions are not determined; None without an optimum
+    fineness : record -> how finely it was integrated, for a fit that goes on from here
     """
 
     model: Model
@@ -166,6 +167,7 @@ class Fit:
     innovations: Innovations | None = None
     integration: Mapping[str, ErrorEstimate] = field(default_factory=dict)
     errors: ParameterErrors | None = None
+    fineness: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
     def __str__(self) -> str:
         from casadi_engine.estimation.summary import summary

@@ -220,7 +220,13 @@ class RecordTerm:
     def as_fine_as(self, known: Any) -> None:
         """Integrate as finely as a propagator of this record did elsewhere (`fineness_of`), where both are alike."""
         propagator: Any = self.propagator
-        if known is not None and isinstance(known, type(fineness_of(propagator))):
+        if isinstance(known, Fineness):
+            alike = (
+                isinstance(propagator, RungeKuttaPropagator) and len(known.counts) == self.grid.samples - 1
+            )
+        else:
+            alike = known is not None and isinstance(known, type(fineness_of(propagator)))
+        if alike:
             self.propagator = propagator.refined(known)
 
     def single(self) -> RecordTerm:

@@ -87,7 +87,7 @@ class Search(FirstPoints):
 
     def _scaled(self) -> None:
         """Lay the problem out again where the start says nothing of the scales of parameters or states."""
-        z = self._warm_values(self.pmap.start) if self.warm is not None else self.pmap.start
+        z = self._warm_values(self.pmap.start)
         if self.warm is None and in_full(self) is None:
             felt, larger = self.spectral.sizes(z)
         else:
@@ -107,7 +107,7 @@ class Search(FirstPoints):
         """
         self.reached = None
         self.solver.forget()
-        z = self._warm_values(z) if first and self.warm is not None else z
+        z = self._warm_values(z) if first else z
         given, z = z, self._approached(z) if first else z
         self._weigh(beside.sigma if beside else self.levels.first(self.warm if first else None))
         known = {record.experiment.name for record in self.records} <= set(getattr(self.warm, "initial", ()))

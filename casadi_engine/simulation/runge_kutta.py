@@ -169,6 +169,8 @@ class RungeKuttaPropagator:
         finite = np.isfinite(errors)
         if not finite.any():
             raise FloatingPointError("no step of the record can be compared with two of half its length")
+        if not finite.all():  # nobody knows by how much the others move the outputs
+            ratio = 1.0
         share = np.where(finite, errors, np.inf) / max(float(errors[finite].mean()), 1e-300)
         factor = np.clip((share * ratio) ** (1 / now.scheme.order), 1.0, _FINER)
         return self.refined(replace(now, counts=np.ceil(now.counts * factor).astype(np.intp)))
@@ -248,8 +250,8 @@ class RungeKuttaPropagator:
         else:
             self._lay(Fineness(RUNGE_KUTTA, np.maximum(wanted, 1).astype(np.intp)))
 
-    def _finer(self, factor: float) -> None:
-        """Steps shorter by a factor, or implicit ones where explicit steps become too many."""
+    def _finer(self, factor: float | Array) -> None:
+        """Steps shorter by a factor, or by one for each cell, or implicit ones where explicit steps become too many."""
         now = self._fineness
         assert now is not None  # laid by `propagate`
         counts = np.ceil(now.counts * factor).astype(np.intp)
@@ -289,15 +291,15 @@ class RungeKuttaPropagator:
             self._fineness, self.layout, self._sweeps = before
             raise
 
-    def _attempt(self, z: Array, nodes: Array, order: int) -> RungeKuttaTrajectory | float:
+    def _attempt(self, z: Array, nodes: Array, order: int) -> RungeKuttaTrajectory | float | Array:
         """The trajectory; or by how much shorter steps have to be for one."""
         sweeps, implicit = self._sweeps, self._scheme.implicit
         assert sweeps is not None  # laid by `propagate`
         begun, stages = sweeps.run(z, nodes)
-        if begun is None:
-            return 4.0  # Newton's method did not arrive
         finite = np.isfinite(begun).all()
-        if not finite and (implicit or not self._stiff_at(z, nodes)):
+        if not finite and implicit:
+            return self._lost(begun)
+        if not finite and not self._stiff_at(z, nodes):
             raise FloatingPointError("the model's state is not finite here")
         if not finite:
             return 4.0
@@ -307,6 +309,17 @@ class RungeKuttaPropagator:
         if not implicit and (fastest := growth(by_x[0])) > _UNSTABLE:
             return min(fastest / (0.4 * _UNSTABLE), 1e3)
         return self._sensitivities(z, begun, at_stage, by_x, by_z)
+
+    def _lost(self, begun: Array) -> Array:
+        """By how much shorter the steps of each cell have to be where Newton's method did not arrive in some."""
+        layout = self.layout
+        fine = np.isfinite(begun).all(axis=0)
+        lost = fine[: layout.steps] & ~fine[layout.after]
+        if not lost.any():
+            raise FloatingPointError("the model's state is not finite here")
+        factor = np.ones(self.grid.samples - 1)
+        factor[layout.cell[lost]] = 4.0
+        return factor
 
     @property
     def _scheme(self) -> Tableau:

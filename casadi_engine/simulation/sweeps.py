@@ -23,8 +23,9 @@ _WIDE = 40
 _MANY = 65536
 # Steps of one sweep of the virtual machine.
 _SWEEP = 256
-# Newton's method: most iterations; change, relative to the state, after which the next would be below rounding.
-_ITERATIONS, _SMALL = 20, 1e-8
+# Newton's method: most iterations; change, relative to the state, after which the next would be below rounding; share
+# of what is asked for below which it goes nowhere; part of a share by which the residual has to fall.
+_ITERATIONS, _SMALL, _LEAST, _LESS = 200, 1e-8, 1e-12, 0.1
 # Rounding of a stage, relative to the largest state: that of a linear system whose step spans 1e3 time constants.
 _ROUNDING = 1e-11
 
@@ -41,9 +42,9 @@ class Sweeps:
 
     # ---- values
 
-    def run(self, z: Array, nodes: Array) -> tuple[Array | None, Array | None]:
+    def run(self, z: Array, nodes: Array) -> tuple[Array, Array | None]:
         """States (n, K+M) at the steps' starts and the intervals' ends from ``nodes`` (M, n); stage values
-        (stages, n, K) of implicit steps. No states where Newton's method does not arrive."""
+        (stages, n, K) of implicit steps. NaN from where Newton's method does not arrive."""
         layout = self.layout
         begun = np.empty((self.slope.n, layout.steps + layout.intervals))
         begun[:, layout.at[0]] = nodes.T
@@ -80,7 +81,7 @@ class Sweeps:
             swept = np.asarray(sweep(begun[:, place[first]], self._given[:, own], many), dtype=float)
             begun[:, place[first + 1 : first + 1 + size].T.ravel()] = swept
 
-    def _newton(self, z: Array, begun: Array) -> tuple[Array | None, Array | None]:
+    def _newton(self, z: Array, begun: Array) -> tuple[Array, Array]:
         n, layout, size = self.slope.n, self.layout, self.scheme.stages
         stages = np.empty((size, n, layout.steps))
         function = self.slope.newton.bound(z)
@@ -88,8 +89,6 @@ class Sweeps:
             x = begun[:, own]
             given = np.concatenate([known[:, own] for known in self.known], axis=-1)
             found = solve_stages(self.scheme, function, x, np.repeat(x[None], size, axis=0), given)
-            if found is None:
-                return None, None
             stages[:, :, own] = found
             begun[:, after] = found[-1]
         return begun, stages
@@ -121,34 +120,63 @@ def _stacked(parts: list[Array]) -> Array:
     return np.stack([part.transpose(1, 2, 0) for part in parts]).transpose(0, 3, 1, 2)
 
 
-def solve_stages(scheme: Tableau, function: object, x: Array, guess: Array, given: Array) -> Array | None:
-    """Stage values (stages, n, K) of implicit steps from x (n, K), or None where Newton's method does not arrive.
+def solve_stages(scheme: Tableau, function: object, x: Array, guess: Array, given: Array) -> Array:
+    """Stage values (stages, n, K) of implicit steps from x (n, K), NaN for those where Newton's method does not arrive.
+
+    A step that goes across a corner (friction that begins to stick) is damped: where the residual is no smaller, half
+    of what was asked for is taken (Deuflhard, Newton Methods for Nonlinear Problems, 2004, section 3.1).
 
     function : (stage values (n, stages*K), known (rows, stages*K)) -> slopes and their derivatives, z put in
     """
     size, n, count = guess.shape
-    stages, before = guess, np.full(guess.shape, np.inf)
+    found = np.full(guess.shape, np.nan)
+    known = given.reshape(len(given), size, count)
+    # of the steps that have not arrived: where they are, what was asked for there, and how far that is gone
+    left = np.flatnonzero(np.isfinite(x).all(axis=0))
+    stages = guess[..., left]
+    base, change = stages, np.full(stages.shape, np.inf)
+    norm, share = np.full(len(left), np.inf), np.ones(len(left))
     for _ in range(_ITERATIONS):
-        ask(size * count)
-        columns = np.ascontiguousarray(stages.transpose(1, 0, 2)).reshape(n, -1)
-        value, slope = function(columns, given)  # type: ignore[operator]
-        value = value.reshape(n, size, count).transpose(1, 0, 2)
-        residual = stages - x - np.einsum("ij,jnk->ink", scheme.a, value)
-        by_x = slope.reshape(n, n, size, count).transpose(2, 3, 1, 0)
-        if not (np.isfinite(residual).all() and np.isfinite(by_x).all()):
-            return None
-        try:
-            change = newton_step(scheme, by_x, residual.transpose(0, 2, 1)).transpose(0, 2, 1)
-        except np.linalg.LinAlgError:
-            return None
-        stages = stages + change
-        own, moved = np.abs(stages).max(axis=0) + np.abs(x), np.abs(change)
+        if not len(left):
+            break
+        ask(size * len(left))
+        own = x[:, left]
+        asked, off = _asked(scheme, function, own, stages, known[..., left])
+        moved = np.abs(asked)
+        largest = np.abs(stages).max(axis=0) + np.abs(own)
         # What has decayed is known to the rounding of the states that it follows from: there it moves to and fro.
-        rests = (moved >= 0.5 * before) & (moved <= _ROUNDING * own.max(axis=0))
-        if (rests | (moved <= _SMALL * own + 1e-30)).all():
-            return stages
-        before = moved
-    return None
+        rests = (moved >= 0.5 * np.abs(change)) & (moved <= _ROUNDING * largest.max(axis=0))
+        arrived = (rests | (moved <= _SMALL * largest + 1e-30)).all(axis=(0, 1))
+        found[..., left[arrived]] = (stages + asked)[..., arrived]
+        nearer = off < (1 - _LESS * share) * norm
+        share = np.where(nearer, np.minimum(2 * share, 1.0), 0.5 * share)
+        base, change, norm = (
+            np.where(nearer, new, old) for new, old in ((stages, base), (asked, change), (off, norm))
+        )
+        on = ~arrived & (share > _LEAST)
+        left, base, change, norm, share = left[on], base[..., on], change[..., on], norm[on], share[on]
+        stages = base + share * change
+    return found
+
+
+def _asked(scheme: Tableau, function: object, x: Array, stages: Array, known: Array) -> tuple[Array, Array]:
+    """The change (stages, n, K) that Newton's method asks for, NaN where it has none, and the norms (K,) of the
+    residuals, infinite there."""
+    size, n, count = stages.shape
+    columns = np.ascontiguousarray(stages.transpose(1, 0, 2)).reshape(n, -1)
+    value, slope = function(columns, known.reshape(len(known), size * count))  # type: ignore[operator]
+    value = value.reshape(n, size, count).transpose(1, 0, 2)
+    residual = stages - x - np.einsum("ij,jnk->ink", scheme.a, value)
+    by_x = slope.reshape(n, n, size, count).transpose(2, 3, 1, 0)
+    fine = np.isfinite(residual).all(axis=(0, 1)) & np.isfinite(by_x).all(axis=(0, 2, 3))
+    asked, norm = np.full(stages.shape, np.nan), np.full(count, np.inf)
+    try:
+        made = newton_step(scheme, by_x[:, fine], residual[..., fine].transpose(0, 2, 1))
+    except np.linalg.LinAlgError:
+        return asked, norm
+    asked[..., fine] = made.transpose(0, 2, 1)
+    norm[fine] = np.sqrt((residual[..., fine] ** 2).sum(axis=(0, 1)))
+    return asked, norm
 
 
 def advance(
@@ -175,7 +203,7 @@ def advance(
             given = np.concatenate([made[c] for c in scheme.c.tolist()], axis=-1)
             guess = np.repeat(x[None], scheme.stages, axis=0)
             found = solve_stages(scheme, lambda s, g: slope.newton(s, g, z), x, guess, given)
-            x = np.full_like(x, np.nan) if found is None else found[-1]
+            x = found[-1]
         else:
             x = _array_step(slope, scheme)(x, np.concatenate(list(made.values())), z)[0]
     return x

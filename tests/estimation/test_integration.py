@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -13,6 +14,7 @@ import casadi_engine as ce
 from casadi_engine.estimation import integration
 from casadi_engine.estimation import search as search_module
 from casadi_engine.estimation.integration import SHIFT, shorten_steps
+from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 
 DATA = Path(__file__).parents[2] / "data"
 
@@ -219,3 +221,48 @@ def test_many_starts_and_processes_end_at_the_same_refined_answer():
         assert found.shift <= SHIFT
     np.testing.assert_allclose(shared.z, several.z, rtol=1e-9)
     assert several.optima[0].values == pytest.approx(several.values)
+
+
+def test_a_warm_start_integrates_as_finely_as_the_fit_did():
+    """A mass that sticks: steps are short where it is caught and let go, and a fit that goes on knows where."""
+    b = ce.Blueprint("stick")
+    m, c, x, u = (
+        b.parameter("m", 2.0, min=0.1),
+        b.parameter("F", 1.0, min=0),
+        b.state("v"),
+        b.input("u", unit="N"),
+    )
+    b.ode("v", (u - c * ca.tanh(x / 1e-4)) / m)
+    b.output("v", x)
+    model, time = b.model(), np.arange(300) * 0.02
+    rng = np.random.default_rng(0)
+    data = ce.Experiment.from_arrays(
+        "push",
+        time=time,
+        units={"u": "N", "v": "1"},
+        u=2 * np.sin(2.5 * time),
+        v=np.zeros(300),
+        inputs=("u",),
+    )
+    v = ce.simulate(model, data, initial={"v": 0.0})["v"].values + 0.01 * rng.standard_normal(300)
+    data = ce.Experiment.from_arrays(
+        "push", time=time, units={"u": "N", "v": "1"}, u=2 * np.sin(2.5 * time), v=v, inputs=("u",)
+    )
+    options = {"noise": ce.Noise(v=0.01), "initial": {"v": 0.0}, "progress": False}
+    fit = ce.estimate(model, data, **options)
+    counts = fit.fineness["push"].counts
+    assert counts.max() > 4 * np.median(counts)  # short in places alone
+    begun = []
+    real = RungeKuttaPropagator.propagate
+
+    def propagate(self, *arguments, **named):
+        found = real(self, *arguments, **named)
+        begun.append(self.fineness.counts)
+        return found
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(RungeKuttaPropagator, "propagate", propagate)
+        again = ce.estimate(model, data, warm=fit, **options)
+    assert any(np.array_equal(counts, one) for one in begun[:3])
+    assert again.converged
+    assert again.cost == pytest.approx(fit.cost, abs=1e-2)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import casadi_engine as ce
+from casadi_engine.estimation.search import Search
 from casadi_engine.estimation.spectral_start import SpectralStarts
 
 NOISE = ce.Noise(omega=0.05)
@@ -127,6 +128,17 @@ def test_a_start_without_slopes_is_searched_in_full():
     )
     fit = ce.estimate(b.model(), data, noise=ce.Noise(y=1.0), progress=False, max_iterations=5)
     assert fit.options[SEARCHED] == "all samples: the frequency domain led nowhere"
+
+
+def test_an_optimum_there_that_leads_nowhere_on_all_samples(run_up, monkeypatch):
+    """The best of several starts is finished on all samples; where that fails it is searched anew."""
+    data = run_up()
+    whole = fitted(data, starts=3)
+    monkeypatch.setattr(Search, "_on_all_samples", lambda *_: (None, ""))
+    again = fitted(data, starts=3)
+    assert again.status == "converged"
+    for name, error in whole.stderr.items():
+        assert abs(again.values[name] - whole.values[name]) < 1e-3 * error
 
 
 # ---- what it says, and early ends

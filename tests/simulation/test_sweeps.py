@@ -40,4 +40,42 @@ def test_stages_of_a_state_far_smaller_than_another_keep_their_digits():
 
 def test_stages_that_are_not_finite_do_not_arrive():
     a = np.array([[np.nan]])
-    assert solve_stages(RADAU, linear(a), np.ones((1, 2)), np.ones((3, 1, 2)), np.zeros((0, 6))) is None
+    stages = solve_stages(RADAU, linear(a), np.ones((1, 2)), np.ones((3, 1, 2)), np.zeros((0, 6)))
+    assert np.isnan(stages).all()
+
+
+def friction(force, width):
+    """Slopes of a mass of 1 with dry friction, h = 1: x' = pull - force tanh(x/width), pull is known."""
+
+    def function(columns, given):
+        value = given - force * np.tanh(columns / width)
+        return value, -force / width / np.cosh(np.minimum(np.abs(columns) / width, 300)) ** 2
+
+    return function
+
+
+def test_a_step_that_goes_across_a_corner_arrives():
+    """Newton's method leaps from one side of the corner to the other for ever, unless its steps are damped."""
+    pull, force, width = np.array([0.2, 0.2, -0.7, 3.0]), 1.0, 1e-5
+    x = np.array([[0.5, 1e-3, -0.4, 0.9]])
+    stages = solve_stages(
+        RADAU, friction(force, width), x, np.repeat(x[None], 3, axis=0), np.tile(pull, (1, 3))
+    )
+    assert np.isfinite(stages).all()
+    slope = np.tile(pull, (3, 1)) - force * np.tanh(stages[:, 0] / width)
+    np.testing.assert_allclose(stages[:, 0], x[0] + RADAU.a @ slope, rtol=0, atol=1e-6)
+    assert np.abs(stages[-1, 0, :2]).max() < width  # it sticks
+    np.testing.assert_allclose(stages[-1, 0, 2:], [-0.4 - 0.7 + 1.0, 0.9 + 3.0 - 1.0], rtol=1e-9)
+
+
+def test_a_step_that_does_not_arrive_is_the_only_one():
+    """No root: x = 1 + x^2 of the first, beside a decay."""
+
+    def function(columns, given):
+        value = np.where(given > 0, 5 + columns**2, -columns)
+        return value, np.where(given > 0, 2 * columns, -np.ones_like(columns))
+
+    x, kind = np.ones((1, 3)), np.array([1.0, 0.0, 0.0])
+    stages = solve_stages(RADAU, function, x, np.repeat(x[None], 3, axis=0), np.tile(kind, (1, 3)))
+    assert np.isnan(stages[..., 0]).all()
+    np.testing.assert_allclose(stages[-1, 0, 1:], np.exp(-1.0), rtol=1e-3)
