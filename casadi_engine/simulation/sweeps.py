@@ -128,7 +128,7 @@ def solve_stages(scheme: Tableau, function: object, x: Array, guess: Array, give
 
     function : (stage values (n, stages*K), known (rows, stages*K)) -> slopes and their derivatives, z put in
     """
-    size, n, count = guess.shape
+    size, _, count = guess.shape
     found = np.full(guess.shape, np.nan)
     known = given.reshape(len(given), size, count)
     # of the steps that have not arrived: where they are, what was asked for there, and how far that is gone
