@@ -36,6 +36,7 @@ from casadi_engine.discrepancy.repaired import FoundEffect, Gaps, NextExperiment
 from casadi_engine.discrepancy.selection import effective_samples
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.discrepancy.vanishing import may_vanish
+from casadi_engine.discrepancy.verdict_words import may_hide
 
 _MAY_HIDE = (
     "what the noise is taken to be is coloured: an effect that the library lacks may hide in it; a level of the noise "
@@ -137,7 +138,7 @@ class Answer:
             timing=self.timing,
             messages=tuple(dict.fromkeys(self.messages)),
         )
-        if done.verdict == "nothing missing" and done.noise is not None and done.noise.colour:
+        if may_hide(done):
             done = replace(done, messages=(*done.messages, _MAY_HIDE))
         return held_to_fresh_data(done)
 

@@ -25,7 +25,9 @@ def headline(repair: Repair) -> str:
         if blind:
             return "nothing was found, but no physical effect could be looked for"
         tried = " (of what was tried)" if repair.stopped else ""
-        return f"nothing is missing that these data could show{tried}{_on_fresh(repair)}"
+        what = "no effect of the library" if may_hide(repair) else "nothing"
+        said = f"{what} is missing that these data could show{tried}{_on_fresh(repair)}"
+        return said + ("; the residual is coloured, and others may hide in it" if may_hide(repair) else "")
     if repair.verdict == "unnamed":
         why = "no physical effect could be looked for" if blind else "no effect of the library names it"
         if repair.stopped and not blind:
@@ -38,6 +40,11 @@ def headline(repair: Repair) -> str:
     )
     tried = " (of what was tried)" if repair.stopped or "left out" in repair.options else ""
     return f"{_named(repair)}{tried}{doubt}, {sure[repair.confirmed]}{_on_fresh(repair)}"
+
+
+def may_hide(repair: Repair) -> bool:
+    """True if what was found to be no effect of the library is taken for coloured noise: it may be another effect."""
+    return repair.verdict == "nothing missing" and repair.noise is not None and bool(repair.noise.colour)
 
 
 def _named(repair: Repair) -> str:
@@ -95,7 +102,8 @@ def next_step(repair: Repair) -> str:
     if repair.verdict == "nothing missing":
         if is_blind(repair):
             return "give the model its ports as said above, and repair again: no physical effect was tested"
-        return "use the model; larger effects than those listed are excluded"
+        listed = "use the model; larger effects than those listed are excluded"
+        return f"{listed}, others are not" if may_hide(repair) else listed
     if repair.verdict == "unnamed":
         return _without_name(repair)
     if repair.verdict == "class":

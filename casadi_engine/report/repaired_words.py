@@ -7,7 +7,7 @@ import math
 from casadi_engine.discrepancy.confirmation import share_explained
 from casadi_engine.discrepancy.fresh_misfit import fresh_doubt, fresh_misfit
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair
-from casadi_engine.discrepancy.verdict_words import next_step
+from casadi_engine.discrepancy.verdict_words import may_hide, next_step
 from casadi_engine.discrepancy.wording import acting_at, clock, first_words, in_unit, is_blind, right_value
 from casadi_engine.estimation.summary import number, with_error
 from casadi_engine.report.panels import half_width
@@ -48,13 +48,14 @@ def _verdict(repair: Repair) -> str:
     if repair.verdict is None:
         return f"No answer: {repair.status}."
     if repair.verdict == "nothing missing":
-        coloured = repair.noise is not None and repair.noise.colour
+        coloured = may_hide(repair)
         left = "what an autoregression of the coloured noise leaves is" if coloured else "the residuals are"
+        what = "No effect of the library is missing" if coloured else "Nothing is missing"
         if is_blind(repair):
             return "Nothing was found, but no physical effect could be looked for."
         return (
-            f"Nothing is missing that these data can show: {repair.candidates} candidates at α = {repair.alpha:g}, "
-            f"and {left} white."
+            f"{what} that these data can show: {repair.candidates} candidates at α = {repair.alpha:g}, "
+            f"and {left} white{'; others may hide in it' if coloured else ''}."
         )
     if repair.verdict == "unnamed":
         words = repair.unknown.sentence if repair.unknown is not None else "the residuals are not noise"

@@ -4,6 +4,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 import casadi_engine as ce
+from casadi_engine.discrepancy.verdict_words import headline, next_step
 
 
 def swing(noise):
@@ -26,6 +27,11 @@ def test_an_effect_may_hide_in_coloured_noise():
     found = nothing_of(swing(0.1 * lfilter([1.0], [1, -0.9], white)))
     assert found.verdict == "nothing missing"
     assert found.noise.colour
+    assert headline(found) == (
+        "no effect of the library is missing that these data could show; the residual is coloured, and others may hide "
+        "in it"
+    )
+    assert next_step(found) == "use the model; larger effects than those listed are excluded, others are not"
     assert found.messages[-1] == (
         "what the noise is taken to be is coloured: an effect that the library lacks may hide in it; a level of the "
         "noise that is stated, ce.Noise(...), or colour=False has it judged"
