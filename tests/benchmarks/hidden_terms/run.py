@@ -1,6 +1,6 @@
 """Hidden terms in systems of many kinds: does `ce.repair`, by its public verb alone, name them?
 
-    python tests/benchmarks/hidden_terms/run.py [KIND ...] [--tasks N] [--nulls N] [--budget S] [--jobs J] [--sealed]
+    python tests/benchmarks/hidden_terms/run.py [KIND ...] [--tasks N] [--nulls N] [--skip N] [--budget S] [--jobs J] [--sealed]
         [--out FILE.jsonl] [--label TEXT] [--table FILE.md] [--list]
 
 One JSON line per task is added to FILE.jsonl; what stands there for the same task and the same version is not run
@@ -123,8 +123,8 @@ def wanted(given: argparse.Namespace) -> list[Task]:
     if unknown:
         raise SystemExit(f"no kind {', '.join(unknown)}; there are {', '.join(kinds)}")
     picked = [kinds[name] for name in given.kinds or kinds]
-    lists = [tasks_of(kind)[: given.tasks] for kind in picked] + [
-        nulls_of(kind)[: given.nulls] for kind in picked
+    lists = [tasks_of(kind)[given.skip : given.tasks] for kind in picked] + [
+        nulls_of(kind)[given.skip : given.nulls] for kind in picked
     ]
     return [one[k] for k in range(max(map(len, lists), default=0)) for one in lists if k < len(one)]
 
@@ -135,6 +135,7 @@ def arguments(argv: list[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("kinds", nargs="*", metavar="KIND")
     parser.add_argument("--tasks", type=int, default=TASKS)
+    parser.add_argument("--skip", type=int, default=0, help="leave out the first tasks and nulls of every kind")
     parser.add_argument("--nulls", type=int, default=0, help=f"nulls of every kind, up to {NULLS} (0)")
     parser.add_argument("--budget", type=float, default=120.0)
     parser.add_argument("--jobs", type=int, default=1)
