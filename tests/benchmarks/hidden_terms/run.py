@@ -1,7 +1,7 @@
 """Hidden terms in systems of many kinds: does `ce.repair`, by its public verb alone, name them?
 
-    python tests/benchmarks/hidden_terms/run.py [KIND ...] [--tasks N] [--nulls N] [--skip N] [--budget S] [--jobs J] [--sealed]
-        [--out FILE.jsonl] [--label TEXT] [--table FILE.md] [--list]
+    python tests/benchmarks/hidden_terms/run.py [KIND ...] [--tasks N] [--nulls N] [--skip N] [--budget S] [--jobs J]
+        [--sealed] [--out FILE.jsonl] [--label TEXT] [--table FILE.md] [--list]
 
 One JSON line per task is added to FILE.jsonl; what stands there for the same task and the same version is not run
 again, so that a run may be stopped and go on. `--tasks N` and `--nulls N` take the first N of every kind (20 and 140);
