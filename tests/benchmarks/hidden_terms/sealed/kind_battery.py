@@ -83,9 +83,15 @@ def _room(rng, time):
     return 22 + sines(rng, time, 1.5, (1 / 2900, 1 / 1100))
 
 
+def _levels(rng, count, hold, size, mean):
+    """Levels of which so much is left in the mean that no cell runs empty."""
+    current = levels(rng, count, hold, -size, size)
+    return current + mean - current.mean()
+
+
 def pulsed(rng):
     time = 6.0 * np.arange(600)
-    current = levels(rng, 600, 30, -7.0, 9.0)
+    current = _levels(rng, 600, 30, 8.0, 0.7)
     return Manoeuvre.of(rng, time, {"I": current, "Ta": _room(rng, time)}, (65.0, 0.0, 22.0))
 
 
@@ -98,7 +104,7 @@ def driven(rng):
 
 def emptied(rng):
     time = 6.0 * np.arange(500)
-    current = levels(rng, 500, 50, 0.0, 7.0)
+    current = _levels(rng, 500, 50, 3.5, 2.7)
     return Manoeuvre.of(rng, time, {"I": current, "Ta": _room(rng, time)}, (92.0, 0.0, 30.0))
 
 

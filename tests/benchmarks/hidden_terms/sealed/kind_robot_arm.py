@@ -41,8 +41,8 @@ def model(outputs):
         "p2": b.parameter("p2", 0.06, unit="kg m2", min=3e-3, max=2),
         "p3": b.parameter("p3", 0.12, unit="kg m2", min=0, max=3),
         "g1": b.parameter("g1", 13.7, unit="N m", min=0, max=200),
-        "c1": b.parameter("c1", 0.8, unit="N m s/rad", min=0, max=30),
-        "c2": b.parameter("c2", 0.15, unit="N m s/rad", min=0, max=10),
+        "c1": b.parameter("c1", 1.2, unit="N m s/rad", min=0, max=30),
+        "c2": b.parameter("c2", 0.25, unit="N m s/rad", min=0, max=10),
         "l1": b.parameter("l1", 0.4, unit="m", vary=False),
     }
     k1, k2 = (
@@ -116,8 +116,8 @@ KIND = Kind(
         "p2": 0.06,
         "p3": 0.12,
         "g1": 13.7,
-        "c1": 0.8,
-        "c2": 0.15,
+        "c1": 1.2,
+        "c2": 0.25,
         "l1": 0.4,
         "k1": 2.0,
         "k2": 0.5,
@@ -128,7 +128,7 @@ KIND = Kind(
         "elbow.constant_torque": Hidden(0.5, ce.effects.ConstantTorque(), "elbow"),
         "elbow.load_step": Hidden(0.6, ce.effects.LoadStep(), "elbow", {"time": "event"}),
         "sensor_phi2.sensor_offset": Hidden(6.0, ce.effects.SensorOffset(), "sensor_phi2"),
-        "parameter_k1.wrong_value": Hidden(-0.25, wrong="k1", needs=("phi1", "phi2")),
+        "parameter_k1.wrong_value": Hidden(-0.25, wrong="k1"),
         "drive.limit": Hidden(2.4),
     },
     choices=(
@@ -142,10 +142,9 @@ KIND = Kind(
         "sensor_phi2.sensor_offset",
     ),
     model=model,
-    outputs=(("phi1", "phi2"), ("phi2",)),
+    outputs=(("phi1", "phi2"),),
     course=course,
     manoeuvres={"moved": moved, "swung": swung, "dropped": dropped},
     pairs=(("moved", "swung"), ("swung", "dropped"), ("dropped", "moved")),
     units={"i1": "A", "i2": "A", "phi1": "deg", "phi2": "deg"},
-    absent=("c2",),
 )
