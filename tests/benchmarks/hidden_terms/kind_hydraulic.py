@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+
+import casadi_engine as ce
 from hidden_terms.kind import Hidden, Kind, Manoeuvre
 from hidden_terms.records import levels, sines
 from hidden_terms.simulator import Dry, simulate
-
-import casadi_engine as ce
 
 SUPPLY, MASS, AREA = 1e7, 100.0, 1e-3
 # The spool's edges are a hundredth of its stroke wide.

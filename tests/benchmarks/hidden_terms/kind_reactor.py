@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+
+import casadi_engine as ce
 from hidden_terms.kind import Hidden, Kind, Manoeuvre, with_own
 from hidden_terms.records import levels, sines
 from hidden_terms.simulator import delayed, simulate
-
-import casadi_engine as ce
 
 # Activation temperature [K] and the temperature at which the rate constant is stated.
 ACTIVATION, STATED = 6000.0, 330.0

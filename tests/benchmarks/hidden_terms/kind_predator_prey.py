@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+
+import casadi_engine as ce
 from hidden_terms.kind import Hidden, Kind, Manoeuvre, with_own
 from hidden_terms.records import levels, sines
 from hidden_terms.simulator import simulate
-
-import casadi_engine as ce
 
 HOUR = 3600.0
 
