@@ -310,9 +310,11 @@ class Choice:
                     self.tell(f"refit {len(done) + 1} of {many}: {key[0]} at {key[1]}")
                     done.append(key)
                     self._try(here, _chosen(screened, at_here, families[key]), start)
+                rivals = self._promising(here, screened, families, at_here, todo)
                 for key in todo:  # once every effect has an answer
                     ask()
-                    self._from_elsewhere(here, screened, families[key], at_here, own)
+                    elsewhere = own if key in rivals else None
+                    self._from_elsewhere(here, screened, families[key], at_here, elsewhere)
                 rest = [key for key in order if key not in done]
                 todo = self._promising(here, screened, families, at_here, rest) if rest else []
             keys = [self._key(here, key) for key in done]
@@ -326,7 +328,8 @@ class Choice:
     def _from_elsewhere(
         self, here: Tried, screened: Screened, members: list[int], at_here: OneStep, own: OneStep | None
     ) -> None:
-        """Refits of one effect from another start than ``here``: in windows from the parameters' own values."""
+        """Refits of one effect from another start than ``here``: in windows from the parameters' own values; where none
+        has arrived, from a small amplitude."""
         if own is not None and (here.arrived.held or not self.refits.path.linear):
             self._try(here, _chosen(screened, own, members), None)
         self._arrive(here, screened.candidates[members[0]].key, lambda: _chosen(screened, at_here, members))
@@ -339,7 +342,7 @@ class Choice:
         at_here: OneStep,
         rest: list[tuple[str, str]],
     ) -> list[tuple[str, str]]:
-        """Those of the rest that may explain about as much as the best one so far, by one step."""
+        """The best effect so far, and those of the rest that may explain about as much by one step."""
         found = [self.pool[k] for key in families if (k := self._key(here, key)) in self.pool]
         best = min(found, key=lambda one: one.arrived.cost, default=None)
         if best is None:
@@ -351,7 +354,8 @@ class Choice:
             return rest
         most = self._rival(best.arrived.cost, here.arrived.cost, screened)
         costs = [_costs(screened, one, families) for one in (at_here, step)]
-        return [key for key in rest if min(cost[key] for cost in costs) < most]
+        lead = best.newest(here).candidate.key
+        return [key for key in rest if key == lead or min(cost[key] for cost in costs) < most]
 
     def _arrive(self, here: Tried, key: tuple[str, str], chosen: Callable[[], Addition]) -> None:
         """Another refit of an effect that has not come below the model without it, of which that is a special case,
