@@ -16,6 +16,9 @@ from casadi_engine.discrepancy.station import Station
 from casadi_engine.estimation import Fit
 
 _NO_RUN = "the repaired model cannot be simulated on the fresh data, which neither confirms nor refuses it"
+_UNSETTLED = (
+    "its initial states on the fresh data had not settled, so that these neither confirm nor refuse it"
+)
 # A change of a gap that a person would see.
 SEEN = 0.1
 # Share of the spare time behind a budget at which fresh data have to be judged; evaluations of the model that they may
@@ -160,6 +163,8 @@ class FreshChoice:
         event = here.effects[-1].placed and self.portion.source == "records"
         noise = here.screened.noise
         judged = judge([n for _, n in old], [n for _, n in new], noise)
+        if judged.refused and not all(fit.converged for fit, _ in new):
+            return Judgement(None, None, False, _UNSETTLED)
         if not judged.confirmed and not judged.refused and not event:
             first, then = (_rmse(pairs, noise) for pairs in (old, new))
             if then > (1 + SEEN) * first:

@@ -95,7 +95,7 @@ def held_fit(
             if found is None:
                 raise
             break
-        found = made if found is None else min(found, made, key=lambda one: (not one.converged, one.cost))
+        found = made if found is None else _better(found, made)
         if found.cost / found.n <= _chance(found) * _misfit(fit, noise):
             break
     if found is None:
@@ -114,6 +114,14 @@ def _simulated(
         errors="quadratic", interval=fit.options.get("interval", "auto"),
     )  # fmt: skip
     return made if near.converged else replace(made, status=_UNSETTLED)
+
+
+def _better(one: Fit, other: Fit) -> Fit:
+    """The fit of lower chi-squared; of two that are alike within chance the one that converged."""
+    if one.converged != other.converged:
+        ready, open_ = (one, other) if one.converged else (other, one)
+        return ready if ready.cost <= _chance(ready) * open_.cost else open_
+    return min(one, other, key=lambda fit: fit.cost)
 
 
 def _chance(found: Fit) -> float:

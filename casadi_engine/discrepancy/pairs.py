@@ -64,5 +64,7 @@ def tried_in_two(
                 ask()
                 second = chosen(step, families[key])
                 tell(f"refit {one.label} with {second.label} in place of {member.label}")
-                made += refits.tried((*one.effects, second), Start(one.arrived.values, one.arrived.initial))
+                both, start = (*one.effects, second), Start(one.arrived.values, one.arrived.initial)
+                # the optimum with one of them is near; short windows may lead away where few outputs are measured
+                made += refits.tried(both, start, near=True) or refits.tried(both, start)
     return made

@@ -165,9 +165,12 @@ class RefitProblem:
                 if windows.evaluations > _ENOUGH * most:  # gaps that open again as often as they are closed
                     converged = False
                     break
-                if not last or (
-                    self._closed(windows, fall) and before < 2 * max(windows.best.squares.cost, self.count)
-                ):
+                if not last:
+                    break
+                closed, after = self._closed(windows, fall), windows.best.squares.cost
+                if after > 2 * max(before, self.count):  # no run follows these states: first order said too much
+                    converged = False
+                elif closed and before < 2 * max(after, self.count):
                     break
             except TimeUp:  # the best point so far
                 converged = False
