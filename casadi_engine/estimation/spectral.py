@@ -233,7 +233,9 @@ def check_growth(radius: float, bins: Bins) -> None:
 
 
 def _cut(rows: Array, outputs: int, bins: slice) -> Array:
-    """Some of the bins of rows (k, 2 ny K), contiguous in memory."""
+    """Some of the bins of rows (k, 2 ny K), of one output without a copy."""
+    if outputs == 1:
+        return rows[:, 2 * bins.start : 2 * bins.stop]
     parts = rows.reshape(len(rows), outputs, -1, 2)
     if bins.start == 0 and bins.stop == parts.shape[2]:
         return rows

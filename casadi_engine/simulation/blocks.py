@@ -45,8 +45,13 @@ def _powers(discrete: Discretisation, length: int) -> Array:
     return chain
 
 
-def block_matrices(discrete: Discretisation, length: int, samples: NDArray[np.intp]) -> Blocks:
-    """The block matrix of ``length`` samples with outputs at ``samples`` (numbers 0 .. length-1)."""
+def block_matrices(
+    discrete: Discretisation, length: int, samples: NDArray[np.intp], *, lasting: bool = True
+) -> Blocks:
+    """The block matrix of ``length`` samples with outputs at ``samples`` (numbers 0 .. length-1).
+
+    lasting : without derivatives, the last digit of the transition is right: a simulation may run for long
+    """
     nz, n, m = discrete.parameters, discrete.f.shape[1], discrete.g0.shape[2]
     ny, k = discrete.c.shape[1], len(discrete.f)
     chain = _powers(discrete, length).reshape(k, n, length + 1, n + 2 * m)
@@ -64,7 +69,7 @@ def block_matrices(discrete: Discretisation, length: int, samples: NDArray[np.in
     forced[:, :, :, 0, :] = first[:, :, at, :]
     rows = len(samples)
     x_end = np.concatenate([free[:, :, length], forced[:, :, rows].reshape(k, n, -1)], axis=2)
-    if discrete.order == 0:  # a simulation may run for long; a fit's steps do not need the last digit
+    if discrete.order == 0 and lasting:
         exact = long_transition(discrete, length)
         if exact is not None:
             x_end[0, :, :n] = exact

@@ -212,9 +212,10 @@ class LinearPropagator:
     # ---- forward
 
     @np.errstate(over="ignore", invalid="ignore")
-    def _blocks(self, z: Array, order: int) -> Blocks:
+    def _blocks(self, z: Array, order: int, *, lasting: bool = True) -> Blocks:
         if self.gain is None:
-            return self._shared.blocks(z, order, self.intervals.q, self.intervals.samples)
+            lasting = lasting and order == 0
+            return self._shared.blocks(z, order, self.intervals.q, self.intervals.samples, lasting=lasting)
         last = self._corrected
         if last is None or last[1] != order or not np.array_equal(last[0], z):
             discrete, seen = self._shared.at(z, order), (True,) * self.ny
@@ -228,14 +229,22 @@ class LinearPropagator:
         return next(self.run(z, nodes, order, [slice(0, self.intervals.b)]))
 
     def run(
-        self, z: Array, nodes: Array, order: int, parts: list[slice], *, outputs: bool = True
+        self,
+        z: Array,
+        nodes: Array,
+        order: int,
+        parts: list[slice],
+        *,
+        outputs: bool = True,
+        lasting: bool = True,
     ) -> Iterator[LinearTrajectory]:
         """The same, the blocks in one part after the other, so that a long record takes little memory.
 
         outputs : False for the states alone, which is all that `contraction` needs
+        lasting : see `block_matrices`
         """
         nz = self.nz if order else 0
-        blocks = made = self._blocks(z, order)
+        blocks = made = self._blocks(z, order, lasting=lasting)
         if not outputs:
             blocks = replace(made, p=made.p[: 1 + nz, : self.n])
         x, phi = np.zeros((1 + nz, self.n, self.intervals.m)), np.eye(self.n)

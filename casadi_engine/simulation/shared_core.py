@@ -37,10 +37,15 @@ class SharedCore:
         found: Discretisation = self._remembered(z, (order,), lambda: self.core.at(z, order))
         return found
 
-    def blocks(self, z: Array, order: int, length: int, samples: NDArray[np.intp]) -> Blocks:
+    def blocks(
+        self, z: Array, order: int, length: int, samples: NDArray[np.intp], *, lasting: bool = True
+    ) -> Blocks:
         """The block matrices at z : (nz,); see ``block_matrices``."""
-        key = (order, length, samples.tobytes())
-        found: Blocks = self._remembered(z, key, lambda: block_matrices(self.at(z, order), length, samples))
+
+        def make() -> Blocks:
+            return block_matrices(self.at(z, order), length, samples, lasting=lasting)
+
+        found: Blocks = self._remembered(z, (order, length, samples.tobytes(), lasting), make)
         return found
 
     def _remembered(self, z: Array, key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
