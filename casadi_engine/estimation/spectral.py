@@ -203,7 +203,7 @@ class SpectralRecord:
             sight += response.seen @ kept[0]
         root = _inverse_root(spans.sum(axis=0))
         jump = -root @ (root.T @ sight)
-        total, found = np.zeros((n + 1 + len(z),) * 2), []
+        total, sums = np.zeros((n + 1 + len(z),) * 2), []
         for part, span, (response, bins, kept) in zip(parts, spans, made or map(at, parts), strict=True):
             rows = response.columns(bins, kept, jump, self._propagator.drives_active)
             rows[0] += jump @ response.seen
@@ -214,9 +214,12 @@ class SpectralRecord:
                 total[:n, n:] += seen @ felt.T
                 total[n:, n:] += felt @ felt.T
                 if own.stop + part.start in stops:
-                    whole = own.stop + part.start == last
-                    found.append(_without(total, root if whole else _inverse_root(total[:n, :n])))
-        return np.array(found)
+                    sums.append(total.copy())
+        whole = _without(total, root)[None]
+        if len(sums) == 1:
+            return whole
+        below = np.array(sums[:-1])
+        return np.concatenate([_without(below, _inverse_roots(below[:, :n, :n])), whole])
 
     def _response(self, z: Array, modes: Modes | None, bins: Bins) -> ModalResponse | Response:
         """Raises FloatingPointError where the states grow too far."""
@@ -243,25 +246,30 @@ def _cut(rows: Array, outputs: int, bins: slice) -> Array:
 
 
 def _inverse_root(gram: Array) -> Array:
-    """(n, r) whose product with its transpose inverts a Gram matrix (n, n), without what hardly shows in it."""
+    """(n, n) whose product with its transpose inverts a Gram matrix (n, n), without what hardly shows in it."""
     size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    scaled = gram / np.outer(size, size)
     try:
-        factor = np.linalg.cholesky(scaled)
+        factor = np.linalg.cholesky(gram / np.outer(size, size))
         if factor.diagonal().min(initial=1.0) > _PLAIN:
             return np.asarray(np.linalg.inv(factor).T / size[:, None])
     except np.linalg.LinAlgError:
         pass
-    values, vectors = np.linalg.eigh(scaled)
-    told = values > _WEAK
-    return np.asarray(vectors[:, told] / np.sqrt(values[told]) / size[:, None])
+    return _inverse_roots(gram)
 
 
-def _without(gram: Array, root: Array) -> Array:
-    """Products of the rows behind the first n, these projected out; root : (n, r) of their products."""
-    n = len(root)
-    cross = root.T @ gram[:n, n:]
-    return np.asarray(gram[n:, n:] - cross.T @ cross)
+def _inverse_roots(grams: Array) -> Array:
+    """The same of several (..., n, n)."""
+    size = np.sqrt(np.maximum(np.diagonal(grams, axis1=-2, axis2=-1), 1e-300))[..., None]
+    values, vectors = np.linalg.eigh(grams / size / size.swapaxes(-1, -2))
+    shown = np.where(values > _WEAK, values, np.inf)[..., None, :]
+    return np.asarray(vectors / np.sqrt(shown) / size)
+
+
+def _without(grams: Array, roots: Array) -> Array:
+    """Products of the rows behind the first n, these projected out; roots : (..., n, n) of their products."""
+    n = roots.shape[-1]
+    cross = roots.swapaxes(-1, -2) @ grams[..., :n, n:]
+    return np.asarray(grams[..., n:, n:] - cross.swapaxes(-1, -2) @ cross)
 
 
 class Response:

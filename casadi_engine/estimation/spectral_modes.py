@@ -64,7 +64,7 @@ class Modes:
         scale = dgebal(a[0], scale=1)[3]
         rates, vectors = np.linalg.eig(a[0] * scale / scale[:, None])
         apart = rates - rates[:, None]
-        np.fill_diagonal(apart, np.inf)
+        apart.flat[:: len(apart) + 1] = np.inf
         if not np.abs(apart).min(initial=np.inf) > _APART:
             return None
         back = np.linalg.inv(vectors)
@@ -102,9 +102,9 @@ def _stepped(rates: Spectrum, core: DiscreteCore) -> tuple[Pair, Pair, Pair]:
 
     A drive that is joined by lines acts at the end of a step by z / (z - pole) = 1 + pole / (z - pole).
     """
-    one, zero = np.ones((len(rates), core.drives)), np.zeros((len(rates), core.drives))
     if core.method == "euler":
-        return (1 + rates, np.ones_like(rates)), (one, zero), (zero, zero)
+        shape = len(rates), core.drives
+        return (1 + rates, np.ones_like(rates)), (np.ones(shape), np.zeros(shape)), (np.zeros(shape),) * 2
     near = np.where(np.abs(rates) < 1, rates, 0)
     third = np.vander(near, len(_SERIES), increasing=True) @ _SERIES
     second = 0.5 + near * third
@@ -114,7 +114,7 @@ def _stepped(rates: Spectrum, core: DiscreteCore) -> tuple[Pair, Pair, Pair]:
         second[far] = (first[far] - 1) / rates[far]
         third[far] = (second[far] - 0.5) / rates[far]
     poles = 1 + rates * first
-    held, slope = first[:, None] * one, (first - second)[:, None] * one
+    held, slope = first[:, None], (first - second)[:, None]
     push = np.where(core.first, held**2, held), np.where(core.first, 2 * held * slope, slope)
     direct = second[:, None] * core.first, (second - 2 * third)[:, None] * core.first
     return (poles, poles), push, direct
