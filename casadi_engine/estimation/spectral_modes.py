@@ -59,7 +59,7 @@ class Modes:
         """
         from scipy.linalg.lapack import dgebal
 
-        a, b, c, d = core.finite(z, 1)
+        a, b, outputs, d = core.finite(z, 1)
         a, b = a * core.step, b * core.step
         scale = dgebal(a[0], scale=1)[3]
         rates, vectors = np.linalg.eig(a[0] * scale / scale[:, None])
@@ -73,14 +73,14 @@ class Modes:
         left, right = back / scale, vectors * scale[:, None]
         moved = left @ a[1:] @ right
         turn = moved / apart
-        c = np.asarray(c @ right, dtype=np.complex128)
+        c = np.asarray(outputs @ right, dtype=np.complex128)
         c[1:] += c[0] @ turn
         drive = left @ b
         drive[1:] -= turn @ drive[0]
         faster = np.diagonal(moved, axis1=1, axis2=2)[..., None]
         poles, push, direct = _stepped(rates.astype(complex), core)
         jet = np.concatenate([poles[0][None], poles[1] * faster[..., 0]])
-        b, late = (
+        pushed, late = (
             np.concatenate([f[0] * drive[:1], f[0] * drive[1:] + f[1] * drive[0] * faster])
             for f in (push, direct)
         )
@@ -88,13 +88,13 @@ class Modes:
         d[1:] += (c[1:] @ late[0] + c[0] @ late[1:]).real
         if c.shape[1] == 1 and (size := np.abs(c[0, 0])).min(initial=1.0) > _SEEN * size.max(initial=0.0):
             # of one output: modes as large as they are seen, and the slopes of c are none
-            b = np.concatenate(
-                [b[:1] * c[0, 0, :, None], b[1:] * c[0, 0, :, None] + b[0] * c[1:, 0, :, None]]
-            )
+            own = pushed * c[0, 0, :, None]
+            own[1:] += pushed[0] * c[1:, 0, :, None]
+            pushed = own
             c = np.concatenate([np.ones_like(c[:1]), np.zeros_like(c[1:])])
         keep = np.concatenate([np.flatnonzero(rates.imag == 0), np.flatnonzero(rates.imag > 0)])
         real = int(np.count_nonzero(rates.imag == 0))
-        return cls(real, jet[:, keep], c[:, :, keep], b[:, keep], d)
+        return cls(real, jet[:, keep], c[:, :, keep], pushed[:, keep], d)
 
 
 def _stepped(rates: Spectrum, core: DiscreteCore) -> tuple[Pair, Pair, Pair]:
