@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.scales import felt_sizes, size_factors
 from casadi_engine.estimation.spectral_search import Found, Priors, SpectralSearch
+from casadi_engine.estimation.starts import nodes_by_first
 from casadi_engine.simulation.grid import Grid
 from casadi_engine.simulation.linear import LinearPropagator
 
@@ -213,13 +214,7 @@ def best_nodes(record: RecordTerm, v: Array) -> Array | None:
     m, n = record.plan.m, record.n
     try:
         point = record.evaluate(v, np.zeros((m, n)), order=0)
-        free = np.empty(
-            (m, n, n + 1)
-        )  # nodes as functions of the first: powers of the transition, then the forced part
-        free[0] = np.eye(n, n + 1)
-        for i in range(m - 1):
-            np.matmul(point.path.end_s[0], free[i], out=free[i + 1])
-            free[i + 1, :, n] += point.path.end[:, i]
+        free = nodes_by_first(point)
         rows = [_compressed(record, point, slice(0, m - 1)), _compressed(record, point, slice(m - 1, m))]
         seen = np.concatenate([(slope @ free[at]).reshape(-1, n + 1) for slope, _, at in rows])
         left = np.concatenate([rest.ravel() for _, rest, _ in rows])
