@@ -213,6 +213,9 @@ class Choice:
                 best.failed = True
                 continue
             best = self._timed("exchange", lambda: self._exchanged(best, here))  # noqa: B023
+            renewed = self._renewed(here)
+            if renewed is not None:
+                return self._round(self.pool[here.key], renewed)
             if self._timed("refit", lambda: self._sharpened(best)):  # noqa: B023
                 here, tried = self.pool[here.key], [self.pool[one.key] for one in tried]
                 continue
@@ -230,6 +233,18 @@ class Choice:
             ask()
         self._told(here, tried, best)
         return best
+
+    def _renewed(self, here: Tried) -> Station | None:
+        """The structure fitted and scored anew, where what was tried beside it found a better optimum of it: what a
+        poor one leaves is no missing effect. None where there is none, or where that fit does not converge."""
+        if here.key not in self.refits.improved or not here.effects:
+            return None
+        self.refits.improved.clear()
+        before = self._stations.pop(here.key)
+        found = self._station(self.pool[here.key])
+        if found is None:
+            self._stations[here.key] = before
+        return found
 
     def _weak(self, best: Tried) -> bool:
         """True if an amplitude is no finding beside coloured noise, whose slow part may do as much."""

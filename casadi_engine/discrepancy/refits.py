@@ -29,6 +29,8 @@ FACTOR = 20.0
 PART = 0.3
 # Levels that fall by this share are new ones, at which refits go on.
 _RELEVELLED = 0.7
+# Log evidence by which an optimum of a structure is another one.
+_BETTER = 1.0
 # Rivals that are refitted with sharper corners.
 _RIVALS = 6
 
@@ -118,6 +120,7 @@ class Refits:
             None  # share and pool before corners were sharpened
         )
         self._blunt = False
+        self.improved: set[Key] = set()  # structures of which a better optimum was found since this was last asked
         self._fine: set[Key] = set()  # structures whose corners are as sharp as the data feel
         self._tell = tell
 
@@ -136,6 +139,8 @@ class Refits:
         made = self._counted(effects, arrived)
         if made is not None and (known is None or made.log > known.log):
             self.pool[key] = made
+            if known is not None and made.log > known.log + _BETTER:
+                self.improved.add(key)
         return [self.pool[key]] if key in self.pool else []
 
     def _counted(self, effects: tuple[Addition, ...], arrived: Arrived) -> Tried | None:

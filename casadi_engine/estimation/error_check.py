@@ -26,6 +26,7 @@ from casadi_engine.estimation.fit import Optimum
 from casadi_engine.estimation.record import RecordPoint, RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty
+from casadi_engine.estimation.starts import nodes_by_first
 from casadi_engine.estimation.uncertainty import chained_gradient
 
 Array = NDArray[np.float64]
@@ -285,23 +286,15 @@ class _Around:
 def _linear(record: RecordTerm, v: Array, start: Array | None) -> Array:
     """The weighted residual (K, M) of a linear model from its first state (n,), None for the one that serves best."""
     point = record.evaluate(v, np.zeros((record.plan.m, record.n)), order=0)
-    js, turn, ends, own = point.js, point.path.end_s[0], point.path.end, record.gauss_newton(point).ss
-    nodes = np.zeros((record.plan.m, record.n))
-    for k in range(len(nodes) - 1):
-        nodes[k + 1] = turn @ nodes[k] + ends[:, k]
+    js, n, free = point.js, record.n, nodes_by_first(point)
+    powers, left = free[..., :n], point.r + (js @ free[..., n].T) * record.weight
     if start is None:
-        slope = ((point.r + (js @ nodes.T) * record.weight) * record.weight).T @ js
-        gradient, matrix = np.zeros(record.n), np.zeros((record.n, record.n))
-        for k in range(len(nodes) - 1, -1, -1):
-            gradient = slope[k] + turn.T @ gradient
-            matrix = own[k] + turn.T @ matrix @ turn
+        turned = powers.swapaxes(1, 2)
+        gradient = (turned @ ((left * record.weight).T @ js)[..., None]).sum(axis=0)[:, 0]
+        matrix = (turned @ record.gauss_newton(point).ss @ powers).sum(axis=0)
         size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         start = -np.linalg.lstsq(matrix / np.outer(size, size), gradient / size, rcond=_BLIND)[0] / size
-    first = np.asarray(start)
-    for k in range(len(nodes)):
-        nodes[k] += first
-        first = turn @ first
-    return np.asarray(point.r + (js @ nodes.T) * record.weight)
+    return np.asarray(left + (js @ (powers @ np.asarray(start)).T) * record.weight)
 
 
 def _followed(record: RecordTerm, point: RecordPoint, nodes: Array, v: Array, step: Array) -> Array:

@@ -130,12 +130,15 @@ def _step(
     moved, size, short = np.zeros(len(low)), np.diag(here.matrix), False
     free = (size > 0) & ~(((low >= 0) & (here.gradient > 0)) | ((high <= 0) & (here.gradient < 0)))
     while free.any():
-        own = model[np.ix_(free, free)] + damping * np.diag(size[free])
+        own, pull = model.copy(), here.gradient
+        own.flat[:: len(own) + 1] += damping * size
+        if not free.all():
+            pull = (pull + model[:, ~free] @ moved[~free])[free]
+            own = own[np.ix_(free, free)]
         try:
             factor = np.linalg.cholesky(own)
         except np.linalg.LinAlgError:
             return None
-        pull = here.gradient[free] + model[np.ix_(free, ~free)] @ moved[~free]
         moved[free] = -np.linalg.solve(factor.T, np.linalg.solve(factor, pull))
         share = float(np.abs(moved / longest).max())
         if share > 1.0:

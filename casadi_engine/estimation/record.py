@@ -289,7 +289,8 @@ class RecordTerm:
 
     def parts_at(self, v: Array, nodes: Array, order: int) -> Iterator[Part]:
         """The record's parts one after the other; see `evaluate`."""
-        for at, path in self._paths(v, nodes, order):
+        # steps of a fit, and what it is compared with near by, do not need the transition's last digit
+        for at, path in self._paths(v, nodes, order, lasting=False):
             weight = self.observation.part(self.weight, at)
             factor = weight if self._common is None else self._common
             y = self.observation.observe(path.y)
@@ -324,10 +325,12 @@ class RecordTerm:
             return self.propagator.parts(self.part // each)
         return [slice(0, self.plan.b)]
 
-    def _paths(self, v: Array, nodes: Array, order: int) -> Iterator[tuple[slice, Any]]:
+    def _paths(
+        self, v: Array, nodes: Array, order: int, *, lasting: bool = True
+    ) -> Iterator[tuple[slice, Any]]:
         z, cuts = v[self.active], self._cuts()
         if isinstance(self.propagator, LinearPropagator):
-            yield from zip(cuts, self.propagator.run(z, nodes, order, cuts), strict=True)
+            yield from zip(cuts, self.propagator.run(z, nodes, order, cuts, lasting=lasting), strict=True)
         else:
             yield cuts[0], self.propagator.propagate(z, nodes, order)
 

@@ -12,6 +12,8 @@ from casadi_engine.estimation.final_check import residual
 from casadi_engine.estimation.loss import read_loss
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.search import Search
+from casadi_engine.estimation.spectral_search import Priors, SpectralSearch
+from casadi_engine.estimation.spectral_start import best_nodes, in_full, spectral_search
 from casadi_engine.estimation.starts import chained_nodes
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
@@ -20,6 +22,9 @@ from casadi_engine.problem.noise import Noise
 
 Array = NDArray[np.float64]
 Place = tuple[str, str]
+
+# Steps of a search in the frequency domain.
+_STEPS = 100
 
 
 def evaluator(
@@ -60,6 +65,7 @@ class SingleShots:
 
     def _lay(self, search: Search) -> None:
         self._search = search
+        self._spectral: SpectralSearch | None = None  # set up once it is wanted
         self.free = self._search.pmap.free
         own = np.concatenate(
             [
@@ -92,6 +98,30 @@ class SingleShots:
         v = self._search.coordinates.of(np.array([z[name] for name in self.free], dtype=float))
         states = [first[r.experiment.name] / r.scale for r in self._search.records]
         return np.clip(np.concatenate([v, *states]), self.lower, self.upper)
+
+    def nearer(self, x: Array, priors: Priors) -> Array:
+        """The optimum x (nx,) that the frequency domain leads to from x; x itself for records that are not to be
+        searched there.
+
+        priors : on the coordinates (nv,), as those of a ``SpectralSearch``, the same in every call
+        """
+        search, nv = self._search, len(self.free)
+        if in_full(search):
+            return x
+        sigma = np.array([self._sigma[name] for name in search.records[0].outputs])
+        if self._spectral is None:
+            self._spectral = spectral_search(search, priors)
+        self._spectral.weigh(sigma)
+        search._weigh(sigma)  # nodes are at their best at the levels of the records
+        found = self._spectral.run(x[:nv], steps=_STEPS, stop=lambda _: False)
+        self._spectral.release()
+        if found is None:
+            return x
+        nodes = [best_nodes(record, found.minimum.x) for record in search.records]
+        first = [one[0] for one in nodes if one is not None]
+        if len(first) < len(nodes):
+            return x
+        return np.clip(np.concatenate([found.minimum.x, *first]), self.lower, self.upper)
 
     def values(self, x: Array) -> Array:
         """z (nz,) in the parameters' units."""

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.resolvent import Orthonormal, Resolvent
-from casadi_engine.estimation.spectral_modes import ModalResponse, Modes
+from casadi_engine.estimation.spectral_modes import ModalResponse, Modes, Room
 from casadi_engine.simulation.discretisation import Discretisation
 from casadi_engine.simulation.linear import LinearPropagator
 
@@ -40,8 +40,8 @@ _PLAIN, _WEAK = 1e-2, 1e-12
 _GROWTH = 1e8
 # Bins of a band for each parameter and state, at least.
 _FEWEST = 4
-# What records at one point have in common: discrete matrices by their identity, and their modes.
-Common = dict[int, tuple[Discretisation, Modes | None]]
+# What records at one point have in common: modes by the identity of their core.
+Common = dict[int, Modes | None]
 # Bins that are worked on at a time in a record of more than LONG of them.
 LONG, _PART = 50_000, 4096
 
@@ -89,10 +89,11 @@ class SpectralRecord:
     """One record in the frequency domain.
 
     record : whose propagator is a LinearPropagator without gain, on equal steps, every output measured at every one
+    room : shared with records that are evaluated after one another
     size : number of bins; ``sigma`` (ny,) standard deviations that the outputs are divided by
     """
 
-    def __init__(self, record: RecordTerm) -> None:
+    def __init__(self, record: RecordTerm, room: Room | None = None) -> None:
         self.record, self._propagator = record, cast(LinearPropagator, record.propagator)
         count = record.grid.samples
         self.size = (count + 1) // 2
@@ -102,6 +103,7 @@ class SpectralRecord:
         self._measured *= self._share(slice(0, self.size))
         self._drives: tuple[Array, Spectrum, Spectrum] | None = None
         self._kept: dict[int, Bins] = {}
+        self._room = Room() if room is None else room
         self.sigma = np.ones(len(measured))
 
     def _turn(self, part: slice) -> Array:
@@ -170,9 +172,8 @@ class SpectralRecord:
             common[key] = Response(discrete, bins, self.sigma)
         response = common[key]
         free = response.free
-        left, drive, source = response.forced(bins)
-        jump = free.best(_real(left.reshape(-1)))
-        flat = response.columns(bins, (left, drive, source), jump, self._propagator.drives_active)
+        made = response.residual(bins)
+        flat = response.columns(bins, made, free.best(made[0]), self._propagator.drives_active)
         flat -= (flat @ free.rows.T) @ free.rows
         return flat, free.rows
 
@@ -183,32 +184,29 @@ class SpectralRecord:
         common : kept for further records at the same v
         """
         z, long = v[self.record.active], self.size > LONG
-        discrete = self._propagator.discretisation(z, 1)
-        common = {} if common is None else common
-        if id(discrete) not in common:
-            common[id(discrete)] = discrete, Modes.of(discrete)
-        modes, last = common[id(discrete)][1], stops[-1]
+        core, common = self._propagator.core, {} if common is None else common
+        if id(core) not in common:
+            common[id(core)] = Modes.of(core, z)
+        modes, last = common[id(core)], stops[-1]
         parts = [slice(k, min(k + _PART, last)) for k in range(0, last, _PART)] if long else [slice(0, last)]
 
-        def at(part: slice) -> tuple[ModalResponse | Response, Bins, Array, Any]:
+        def at(part: slice) -> tuple[ModalResponse | Response, Bins, Any]:
             bins = self.bins(z, part, keep=not long)
-            response = self._response(discrete, modes, bins)
-            return response, bins, *response.residual(bins)
+            response = self._response(z, modes, bins)
+            return response, bins, response.residual(bins)
 
         made = None if long else [at(part) for part in parts]
-        n = discrete.f.shape[1]
+        n = core.states
         spans, sight = np.zeros((len(parts), n, n)), np.zeros(n)
-        for span, (response, _, left, _) in zip(spans, made or map(at, parts), strict=True):
+        for span, (response, _, kept) in zip(spans, made or map(at, parts), strict=True):
             span[:] = response.seen @ response.seen.T
-            sight += response.seen @ left
+            sight += response.seen @ kept[0]
         root = _inverse_root(spans.sum(axis=0))
         jump = -root @ (root.T @ sight)
-        total, found = np.zeros((n + 1 + len(z),) * 2), []
-        for part, span, (response, bins, left, kept) in zip(
-            parts, spans, made or map(at, parts), strict=True
-        ):
-            slopes = response.slopes(bins, kept, jump, self._propagator.drives_active)
-            rows = np.concatenate([(left + jump @ response.seen)[None], slopes])
+        total, sums = np.zeros((n + 1 + len(z),) * 2), []
+        for part, span, (response, bins, kept) in zip(parts, spans, made or map(at, parts), strict=True):
+            rows = response.columns(bins, kept, jump, self._propagator.drives_active)
+            rows[0] += jump @ response.seen
             cuts = [part.start, *(stop for stop in stops if part.start < stop < part.stop), part.stop]
             for own in (slice(one - part.start, two - part.start) for one, two in pairwise(cuts)):
                 seen, felt = (_cut(values, len(self.sigma), own) for values in (response.seen, rows))
@@ -216,18 +214,19 @@ class SpectralRecord:
                 total[:n, n:] += seen @ felt.T
                 total[n:, n:] += felt @ felt.T
                 if own.stop + part.start in stops:
-                    whole = own.stop + part.start == last
-                    found.append(_without(total, root if whole else _inverse_root(total[:n, :n])))
-        return np.array(found)
+                    sums.append(total.copy())
+        whole = _without(total, root)[None]
+        if len(sums) == 1:
+            return whole
+        below = np.array(sums[:-1])
+        return np.concatenate([_without(below, _inverse_roots(below[:, :n, :n])), whole])
 
-    def _response(
-        self, discrete: Discretisation, modes: Modes | None, bins: Bins
-    ) -> ModalResponse | Response:
+    def _response(self, z: Array, modes: Modes | None, bins: Bins) -> ModalResponse | Response:
         """Raises FloatingPointError where the states grow too far."""
         if modes is None:
-            return Response(discrete, bins, self.sigma)
+            return Response(self._propagator.discretisation(z, 1), bins, self.sigma)
         check_growth(float(np.abs(modes.poles[0]).max(initial=0.0)), bins)
-        return ModalResponse(modes, bins, self.sigma)
+        return ModalResponse(modes, bins, self.sigma, self._room)
 
 
 def check_growth(radius: float, bins: Bins) -> None:
@@ -237,7 +236,9 @@ def check_growth(radius: float, bins: Bins) -> None:
 
 
 def _cut(rows: Array, outputs: int, bins: slice) -> Array:
-    """Some of the bins of rows (k, 2 ny K), contiguous in memory."""
+    """Some of the bins of rows (k, 2 ny K), of one output without a copy."""
+    if outputs == 1:
+        return rows[:, 2 * bins.start : 2 * bins.stop]
     parts = rows.reshape(len(rows), outputs, -1, 2)
     if bins.start == 0 and bins.stop == parts.shape[2]:
         return rows
@@ -245,25 +246,30 @@ def _cut(rows: Array, outputs: int, bins: slice) -> Array:
 
 
 def _inverse_root(gram: Array) -> Array:
-    """(n, r) whose product with its transpose inverts a Gram matrix (n, n), without what hardly shows in it."""
+    """(n, n) whose product with its transpose inverts a Gram matrix (n, n), without what hardly shows in it."""
     size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    scaled = gram / np.outer(size, size)
     try:
-        factor = np.linalg.cholesky(scaled)
+        factor = np.linalg.cholesky(gram / np.outer(size, size))
         if factor.diagonal().min(initial=1.0) > _PLAIN:
             return np.asarray(np.linalg.inv(factor).T / size[:, None])
     except np.linalg.LinAlgError:
         pass
-    values, vectors = np.linalg.eigh(scaled)
-    told = values > _WEAK
-    return np.asarray(vectors[:, told] / np.sqrt(values[told]) / size[:, None])
+    return _inverse_roots(gram)
 
 
-def _without(gram: Array, root: Array) -> Array:
-    """Products of the rows behind the first n, these projected out; root : (n, r) of their products."""
-    n = len(root)
-    cross = root.T @ gram[:n, n:]
-    return np.asarray(gram[n:, n:] - cross.T @ cross)
+def _inverse_roots(grams: Array) -> Array:
+    """The same of several (..., n, n)."""
+    size = np.sqrt(np.maximum(np.diagonal(grams, axis1=-2, axis2=-1), 1e-300))[..., None]
+    values, vectors = np.linalg.eigh(grams / size / size.swapaxes(-1, -2))
+    shown = np.where(values > _WEAK, values, np.inf)[..., None, :]
+    return np.asarray(vectors / np.sqrt(shown) / size)
+
+
+def _without(grams: Array, roots: Array) -> Array:
+    """Products of the rows behind the first n, these projected out; roots : (..., n, n) of their products."""
+    n = roots.shape[-1]
+    cross = roots.swapaxes(-1, -2) @ grams[..., :n, n:]
+    return np.asarray(grams[..., n:, n:] - cross.swapaxes(-1, -2) @ cross)
 
 
 class Response:
@@ -297,31 +303,25 @@ class Response:
         left = np.einsum("ynk,nk->yk", self._rows, drive) + _times(self._d[0], bins.drives)
         return left - bins.measured / self._sigma[:, None], drive, source
 
-    def residual(self, bins: Bins) -> tuple[Array, tuple[Spectrum, Spectrum, Spectrum]]:
-        """Residual (2 ny K,) without transients, and what it and the slopes are made of; see ``ModalResponse``."""
-        made = self.forced(bins)
-        return _real(made[0].reshape(-1)), made
-
-    def slopes(
-        self, bins: Bins, made: tuple[Spectrum, Spectrum, Spectrum], jump: Array, active: NDArray[np.intp]
-    ) -> Array:
-        """Slopes (na, 2 ny K) at the transient ``jump`` (n,); see ``ModalResponse``."""
-        return self.columns(bins, made, jump, active)[1:]
+    def residual(self, bins: Bins) -> tuple[Array, Spectrum, Spectrum]:
+        """The same with the residual (2 ny K,) in real numbers; see ``ModalResponse``."""
+        left, drive, source = self.forced(bins)
+        return _real(left.reshape(-1)), drive, source
 
     def columns(
         self,
         bins: Bins,
-        forced: tuple[Spectrum, Spectrum, Spectrum],
+        made: tuple[Array, Spectrum, Spectrum],
         jump: Array,
         active: NDArray[np.intp],
     ) -> Array:
         """Residual without transients and Jacobian at the transient ``jump`` (n,): (1 + na, 2 ny K), real and imaginary
         parts side by side; active : entries that the drives depend on."""
         discrete, c, d, rows = self._discrete, self._c, self._d, self._rows
-        left, drive, source = forced
+        left, drive, source = made
         n, count = discrete.f.shape[1], len(bins.z)
         found = np.empty((len(discrete.f), *bins.measured.shape), complex)
-        found[0] = left
+        found[0] = left.view(np.complex128).reshape(found[0].shape)
         source[:n] = self._resolvent.states(drive + jump[:, None] * self._shifted)
         if len(found) > 1:
             hold = np.concatenate([discrete.f[1:], discrete.g0[1:], discrete.g1[1:]], axis=2)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from casadi_engine.estimation.levenberg_marquardt import Minimum, Squares, minimise
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.spectral import Common, SpectralRecord
+from casadi_engine.estimation.spectral_modes import Room
 from casadi_engine.estimation.spectral_squares import (
     BLIND,
     Told,
@@ -100,7 +101,8 @@ class SpectralSearch:
         longest: Callable[[Array], Array],
     ) -> None:
         """longest : (nv,) longest change of each unknown in one step from v."""
-        self.records = [SpectralRecord(record) for record in records]
+        room = Room()
+        self.records = [SpectralRecord(record, room) for record in records]
         self._top = max(record.hertz[-1] for record in self.records)
         self._priors = priors
         self._limits: dict[str, Any] = {"low": low, "high": high, "longest": longest}

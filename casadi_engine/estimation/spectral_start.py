@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.scales import felt_sizes, size_factors
-from casadi_engine.estimation.spectral_search import Found, SpectralSearch
+from casadi_engine.estimation.spectral_search import Found, Priors, SpectralSearch
+from casadi_engine.estimation.starts import nodes_by_first
 from casadi_engine.simulation.grid import Grid
 from casadi_engine.simulation.linear import LinearPropagator
 
@@ -91,20 +92,25 @@ def complete(grid: Grid, outputs: tuple[str, ...]) -> bool:
     )
 
 
+def spectral_search(search: LaidProblem, priors: Priors) -> SpectralSearch:
+    """The search of a problem's records in the frequency domain, with these priors on its coordinates."""
+    nv = search.problem.nv
+    return SpectralSearch(
+        search.records,
+        priors,
+        search.lower[:nv],
+        search.upper[:nv],
+        lambda v: np.where(search.coordinates.log, 1.0, _LONGEST * np.maximum(np.abs(v), 1.0)),
+    )
+
+
 class SpectralStarts:
     """The starts of one search, set up once for all of them."""
 
     def __init__(self, search: Search) -> None:
         """Transforms the records."""
-        nv = search.problem.nv
         self._search, self._seen, self._stopped = search, 0, False
-        self._spectral = SpectralSearch(
-            search.records,
-            search.problem.priors.evaluate,
-            search.lower[:nv],
-            search.upper[:nv],
-            lambda v: np.where(search.coordinates.log, 1.0, _LONGEST * np.maximum(np.abs(v), 1.0)),
-        )
+        self._spectral = spectral_search(search, search.problem.priors.evaluate)
 
     def sizes(self, z: Array) -> tuple[Array | None, Array | None]:
         """The scales of parameters whose start at z (nz,) says nothing, and factors on those of the states.
@@ -208,13 +214,7 @@ def best_nodes(record: RecordTerm, v: Array) -> Array | None:
     m, n = record.plan.m, record.n
     try:
         point = record.evaluate(v, np.zeros((m, n)), order=0)
-        free = np.empty(
-            (m, n, n + 1)
-        )  # nodes as functions of the first: powers of the transition, then the forced part
-        free[0] = np.eye(n, n + 1)
-        for i in range(m - 1):
-            np.matmul(point.path.end_s[0], free[i], out=free[i + 1])
-            free[i + 1, :, n] += point.path.end[:, i]
+        free = nodes_by_first(point)
         rows = [_compressed(record, point, slice(0, m - 1)), _compressed(record, point, slice(m - 1, m))]
         seen = np.concatenate([(slope @ free[at]).reshape(-1, n + 1) for slope, _, at in rows])
         left = np.concatenate([rest.ravel() for _, rest, _ in rows])

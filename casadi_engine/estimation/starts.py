@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.estimation.loss import Loss
-from casadi_engine.estimation.record import RecordTerm
+from casadi_engine.estimation.record import RecordPoint, RecordTerm
 from casadi_engine.parameters.compiled import ParameterMap
 from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 
@@ -168,6 +168,18 @@ def _of_intervals(record: RecordTerm, v: Array, nodes: Array) -> tuple[Array, Ar
     cost, slope = np.square(point.r).sum(axis=0), record.gradient(point, Loss())[1]
     matrix = record.gauss_newton(point).ss
     return (cost, slope, matrix) if np.isfinite(cost).all() and np.isfinite(matrix).all() else None
+
+
+def nodes_by_first(point: RecordPoint) -> Array:
+    """Nodes (M, n, n + 1) of a linear record as functions of the first one: powers of the transition, then the forced
+    part; point : from nodes at zero."""
+    n, m = point.path.end.shape
+    free = np.empty((m, n, n + 1))
+    free[0] = np.eye(n, n + 1)
+    for k in range(m - 1):
+        np.matmul(point.path.end_s[0], free[k], out=free[k + 1])
+        free[k + 1, :, n] += point.path.end[:, k]
+    return free
 
 
 def chained_nodes(record: RecordTerm, v: Array, first: Array) -> Array:

@@ -141,6 +141,11 @@ class Model:
             laws = ca.substitute(laws, self.w, laws)
         return laws
 
+    @cached_property
+    def shared_drives(self) -> Any:
+        """The drive expressions with what stands in them several times (a sine of the crank angle) as one node."""
+        return ca.cse(self.drive_expressions)
+
     @property
     def has_slot_laws(self) -> bool:
         """True if a law acts in any slot: then the model is its linear core plus nonlinear torques."""

@@ -200,10 +200,10 @@ class SpectralLikelihood:
         return Squares(cost, gradient, matrix) if np.isfinite(cost) and np.isfinite(matrix).all() else None
 
     def _gram(self, k: int, v: Array, sigma: Array) -> Array:
-        response, bins, forced, left = self._response(k, v, sigma)
+        response, bins, made, left = self._response(k, v, sigma)
         known = self.states[k]
         best = known.best(response.seen, left)
-        flat = response.columns(bins, forced, best, _linear(self._records[k].record).drives_active)
+        flat = response.columns(bins, made, best, _linear(self._records[k].record).drives_active)
         flat[0] += known.mean @ response.seen
         return np.asarray(flat @ flat.T - known.without(response.seen, flat))
 
@@ -215,7 +215,7 @@ class SpectralLikelihood:
 
     def _response(
         self, k: int, v: Array, sigma: Array
-    ) -> tuple[Response, Bins, tuple[Spectrum, Spectrum, Spectrum], Array]:
+    ) -> tuple[Response, Bins, tuple[Array, Spectrum, Spectrum], Array]:
         """One record in the chosen bins, and its residual (L,) with the states at the prior's mean."""
         record, chosen = self._records[k].record, self._chosen[k]
         z = v[record.active]
@@ -224,9 +224,8 @@ class SpectralLikelihood:
         if chosen is not None:
             bins = _some(bins, chosen, np.ascontiguousarray(bins.slopes[..., chosen]))
         response = Response(discrete, bins, sigma)
-        forced = response.forced(bins)
-        rest = np.ascontiguousarray(forced[0].reshape(-1)).view(np.float64)
-        return response, bins, forced, rest + self.states[k].mean @ response.seen
+        made = response.residual(bins)
+        return response, bins, made, made[0] + self.states[k].mean @ response.seen
 
 
 def _linear(record: RecordTerm) -> LinearPropagator:

@@ -45,8 +45,49 @@ def _powers(discrete: Discretisation, length: int) -> Array:
     return chain
 
 
-def block_matrices(discrete: Discretisation, length: int, samples: NDArray[np.intp]) -> Blocks:
-    """The block matrix of ``length`` samples with outputs at ``samples`` (numbers 0 .. length-1)."""
+def second_powers(discrete: Discretisation, length: int) -> Array | None:
+    """Second derivatives (pairs, n, length+1, n + 2m) of what the block matrix is made of; None where C moves, for then
+    it is made of more."""
+    nz, n = discrete.parameters, discrete.f.shape[1]
+    if not jets.is_constant(discrete.c):
+        return None
+    return _powers(discrete, length)[1 + nz :].reshape(-1, n, length + 1, n + 2 * discrete.g0.shape[2])
+
+
+def second_products(
+    discrete: Discretisation, powers: Array, samples: NDArray[np.intp], outer: Array
+) -> Array:
+    """Sums (pairs,) of the products of the block matrix's second derivatives with weights ``outer`` of its shape.
+
+    powers : of ``second_powers``. The block matrix holds each of them many times: their weights are summed, and it is
+    not made.
+    """
+    (_, n, count, _), m, c = powers.shape, discrete.g0.shape[2], discrete.c[0]
+    seen = outer[n:].reshape(len(samples), len(c), -1)
+    states = np.concatenate([c.T @ seen, outer[None, :n]])
+    weights = np.zeros((count, n, powers.shape[3]))
+    held, ramp = weights[:, :, n : n + m], weights[:, :, n + m :]
+    for at, state in zip([*samples.tolist(), count - 1], states, strict=True):
+        drives = state[:, n:].reshape(n, count, m).swapaxes(0, 1)
+        weights[at, :, :n] += state[:, :n]
+        held[:at] += drives[at - 1 :: -1] if at else 0.0  # a drive acts one step after its sample
+        ramp[:at] += drives[at:0:-1]  # and where it ends a step at once
+    found = powers.reshape(len(powers), -1) @ weights.swapaxes(0, 1).ravel()
+    second = discrete.d[1 + discrete.parameters :]
+    if second.any():
+        rows = enumerate(samples.tolist())
+        direct = sum(seen[row][:, n + at * m : n + (at + 1) * m] for row, at in rows)
+        found += second.reshape(len(second), -1) @ np.ravel(direct)
+    return np.asarray(found)
+
+
+def block_matrices(
+    discrete: Discretisation, length: int, samples: NDArray[np.intp], *, lasting: bool = True
+) -> Blocks:
+    """The block matrix of ``length`` samples with outputs at ``samples`` (numbers 0 .. length-1).
+
+    lasting : without derivatives, the last digit of the transition is right: a simulation may run for long
+    """
     nz, n, m = discrete.parameters, discrete.f.shape[1], discrete.g0.shape[2]
     ny, k = discrete.c.shape[1], len(discrete.f)
     chain = _powers(discrete, length).reshape(k, n, length + 1, n + 2 * m)
@@ -64,7 +105,7 @@ def block_matrices(discrete: Discretisation, length: int, samples: NDArray[np.in
     forced[:, :, :, 0, :] = first[:, :, at, :]
     rows = len(samples)
     x_end = np.concatenate([free[:, :, length], forced[:, :, rows].reshape(k, n, -1)], axis=2)
-    if discrete.order == 0:  # a simulation may run for long; a fit's steps do not need the last digit
+    if discrete.order == 0 and lasting:
         exact = long_transition(discrete, length)
         if exact is not None:
             x_end[0, :, :n] = exact

@@ -140,12 +140,17 @@ class DiscreteCore:
             at += rows * columns
         return parts[0], parts[1], parts[2], parts[3]
 
-    def at(self, z: NDArray[np.float64], order: int) -> Discretisation:
-        """The discrete matrices and their derivatives up to ``order`` at z : (nz,)."""
+    def finite(self, z: NDArray[np.float64], order: int) -> tuple[Array, Array, Array, Array]:
+        """The same; raises FloatingPointError where A or B are not finite."""
         a, b, c, d = self.matrices(z, order)
-        nz, h = self.parameters, self.step
         if not (np.isfinite(a).all() and np.isfinite(b).all() and np.isfinite(jets.norm(a))):
             raise FloatingPointError("the linear core is not finite here")
+        return a, b, c, d
+
+    def at(self, z: NDArray[np.float64], order: int) -> Discretisation:
+        """The discrete matrices and their derivatives up to ``order`` at z : (nz,)."""
+        a, b, c, d = self.finite(z, order)
+        nz, h = self.parameters, self.step
         ah = a * h
         if self.method == "euler":
             f = ah.copy()

@@ -34,7 +34,7 @@ class Drives:
     def __init__(self, model: Model, grid: Grid, z: ca.SX, physical: ca.SX) -> None:
         self.names = tuple(v.name for v in model.drives)
         count = len(self.names)
-        expression = model.drive_expressions
+        expression = model.shared_drives
         self._decimation = None if grid.whole is None else grid.whole[1]
         whole = grid if grid.whole is None else grid.whole[0]
         late = np.array(

@@ -212,9 +212,10 @@ class LinearPropagator:
     # ---- forward
 
     @np.errstate(over="ignore", invalid="ignore")
-    def _blocks(self, z: Array, order: int) -> Blocks:
+    def _blocks(self, z: Array, order: int, *, lasting: bool = True) -> Blocks:
         if self.gain is None:
-            return self._shared.blocks(z, order, self.intervals.q, self.intervals.samples)
+            lasting = lasting and order == 0
+            return self._shared.blocks(z, order, self.intervals.q, self.intervals.samples, lasting=lasting)
         last = self._corrected
         if last is None or last[1] != order or not np.array_equal(last[0], z):
             discrete, seen = self._shared.at(z, order), (True,) * self.ny
@@ -228,14 +229,22 @@ class LinearPropagator:
         return next(self.run(z, nodes, order, [slice(0, self.intervals.b)]))
 
     def run(
-        self, z: Array, nodes: Array, order: int, parts: list[slice], *, outputs: bool = True
+        self,
+        z: Array,
+        nodes: Array,
+        order: int,
+        parts: list[slice],
+        *,
+        outputs: bool = True,
+        lasting: bool = True,
     ) -> Iterator[LinearTrajectory]:
         """The same, the blocks in one part after the other, so that a long record takes little memory.
 
         outputs : False for the states alone, which is all that `contraction` needs
+        lasting : see `block_matrices`
         """
         nz = self.nz if order else 0
-        blocks = made = self._blocks(z, order)
+        blocks = made = self._blocks(z, order, lasting=lasting)
         if not outputs:
             blocks = replace(made, p=made.p[: 1 + nz, : self.n])
         x, phi = np.zeros((1 + nz, self.n, self.intervals.m)), np.eye(self.n)
@@ -284,6 +293,18 @@ class LinearPropagator:
     # ---- second order
 
     @np.errstate(over="ignore", invalid="ignore")
+    def _second_products(self, z: Array, path: LinearTrajectory, outer: Array) -> Array:
+        """Sums (pairs,) of the products of the block matrix's second derivatives with ``outer`` of its shape."""
+        plan, known = self.intervals, len(path.blocks.p) > 1 + self.nz
+        if not known and self.gain is None:
+            found = self._shared.second_products(z, plan.q, plan.samples, outer)
+            if found is not None:
+                return found
+        if not known:
+            path.blocks = self._blocks(z, 2)
+        return np.asarray(path.blocks.p[1 + self.nz :].reshape(-1, outer.size) @ outer.ravel())
+
+    @np.errstate(over="ignore", invalid="ignore")
     def pulled_back(self, z: Array, rho: Array, lam: Array) -> Array:
         """The multipliers (n, M) at the start of L blocks from those at their end and the weights (R*ny, L, M)."""
         return self._adjoint(self._blocks(z, 2).p[0], rho, lam)[1]
@@ -311,18 +332,14 @@ class LinearPropagator:
         plan, n, nz, length = self.intervals, self.n, self.nz, rho.shape[1]
         if nz == 0:
             return np.zeros((0, 0)), np.zeros((0, n, plan.m)), np.zeros((plan.m, n, n))
-        p = path.blocks.p
-        if len(p) == 1 + nz:
-            path.blocks = self._blocks(z, 2)
-            p = path.blocks.p
-        active = path.columns.active
+        p, active = path.blocks.p, path.columns.active
         adjoint, _ = self._adjoint(p[0], rho, lam)
         rows = np.ascontiguousarray(adjoint.transpose(1, 0, 2)).reshape(n + rho.shape[0], -1)
         at = path.x[:-1].transpose(1, 2, 0, 3).reshape(1 + nz, n, -1)
         outer = np.concatenate([rows @ at[0].T, rows @ path.columns.value.T], axis=1)
         i, j = jets.pairs(nz)
         hzz = np.zeros((nz, nz))
-        hzz[i, j] = p[1 + nz :].reshape(len(i), -1) @ outer.ravel()
+        hzz[i, j] = self._second_products(z, path, outer)
         hzz[j, i] = hzz[i, j]
         sensitive = np.zeros((nz, rows.shape[0], p.shape[2]))
         sensitive[:, :, :n] = rows @ at[1:].transpose(0, 2, 1)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.model import Model
-from casadi_engine.simulation.blocks import Blocks, block_matrices
+from casadi_engine.simulation.blocks import Blocks, block_matrices, second_powers, second_products
 from casadi_engine.simulation.discretisation import DiscreteCore, Discretisation, Method
 from casadi_engine.simulation.jets import Array
 
@@ -37,11 +37,23 @@ class SharedCore:
         found: Discretisation = self._remembered(z, (order,), lambda: self.core.at(z, order))
         return found
 
-    def blocks(self, z: Array, order: int, length: int, samples: NDArray[np.intp]) -> Blocks:
+    def blocks(
+        self, z: Array, order: int, length: int, samples: NDArray[np.intp], *, lasting: bool = True
+    ) -> Blocks:
         """The block matrices at z : (nz,); see ``block_matrices``."""
-        key = (order, length, samples.tobytes())
-        found: Blocks = self._remembered(z, key, lambda: block_matrices(self.at(z, order), length, samples))
+
+        def make() -> Blocks:
+            return block_matrices(self.at(z, order), length, samples, lasting=lasting)
+
+        found: Blocks = self._remembered(z, (order, length, samples.tobytes(), lasting), make)
         return found
+
+    def second_products(self, z: Array, length: int, samples: NDArray[np.intp], outer: Array) -> Array | None:
+        """What the second derivatives of the block matrix at z : (nz,) add to a Hessian; see ``second_products``. None
+        where they have to be made."""
+        discrete = self.at(z, 2)
+        powers = self._remembered(z, ("second", length), lambda: second_powers(discrete, length))
+        return None if powers is None else second_products(discrete, powers, samples, outer)
 
     def _remembered(self, z: Array, key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
         if self._z is None or not np.array_equal(self._z, z):

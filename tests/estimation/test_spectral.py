@@ -1,9 +1,12 @@
 """Records in the frequency domain against the same records in time: cost, slopes, information, nodes."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import expm
 
 import casadi_engine as ce
 from casadi_engine.estimation.loss import Loss
@@ -14,7 +17,6 @@ from casadi_engine.estimation.spectral_modes import Modes
 from casadi_engine.estimation.spectral_search import SpectralSearch
 from casadi_engine.estimation.spectral_squares import largest_share
 from casadi_engine.estimation.spectral_start import best_nodes
-from casadi_engine.simulation.discretisation import Discretisation
 
 
 def search_of(model, data, noise=None, **options):
@@ -179,26 +181,39 @@ def test_the_gradient_is_that_of_the_cost():
 # ---- modes
 
 
-def discrete_of(f):
-    """A discrete system with two inputs and outputs, and slopes of everything in two parameters."""
-    rng, n = np.random.default_rng(4), len(f)
-    jets = {"f": (n, n), "g0": (n, 2), "g1": (n, 2), "c": (2, n), "d": (2, 2)}
-    made = {name: 0.1 * rng.standard_normal((3, *shape)) for name, shape in jets.items()}
-    made["f"][0] = f
-    return Discretisation(**made, parameters=2, order=1, generator=np.zeros((0, 0)))
+def core_of(a, method="exact"):
+    """A linear core with two inputs and outputs, one joined by lines, and slopes of everything in two parameters."""
+    rng, n = np.random.default_rng(4), len(a)
+    made = [0.1 * rng.standard_normal((3, *shape)) for shape in ((n, n), (n, 2), (2, n), (2, 2))]
+    made[0][0] = a
+    return SimpleNamespace(
+        finite=lambda _z, _order: [jet.copy() for jet in made], step=0.5, method=method, drives=2,
+        first=np.array([True, False]), jets=made,
+    )  # fmt: skip
 
 
-def test_modes_give_values_and_slopes_of_the_response():
+def response_of(core, z, t):
+    """The outputs' response (K, 2, 2) at z, by exponentials of matrices, t along the first parameter."""
+    a, b, c, d = (jet[0] + t * jet[1] for jet in core.jets)
+    n, h = len(a), core.step
+    if core.method == "euler":
+        f, g0, g1 = np.eye(n) + h * a, h * b, np.zeros_like(b)
+    else:
+        whole = np.zeros((n + 4, n + 4))
+        whole[:n, :n], whole[:n, n : n + 2], whole[n : n + 2, n + 2 :] = h * a, h * b, np.eye(2)
+        f, held, ramp = np.split(expm(whole)[:n], [n, n + 2], axis=1)
+        g1 = ramp * core.first
+        g0 = held - g1
+    return np.array([c @ np.linalg.solve(at * np.eye(n) - f, g0 + at * g1) + d for at in z])
+
+
+@pytest.mark.parametrize("method", ["exact", "euler"])
+@pytest.mark.parametrize("faster", [1.0, 4.0])  # rates within and beyond the reach of the series
+def test_modes_give_values_and_slopes_of_the_response(method, faster):
     """A real mode and a pair, against matrices at every frequency and differences of these."""
-    discrete = discrete_of(np.array([[0.9, 0.2, 0.0], [-0.2, 0.9, 0.1], [0.0, 0.0, 0.7]]))
-    modes, z = Modes.of(discrete), np.exp(1j * np.array([0.1, 0.5, 2.0]))
+    core = core_of(faster * np.array([[-0.2, 1.1, 0.0], [-1.1, -0.2, 0.3], [0.0, 0.0, -0.7]]), method)
+    modes, z = Modes.of(core, np.zeros(2)), np.exp(1j * np.array([0.1, 0.5, 2.0]))
     assert (modes.real, modes.poles.shape) == (1, (3, 2))
-
-    def response(t):
-        f, g0, g1, c, d = (
-            j[0] + t * j[1] for j in (getattr(discrete, k) for k in ("f", "g0", "g1", "c", "d"))
-        )
-        return np.array([c @ np.linalg.solve(at * np.eye(3) - f, g0 + at * g1) + d for at in z])
 
     def of_modes(c, b, poles, d):
         found = np.einsum("yi,im,ki->kym", c, b, 1 / (z[:, None] - poles))
@@ -206,19 +221,19 @@ def test_modes_give_values_and_slopes_of_the_response():
         return found + pairs + d
 
     parts = (modes.c, modes.b, modes.poles, modes.d)
-    np.testing.assert_allclose(of_modes(*(p[0] for p in parts)), response(0.0), atol=1e-12)
+    np.testing.assert_allclose(of_modes(*(p[0] for p in parts)), response_of(core, z, 0.0), atol=1e-12)
     step = 1e-6
     slopes = (of_modes(*(p[0] + s * p[1] for p in parts)) for s in (step, -step))
-    wanted = (response(step) - response(-step)) / (2 * step)
+    wanted = (response_of(core, z, step) - response_of(core, z, -step)) / (2 * step)
     np.testing.assert_allclose(-np.diff(list(slopes), axis=0)[0] / (2 * step), wanted, atol=1e-7)
 
 
-@pytest.mark.parametrize("f", [
-    np.array([[1.0, 0.1], [0.0, 1.0]]),  # two integrators in a row
-    np.diag([0.9, 0.9]),  # every vector is an eigenvector
+@pytest.mark.parametrize("a", [
+    np.array([[0.0, 0.1], [0.0, 0.0]]),  # two integrators in a row
+    np.diag([-0.1, -0.1]),  # every vector is an eigenvector
 ])  # fmt: skip
-def test_modes_that_are_no_basis_are_not_taken(f):
-    assert Modes.of(discrete_of(f)) is None
+def test_modes_that_are_no_basis_are_not_taken(a):
+    assert Modes.of(core_of(a), np.zeros(2)) is None
 
 
 def test_two_integrators_in_a_row_are_searched_without_modes():
@@ -233,7 +248,7 @@ def test_two_integrators_in_a_row_are_searched_without_modes():
     )
     search = search_of(b.model(), data, ce.Noise(seen=0.1))
     record = search.records[0]
-    assert Modes.of(record.propagator.discretisation(np.array([0.3]), 1)) is None
+    assert Modes.of(record.propagator.core, np.array([0.3])) is None
     alike(record, np.array([0.3]), np.array([0.1]), digits=1e-6)
 
 

@@ -6,6 +6,7 @@ import pytest
 
 import casadi_engine as ce
 from casadi_engine.estimation.search import Search
+from casadi_engine.estimation.single_shots import SingleShots
 from casadi_engine.estimation.spectral_start import SpectralStarts
 
 NOISE = ce.Noise(omega=0.05)
@@ -166,3 +167,41 @@ def test_progress_may_end_it_at_any_point(run_up):
         fit = fitted(run_up(), progress=lambda iteration, *_, last=last: iteration == last)
         assert fit.status == "interrupted"
         assert np.isfinite(fit.cost)
+
+
+# ---- residuals of records simulated in one piece
+
+
+def promised(shots, x):
+    """The fall of the summed squares that one more Gauss-Newton step promises, and the squares."""
+    residual, slopes = shots.evaluate(x)
+    step = np.linalg.lstsq(slopes, -residual, rcond=None)[0]
+    return -residual @ slopes @ step, residual @ residual
+
+
+def flat(v):
+    return 0.0, np.zeros(len(v)), np.zeros((len(v),) * 2), np.zeros((len(v),) * 2)
+
+
+def test_single_shots_are_led_to_their_optimum(shaft, shaft_model):
+    model, data = shaft_model(), [shaft("one").data, shaft("two", n=901, seed=1).data]
+    shots = SingleShots(model, data, model.parameters(), ce.Noise(omega=0.05, omega_load=0.1))
+    shots.weigh({"omega": 0.04, "omega_load": 0.2})
+    z = {name: 1.2 * model.parameters()[name].value for name in shots.free}
+    x = shots.start(z, {record.name: np.zeros(len(model.states)) for record in data})
+    found = shots.nearer(x, flat)
+    assert promised(shots, x)[0] > 100
+    assert promised(shots, found)[0] < 1e-3
+    assert promised(shots, found)[1] < promised(shots, x)[1]
+
+
+def test_single_shots_of_other_models_stay_where_they_are():
+    b = ce.Blueprint("root")
+    k, x, u = b.parameter("k", 1.0, min=0), b.state("x"), b.input("u")
+    b.ode("x", u - k * x**3)
+    b.output("y", x)
+    t = np.arange(100) * 0.01
+    data = ce.Experiment.from_arrays("r", time=t, units={"u": "1", "y": "1"}, u=np.sin(t), y=t)
+    shots = SingleShots(b.model(), [data], b.model().parameters(), ce.Noise(y=0.1))
+    start = shots.start({"k": 1.0}, {"r": np.zeros(1)})
+    assert shots.nearer(start, flat) is start

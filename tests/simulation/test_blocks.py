@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from casadi_engine.simulation.blocks import block_matrices
+from casadi_engine.simulation.blocks import block_matrices, second_powers, second_products
 from casadi_engine.simulation.discretisation import DiscreteCore
 from casadi_engine.simulation.linear import corrected
 
@@ -94,3 +94,20 @@ def test_the_push_of_the_measurement_has_no_ramp(made):
     assert not found.d[:, :, -2:].any()
     np.testing.assert_allclose(found.g0[0, :, -2:], d.f[0] @ gain, rtol=1e-14)
     assert found.generator.size == 0
+
+
+@pytest.mark.parametrize("hold", [("first", "zero"), ("zero", "zero")])
+def test_second_products_are_those_of_the_block_matrix(made, hold):
+    d = discrete(made, 3, hold=hold)
+    d.c[1:] = 0.0
+    for length, samples in ((1, np.arange(1)), (6, np.arange(0, 7, 2)), (9, np.array([9]))):
+        p = block_matrices(d, length, samples).p
+        outer = np.random.default_rng(4).normal(size=p.shape[1:])
+        found = second_products(d, second_powers(d, length), samples, outer)
+        np.testing.assert_allclose(found, np.einsum("pij,ij->p", p[3:], outer), rtol=1e-10, atol=1e-12)
+
+
+def test_second_products_need_outputs_that_no_parameter_moves(made):
+    d = discrete(made, 3)
+    d.c[1] = 1.0
+    assert second_powers(d, 4) is None
