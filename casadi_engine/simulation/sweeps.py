@@ -1,17 +1,18 @@
 """All integration steps of a record, one after the other, and their derivatives, all at once.
 
-Explicit steps of many intervals advance together by NumPy arrays; of a few intervals, or one long simulation, by
-CasADi's virtual machine, which needs no Python for a step. Implicit steps are solved by Newton's method for all
-intervals together.
+Steps of many intervals advance together by NumPy arrays, implicit ones by Newton's method for all intervals; steps of
+few intervals, or of one long simulation, by CasADi's virtual machine, which needs no Python for a step.
 """
 
 from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_engine.deadline import ask
 from casadi_engine.simulation.jets import Array
+from casadi_engine.simulation.newton_machine import ITERATIONS, ROUNDING, SMALL, newton_steps
 from casadi_engine.simulation.stage_slope import StageSlope
 from casadi_engine.simulation.step_layout import StepLayout
 from casadi_engine.simulation.tableau import Tableau, newton_step
@@ -23,10 +24,8 @@ _WIDE = 40
 _MANY = 65536
 # Steps of one sweep of the virtual machine.
 _SWEEP = 256
-# Newton's method: most iterations; change, relative to the state, after which the next would be below rounding.
-_ITERATIONS, _SMALL = 20, 1e-8
-# Rounding of a stage, relative to the largest state: that of a linear system whose step spans 1e3 time constants.
-_ROUNDING = 1e-11
+# The same for implicit steps, and those of one sweep: a step at which the machine does not arrive ends it.
+_WIDE_IMPLICIT, _SWEEP_IMPLICIT = 20, 32
 
 
 class Sweeps:
@@ -48,7 +47,8 @@ class Sweeps:
         begun = np.empty((self.slope.n, layout.steps + layout.intervals))
         begun[:, layout.at[0]] = nodes.T
         if self.scheme.implicit:
-            return self._newton(z, begun)
+            few = layout.intervals < _WIDE_IMPLICIT
+            return self._in_turn(z, begun) if few else self._newton(z, begun)
         if layout.intervals < _WIDE:
             self._by_machine(z, begun)
             return begun, None
@@ -94,6 +94,49 @@ class Sweeps:
             begun[:, after] = found[-1]
         return begun, stages
 
+    def _in_turn(self, z: Array, begun: Array) -> tuple[Array | None, Array | None]:
+        """The same for few intervals, one after the other."""
+        layout, after = self.layout, self.layout.after.tolist()
+        stages = np.empty((self.scheme.stages, self.slope.n, layout.steps))
+        for first in layout.at[0].tolist():
+            own = [first]
+            while own[-1] < layout.steps:
+                own.append(after[own[-1]])
+            if not self._along(z, begun, stages, np.array(own)):
+                return None, None
+        return begun, stages
+
+    def _along(self, z: Array, begun: Array, stages: Array, own: NDArray[np.intp]) -> bool:
+        """The steps of one interval, with what stands at its end behind them; False where Newton's method fails."""
+        size, n, last = self.scheme.stages, self.slope.n, len(own) - 1
+        sweep = newton_steps(self.slope, self.scheme, _SWEEP_IMPLICIT)
+        function, many = self.slope.newton.bound(z), np.repeat(z[:, None], _SWEEP_IMPLICIT, axis=1)
+        own = np.concatenate([own, np.repeat(own[-1:], _SWEEP_IMPLICIT)])  # filled up with steps of length 0
+        k = 0
+        while k < last:
+            some = own[k : k + _SWEEP_IMPLICIT]
+            ask(len(some))
+            try:
+                made = sweep(begun[:, some[0]], self._given[:, some], many)
+            except RuntimeError:  # of a singular matrix somewhere in the sweep
+                count = 0
+            else:
+                end, found, arrived = (np.asarray(one) for one in made)
+                count = min(int(np.append(arrived.ravel() > 0, False).argmin()), last - k)
+                begun[:, own[k + 1 : k + 1 + count]] = end[:, :count]
+                stages[:, :, some[:count]] = found[:, :count].reshape(size, n, count)
+            k += count
+            if count == len(some) or k == last:
+                continue
+            x, given = begun[:, own[k : k + 1]], [known[:, own[k : k + 1]] for known in self.known]
+            guess = np.repeat(x[None], size, axis=0)
+            step = solve_stages(self.scheme, function, x, guess, np.concatenate(given, axis=-1))
+            if step is None:
+                return False
+            stages[:, :, own[k]], begun[:, own[k + 1]] = step[..., 0], step[-1, :, 0]
+            k += 1
+        return True
+
     # ---- derivatives
 
     def derivatives(self, z: Array, begun: Array, stages: Array | None) -> tuple[Array, Array, Array]:
@@ -128,7 +171,7 @@ def solve_stages(scheme: Tableau, function: object, x: Array, guess: Array, give
     """
     size, n, count = guess.shape
     stages, before = guess, np.full(guess.shape, np.inf)
-    for _ in range(_ITERATIONS):
+    for _ in range(ITERATIONS):
         ask(size * count)
         columns = np.ascontiguousarray(stages.transpose(1, 0, 2)).reshape(n, -1)
         value, slope = function(columns, given)  # type: ignore[operator]
@@ -144,8 +187,8 @@ def solve_stages(scheme: Tableau, function: object, x: Array, guess: Array, give
         stages = stages + change
         own, moved = np.abs(stages).max(axis=0) + np.abs(x), np.abs(change)
         # What has decayed is known to the rounding of the states that it follows from: there it moves to and fro.
-        rests = (moved >= 0.5 * before) & (moved <= _ROUNDING * own.max(axis=0))
-        if (rests | (moved <= _SMALL * own + 1e-30)).all():
+        rests = (moved >= 0.5 * before) & (moved <= ROUNDING * own.max(axis=0))
+        if (rests | (moved <= SMALL * own + 1e-30)).all():
             return stages
         before = moved
     return None
