@@ -1,6 +1,7 @@
 """The pages of problems/thesis: each in its quick form, its conclusions and the numbers that the thesis gives.
 
-Slow are those whose claims the tests of the rooms hold on shorter records: residual tests, repair, misfires.
+Slow are those whose claims the tests of the rooms hold on shorter records or without any: residual tests, repair,
+misfires, reduction, engine orders.
 """
 
 import importlib
@@ -77,6 +78,7 @@ def test_tables_4_7_to_4_13(quick):
     assert lines["Table 4.13", "deformations to four digits"].ours == "within 0.0003"
 
 
+@pytest.mark.slow
 def test_the_reduction(quick):
     lines = quick("reduction")
     assert (
@@ -88,6 +90,7 @@ def test_the_reduction(quick):
     )
 
 
+@pytest.mark.slow
 def test_tables_4_6_to_4_10(quick):
     lines = quick("engine_orders")
     assert lines["(4.11)", "natural frequencies 0.04 and 20.34 Hz"].ours == "0.04 and 20.34 Hz"
