@@ -15,8 +15,8 @@ from casadi_engine.simulation.tableau import Tableau
 ITERATIONS, SMALL = 20, 1e-8
 # Rounding of a stage, relative to the largest state: that of a linear system whose step spans 1e3 time constants.
 ROUNDING = 1e-11
-# Iterations of the machine: between corners two or three suffice.
-_FIXED = 3
+# Iterations of the machine: between corners two or three suffice, and long steps take five.
+_FIXED = 6
 
 
 def newton_steps(slope: StageSlope, scheme: Tableau, count: int) -> ca.Function:

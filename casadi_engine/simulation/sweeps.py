@@ -25,7 +25,9 @@ _MANY = 65536
 # Steps of one sweep of the virtual machine.
 _SWEEP = 256
 # The same for implicit steps, and those of one sweep: a step at which the machine does not arrive ends it.
-_WIDE_IMPLICIT, _SWEEP_IMPLICIT = 20, 32
+_WIDE_IMPLICIT, _SWEEP_IMPLICIT = 10, 32
+# Such steps that may be left to the arrays: so many, and one of so many steps; with more of them all are.
+_LEFT, _LEFT_OF = 8, 16
 
 
 class Sweeps:
@@ -37,6 +39,7 @@ class Sweeps:
         made = {c: slope.known(*given, c, layout.part) for c in dict.fromkeys(scheme.c.tolist())}
         self.known = [made[c] for c in scheme.c.tolist()]
         self._given = np.concatenate(list(made.values()))
+        self._bent = False  # too often for the machine
 
     # ---- values
 
@@ -47,7 +50,7 @@ class Sweeps:
         begun = np.empty((self.slope.n, layout.steps + layout.intervals))
         begun[:, layout.at[0]] = nodes.T
         if self.scheme.implicit:
-            few = layout.intervals < _WIDE_IMPLICIT
+            few = layout.intervals < _WIDE_IMPLICIT and not self._bent
             return self._in_turn(z, begun) if few else self._newton(z, begun)
         if layout.intervals < _WIDE:
             self._by_machine(z, begun)
@@ -98,44 +101,57 @@ class Sweeps:
         """The same for few intervals, one after the other."""
         layout, after = self.layout, self.layout.after.tolist()
         stages = np.empty((self.scheme.stages, self.slope.n, layout.steps))
+        done = left = 0
         for first in layout.at[0].tolist():
             own = [first]
             while own[-1] < layout.steps:
                 own.append(after[own[-1]])
-            if not self._along(z, begun, stages, np.array(own)):
-                return None, None
+            path = np.array(own)
+            k = self._by_sweeps(z, begun, stages, path, 0)
+            while k < len(own) - 1:
+                left += 1
+                if left > _LEFT + (done + k) // _LEFT_OF:
+                    self._bent = True
+                    return self._newton(z, begun)
+                if not self._by_itself(z, begun, stages, path[k : k + 2]):
+                    return None, None
+                k = self._by_sweeps(z, begun, stages, path, k + 1)
+            done += k
         return begun, stages
 
-    def _along(self, z: Array, begun: Array, stages: Array, own: NDArray[np.intp]) -> bool:
-        """The steps of one interval, with what stands at its end behind them; False where Newton's method fails."""
-        size, n, last = self.scheme.stages, self.slope.n, len(own) - 1
-        sweep = newton_steps(self.slope, self.scheme, _SWEEP_IMPLICIT)
-        function, many = self.slope.newton.bound(z), np.repeat(z[:, None], _SWEEP_IMPLICIT, axis=1)
-        own = np.concatenate([own, np.repeat(own[-1:], _SWEEP_IMPLICIT)])  # filled up with steps of length 0
-        k = 0
+    def _by_sweeps(self, z: Array, begun: Array, stages: Array, path: NDArray[np.intp], k: int) -> int:
+        """The steps of one interval from its k-th on, as far as the machine arrives: the number of the one where it
+        does not. path : numbers of the steps, and of what stands at the interval's end behind them."""
+        last, n, size = len(path) - 1, self.slope.n, self.scheme.stages
+        sweep, many = (
+            newton_steps(self.slope, self.scheme, _SWEEP_IMPLICIT),
+            np.repeat(z[:, None], _SWEEP_IMPLICIT, 1),
+        )
         while k < last:
-            some = own[k : k + _SWEEP_IMPLICIT]
+            # filled up with steps of length 0
+            some = path[np.minimum(np.arange(k, k + _SWEEP_IMPLICIT), last)]
             ask(len(some))
             try:
-                made = sweep(begun[:, some[0]], self._given[:, some], many)
+                end, found, arrived = map(np.asarray, sweep(begun[:, some[0]], self._given[:, some], many))
             except RuntimeError:  # of a singular matrix somewhere in the sweep
-                count = 0
-            else:
-                end, found, arrived = (np.asarray(one) for one in made)
-                count = min(int(np.append(arrived.ravel() > 0, False).argmin()), last - k)
-                begun[:, own[k + 1 : k + 1 + count]] = end[:, :count]
-                stages[:, :, some[:count]] = found[:, :count].reshape(size, n, count)
+                return k
+            count = min(int(np.append(arrived.ravel() > 0, False).argmin()), last - k)
+            begun[:, path[k + 1 : k + 1 + count]] = end[:, :count]
+            stages[:, :, some[:count]] = found[:, :count].reshape(size, n, count)
             k += count
-            if count == len(some) or k == last:
-                continue
-            x, given = begun[:, own[k : k + 1]], [known[:, own[k : k + 1]] for known in self.known]
-            guess = np.repeat(x[None], size, axis=0)
-            step = solve_stages(self.scheme, function, x, guess, np.concatenate(given, axis=-1))
-            if step is None:
-                return False
-            stages[:, :, own[k]], begun[:, own[k + 1]] = step[..., 0], step[-1, :, 0]
-            k += 1
-        return True
+            if count < len(some):
+                break
+        return k
+
+    def _by_itself(self, z: Array, begun: Array, stages: Array, ends: NDArray[np.intp]) -> bool:
+        """One step by as many iterations as it takes; False where these do not arrive."""
+        own, x = ends[:1], begun[:, ends[:1]]
+        given = np.concatenate([known[:, own] for known in self.known], axis=-1)
+        guess = np.repeat(x[None], self.scheme.stages, axis=0)
+        found = solve_stages(self.scheme, self.slope.newton.bound(z), x, guess, given)
+        if found is not None:
+            stages[:, :, own], begun[:, ends[1:]] = found, found[-1]
+        return found is not None
 
     # ---- derivatives
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from casadi_engine.model import Blueprint
-from casadi_engine.simulation import sweeps
+from casadi_engine.simulation import newton_machine, sweeps
 from casadi_engine.simulation.intervals import cut
 from casadi_engine.simulation.runge_kutta import Fineness, RungeKuttaPropagator
 from casadi_engine.simulation.tableau import RADAU
@@ -44,8 +44,12 @@ def laid(made, width, length=None):
     return steps, begun
 
 
-@pytest.mark.parametrize(("width", "length"), [(0.1, None), (0.1, 40), (1e-4, None), (1e-4, 40)])
-def test_every_step_is_that_of_newtons_method_by_arrays(made, monkeypatch, width, length):
+@pytest.mark.parametrize("iterations", [6, 3, 1])
+@pytest.mark.parametrize("length", [None, 40])
+@pytest.mark.parametrize("width", [0.1, 1e-4])
+def test_every_step_is_that_of_newtons_method_by_arrays(made, monkeypatch, width, length, iterations):
+    """Where few iterations do not arrive, too: steps over a bend are then made one by one, or all of them by arrays."""
+    monkeypatch.setattr(newton_machine, "_FIXED", iterations)
     steps, begun = laid(made, width, length)
     wanted, stages = steps._newton(VALUES, begun.copy())
     real, asked = sweeps.solve_stages, []
@@ -53,9 +57,20 @@ def test_every_step_is_that_of_newtons_method_by_arrays(made, monkeypatch, width
     found, at_stage = steps._in_turn(VALUES, begun.copy())
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-13)
     np.testing.assert_allclose(at_stage, stages, rtol=0, atol=1e-13)
-    # steps over a bend take more iterations than the machine makes; they are few
-    assert len(asked) < 0.1 * steps.layout.steps
-    assert asked or width < 0.1
+    if iterations == 6:
+        assert not asked
+    elif width == 0.1:
+        assert asked
+    assert steps._bent == (iterations == 1)
+
+
+def test_steps_that_are_too_often_left_are_no_longer_begun_by_the_machine(made, monkeypatch):
+    monkeypatch.setattr(newton_machine, "_FIXED", 1)
+    steps, begun = laid(made, 0.1)
+    nodes = begun[:, steps.layout.at[0]].T
+    steps.run(VALUES, nodes)
+    monkeypatch.setattr(sweeps.Sweeps, "_in_turn", lambda *_: pytest.fail("begun"))
+    assert np.isfinite(steps.run(VALUES, nodes)[0]).all()
 
 
 def test_few_intervals_are_run_so_and_many_by_arrays(made, monkeypatch):
