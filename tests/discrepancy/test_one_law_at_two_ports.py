@@ -112,6 +112,7 @@ def alone(request, record, repair):
 
 def test_one_port_alone_is_named_with_the_same_number(alone, repair):
     port, _, found = alone
+    assert {row.at for row in found.scores} == {port}
     assert [one.key for one in found.effects] == [f"{port}.coulomb_friction"]
     size, both = found.effects[0].amplitude, repair.effects[0].amplitude
     assert size.value == pytest.approx(both.value, abs=0.05 * both.stderr)

@@ -86,18 +86,6 @@ def test_effects_are_asked_for_by_name_and_port(shaft, friction):
         ("load_step", "load"),
     }
     assert found.effects[0].key == "coupling.coulomb_friction"
-    held = ce.repair(
-        shaft.model,
-        friction,
-        effects=FEW,
-        at="load",
-        noise=NOISE,
-        most=1,
-        holdout=0,
-        starts=1,
-        progress=False,
-    )
-    assert {row.at for row in held.scores} == {"load"}
 
 
 def test_the_answer_is_the_same_every_time(shaft, friction, repaired):
