@@ -120,7 +120,9 @@ class Refits:
             None  # share and pool before corners were sharpened
         )
         self._blunt = False
-        self.improved: set[Key] = set()  # structures of which a better optimum was found since this was last asked
+        self.improved: set[Key] = (
+            set()
+        )  # structures of which a better optimum was found since this was last asked
         self._fine: set[Key] = set()  # structures whose corners are as sharp as the data feel
         self._tell = tell
 

@@ -67,7 +67,16 @@ def strongest_line(residual: Array, valid: Array) -> Line | None:
 
 @lru_cache(maxsize=4)
 def _tapers(length: int) -> Array:
-    """(K, N) orthogonal tapers; records of one search have few lengths, and long ones take a second."""
-    from scipy.signal.windows import dpss
+    """(K, N) orthogonal tapers, but for their signs; records of one search have few lengths.
 
-    return np.asarray(dpss(length, _HALF, _TAPERS))
+    Those of Slepian (Bell System Technical Journal 57, 1978), by the tridiagonal matrix that has them as eigenvectors:
+    SciPy's signal processing would be loaded for them alone.
+    """
+    from scipy.linalg import eigh_tridiagonal
+
+    k = np.arange(length)
+    middle = (0.5 * (length - 1) - k) ** 2 * np.cos(2 * np.pi * _HALF / length)
+    _, found = eigh_tridiagonal(
+        middle, 0.5 * k[1:] * (length - k[1:]), select="i", select_range=(length - _TAPERS, length - 1)
+    )
+    return np.ascontiguousarray(found[:, ::-1].T)

@@ -168,7 +168,9 @@ class RefitProblem:
                 if not last:
                     break
                 closed, after = self._closed(windows, fall), windows.best.squares.cost
-                if after > 2 * max(before, self.count):  # no run follows these states: first order said too much
+                if after > 2 * max(
+                    before, self.count
+                ):  # no run follows these states: first order said too much
                     converged = False
                 elif closed and before < 2 * max(after, self.count):
                     break

@@ -41,27 +41,41 @@ def units_of(expressions: Sequence[Any], units: Sequence[tuple[Any, str]]) -> li
     symbols = ca.vertcat(*[symbol for symbol, _ in units])
     function = ca.Function("units", [symbols], [ca.densify(column)], {"allow_free": True})
     if function.get_free():
-        return [None for _ in expressions]
-    rng = np.random.default_rng(0)
-    at = rng.uniform(0.5, 1.5, (symbols.numel(), 2))
-    base = np.array(function(at), dtype=float)
+        bound = [not _is_free(one, symbols) for one in expressions]
+        some = iter(
+            units_of([one for one, is_bound in zip(expressions, bound, strict=True) if is_bound], units)
+        )
+        return [next(some) if is_bound else None for is_bound in bound]
+    names = list(dict.fromkeys(name for _, own in known for name in own))
+    powers = np.array([[0.0, *(float(own.get(name, 0)) for name in names)] for _, own in known])
+    at = np.random.default_rng(0).uniform(0.5, 1.5, (symbols.numel(), 2))
+    # one call: the symbols as they are, and scaled as a change of each unit asks
+    wide = (at[:, None, :] * _SCALED ** powers[:, :, None]).reshape(len(at), -1)
+    values = np.array(function(wide), dtype=float).reshape(-1, len(names) + 1, 2)
+    with np.errstate(all="ignore"):
+        exponents = np.log(values[:, 1:] / values[:, :1]) / np.log(_SCALED)
     found: list[dict[str, Fraction] | None] = [
         None if unknown.numel() and ca.depends_on(one, unknown) else {} for one in expressions
     ]
-    for name in dict.fromkeys(name for _, own in known for name in own):
-        powers = np.array([float(own.get(name, 0)) for _, own in known])
-        moved = np.array(function(at * _SCALED ** powers[:, None]), dtype=float)
-        with np.errstate(all="ignore"):
-            exponents = np.log(moved / base) / np.log(_SCALED)
-        for made, row in zip(found, exponents, strict=True):
+    finite = np.isfinite(exponents).all(axis=2)
+    halves = np.round(_HALVES * np.where(finite, exponents[:, :, 0], 0.0))
+    with np.errstate(invalid="ignore"):
+        whole = finite & (np.abs(exponents - halves[:, :, None] / _HALVES).max(axis=2) < _NEAR)
+    for k, name in enumerate(names):
+        angle = read_unit(name).dimension == "rad"  # may stand in a sine
+        for j, made in enumerate(found):
             if made is None:
                 continue
-            power = Fraction(round(_HALVES * row[0]), _HALVES) if np.isfinite(row).all() else Fraction(0)
-            if np.isfinite(row).all() and np.abs(row - float(power)).max() < _NEAR:
-                made[name] = power
-            elif read_unit(name).dimension != "rad":  # an angle may stand in a sine
+            if whole[j, k]:
+                made[name] = Fraction(int(halves[j, k]), _HALVES)
+            elif not angle:
                 made["?"] = Fraction(1)
     return [None if made is None or "?" in made else _text(made) for made in found]
+
+
+def _is_free(expression: Any, symbols: ca.SX) -> bool:
+    """True if an expression has symbols beside these."""
+    return bool(ca.Function("free", [symbols], [expression], {"allow_free": True}).get_free())
 
 
 def with_units(
@@ -82,35 +96,41 @@ def with_units(
     for (name, key), unit in zip(signals, found, strict=True):
         if unit is not None:
             own[name][key] = unit
-    made = {}
-    for name, port in ports.items():
-        asks = port.slot is not None and name not in stated
-        unit = _unit_by_odes(port.slot, units, odes, per) if asks else None
-        made[name] = replace(port, units=own[name], unit=port.unit if unit is None else unit)
-    return made
+    asked = [name for name, port in ports.items() if port.slot is not None and name not in stated]
+    by_odes = _units_by_odes([ports[name].slot for name in asked], units, odes, per)
+    slots = {name: unit for name, unit in zip(asked, by_odes, strict=True) if unit is not None}
+    return {
+        name: replace(port, units=own[name], unit=slots.get(name, port.unit)) for name, port in ports.items()
+    }
 
 
-def _unit_by_odes(
-    slot: Any, units: Sequence[tuple[Any, str]], odes: Sequence[tuple[str, Any]], per: str
-) -> str | None:
-    """The unit of a slot by the odes that it enters, None where they do not tell, or tell of several."""
+def _units_by_odes(
+    slots: Sequence[Any], units: Sequence[tuple[Any, str]], odes: Sequence[tuple[str, Any]], per: str
+) -> list[str | None]:
+    """The units of slots by the odes that they enter, None where these do not tell, or tell of several."""
+    if not slots or not odes:
+        return [None for _ in slots]
+    slopes = ca.jacobian(ca.vertcat(*[ode for _, ode in odes]), ca.vertcat(*slots))
+    entries = list(zip(*slopes.sparsity().get_triplet(), strict=True))
+    told = [(i, k, slopes[i, k]) for i, k in entries if odes[i][0] != NOT_STATED]
+    # a number may stand for a mass
+    bare = [(i, k) for i, k, slope in told if not ca.symvar(slope)]
+    rests = [ca.substitute(odes[i][1], slots[k], 0) for i, k in bare]
+    known = units_of([*(slope for *_, slope in told), *rests], units)
+    rest = dict(zip(bare, known[len(told) :], strict=True))
     plain = ca.vertcat(*[symbol for symbol, unit in units if unit == "1"])
-    found: set[str | None] = set()
-    for rate, ode in odes:
-        slope = ca.jacobian(ode, slot)
-        if slope.nnz() and rate == NOT_STATED:
-            found.add(None)
-        elif slope.nnz():
-            # a parameter of unit 1 may be one whose unit was left out, and a number may stand for a mass
-            vague = plain.numel() and ca.depends_on(slope, plain)
-            if not ca.symvar(slope):
-                rest, wanted = (
-                    units_of([ca.substitute(ode, slot, 0)], units)[0],
-                    unit_product((rate, 1), (per, -1)),
-                )
-                vague = abs(float(slope)) != 1 or rest is None or not _goes_with(rest, wanted)
-            found.add(None if vague else slot_unit(rate, units_of([slope], units)[0], per=per))
-    return found.pop() if len(found) == 1 else None
+    found: list[set[str | None]] = [set() for _ in slots]
+    for i, k in entries:
+        if odes[i][0] == NOT_STATED:
+            found[k].add(None)
+    for (i, k, slope), unit in zip(told, known, strict=False):
+        # a parameter of unit 1 may be one whose unit was left out
+        vague = plain.numel() and ca.depends_on(slope, plain)
+        if (i, k) in rest:
+            wanted, other = unit_product((odes[i][0], 1), (per, -1)), rest[i, k]
+            vague = abs(float(slope)) != 1 or other is None or not _goes_with(other, wanted)
+        found[k].add(None if vague else slot_unit(odes[i][0], unit, per=per))
+    return [each.pop() if len(each) == 1 else None for each in found]
 
 
 def _text(powers: Mapping[str, Fraction]) -> str:

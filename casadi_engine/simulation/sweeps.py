@@ -1,17 +1,18 @@
 """All integration steps of a record, one after the other, and their derivatives, all at once.
 
-Explicit steps of many intervals advance together by NumPy arrays; of a few intervals, or one long simulation, by
-CasADi's virtual machine, which needs no Python for a step. Implicit steps are solved by Newton's method for all
-intervals together.
+Steps of many intervals advance together by NumPy arrays, implicit ones by Newton's method for all intervals; steps of
+few intervals, or of one long simulation, by CasADi's virtual machine, which needs no Python for a step.
 """
 
 from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_engine.deadline import ask
 from casadi_engine.simulation.jets import Array
+from casadi_engine.simulation.newton_machine import ROUNDING, SMALL, newton_steps
 from casadi_engine.simulation.stage_slope import StageSlope
 from casadi_engine.simulation.step_layout import StepLayout
 from casadi_engine.simulation.tableau import Tableau, newton_step
@@ -23,11 +24,13 @@ _WIDE = 40
 _MANY = 65536
 # Steps of one sweep of the virtual machine.
 _SWEEP = 256
-# Newton's method: most iterations; change, relative to the state, after which the next would be below rounding; share
-# of what is asked for below which it goes nowhere; part of a share by which the residual has to fall.
-_ITERATIONS, _SMALL, _LEAST, _LESS = 200, 1e-8, 1e-12, 0.1
-# Rounding of a stage, relative to the largest state: that of a linear system whose step spans 1e3 time constants.
-_ROUNDING = 1e-11
+# The same for implicit steps, and those of one sweep: a step at which the machine does not arrive ends it.
+_WIDE_IMPLICIT, _SWEEP_IMPLICIT = 10, 32
+# Such steps that may be left to the arrays: so many, and one of so many steps; with more of them all are.
+_LEFT, _LEFT_OF = 8, 16
+# Newton's method: most iterations; share of what is asked for below which it goes nowhere; part of a share by which the
+# residual has to fall.
+_ITERATIONS, _LEAST, _LESS = 200, 1e-12, 0.1
 
 
 class Sweeps:
@@ -39,6 +42,7 @@ class Sweeps:
         made = {c: slope.known(*given, c, layout.part) for c in dict.fromkeys(scheme.c.tolist())}
         self.known = [made[c] for c in scheme.c.tolist()]
         self._given = np.concatenate(list(made.values()))
+        self._bent = False  # too often for the machine
 
     # ---- values
 
@@ -49,7 +53,8 @@ class Sweeps:
         begun = np.empty((self.slope.n, layout.steps + layout.intervals))
         begun[:, layout.at[0]] = nodes.T
         if self.scheme.implicit:
-            return self._newton(z, begun)
+            few = layout.intervals < _WIDE_IMPLICIT and not self._bent
+            return self._in_turn(z, begun) if few else self._newton(z, begun)
         if layout.intervals < _WIDE:
             self._by_machine(z, begun)
             return begun, None
@@ -92,6 +97,62 @@ class Sweeps:
             stages[:, :, own] = found
             begun[:, after] = found[-1]
         return begun, stages
+
+    def _in_turn(self, z: Array, begun: Array) -> tuple[Array, Array]:
+        """The same for few intervals, one after the other."""
+        layout, after = self.layout, self.layout.after.tolist()
+        stages = np.empty((self.scheme.stages, self.slope.n, layout.steps))
+        done = left = 0
+        for first in layout.at[0].tolist():
+            own = [first]
+            while own[-1] < layout.steps:
+                own.append(after[own[-1]])
+            path = np.array(own)
+            k = self._by_sweeps(z, begun, stages, path, 0)
+            while k < len(own) - 1:
+                left += 1
+                if left > _LEFT + (done + k) // _LEFT_OF:
+                    self._bent = True
+                    return self._newton(z, begun)
+                if not self._by_itself(z, begun, stages, path[k : k + 2]):
+                    begun[:, path[k + 1 :]] = np.nan
+                    break
+                k = self._by_sweeps(z, begun, stages, path, k + 1)
+            done += k
+        return begun, stages
+
+    def _by_sweeps(self, z: Array, begun: Array, stages: Array, path: NDArray[np.intp], k: int) -> int:
+        """The steps of one interval from its k-th on, as far as the machine arrives: the number of the one where it
+        does not. path : numbers of the steps, and of what stands at the interval's end behind them."""
+        last, n, size = len(path) - 1, self.slope.n, self.scheme.stages
+        sweep, many = (
+            newton_steps(self.slope, self.scheme, _SWEEP_IMPLICIT),
+            np.repeat(z[:, None], _SWEEP_IMPLICIT, 1),
+        )
+        while k < last:
+            # filled up with steps of length 0
+            some = path[np.minimum(np.arange(k, k + _SWEEP_IMPLICIT), last)]
+            ask(len(some))
+            try:
+                end, found, arrived = map(np.asarray, sweep(begun[:, some[0]], self._given[:, some], many))
+            except RuntimeError:  # of a singular matrix somewhere in the sweep
+                return k
+            count = min(int(np.append(arrived.ravel() > 0, False).argmin()), last - k)
+            begun[:, path[k + 1 : k + 1 + count]] = end[:, :count]
+            stages[:, :, some[:count]] = found[:, :count].reshape(size, n, count)
+            k += count
+            if count < len(some):
+                break
+        return k
+
+    def _by_itself(self, z: Array, begun: Array, stages: Array, ends: NDArray[np.intp]) -> bool:
+        """One step by as many iterations as it takes; False where these do not arrive."""
+        own, x = ends[:1], begun[:, ends[:1]]
+        given = np.concatenate([known[:, own] for known in self.known], axis=-1)
+        guess = np.repeat(x[None], self.scheme.stages, axis=0)
+        found = solve_stages(self.scheme, self.slope.newton.bound(z), x, guess, given)
+        stages[:, :, own], begun[:, ends[1:]] = found, found[-1]
+        return bool(np.isfinite(found).all())
 
     # ---- derivatives
 
@@ -145,8 +206,8 @@ def solve_stages(scheme: Tableau, function: object, x: Array, guess: Array, give
         moved = np.abs(asked)
         largest = np.abs(stages).max(axis=0) + np.abs(own)
         # What has decayed is known to the rounding of the states that it follows from: there it moves to and fro.
-        rests = (moved >= 0.5 * np.abs(change)) & (moved <= _ROUNDING * largest.max(axis=0))
-        arrived = (rests | (moved <= _SMALL * largest + 1e-30)).all(axis=(0, 1))
+        rests = (moved >= 0.5 * np.abs(change)) & (moved <= ROUNDING * largest.max(axis=0))
+        arrived = (rests | (moved <= SMALL * largest + 1e-30)).all(axis=(0, 1))
         found[..., left[arrived]] = (stages + asked)[..., arrived]
         nearer = off < (1 - _LESS * share) * norm
         share = np.where(nearer, np.minimum(2 * share, 1.0), 0.5 * share)

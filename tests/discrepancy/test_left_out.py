@@ -59,21 +59,6 @@ def test_a_limit_that_was_left_out_is_told(record):
     assert "stribeck_friction at mass is missing (of what was tried), " in words
 
 
-def test_the_same_law_at_another_port_is_told(record):
-    found = said(record, effects=["coulomb_friction", "viscous_friction"], at="mass")
-    assert [one.key for one in found.effects] == ["mass.coulomb_friction"]
-    assert found.options["left out"].startswith(
-        "coulomb_friction at mass does in these data what coulomb_friction at spring would do, which the search left"
-    )
-
-
-def test_nothing_is_told_where_all_was_allowed(record):
-    found = said(record, effects=["coulomb_friction", "viscous_friction"])
-    assert {one.name for one in found.effects} == {"coulomb_friction"}
-    assert "left out" not in found.options
-    assert "(of what was tried)" not in str(found)
-
-
 def test_an_effect_of_ones_own_has_no_other_in_the_library(record):
     class Grip(ce.effects.CoulombFriction):
         name, limit = "grip", "nothing_known"

@@ -89,16 +89,38 @@ def test_the_two_are_as_probable_and_both_are_named(repair):
     assert planned is None or not any(name.startswith("coulomb_friction") for name in planned.splits)
 
 
-def test_of_one_law_a_port_is_to_be_chosen(record):
-    found = ce.repair(carriage(), record, effects=["coulomb_friction"], progress=False)
-    said = " ".join(str(found).split())
+def test_of_one_law_a_port_is_to_be_chosen(repair):
+    said = " ".join(str(repair).split())
     assert "are one and the same in data of this kind (correlation 1 or -1)" in said
-    assert f'ce.repair(..., at="{found.effects[0].at}")' in said
+    assert f'ce.repair(..., at="{repair.effects[0].at}")' in said
 
 
-@pytest.mark.parametrize("port", ["mass", "spring"])
-def test_one_port_alone_is_named_with_the_same_number(record, repair, port):
-    alone = ce.repair(carriage(), record, effects=["coulomb_friction"], at=port, progress=False)
-    assert [one.key for one in alone.effects] == [f"{port}.coulomb_friction"]
-    size, both = alone.effects[0].amplitude, repair.effects[0].amplitude
+def test_nothing_was_left_out_where_both_ports_were_allowed(repair):
+    assert "left out" not in repair.options
+    assert "(of what was tried)" not in str(repair)
+
+
+@pytest.fixture(scope="module", params=["rival", pytest.param("first", marks=pytest.mark.slow)])
+def alone(request, record, repair):
+    """A port alone, and the other one: by default that which was not named first where both were allowed."""
+    first = repair.effects[0].at
+    (rival,) = {"mass", "spring"} - {first}
+    port, other = (rival, first) if request.param == "rival" else (first, rival)
+    found = ce.repair(carriage(), record, effects=["coulomb_friction"], at=port, progress=False)
+    return port, other, found
+
+
+def test_one_port_alone_is_named_with_the_same_number(alone, repair):
+    port, _, found = alone
+    assert {row.at for row in found.scores} == {port}
+    assert [one.key for one in found.effects] == [f"{port}.coulomb_friction"]
+    size, both = found.effects[0].amplitude, repair.effects[0].amplitude
     assert size.value == pytest.approx(both.value, abs=0.05 * both.stderr)
+
+
+def test_the_same_law_at_another_port_is_told(alone):
+    port, other, found = alone
+    assert found.options["left out"].startswith(
+        f"coulomb_friction at {port} does in these data what coulomb_friction at {other} would do, "
+        "which the search left"
+    )

@@ -122,7 +122,8 @@ def test_dry_friction_of_a_slow_drive_is_found_within_its_error(draws):
         assert np.abs(off).max() < 1.96, name
 
 
-@pytest.mark.parametrize("draws", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow  # a friction of 8 N m, and how it is confirmed: test_repair.py
+@pytest.mark.parametrize("draws", [1, 2])
 def test_dry_friction_in_the_coupling_of_a_fast_engine_is_found_within_its_error(draws):
     model, fits = ce.two_mass(reciprocating_speed="model"), []
     case = hidden("coulomb_friction", "coupling", 10.0)

@@ -45,6 +45,12 @@ def alone(shaft, friction):
     return found, said, pars
 
 
+@pytest.fixture(scope="module")
+def fitted(shaft, friction):
+    """The fit without effects."""
+    return ce.estimate(shaft.model, friction, noise=NOISE, progress=False)
+
+
 def test_an_effect_of_ones_own_is_found_beside_the_library():
     """A fan that engages at 104 rad/s, sharp, on an inertia that runs up and down several times."""
     size, engage = 5e-5, 104.0
@@ -80,18 +86,6 @@ def test_effects_are_asked_for_by_name_and_port(shaft, friction):
         ("load_step", "load"),
     }
     assert found.effects[0].key == "coupling.coulomb_friction"
-    held = ce.repair(
-        shaft.model,
-        friction,
-        effects=FEW,
-        at="load",
-        noise=NOISE,
-        most=1,
-        holdout=0,
-        starts=1,
-        progress=False,
-    )
-    assert {row.at for row in held.scores} == {"load"}
 
 
 def test_the_answer_is_the_same_every_time(shaft, friction, repaired):
@@ -151,9 +145,8 @@ def test_progress_is_told_in_words(alone):
     assert "fit with coulomb_friction at coupling" in said
 
 
-def test_screening_alone_scores_without_refits(shaft, friction):
-    fit = ce.estimate(shaft.model, friction, noise=NOISE, progress=False)
-    screened = screen(fit, FEW)
+def test_screening_alone_scores_without_refits(shaft, friction, fitted):
+    screened = screen(fitted, FEW)
     assert screened.candidates[screened.order[0]].label == "coulomb_friction at coupling"
     assert screened.alarm
     said = str(screened).splitlines()
@@ -249,10 +242,9 @@ def test_input_that_cannot_be_used_is_refused_before_any_fit(shaft, friction, op
     assert str(caught.value).startswith(message)
 
 
-def test_a_screen_has_a_rate_of_false_alarms_too(shaft, friction):
-    fit = ce.estimate(shaft.model, friction, noise=NOISE, progress=False)
+def test_a_screen_has_a_rate_of_false_alarms_too(fitted):
     with pytest.raises(EstimationError, match="invalid `alpha`"):
-        screen(fit, FEW, alpha=0.0)
+        screen(fitted, FEW, alpha=0.0)
 
 
 @pytest.mark.parametrize(
@@ -263,10 +255,9 @@ def test_a_screen_has_a_rate_of_false_alarms_too(shaft, friction):
         ({"seed": "x"}, "seed is not acceptable; seen: 'x'; allowed: a whole number >= 0"),
     ],
 )
-def test_a_screen_asked_for_what_cannot_be_is_refused(shaft, friction, options, message):
-    fit = ce.estimate(shaft.model, friction, noise=NOISE, progress=False)
+def test_a_screen_asked_for_what_cannot_be_is_refused(fitted, options, message):
     with pytest.raises(EstimationError) as caught:
-        screen(fit, FEW, **options)
+        screen(fitted, FEW, **options)
     assert str(caught.value).startswith(message)
 
 
@@ -285,7 +276,7 @@ def test_a_screen_needs_a_fit(repaired):
         ),
     ],
 )
-def test_a_law_without_a_finite_derivative_is_named(shaft, friction, law, message):
+def test_a_law_without_a_finite_derivative_is_named(shaft, friction, fitted, law, message):
     class Root(FanTorque):
         name, nuisance = "root", {}
 
@@ -294,9 +285,7 @@ def test_a_law_without_a_finite_derivative_is_named(shaft, friction, law, messag
 
     with pytest.raises(EffectError, match=message):
         ce.repair(shaft.model, friction, effects=[Root()], noise=NOISE, starts=1, progress=False)
-    screened = screen(
-        ce.estimate(shaft.model, friction, noise=NOISE, progress=False), ["coulomb_friction", Root()]
-    )
+    screened = screen(fitted, ["coulomb_friction", Root()])
     assert {one.effect for one in screened.candidates} == {"coulomb_friction"}
     assert {one.at for one in screened.not_applicable if one.effect == "root"} == {"engine", "load"}
 

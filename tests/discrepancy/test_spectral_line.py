@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
+from scipy.signal.windows import dpss
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.spectral_line import strongest_line
+from casadi_engine.discrepancy.spectral_line import _tapers, strongest_line
 
 SAMPLES = 600
 
@@ -18,6 +19,13 @@ def noise(seed, *, memory=0.0, count=SAMPLES):
 
 def line(residual):
     return strongest_line(residual, np.ones(len(residual), dtype=bool))
+
+
+@pytest.mark.parametrize("count", [64, 601])
+def test_the_tapers_are_those_of_scipy(count):
+    found, wanted = _tapers(count), dpss(count, 4.0, 7)
+    signs = np.sign((found * wanted).sum(axis=1, keepdims=True))
+    np.testing.assert_allclose(signs * found, wanted, rtol=0, atol=1e-10)
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.9])

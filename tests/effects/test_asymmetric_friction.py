@@ -40,7 +40,7 @@ def test_the_simulation_by_hand_holds_still_and_starts_again():
     np.testing.assert_allclose(ramp, 0.25 * gone**2 / 1.5, atol=1e-6)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_mean_level_and_asymmetry_are_found(seed):
     model = cart().with_effect(AsymmetricFriction(), at="body")
     fit = ce.estimate(model, record(seed), noise=ce.Noise(speed=0.005), progress=False)

@@ -65,8 +65,14 @@ def test_three_records_have_a_step_each_at_its_own_time():
         assert abs(found.value - 10 * k - time) < 3 * found.stderr < 0.06
 
 
-@pytest.mark.parametrize("start", [0.82, 0.85, 1.2])
-@pytest.mark.parametrize(("torque", "approach"), [(1.0, "direct"), (0.0, "prediction")])
+@pytest.mark.parametrize(
+    ("start", "torque", "approach"),
+    [
+        *((start, 1.0, "direct") for start in (0.82, 0.85, 1.2)),
+        (1.2, 0.0, "prediction"),
+        *(pytest.param(start, 0.0, "prediction", marks=pytest.mark.slow) for start in (0.82, 0.85)),
+    ],
+)
 def test_one_record_keeps_the_plain_name(start, torque, approach):
     data = shaft("a", 3, step=(2.0, 0.8137))
     model = MODEL.with_effect(LoadStep(), at="engine", values={"torque": torque})

@@ -6,6 +6,7 @@ sticks at 0 while the torque is below Tf.
 
 import re
 from dataclasses import replace
+from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -67,15 +68,17 @@ def told(fit):
 
 @pytest.fixture(scope="module")
 def fits():
-    """Fits at 100 Hz and 1 kHz of data without noise, at a stated level: what is off is the corner."""
-    found = {}
-    for rate in (100, 1000):
+    """rate [Hz] -> the fit of data without noise, at a stated level: what is off is the corner."""
+
+    @cache
+    def of(rate):
         model = shaft(scale=100.0).with_effect(
             ce.effects.CoulombFriction(), at="axis", values={"torque": 1.8}
         )
         assert model.parameters()[WIDTH].value == 0.5
-        found[rate] = ce.estimate(model, record(rate, 1e-9), noise=ce.Noise(speed=0.01), progress=False)
-    return found
+        return ce.estimate(model, record(rate, 1e-9), noise=ce.Noise(speed=0.01), progress=False)
+
+    return of
 
 
 def test_the_closed_form_is_what_scipy_finds_event_by_event():
@@ -102,9 +105,9 @@ def test_the_closed_form_is_what_scipy_finds_event_by_event():
     assert np.count_nonzero(found) == 3
 
 
-@pytest.mark.parametrize("rate", [100, 1000])
+@pytest.mark.parametrize("rate", [100, pytest.param(1000, marks=pytest.mark.slow)])
 def test_friction_that_holds_is_found_within_what_the_fit_says(fits, rate):
-    fit = fits[rate]
+    fit = fits(rate)
     found = fit.estimates[TORQUE]
     assert fit.converged
     assert found.stderr < 3e-4
@@ -119,9 +122,10 @@ def test_friction_that_holds_is_found_within_what_the_fit_says(fits, rate):
     assert fit.values[WIDTH] == fit.parameters[WIDTH].value <= 0.006
 
 
+@pytest.mark.slow
 def test_finer_samples_let_the_corner_be_sharper(fits):
-    assert fits[1000].values[WIDTH] < fits[100].values[WIDTH] / 5
-    assert abs(fits[1000].values[TORQUE] - TF) < 1.2e-4  # one and a half standard errors
+    assert fits(1000).values[WIDTH] < fits(100).values[WIDTH] / 5
+    assert abs(fits(1000).values[TORQUE] - TF) < 1.2e-4  # one and a half standard errors
 
 
 def test_a_given_or_fixed_width_stays_and_one_that_no_record_passes_keeps_its_default():
@@ -151,7 +155,7 @@ def test_a_given_or_fixed_width_stays_and_one_that_no_record_passes_keeps_its_de
     assert cost_along(fit, paths[0]) == pytest.approx(cost_along(fit, paths[1]), abs=1e-6)
 
 
-@pytest.mark.parametrize("rate", [400, 100])
+@pytest.mark.parametrize("rate", [100, pytest.param(400, marks=pytest.mark.slow)])
 def test_the_law_as_it_is_holds_the_shaft_and_has_no_bias(rate):
     """A sharp law is fitted through its events: it sticks, and the estimate is right at any rate."""
     model = shaft(scale=100.0).with_effect(

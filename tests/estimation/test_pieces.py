@@ -110,7 +110,7 @@ def test_a_nonlinear_model_far_off(swing):
     pars = model.parameters()
     pars["k"].set(300.0)
     pars["c"].set(3.0)
-    direct = ce.estimate(model, data, parameters=pars, progress=False)
+    direct = ce.estimate(model, data, parameters=pars, max_iterations=20, progress=False)
     fit = ce.estimate(model, data, parameters=pars, approach="prediction", progress=False)
     assert fit.converged
     assert fit.values["k"] == pytest.approx(20.0, rel=0.01)

@@ -1,4 +1,8 @@
-"""The pages of problems/thesis: each in its quick form, its conclusions and the numbers that the thesis gives."""
+"""The pages of problems/thesis: each in its quick form, its conclusions and the numbers that the thesis gives.
+
+Slow are those whose claims the tests of the rooms hold on shorter records or without any: residual tests, repair,
+misfires, reduction, engine orders.
+"""
 
 import importlib
 import re
@@ -59,6 +63,7 @@ def test_tables_4_3_to_4_5(quick):
     )
 
 
+@pytest.mark.slow
 def test_figures_4_11_to_4_19(quick):
     lines = quick("residual_tests")
     assert len(lines) == 7
@@ -73,6 +78,7 @@ def test_tables_4_7_to_4_13(quick):
     assert lines["Table 4.13", "deformations to four digits"].ours == "within 0.0003"
 
 
+@pytest.mark.slow
 def test_the_reduction(quick):
     lines = quick("reduction")
     assert (
@@ -84,6 +90,7 @@ def test_the_reduction(quick):
     )
 
 
+@pytest.mark.slow
 def test_tables_4_6_to_4_10(quick):
     lines = quick("engine_orders")
     assert lines["(4.11)", "natural frequencies 0.04 and 20.34 Hz"].ours == "0.04 and 20.34 Hz"
@@ -129,6 +136,7 @@ def test_table_4_11(quick):
     assert lines["Table 4.11", "C_eng over speed and load"].ours == "6 of 6 within 95 % intervals"
 
 
+@pytest.mark.slow
 def test_the_law_behind_table_4_11(quick):
     lines = quick("friction_law")
     words = "3 numbers: C_eng and coulomb_friction, load_friction"
@@ -145,6 +153,7 @@ def test_the_driveline(quick):
     )
 
 
+@pytest.mark.slow
 def test_the_misfire_detector(quick):
     lines = quick("misfire_detector")
     told = lines["Figures 5.2, 5.4", "they look alike"].ours

@@ -135,7 +135,9 @@ def arguments(argv: list[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("kinds", nargs="*", metavar="KIND")
     parser.add_argument("--tasks", type=int, default=TASKS)
-    parser.add_argument("--skip", type=int, default=0, help="leave out the first tasks and nulls of every kind")
+    parser.add_argument(
+        "--skip", type=int, default=0, help="leave out the first tasks and nulls of every kind"
+    )
     parser.add_argument("--nulls", type=int, default=0, help=f"nulls of every kind, up to {NULLS} (0)")
     parser.add_argument("--budget", type=float, default=120.0)
     parser.add_argument("--jobs", type=int, default=1)
