@@ -87,8 +87,11 @@ def test_few_intervals_are_run_so_and_many_by_arrays(made, monkeypatch):
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e308])
 def test_where_newtons_method_fails_there_are_no_states(made, value):
     steps, begun = laid(made, 0.1)
-    assert steps._newton(np.array([value]), begun.copy()) == (None, None)
-    assert steps._in_turn(np.array([value]), begun) == (None, None)
+    first = steps.layout.at[0]
+    for way in (steps._newton, steps._in_turn):
+        found, _ = way(np.array([value]), begun.copy())
+        assert np.isfinite(found[:, first]).all()
+        assert not np.isfinite(found[:, steps.layout.after]).any()
 
 
 def test_a_step_with_a_singular_matrix_is_left_to_the_arrays(made, monkeypatch):
