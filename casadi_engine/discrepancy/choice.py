@@ -345,7 +345,7 @@ class Choice:
     ) -> None:
         """Refits of one effect from another start than ``here``: in windows from the parameters' own values; where none
         has arrived, from a small amplitude."""
-        if own is not None and (here.arrived.held or not self.refits.path.linear):
+        if own is not None:
             self._try(here, _chosen(screened, own, members), None)
         self._arrive(here, screened.candidates[members[0]].key, lambda: _chosen(screened, at_here, members))
 

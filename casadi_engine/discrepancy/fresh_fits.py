@@ -181,9 +181,10 @@ def fresh_sides(
 ) -> list[tuple[Fit, NullModel]] | None:
     """The fit on all fresh records, parameters held; None where a simulation fails.
 
-    Events of one record do not act in other ones. Those that last to the end of the data searched go on in the cycles
-    held out; of a single cycle at the end nobody knows, so that it stops or goes on, whichever fits. An event may
-    happen in fresh records too, at a time that is found there, as its amplitude is where every record has its own.
+    Events of one record do not act in other ones, unless in cycles that are found there. Those that last to the end of
+    the data searched go on in the cycles held out; of a single cycle at the end nobody knows, so that it stops or goes
+    on, whichever fits. An event may happen in fresh records too, at a time that is found there, as its amplitude is
+    where every record has its own.
     """
     found = []
     for record in portion.fresh:
@@ -206,18 +207,50 @@ def _with_events(
     fit: Fit, effects: Sequence[Addition], record: Experiment, noise: NoiseModel, idle: Sequence[Addition],
     held: Fit, refitter: Refitter,
 ) -> list[Fit]:  # fmt: skip
-    """Fits in which events with a time in every record do not go on in the cycles held out, or happen in fresh records
-    at a time that one step finds.
+    """Fits in which events with a time in every record do not go on in the cycles held out, or events happen in fresh
+    records at a time, or in cycles, that one step finds.
 
     idle : effects that do not act in ``held``
     """
     moving = [one for one in effects if one.moves]
-    if not moving:
+    events = [*moving, *(one for one in idle if one.recurs)]
+    if not events:
         return []
-    if not any(one in idle for one in moving):  # they go on from the records searched: or have never come
+    if moving and not any(one in idle for one in moving):  # they go on from the records searched: or have never come
         gone = [*idle, *moving]
         return [held_fit(fit, record, noise=noise, idle=gone)]
-    plain = refitter.extended([one for one in effects if one not in moving])
+    null = _without_events(held, effects, events, record, refitter)
+    places: dict[str, tuple[float, float, float]] = {}
+    again: dict[Addition, Addition] = {}  # event -> the same in other cycles
+    for one in events:
+        made = library_candidates(null, (record,), (one.candidate.source.effect,))
+        own_ones = [c for c in made if c.key == one.candidate.key]
+        step = one_step(null, own_ones, noise.sigma) if own_ones else None
+        best = None if step is None else place_of_event(step, fit.values.get(one.amplitude))
+        if best is None:
+            if one.moves:
+                return []
+            continue
+        number, size = best
+        if one.moves:
+            places |= {f"{one.key}.{n}": (value, *record.span) for n, value in own_ones[number].nuisance.items()}
+        else:
+            again[one] = replace(one, candidate=own_ones[number])
+        if one.amplitude not in fit.values:  # it varies by record
+            low, high = one.bounds.min, one.bounds.max
+            places[one.amplitude] = (min(max(size, low), high), low, high)
+    if not places and not again:
+        return []
+    rest = [one for one in idle if one not in moving and one not in again]
+    model = refitter.extended([again.get(one, one) for one in effects]) if again else None
+    return [held_fit(fit, record, noise=noise, idle=rest, model=model, places=places)]
+
+
+def _without_events(
+    held: Fit, effects: Sequence[Addition], events: Sequence[Addition], record: Experiment, refitter: Refitter
+) -> NullModel:
+    """A fit's simulation of a record without the events, to score them along."""
+    plain = refitter.extended([one for one in effects if one not in events])
     parameters = plain.parameters()
     for name, own in parameters.items():
         value = held.values[name]
@@ -225,22 +258,7 @@ def _with_events(
     free = [name for name, own in parameters.items() if own.vary]
     first = np.array([held.initial[record.name][state.name].value for state in plain.states])
     z = np.array([held.values[name] for name in free])
-    null = null_at(plain, (record,), parameters, z, {record.name: first})
-    places: dict[str, tuple[float, float, float]] = {}
-    for one in moving:
-        made = library_candidates(null, (record,), (one.candidate.source.effect,))
-        own_ones = [c for c in made if c.key == one.candidate.key]
-        step = one_step(null, own_ones, noise.sigma) if own_ones else None
-        best = None if step is None else place_of_event(step, fit.values.get(one.amplitude))
-        if best is None:
-            return []
-        number, size = best
-        places |= {f"{one.key}.{n}": (value, *record.span) for n, value in own_ones[number].nuisance.items()}
-        if one.amplitude not in fit.values:  # it varies by record
-            low, high = one.bounds.min, one.bounds.max
-            places[one.amplitude] = (min(max(size, low), high), low, high)
-    rest = [one for one in idle if one not in moving]
-    return [held_fit(fit, record, noise=noise, idle=rest, places=places)]
+    return null_at(plain, (record,), parameters, z, {record.name: first})
 
 
 def _continued(

@@ -34,15 +34,18 @@ def with_own_jumps(
     null = found.null_fit
     values = {name: value for name, value in null.values.items() if name in parameters}
     initial = {r: {n: e.value for n, e in states.items()} for r, states in null.initial.items()}
-    try:
-        with np.errstate(all="ignore"):
-            fit: Fit = estimate(
-                model, null.data, parameters=parameters, noise=noise, warm=Start(values, initial), progress=False,
-                **options,
-            )  # fmt: skip
-    except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
-        return found
-    if not fit.converged or merit(fit) > merit(null) + FELT:
+    # a record may begin beside a jump, on the other side of which its first states are better looked for anew
+    for start in (Start(values, initial), Start(values)):
+        try:
+            with np.errstate(all="ignore"):
+                fit: Fit = estimate(
+                    model, null.data, parameters=parameters, noise=noise, warm=start, progress=False, **options
+                )
+        except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
+            continue
+        if fit.converged and merit(fit) <= merit(null) + FELT:
+            break
+    else:
         return found
     fit = no_smaller_errors(fit, found.fit)  # which know the colour of the noise
     if found.noise is not None and found.noise.colour:

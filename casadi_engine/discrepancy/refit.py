@@ -104,6 +104,12 @@ class Addition:
         return bool(grids) and all(grid.over == "time" and not grid.whole for grid in grids)
 
     @property
+    def recurs(self) -> bool:
+        """True for an event of certain cycles, which may happen in other cycles of another record."""
+        grids = self.candidate.source.effect.nuisance.values()
+        return bool(grids) and all(grid.over == "cycle" and grid.whole for grid in grids)
+
+    @property
     def record(self) -> str | None:
         """The record of an event that happens in one alone, None for an effect of all records."""
         if not self.placed or self.times or not isinstance(self.candidate.direction, Mapping):

@@ -43,12 +43,12 @@ def make_fit(
     begun: float,
     *,
     stopped: str = "",
-    check: bool = True,
+    check: float | None = None,
 ) -> Fit:
     """The Fit at the best attempt.
 
-    stopped : who ended the search before its end, if anyone; check : ask whether its standard errors describe the
-    likelihood
+    stopped : who ended the search before its end, if anyone; check : seconds that intervals may take where its standard
+    errors do not describe the likelihood, None not to ask whether they do
     """
     clock = time.perf_counter()
     search._weigh(best.sigma)
@@ -74,7 +74,7 @@ def make_fit(
     if status != best.solution.status:
         errors, optima = replace(errors, optimal=status == "converged"), relabelled(optima, status)
         best = replace(best, solution=replace(best.solution, status=status))
-    found = judged(search, best, errors, optima, residuals, check=check and not stopped)
+    found = judged(search, best, errors, optima, residuals, check=None if stopped else check)
     cost = printed_cost(search, v, residuals)
     said = _messages(search, best, errors, reason, optima, stopped)
     for (

@@ -16,8 +16,6 @@ from casadi_engine.estimation.standard_errors import Uncertainty
 
 Array = NDArray[np.float64]
 
-# Processor time that intervals by profile may take where the quadratic fails [s].
-_SECONDS = 3.0
 # An interval by profile whose ends are within this share of where ± has them.
 _ALIKE = 0.1
 _UNKNOWN, _UNEVEN = "not known (see note)", "not symmetric (see note)"
@@ -39,12 +37,13 @@ def judged(
     optima: Sequence[Optimum],
     residuals: Sequence[Array],
     *,
-    check: bool,
+    check: float | None,
 ) -> Judged:
-    """The estimates of an optimum; see ``doubts_of``. check : False for the errors of the quadratic as they are."""
+    """The estimates of an optimum; see ``doubts_of``. check : seconds of processor time for intervals by profile, None
+    for the errors of the quadratic as they are."""
     estimates, initial = errors.estimates(), errors.initial_estimates()
-    doubts = doubts_of(search, best, errors, optima, residuals) if check else ()
-    if not doubts:
+    doubts = doubts_of(search, best, errors, optima, residuals) if check is not None else ()
+    if not doubts or check is None:
         return Judged(estimates, initial)
     matrix, slopes = errors.covariance.matrix, errors.slopes()
     with_error = [name for name, one in estimates.items() if one.stderr]
@@ -52,7 +51,7 @@ def judged(
     ends: dict[str, tuple[float, float]] = {}
     alike: set[str] = set()
     if all(doubt.profiles for doubt in doubts):
-        profiles = Profiles(search, best, errors, seconds=_SECONDS)
+        profiles = Profiles(search, best, errors, seconds=check)
         try:
             ends = profiles.intervals(free)
         except LowerOptimumError:

@@ -23,7 +23,7 @@ from casadi_engine.estimation.loss import read_loss
 from casadi_engine.estimation.lower_rate import ONE_SEARCH, lower_rate
 from casadi_engine.estimation.moved_jumps import refuse_moved_jumps
 from casadi_engine.estimation.multistart import attempts_from, distinct_optima, interrupted, settled
-from casadi_engine.estimation.options import begun_at, chosen, small, whole
+from casadi_engine.estimation.options import begun_at, chosen, seconds_for_intervals, small, whole
 from casadi_engine.estimation.parallel import checked_jobs
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.two_stages import bent_by_thinning, lower_search, on_whole_data, searched_on
@@ -56,7 +56,7 @@ def estimate(
     jobs: int | None = 1,
     warm: Any = None,
     progress: Any = None,
-    errors: str = "checked",
+    errors: str | float = "checked",
     max_iterations: int = 200,
     tolerance: float = 1e-9,
 ) -> Fit:
@@ -87,7 +87,8 @@ def estimate(
     warm : a Fit (or loaded result) whose parameters and initial states are the start
     progress : None for a bar on a terminal, False for none, or a function (iteration, cost, fit percent)
     errors : "checked": standard errors where the likelihood is quadratic around the optimum, intervals by profile where
-        it is not, if they take a few seconds, and otherwise none, with what to call; "quadratic": standard errors by
+        it is not, if they take a few seconds, and otherwise none, with what to call; a number: the same, with so many
+        seconds of processor time for these intervals (3); "quadratic": standard errors by
         the curvature at the optimum whatever the likelihood does beside it, for loops over fits
     max_iterations, tolerance : of IPOPT, for each start
 
@@ -143,7 +144,7 @@ def estimate(
         seed=seed,
         jobs=jobs,
         progress=progress,
-        check=chosen("errors", errors, ("checked", "quadratic")) == "checked",
+        check=seconds_for_intervals(errors),
         shown={
             "interval": interval,
             "loss": loss if isinstance(loss, str) else repr(loss),
@@ -181,7 +182,7 @@ def _searched(
     seed: int,
     jobs: int | None,
     progress: Any,
-    check: bool,
+    check: float | None,
     shown: Mapping[str, Any],
 ) -> Fit:
     """One estimate from its checked arguments; shown : options as the user gave them."""
@@ -222,7 +223,7 @@ def _searched(
         by = "the time budget" if own.late and not was_stopped() else "the user"
         if interrupted(attempts):
             own.stop()
-        fit = in_time(lambda: made(check=check), lambda: made(stopped=by, check=False))
+        fit = in_time(lambda: made(check=check), lambda: made(stopped=by, check=None))
         fit = replace(fit, messages=(*fit.messages, *_given_up(attempts)))
         return replace(fit, status="interrupted") if own.late else fit
 

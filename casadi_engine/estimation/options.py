@@ -25,6 +25,8 @@ _MOST = 2**31 - 1
 # "auto" cuts a record into about this many intervals; into the second number where the search begins at the optimum in
 # the frequency domain, and the solver's work is that of its variables.
 _AUTO, _FEW = 100, 20
+# Processor time that intervals by profile may take where the quadratic fails [s].
+_SECONDS = 3.0
 _UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 _TEXT = re.compile(r"^\s*([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*(s|ms|us|samples|sample)\s*$")
 
@@ -168,6 +170,22 @@ def chosen(name: str, value: Any, words: Sequence[str]) -> str:
         seen=repr(value),
         allowed=" or ".join(f'"{word}"' for word in words),
         cure=f"leave {name} out",
+    )
+
+
+def seconds_for_intervals(errors: Any) -> float | None:
+    """Seconds of processor time for intervals by profile, None where errors are not to be checked."""
+    seconds = as_number(errors)
+    if seconds is not None and 0 <= seconds < math.inf:
+        return seconds
+    words = {"checked": _SECONDS, "quadratic": None}
+    if isinstance(errors, str) and errors in words:
+        return words[errors]
+    raise EstimationError(
+        "errors is not acceptable",
+        seen=repr(errors),
+        allowed='"checked", "quadratic", or seconds >= 0',
+        cure="leave errors out",
     )
 
 

@@ -26,7 +26,7 @@ def asked(monkeypatch, *, logs, drops):
     pool = {one.key: one for one in (tried(key, log) for key, log in {FADING: 30.0, **logs}.items())}
     refits = SimpleNamespace(
         pool=pool, levels=SimpleNamespace(memory={}), path=SimpleNamespace(levels={}), null=lambda one: one,
-        tried=lambda effects, start: made.append(tuple(one.label for one in effects)) or [],
+        tried=lambda effects, start, near=False: (near and made.append(tuple(one.label for one in effects))) or [],
     )  # fmt: skip
     none = np.zeros(len(FAMILIES))
     monkeypatch.setattr(
