@@ -82,18 +82,19 @@ def with_units(
     for (name, key), unit in zip(signals, found, strict=True):
         if unit is not None:
             own[name][key] = unit
+    slots = ca.vertcat(ca.SX(0, 1), *[port.slot for port in ports.values() if port.slot is not None])
     made = {}
     for name, port in ports.items():
         asks = port.slot is not None and name not in stated
-        unit = _unit_by_odes(port.slot, units, odes, per) if asks else None
+        unit = _unit_by_odes(port.slot, slots, units, odes, per) if asks else None
         made[name] = replace(port, units=own[name], unit=port.unit if unit is None else unit)
     return made
 
 
 def _unit_by_odes(
-    slot: Any, units: Sequence[tuple[Any, str]], odes: Sequence[tuple[str, Any]], per: str
+    slot: Any, slots: Any, units: Sequence[tuple[Any, str]], odes: Sequence[tuple[str, Any]], per: str
 ) -> str | None:
-    """The unit of a slot by the odes that it enters, None where they do not tell, or tell of several."""
+    """The unit of one of the slots by the odes that it enters, None where they do not tell, or tell of several."""
     plain = ca.vertcat(*[symbol for symbol, unit in units if unit == "1"])
     found: set[str | None] = set()
     for rate, ode in odes:
@@ -101,15 +102,16 @@ def _unit_by_odes(
         if slope.nnz() and rate == NOT_STATED:
             found.add(None)
         elif slope.nnz():
+            wanted = unit_product((rate, 1), (per, -1))
+            rest = units_of([ca.substitute(ode, slots, ca.SX.zeros(slots.shape))], units)[0]
             # a parameter of unit 1 may be one whose unit was left out, and a number may stand for a mass
             vague = plain.numel() and ca.depends_on(slope, plain)
             if not ca.symvar(slope):
-                rest, wanted = (
-                    units_of([ca.substitute(ode, slot, 0)], units)[0],
-                    unit_product((rate, 1), (per, -1)),
-                )
                 vague = abs(float(slope)) != 1 or rest is None or not _goes_with(rest, wanted)
-            found.add(None if vague else slot_unit(rate, units_of([slope], units)[0], per=per))
+            elif rest is not None and _of_one_kind(rest, wanted):
+                # numbers may convert units, as in 1e3 (F + slot)/m for mm/s2: what is added to a slot shows it
+                wanted = rest
+            found.add(None if vague else slot_unit(wanted, units_of([slope], units)[0]))
     return found.pop() if len(found) == 1 else None
 
 
@@ -138,6 +140,16 @@ def quantity(unit: str) -> str:
     return next((words for name, words in _QUANTITIES.items() if _dimension(name) == own), "rate")
 
 
+def follows_port(unit: str) -> bool:
+    """True for a unit of torques, angles and seconds alone, by which effects say what is in the units of their port.
+
+    >>> [follows_port(unit) for unit in ("N m s/rad", "rad/s", "s", "N/m", "mm", "N m/deg")]
+    [True, True, True, False, False, False]
+    """
+    powers = dict(read_unit(unit).written)
+    return set(powers) <= {"N", "m", "rad", "s"} and powers.get("N", 0) == powers.get("m", 0)
+
+
 def is_speed(unit: str) -> bool:
     """True for a unit of speed: that of a length or an angle by time."""
     return unit != NOT_STATED and (read_unit(unit).dimension in ("s-1 rad", "s-1 m"))
@@ -156,19 +168,22 @@ def _alike(unit: str, other: str) -> bool:
     return own.factor == its.factor and not own.pi and _dimension(unit) == _dimension(other)
 
 
-def slot_unit(rate: str, slope: str | None, *, per: str) -> str | None:
-    """The unit of a slot that enters the ode of a state with this slope; None where it cannot be known.
+def slot_unit(rate: str, slope: str | None) -> str | None:
+    """The unit of a slot that enters an ode with this slope; None where it cannot be known.
 
-    rate : unit of the state; slope : unit of the slope; per : unit of time of the ode
+    rate : unit of the ode; slope : unit of the slope
 
-    >>> slot_unit("rad/s", "1/(kg m2)", per="s"), slot_unit("K", "K/J", per="s"), slot_unit("mg/L", "1", per="h")
+    >>> slot_unit("rad/s2", "1/(kg m2)"), slot_unit("K/s", "K/J"), slot_unit("mg/(L h)", "1")
     ('N m', 'W', 'mg/(L h)')
     """
-    return None if slope is None else named(unit_product((rate, 1), (per, -1), (slope, -1)))
+    return None if slope is None else named(unit_product((rate, 1), (slope, -1)))
 
 
 def _goes_with(unit: str, other: str) -> bool:
     """True for units of one dimension, angles left out, and of one size."""
-    own, its = read_unit(unit), read_unit(other)
-    powers, others = ({k: v for k, v in one.exponents if k != "rad"} for one in (own, its))
-    return powers == others and own.factor == its.factor
+    return _of_one_kind(unit, other) and read_unit(unit).factor == read_unit(other).factor
+
+
+def _of_one_kind(unit: str, other: str) -> bool:
+    own, its = ({k: v for k, v in read_unit(one).exponents if k != "rad"} for one in (unit, other))
+    return own == its
