@@ -216,7 +216,9 @@ def _with_events(
     events = [*moving, *(one for one in idle if one.recurs)]
     if not events:
         return []
-    if moving and not any(one in idle for one in moving):  # they go on from the records searched: or have never come
+    if moving and not any(
+        one in idle for one in moving
+    ):  # they go on from the records searched: or have never come
         gone = [*idle, *moving]
         return [held_fit(fit, record, noise=noise, idle=gone)]
     null = _without_events(held, effects, events, record, refitter)
@@ -233,7 +235,9 @@ def _with_events(
             continue
         number, size = best
         if one.moves:
-            places |= {f"{one.key}.{n}": (value, *record.span) for n, value in own_ones[number].nuisance.items()}
+            places |= {
+                f"{one.key}.{n}": (value, *record.span) for n, value in own_ones[number].nuisance.items()
+            }
         else:
             again[one] = replace(one, candidate=own_ones[number])
         if one.amplitude not in fit.values:  # it varies by record

@@ -39,7 +39,13 @@ def with_own_jumps(
         try:
             with np.errstate(all="ignore"):
                 fit: Fit = estimate(
-                    model, null.data, parameters=parameters, noise=noise, warm=start, progress=False, **options
+                    model,
+                    null.data,
+                    parameters=parameters,
+                    noise=noise,
+                    warm=start,
+                    progress=False,
+                    **options,
                 )
         except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
             continue

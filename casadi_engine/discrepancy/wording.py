@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import casadi as ca
 
 from casadi_engine.estimation.summary import BOUND_WORDS, count, number, with_error
-from casadi_engine.experiment.units import NOT_STATED
+from casadi_engine.experiment.units import CONFUSED, NOT_STATED, read_unit
 from casadi_engine.model.declared_units import seconds_in
 from casadi_engine.model.port_units import is_speed
 
@@ -22,6 +22,8 @@ USER, BUDGET = "the user", "the time budget"
 AT_FAULT = "the data are at fault"
 # Names listed in a sentence; correlation beyond which two effects are one.
 LISTED, _TWINS = 6, 0.995
+# A gain that is known to this share of itself, and is within so many errors of a ratio of units, tells which they are.
+_SURE, _WITHIN = 0.02, 3.0
 
 
 def first_words(repair: Repair) -> list[str]:
@@ -128,8 +130,11 @@ def acts_as(one: FoundEffect, name: str, model: Model) -> str:
 
 
 def right_value(one: FoundEffect, repair: Repair) -> str:
-    """A parameter that was stated wrong, as the data have it: ``m_s = 356.5 ± 1.8 kg, stated 300``; "" for others."""
+    """What was stated wrong, as the data have it: ``m_s = 356.5 ± 1.8 kg, stated 300``, or the unit of an output that
+    its gain tells; "" for other effects."""
     port = repair.model.ports[one.at] if one.at in repair.model.ports.names else None
+    if port is not None and port.kind == "sensor" and one.name == "sensor_gain":
+        return _other_unit(one, repair.model)
     stated = None if port is None else repair.fit.estimates.get(port.parameter)
     if port is None or not port.parameter or stated is None:
         return ""
@@ -138,6 +143,26 @@ def right_value(one: FoundEffect, repair: Repair) -> str:
     error = None if size.stderr is None else abs(factor) * size.stderr
     value = with_error(stated.value + factor * size.value, error)
     return f"{port.parameter} = {value}{in_unit(stated.unit)}, stated {number(stated.value)}"
+
+
+def _other_unit(one: FoundEffect, model: Model) -> str:
+    """The units that were exchanged where the gain of a sensor is their ratio within its error; "" for others."""
+    output = next(out for out in model.outputs if one.at == f"sensor_{out.name}")
+    factor, error = 1 + one.amplitude.value, one.amplitude.stderr
+    if output.unit == NOT_STATED or error is None or error > _SURE * abs(factor):
+        return ""
+    own = read_unit(output.unit)
+    for name in CONFUSED:
+        other = read_unit(name)
+        times, over, plus = own.steps_to(other)
+        ratio = times / over
+        if own.dimension != other.dimension or ratio == 1 or plus:
+            continue
+        for right, label, share in ((name, output.unit, ratio), (output.unit, name, 1 / ratio)):
+            if abs(factor - share) <= _WITHIN * error:
+                times_large = with_error(factor, error)
+                return f"{output.name} is {times_large} times as large, as numbers in {right} labelled {label} would be"
+    return ""
 
 
 def clock(model: Model, first: float, last: float) -> str:

@@ -37,7 +37,10 @@ GRID_KINDS = ("value", "time", "cycle")
 class Amplitude:
     """The one number of an effect that is zero where the effect is absent.
 
-    name : parameter name        unit : SI unit; None takes the unit of the port's value
+    name : parameter name
+    unit : of its numbers; None takes the unit of the port's value. A unit of N m, rad and s follows the port: N m/rad
+        reads N/mm at a spring of N and mm. Any other one stays as it is, and has to go with the port's units: a law
+        reads and gives the port's own numbers
     min, max : bounds in `unit` that hold 0; min = 0 (or max = 0) makes the effect one-sided
     description : one clause for tables
     """
@@ -69,6 +72,7 @@ class Grid:
     """The values that a nuisance parameter of an effect may take; it has no meaning while the amplitude is 0.
 
     start, stop : ends of the range in `unit`, or in multiples of a signal's typical magnitude (`of`)
+    unit : of its numbers, as that of an `Amplitude`
     steps : number of values, from end to end        log : True spaces them evenly in the logarithm
     of : name of a signal of the port whose magnitude multiplies start and stop
     over : "value"; "time", when start and stop are shares of a record's time; "cycle", every engine cycle of a

@@ -1,11 +1,16 @@
-"""Sensors that do not show what is there: an offset, and a delay."""
+"""Sensors that do not show what is there: an offset, a delay, and a gain."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from casadi_engine.effects.protocol import Amplitude, Effect
+
+# Share of its mean by which an output varies at least, that a gain acts otherwise than an offset.
+_VARIES = 0.1
 
 
 @dataclass(frozen=True)
@@ -42,3 +47,34 @@ class SensorDelay(Effect):
         """−τ dy/dt."""
         del math
         return -p.delay * port.rate
+
+
+@dataclass(frozen=True)
+class SensorGain(Effect):
+    """A sensor that shows too much or too little, y (1 + gain): by its calibration, or as its unit is another one.
+
+    It is not looked for where the output hardly varies beside its mean, as an absolute temperature: an offset does the
+    same there.
+
+    >>> SensorGain().describe("sensor_speed")
+    'a wrong gain of sensor_speed'
+    """
+
+    name = "sensor_gain"
+    attaches = ("sensor",)
+    kin = ("sensor_offset", "wrong_value")
+    sentence = "a wrong gain of {port}"
+    amplitude = Amplitude("gain", unit="1")
+
+    def law(self, port: Any, p: Any, math: Any) -> Any:
+        """The gain's share of the output."""
+        del math
+        return p.gain * port.value
+
+    def idle(self, port: Any) -> str:
+        """An output that does nearly the same all the time has an offset."""
+        courses = [course for course in port.courses("value") if np.isfinite(course).all()]
+        if not courses:
+            return ""
+        values = np.concatenate(courses)
+        return "an offset does the same here" if values.std() < _VARIES * abs(values.mean()) else ""

@@ -14,7 +14,7 @@ from casadi_engine.effects.protocol import Effect, Law, check_effect
 from casadi_engine.model.port_view import Values
 from casadi_engine.model.printing import write_expressions
 
-UNITS = "Units are those where a torque acts; elsewhere they follow the port: N s/m or W/K for N m s/rad."
+UNITS = "Units follow the port: N s/mm, W/K or N m s/deg for N m s/rad."
 HEADER = ("effect", "adds at its port", "port", "reads", "amplitude", "looks like")
 
 
@@ -47,7 +47,7 @@ def table(effects: Iterable[Effect] | None = None) -> str:
     load_step         -torque*step(t - time)    inertia   -           torque [N m]             constant_torque, misfire
     viscous_friction  -coefficient*speed        inertia   speed       coefficient [N m s/rad]  quadratic_drag, ...
     viscous_friction  coefficient*twist_rate    coupling  twist_rate  coefficient [N m s/rad]  quadratic_drag, ...
-    Units are those where a torque acts; elsewhere they follow the port: N s/m or W/K for N m s/rad.
+    Units follow the port: N s/mm, W/K or N m s/deg for N m s/rad.
     """
     cells = [
         HEADER,

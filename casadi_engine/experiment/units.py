@@ -25,6 +25,13 @@ SI_UNITS: tuple[str, ...] = (
 )  # fmt: skip
 ALLOWED_UNITS: tuple[str, ...] = (*SI_UNITS, "rpm", "deg", "bar", "kPa", "MPa", "N mm", "g m2", "ms")
 
+# Units of records that are taken for one another: those of one dimension.
+CONFUSED: tuple[str, ...] = (
+    "rad/s", "rpm", "deg/s", "rad", "deg", "mrad", "rad/s2", "deg/s2", "m", "mm", "cm", "m/s", "mm/s", "km/h", "m/min",
+    "m/s2", "mm/s2", "Pa", "kPa", "bar", "MPa", "mbar", "N", "kN", "N m", "N mm", "kN m", "A", "mA", "V", "mV",
+    "W", "kW", "s", "ms", "min", "h", "kg", "g", "kg/s", "kg/h", "g/s", "m3/s", "L/s", "L/min", "m3/h", "mol", "mmol",
+)  # fmt: skip
+
 # The unit of a model's variable of which none was said: its equations are taken to be in SI.
 NOT_STATED = "-"
 

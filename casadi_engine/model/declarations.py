@@ -17,7 +17,7 @@ from typing import Any, overload
 from casadi_engine.effects.protocol import PORT_KINDS
 from casadi_engine.errors import ModelError, UnitError
 from casadi_engine.experiment.units import NOT_STATED, read_unit, unit_product
-from casadi_engine.model.port_units import MECHANICAL, is_speed, quantity
+from casadi_engine.model.port_units import MECHANICAL, follows_port, is_speed, quantity
 from casadi_engine.parameters import Parameter, near_matches
 
 
@@ -153,16 +153,20 @@ class Port:
         return self.name.removeprefix("parameter_") if self.kind == "parameter" else ""
 
     def in_its_unit(self, text: str) -> str:
-        """A unit that is written for torques and angles, as it reads at this port; "-" where that is not known.
+        """A unit of torques and angles as it reads at this port, "-" where that is not known; any other unit as it is.
 
         >>> Port("mass", "inertia", unit="N", units={"speed": "m/s"}).in_its_unit("N m s2/rad2")
         'N s2/m2'
+        >>> Port("joint", "inertia", unit="N m", units={"speed": "deg/s"}).in_its_unit("N m s/rad")
+        'N m s/deg'
         >>> Port("room", "inertia", unit="W", units={"speed": "K"}).in_its_unit("N m s/rad")
         'W/K'
         """
+        if not follows_port(text):
+            return text
         powers = dict(read_unit(text).written)
         acting, angle, time = (powers.get(symbol, Fraction(0)) for symbol in ("N", "rad", "s"))
-        if self.unit == "N m" or not (acting or angle):
+        if not (acting or angle):
             return text
         place = None if self._place is None or time else self._place
         motion = self._motion if place is None else place
@@ -174,13 +178,36 @@ class Port:
         factors += [("s", time + angle if angle and place is None else time)]
         return unit_product(*factors)
 
+    def contradicts(self, text: str) -> str:
+        """The unit that this port's numbers have where `text` is of the same dimension and another size; "" if none.
+
+        Compared are the units of the slot, of the motion and of the place, and of the slot by powers of these.
+
+        >>> slide = Port("slide", "coupling", unit="N", units={"twist": "mm", "twist_rate": "mm/s"})
+        >>> slide.contradicts("N/m"), slide.contradicts("kN/m"), slide.contradicts("N m/rad"), slide.contradicts("kg")
+        ('N/mm', '', '', '')
+        """
+        if text == NOT_STATED or follows_port(text) or self.kind in ("input", "sensor", "parameter"):
+            return ""
+        signals = [unit for unit in (self._place, self._motion) if self.units and unit is not None]
+        made = [unit_product((signal, 1)) for signal in signals]
+        if self.unit != NOT_STATED:
+            made += [self.unit]
+            made += [
+                unit_product((self.unit, 1), (signal, -power)) for signal in signals for power in (1, 2, 3)
+            ]
+        own = read_unit(text)
+        alike = [one for one in made if read_unit(one).exponents == own.exponents]
+        same = [one for one in alike if read_unit(one).steps_to(own)[:2] == (1.0, 1.0)]
+        return alike[0] if alike and not same else ""
+
     @property
     def _motion(self) -> str | None:
         """The unit of what an effect reads as speed."""
         own = next((self.units[n] for n in ("speed", "twist_rate", "difference") if n in self.units), None)
         by_place = None if self._place is None else unit_product((self._place, 1), ("s", -1))
         known = own if own is not None else by_place
-        return ("m/s" if self.unit == "N" else None) if known is None else known
+        return {"N": "m/s", "N m": "rad/s"}.get(self.unit) if known is None else known
 
     @property
     def _place(self) -> str | None:

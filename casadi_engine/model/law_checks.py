@@ -54,6 +54,22 @@ class OwnState:
     rate: Any
 
 
+def check_units(effect: Any, port: Port) -> None:
+    """Raise EffectError where a parameter of an effect is stated in another unit than the port's numbers are in."""
+    parameters = {effect.amplitude.name: effect.amplitude} | dict(effect.nuisance)
+    for name, one in parameters.items():
+        right = "" if one.unit is None else port.contradicts(one.unit)
+        if right:
+            signals = "".join(f", {signal} in {unit}" for signal, unit in port.units.items())
+            raise EffectError(
+                f"the unit of {effect.name}.{name} does not go with those of the port {port.name}",
+                seen=f"{name} in {one.unit}; what acts at {port.name} in {port.unit}{signals}",
+                allowed=f"{right}: a law reads the port's own numbers, and what it gives is added to them",
+                cure=f'state unit="{right}", and let the law convert nothing; units of N m, rad and s, as N m/rad, '
+                "are read in the units of each port",
+            )
+
+
 def read_law(effect: Any, port: Port, view: PortView, law: Any) -> tuple[Any, tuple[OwnState, ...], Any]:
     """Value and own states of what a law returned, and at a link what arrives at its second end."""
     given = law if isinstance(law, Law) else Law(law)

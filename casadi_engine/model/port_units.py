@@ -96,8 +96,9 @@ def with_units(
     for (name, key), unit in zip(signals, found, strict=True):
         if unit is not None:
             own[name][key] = unit
+    every = ca.vertcat(ca.SX(0, 1), *[port.slot for port in ports.values() if port.slot is not None])
     asked = [name for name, port in ports.items() if port.slot is not None and name not in stated]
-    by_odes = _units_by_odes([ports[name].slot for name in asked], units, odes, per)
+    by_odes = _units_by_odes([ports[name].slot for name in asked], every, units, odes, per)
     slots = {name: unit for name, unit in zip(asked, by_odes, strict=True) if unit is not None}
     return {
         name: replace(port, units=own[name], unit=slots.get(name, port.unit)) for name, port in ports.items()
@@ -105,7 +106,11 @@ def with_units(
 
 
 def _units_by_odes(
-    slots: Sequence[Any], units: Sequence[tuple[Any, str]], odes: Sequence[tuple[str, Any]], per: str
+    slots: Sequence[Any],
+    every: Any,
+    units: Sequence[tuple[Any, str]],
+    odes: Sequence[tuple[str, Any]],
+    per: str,
 ) -> list[str | None]:
     """The units of slots by the odes that they enter, None where these do not tell, or tell of several."""
     if not slots or not odes:
@@ -113,23 +118,25 @@ def _units_by_odes(
     slopes = ca.jacobian(ca.vertcat(*[ode for _, ode in odes]), ca.vertcat(*slots))
     entries = list(zip(*slopes.sparsity().get_triplet(), strict=True))
     told = [(i, k, slopes[i, k]) for i, k in entries if odes[i][0] != NOT_STATED]
-    # a number may stand for a mass
-    bare = [(i, k) for i, k, slope in told if not ca.symvar(slope)]
-    rests = [ca.substitute(odes[i][1], slots[k], 0) for i, k in bare]
+    entered = list(dict.fromkeys(i for i, *_ in told))
+    rests = [ca.substitute(odes[i][1], every, ca.SX.zeros(every.shape)) for i in entered]
     known = units_of([*(slope for *_, slope in told), *rests], units)
-    rest = dict(zip(bare, known[len(told) :], strict=True))
+    added = dict(zip(entered, known[len(told) :], strict=True))  # what is added to the slots of an ode
     plain = ca.vertcat(*[symbol for symbol, unit in units if unit == "1"])
     found: list[set[str | None]] = [set() for _ in slots]
     for i, k in entries:
         if odes[i][0] == NOT_STATED:
             found[k].add(None)
     for (i, k, slope), unit in zip(told, known, strict=False):
-        # a parameter of unit 1 may be one whose unit was left out
+        wanted, rest = unit_product((odes[i][0], 1), (per, -1)), added[i]
+        # a parameter of unit 1 may be one whose unit was left out, and a number may stand for a mass
         vague = plain.numel() and ca.depends_on(slope, plain)
-        if (i, k) in rest:
-            wanted, other = unit_product((odes[i][0], 1), (per, -1)), rest[i, k]
-            vague = abs(float(slope)) != 1 or other is None or not _goes_with(other, wanted)
-        found[k].add(None if vague else slot_unit(odes[i][0], unit, per=per))
+        if not ca.symvar(slope):
+            vague = abs(float(slope)) != 1 or rest is None or not _goes_with(rest, wanted)
+        elif rest is not None and _of_one_kind(rest, wanted):
+            # numbers may convert units, as in 1e3 (F + slot)/m for mm/s2: what is added to a slot shows it
+            wanted = rest
+        found[k].add(None if vague else slot_unit(wanted, unit))
     return [each.pop() if len(each) == 1 else None for each in found]
 
 
@@ -158,6 +165,16 @@ def quantity(unit: str) -> str:
     return next((words for name, words in _QUANTITIES.items() if _dimension(name) == own), "rate")
 
 
+def follows_port(unit: str) -> bool:
+    """True for a unit of torques, angles and seconds alone, by which effects say what is in the units of their port.
+
+    >>> [follows_port(unit) for unit in ("N m s/rad", "rad/s", "s", "N/m", "mm", "N m/deg")]
+    [True, True, True, False, False, False]
+    """
+    powers = dict(read_unit(unit).written)
+    return set(powers) <= {"N", "m", "rad", "s"} and powers.get("N", 0) == powers.get("m", 0)
+
+
 def is_speed(unit: str) -> bool:
     """True for a unit of speed: that of a length or an angle by time."""
     return unit != NOT_STATED and (read_unit(unit).dimension in ("s-1 rad", "s-1 m"))
@@ -176,19 +193,22 @@ def _alike(unit: str, other: str) -> bool:
     return own.factor == its.factor and not own.pi and _dimension(unit) == _dimension(other)
 
 
-def slot_unit(rate: str, slope: str | None, *, per: str) -> str | None:
-    """The unit of a slot that enters the ode of a state with this slope; None where it cannot be known.
+def slot_unit(rate: str, slope: str | None) -> str | None:
+    """The unit of a slot that enters an ode with this slope; None where it cannot be known.
 
-    rate : unit of the state; slope : unit of the slope; per : unit of time of the ode
+    rate : unit of the ode; slope : unit of the slope
 
-    >>> slot_unit("rad/s", "1/(kg m2)", per="s"), slot_unit("K", "K/J", per="s"), slot_unit("mg/L", "1", per="h")
+    >>> slot_unit("rad/s2", "1/(kg m2)"), slot_unit("K/s", "K/J"), slot_unit("mg/(L h)", "1")
     ('N m', 'W', 'mg/(L h)')
     """
-    return None if slope is None else named(unit_product((rate, 1), (per, -1), (slope, -1)))
+    return None if slope is None else named(unit_product((rate, 1), (slope, -1)))
 
 
 def _goes_with(unit: str, other: str) -> bool:
     """True for units of one dimension, angles left out, and of one size."""
-    own, its = read_unit(unit), read_unit(other)
-    powers, others = ({k: v for k, v in one.exponents if k != "rad"} for one in (own, its))
-    return powers == others and own.factor == its.factor
+    return _of_one_kind(unit, other) and read_unit(unit).factor == read_unit(other).factor
+
+
+def _of_one_kind(unit: str, other: str) -> bool:
+    own, its = ({k: v for k, v in read_unit(one).exponents if k != "rad"} for one in (unit, other))
+    return own == its

@@ -15,7 +15,7 @@ from casadi_engine.effects.functions import Sharp, SharpInTime
 from casadi_engine.effects.protocol import PORT_KINDS, Effect, Grid, check_effect
 from casadi_engine.errors import CasadiEngineError, EffectError
 from casadi_engine.model.declarations import ParameterDeclaration, Port
-from casadi_engine.model.law_checks import OwnState, check_null, check_symbols, read_law
+from casadi_engine.model.law_checks import OwnState, check_null, check_symbols, check_units, read_law
 from casadi_engine.model.port_view import MissingSignalError, PortView, TrialView, Values
 from casadi_engine.parameters import near_matches
 
@@ -214,6 +214,7 @@ def read_terms(
     port = find_port(model, effect, at)
     if isinstance(effect, Effect):
         effect = effect.placed(PortView(model, port, effect=effect.name))
+    check_units(effect, port)
     if not again and any(one.at == port.name and one.effect.name == effect.name for one in model.effects):
         raise EffectError(
             f"the model {model.name} has {effect.name} at {port.name} already",

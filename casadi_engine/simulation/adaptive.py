@@ -28,6 +28,9 @@ _SAFETY, _LEAST, _MOST = 0.9, 0.2, 6.0
 _SMALL = 1e-9
 # Of its declared size, what a state that has always been at rest is integrated to: it may be set in motion by a corner.
 _REST = 1e-18
+# Of the states themselves, what sensitivities to scaled parameters are integrated to: the first digits of one that was
+# 0 until a corner drown in the rounding of the states.
+_FELT = 1e-6
 # To this share of its largest value the course of a switching function within a step is known.
 _COURSE = 1e-3
 # And so near to 0 a cubic through it is looked at more closely.
@@ -38,6 +41,10 @@ _ROUNDING = 1e-14
 _SPREAD = 1e3
 # Two passes of a switch within this share of the record count as none.
 _BRIEF = 1e-6
+# An instant is rounded to this share of the time, and no step is shorter. The rates of sensitivities jump at a corner
+# of the equations; where these were 0 before, no step across it meets a tolerance that is relative. One of this share
+# of the record is taken then, so many times in a row at most.
+_SHORTEST, _CORNER = 1e-15, 5
 # A switching function counts as passed beyond this share of its largest value.
 _PASSED = 1e-12
 MOST_STEPS, MOST_EVENTS = 2_000_000, 50_000
@@ -63,11 +70,13 @@ class Adaptive:
         self.field, self.tolerance = field, tolerance
         sizes = np.ones(field.n) if scale is None else scale
         self._sizes, self._floor = sizes, _REST * np.tile(sizes, field.size // field.n)
+        wide = field.size // field.n - 1
+        self._per = np.concatenate([1 / sizes, np.ones(wide - field.n)]) if wide else np.zeros(0)
         self.z = np.zeros(0) if z is None else z
         self.mode: Mode = ()
         self.side = np.zeros(field.switches)
         self.b = self.c = np.zeros(len(field.owner))
-        self.steps = self.events = self.limited = 0
+        self.steps = self.events = self.limited = self._forced = 0
         self.stiff = False
         self.h = self.time = 0.0
         # of the switching functions and themselves at the beginning and the end of the last explicit step
@@ -123,7 +132,9 @@ class Adaptive:
         return self.field.nodes(x, t, segment) if len(self.field.owner) else self.b
 
     def _weights(self, x: Array) -> Array:
-        return self.tolerance * (np.abs(x) + 1e-3 * self.peak + self._floor)
+        size = np.abs(x) + 1e-3 * self.peak + self._floor
+        size[self.field.n :] += _FELT * np.outer(self._per, self.peak[: self.field.n]).ravel()
+        return self.tolerance * size
 
     def _piece(self, x: Array, t: float, end: float, segment: Array) -> Array:
         """From one knot to the next."""
@@ -172,12 +183,18 @@ class Adaptive:
                 weight = _COURSE * np.maximum(self.g_peak, np.abs(self._ends[1]))
                 error = max(error, error_norm(passing5 / (weight + 1e-300), passing3 / (weight + 1e-300)))
             finite = finite and bool(np.isfinite(error))
+            brief = _SHORTEST * max(abs(t), self._span)
             if finite and error <= 1:
+                self._forced = self._forced if h <= 1e3 * brief else 0
                 break
-            h *= max(_LEAST, _SAFETY * error ** (-1 / 8)) if finite else _LEAST
-            self._count()
-            if h <= 1e-15 * max(abs(t), 1e-300) or h < 1e-290:
+            if finite and h <= brief and self._forced < _CORNER:
+                self._forced += 1
+                break
+            if h <= max(_SHORTEST * abs(t), 1e-290):
                 raise FloatingPointError("the step has become too short")
+            shorter = h * (max(_LEAST, _SAFETY * error ** (-1 / 8)) if finite else _LEAST)
+            h = max(shorter, brief) if h > brief else shorter
+            self._count()
         grown = h * min(_MOST, _SAFETY * max(error, 1e-10) ** (-1 / 8))
         self.h = max(grown, self.h) if h >= left and h < self.h else grown
         if self.steps % _LOOKED == 0:

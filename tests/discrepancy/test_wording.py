@@ -1,6 +1,7 @@
 """Words for numbers of a repair: in the units and with the names of the system that is told of."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -100,3 +101,21 @@ def test_an_estimate_says_why_it_has_no_error(estimate, words):
     assert told(estimate) == words
     number, _, why = words.partition(" (")
     assert told(estimate, " kg") == f"{number} kg{' (' if why else ''}{why}"
+
+
+@pytest.mark.parametrize(
+    ("unit", "gain", "error", "words"),
+    [
+        ("m/s", 2.6, 0.005, "in km/h labelled m/s"),
+        ("kPa", -0.99, 1e-4, "in bar labelled kPa"),
+        ("m/s", 2.6, 0.5, ""),  # not known well enough
+        ("m/s", 2.5, 0.005, ""),  # no ratio of units
+        ("-", 2.6, 0.005, ""),
+        ("m/s", 2.6, None, ""),
+    ],
+)
+def test_a_gain_tells_units_where_it_is_their_ratio_within_its_error(unit, gain, error, words):
+    output = SimpleNamespace(name="y", unit=unit)
+    one = SimpleNamespace(at="sensor_y", amplitude=SimpleNamespace(value=gain, stderr=error))
+    found = wording._other_unit(one, SimpleNamespace(outputs=[output]))
+    assert (words in found) if words else found == ""

@@ -104,7 +104,7 @@ def several():
     return b.model()
 
 
-SENSORS = {"sensor_offset", "sensor_delay"}
+SENSORS = {"sensor_offset", "sensor_delay", "sensor_gain"}
 CASES = {
     "mass": (mass(), {"body": AT_SPEED}),
     "pendulum": (pendulum(), {"pivot": AT_SPEED}),

@@ -282,6 +282,7 @@ def test_the_library_by_name():
         "coulomb_friction", "viscous_friction", "quadratic_drag", "stribeck_friction", "asymmetric_friction",
         "constant_torque",
         "cubic_stiffness", "backlash", "misfire", "cylinder_imbalance", "load_step", "sensor_offset", "sensor_delay",
+        "sensor_gain",
         "transfer",
         "overflow",
         "wrong_value",

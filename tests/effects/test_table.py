@@ -43,7 +43,7 @@ def test_every_effect_of_the_library_has_its_formula_and_what_it_reads():
         "looks",
         "like",
     ]
-    assert lines[-1].endswith("elsewhere they follow the port: N s/m or W/K for N m s/rad.")
+    assert lines[-1] == "Units follow the port: N s/mm, W/K or N m s/deg for N m s/rad."
     shown = {(line.split()[0]) for line in lines[1:-1]}
     assert shown == {effect.name for effect in ce.effects.library()}
     assert not any("cannot be written" in line for line in lines)

@@ -179,7 +179,10 @@ def test_the_errors_of_the_quadratic_are_there_when_asked_for():
 
 def test_a_wrong_word_for_the_errors_is_refused(refused):
     with refused(
-        EstimationError, "errors is not acceptable", seen="'profile'", allowed='"checked", "quadratic", or seconds >= 0'
+        EstimationError,
+        "errors is not acceptable",
+        seen="'profile'",
+        allowed='"checked", "quadratic", or seconds >= 0',
     ):
         bent_fit(1.0, 1.0, errors="profile")
 

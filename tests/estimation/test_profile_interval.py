@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import casadi_engine as ce
-from casadi_engine.estimation import doubted
 from casadi_engine.identifiability import profile
 
 

@@ -106,3 +106,23 @@ def test_a_drive_that_an_effect_adds_has_the_unit_of_its_port():
     made = b.model().with_effect(ce.effects.LoadStep(), at="room")
     assert [(drive.name, drive.unit) for drive in made.drives] == [("T_room_load_step", "W")]
     assert made.parameters()["room.load_step.torque"].unit == "W"
+
+
+@pytest.mark.parametrize(
+    ("speed", "mass", "acts", "factor"),
+    [("deg/s", "kg m2", "N m", 57.2958), ("rpm", "kg m2", "N m", 9.5493), ("mm/s", "kg", "N", 1e3)],
+)
+def test_a_number_that_converts_units_is_seen_by_what_is_added_to_the_slot(speed, mass, acts, factor):
+    def port(loss):
+        b = ce.Blueprint("one", time_unit="s")
+        w, inertia = b.state("w", unit=speed), b.parameter("J", 2.0, unit=mass)
+        slot = b.port("here", "inertia", {"speed": w})
+        b.ode("w", (b.input("T", unit=acts) + slot - loss(b, w)) * factor / inertia)
+        b.output("y", w, unit=speed)
+        return b.model().ports["here"]
+
+    assert port(lambda b, w: 0).unit == acts
+    assert (
+        port(lambda b, w: b.port("other", "internal") + w * b.parameter("c", 1.0, unit=f"{acts} s/m")).unit
+        != acts
+    )

@@ -1,0 +1,103 @@
+"""A sensor of a wrong gain: its law, where it is an offset, and the units that a gain tells."""
+
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import casadi_engine as ce
+
+
+def joint(*, known=True):
+    """An inertia on a spring, whose angle and speed are both measured; its inertia is known, or estimated."""
+    b = ce.Blueprint("joint")
+    inertia = b.parameter("J", 0.13, unit="kg m2", min=1e-4, vary=not known)
+    loss, k = (
+        b.parameter("D", 0.05, unit="N m s/rad", min=1e-4),
+        b.parameter("k", 2.0, unit="N m/rad", min=1e-3),
+    )
+    q, w = b.state("q", unit="rad"), b.state("w", unit="rad/s", scale=10)
+    slot = b.port("joint", "inertia", {"speed": w}, unit="N m")
+    b.ode("q", w)
+    b.ode("w", (b.input("T", unit="N m") + slot - k * q - loss * w) / inertia)
+    b.output("angle", q, unit="rad")
+    b.output("speed", w, unit="rad/s", scale=10)
+    return b.model()
+
+
+def measured(model, *, angle=1.0, speed=1.0, seed=0):
+    """A record of other parameters, each output times a factor, with noise of half a percent."""
+    rng, t = np.random.default_rng(seed), 0.01 * np.arange(1200)
+    torque = 3 * np.repeat(rng.normal(size=40), 30)
+    units = {"T": "N m", "angle": "rad", "speed": "rad/s"}
+    blank = ce.Experiment.from_arrays("run", time=t, units=units, T=torque, angle=0 * t, speed=0 * t)
+    true = model.parameters()
+    true["D"], true["k"] = 0.07, 2.4
+    made = ce.simulate(model, blank, parameters=true)
+    shown = {
+        name: factor * (made[name].values + 0.005 * np.std(made[name].values) * rng.normal(size=len(t)))
+        for name, factor in (("angle", angle), ("speed", speed))
+    }
+    return ce.Experiment.from_arrays("run", time=t, units=units, T=torque, **shown)
+
+
+def test_a_gain_multiplies_the_output_alone():
+    model = joint()
+    made = model.with_effect(ce.effects.SensorGain(), at="sensor_speed", values={"gain": 0.2})
+    shown = ca.Function("shown", [made.x, made.u, made.t, made.p], [made.closed_outputs])
+    assert shown([0.3, 5.0], 1.0, 0.0, made.parameter_vector()).full().ravel() == pytest.approx([0.3, 6.0])
+    assert made.parameters()["sensor_speed.sensor_gain.gain"].unit == "1"
+    np.testing.assert_array_equal(ca.DM(ca.jacobian(made.closed_ode, made.p[-1])), 0)
+
+
+@pytest.mark.parametrize(("mean", "idle"), [(300.0, True), (11.0, True), (9.0, False), (0.0, False)])
+def test_a_gain_of_what_hardly_varies_is_an_offset(mean, idle):
+    class Port:
+        def courses(self, signal):
+            assert signal == "value"
+            return (mean + math.sqrt(2) * np.sin(np.linspace(0, 20 * np.pi, 2001)), np.array([np.nan]))
+
+    assert (ce.effects.SensorGain().idle(Port()) != "") == idle
+
+
+def test_a_gain_is_idle_nowhere_before_there_is_a_record():
+    class Port:
+        def courses(self, signal):
+            return ()
+
+    assert ce.effects.SensorGain().idle(Port()) == ""
+
+
+@pytest.mark.parametrize(
+    ("factors", "words"),
+    [
+        ({"speed": 30 / math.pi}, "times as large, as numbers in rpm labelled rad/s would be"),
+        ({"speed": math.pi / 30}, "times as large, as numbers in rad/s labelled rpm would be"),
+        ({"angle": 180 / math.pi}, "times as large, as numbers in deg labelled rad would be"),
+    ],
+)
+def test_exchanged_units_are_named(factors, words):
+    (name,) = factors
+    found = ce.repair(joint(), measured(joint(), **factors))
+    assert [one.key for one in found.effects] == [f"sensor_{name}.sensor_gain"]
+    size = found.effects[0].amplitude
+    assert abs(1 + size.value - factors[name]) < 4 * size.stderr
+    assert words in " ".join(str(found).split())
+
+
+def test_a_calibration_error_is_no_exchanged_unit():
+    found = ce.repair(joint(), measured(joint(), speed=1.05))
+    assert [one.key for one in found.effects] == ["sensor_speed.sensor_gain"]
+    assert "labelled" not in str(found)
+
+
+def test_one_sensor_too_large_or_the_other_too_small_is_a_class():
+    """A linear system of which the inertia is unknown as well does not tell them apart."""
+    found = ce.repair(joint(known=False), measured(joint(), speed=1.05))
+    names = {one.label for one in found.effects[0].members}
+    assert names == {"sensor_gain at sensor_speed", "sensor_gain at sensor_angle"}
+
+
+def test_no_gain_is_found_in_sound_records():
+    assert ce.repair(joint(), measured(joint(), seed=3)).effects == ()
