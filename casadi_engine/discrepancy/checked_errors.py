@@ -20,8 +20,8 @@ from casadi_engine.problem.noise import Noise
 
 # Rise or fall of chi-squared with which an optimum is still the same.
 _SAME = 0.1
-# Processor time that intervals may take: they are the last step of much work.
-_SECONDS = 10.0
+# Processor time that intervals by profile may take [s]: they are the last step of much work.
+FOR_INTERVALS = 20.0
 _UNCHECKED = "the standard errors are those of the curvature at the optimum; they were not checked"
 
 
@@ -37,7 +37,12 @@ def with_checked_errors(
     unchecked = replace(repair, messages=(*repair.messages, _UNCHECKED))
     fit = repair.fit
     start = replace(Start.of(fit), in_places=in_places)
-    own = {**options, "interval": fit.options.get("interval", "auto"), "progress": False, "errors": _SECONDS}
+    own = {
+        **options,
+        "interval": fit.options.get("interval", "auto"),
+        "progress": False,
+        "errors": FOR_INTERVALS,
+    }
     try:
         found = estimate(fit.model, fit.data, parameters=as_fitted(fit), noise=noise, warm=start, **own)
     except (CasadiEngineError, TimeUp):

@@ -8,7 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from casadi_engine.discrepancy.checked_errors import as_fitted, no_smaller_errors, with_errors_of
+from casadi_engine.discrepancy.checked_errors import (
+    FOR_INTERVALS,
+    as_fitted,
+    no_smaller_errors,
+    with_errors_of,
+)
 from casadi_engine.discrepancy.confirmation import Residuals, gap
 from casadi_engine.discrepancy.fresh import Portions
 from casadi_engine.discrepancy.repaired import Gaps, NoiseFound, Repair, Side
@@ -96,7 +101,7 @@ class LowerRate:
         try:
             found = estimate(
                 fit.model, self.whole.data, parameters=as_fitted(fit), noise=self.whole_noise, warm=warm,
-                progress=False, **self.options,
+                progress=False, errors=FOR_INTERVALS, **self.options,
             )  # fmt: skip
         except CasadiEngineError:
             return None

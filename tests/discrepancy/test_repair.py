@@ -99,7 +99,10 @@ def test_dry_friction_in_the_coupling_is_named_and_confirmed(repaired, among):
     assert one.key == "coupling.coulomb_friction"
     assert one.sentence == "dry friction at coupling"
     amplitude = one.amplitude
-    low, high = amplitude.interval or (amplitude.value - 2 * amplitude.stderr, amplitude.value + 2 * amplitude.stderr)
+    low, high = amplitude.interval or (
+        amplitude.value - 2 * amplitude.stderr,
+        amplitude.value + 2 * amplitude.stderr,
+    )
     assert low < 8 < high
     assert high - low < 2
     assert one.p_value < 1e-10
