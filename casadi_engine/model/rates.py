@@ -20,28 +20,37 @@ if TYPE_CHECKING:
 
 
 def with_rates(model: Model) -> Model:
-    """The model with the signals value and rate of its sensors as its equations give them.
+    """The model with the signals value, rate and bend (the rate's rate) of its sensors as its equations give them.
 
-    An output without a rate, because it jumps or holds another delay already, has the signal value alone.
+    An output without a rate, because it jumps or holds another delay already, has the signal value alone; one whose
+    rate shows a channel has no bend. Torques at ports change no bend: nobody knows their rates.
     """
     shown = model.output_expressions
     if model.d.numel() and ca.depends_on(shown, model.d):
         shown = ca.substitute(shown, model.d, model.drive_expressions)
     smooth = [_has_rate(model, shown[row]) for row in range(shown.numel())]
     model = _with_symbols(model, [shown[row] for row, good in enumerate(smooth) if good])
-    rates = _total_rates(model)
+    rates = _total_rates(model, model.output_expressions)
+    whole = rates
+    if model.d.numel() and ca.depends_on(rates, model.d):
+        whole = ca.substitute(rates, model.d, model.drive_expressions)
+    bent = [good and _has_bend(model, whole[row]) for row, good in enumerate(smooth)]
+    bends = _total_rates(model, rates)
     fresh, row = [], 0
     for port in model.ports:
         if port.kind == "sensor":
-            port = replace(port, signals=_signals(model, row, rates[row] if smooth[row] else None))
+            signals = {"value": model.output_expressions[row]}
+            signals |= {"rate": rates[row]} if smooth[row] else {}
+            signals |= {"bend": bends[row]} if bent[row] else {}
+            port = replace(port, signals=signals)
             row += 1
         fresh.append(port)
     return replace(model, ports=Ports(fresh))
 
 
-def _signals(model: Model, row: int, rate: Any | None) -> dict[str, Any]:
-    value = {"value": model.output_expressions[row]}
-    return value if rate is None else value | {"rate": rate}
+def _has_bend(model: Model, rate: Any) -> bool:
+    """True if a rate, drives put in, is smooth and shows no channel, whose rates are noise where it is measured."""
+    return not ca.depends_on(rate, model.u) and not jumps_in(rate, ca.vertcat(model.x, model.t))
 
 
 def _has_rate(model: Model, shown: Any) -> bool:
@@ -66,11 +75,10 @@ def _with_symbols(model: Model, shown: list[Any]) -> Model:
     return replace(model, u=ca.vertcat(model.u, *symbols), rates=(*model.rates, *names))
 
 
-def _total_rates(model: Model) -> Any:
-    """(ny, 1) SX of the outputs' total derivatives by time."""
+def _total_rates(model: Model, outputs: Any) -> Any:
+    """(ny, 1) SX of the total derivatives of outputs by time, torques at ports held."""
     known = [variable.name for variable in model.inputs]
     channels = ca.vertcat(ca.SX(0, 1), *[model.channels[known.index(name)] for name in model.rates])
-    outputs = model.output_expressions
     rates = ca.jtimes(outputs, model.x, model.ode) + _partial_rates(outputs, channels, model)
     if model.d.numel() and ca.depends_on(outputs, model.d):
         rates = rates + ca.jtimes(outputs, model.d, _partial_rates(model.drive_expressions, channels, model))

@@ -158,3 +158,21 @@ def test_a_model_with_rates_is_sent_printed_and_not_tested_exactly():
         ce.identifiability(late)
     assert "seen: F; allowed: outputs of states, channels and parameters" in str(caught.value)
     assert "do: test the model without the delay of that sensor" in str(caught.value)
+
+
+def test_a_late_sensor_counts_to_the_second_order_where_equations_tell():
+    """A swing of 2 Hz, 30 ms late: what is left out is of the third order."""
+    b = Blueprint("swing")
+    w = b.parameter("w", 2 * np.pi * 2.0)
+    x, v = b.state("x"), b.state("v")
+    b.ode("x", v)
+    b.ode("v", -(w**2) * x)
+    b.output("x", x)
+    late = 0.03
+    t = np.arange(400) * 5e-3
+    data = ce.Experiment.from_arrays("run", time=t, units={"x": "1"}, x=np.zeros(400))
+    model = b.model().with_effect(SensorDelay(), at="sensor_x", values={"delay": late})
+    shown = ce.simulate(model, data, initial={"x": 1.0, "v": 0.0})["x"].values
+    turn = 2 * np.pi * 2.0 * late
+    assert np.abs(shown - np.cos(2 * np.pi * 2.0 * (t - late))).max() < turn**3 / 6 * 1.05
+    assert np.abs(shown - np.cos(2 * np.pi * 2.0 * (t - late))).max() > turn**3 / 6 * 0.8
