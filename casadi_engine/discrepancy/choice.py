@@ -224,6 +224,7 @@ class Choice:
                 continue
             arrived = self._station(best)
             if arrived is not None and not vanished(best.effects, arrived.fit):
+                self.refits.settled()
                 break
             if self.refits.blunted():
                 here, tried = self.pool[here.key], [self.pool[one.key] for one in tried]

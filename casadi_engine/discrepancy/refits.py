@@ -267,6 +267,10 @@ class Refits:
         self.weigh()
         return True
 
+    def settled(self) -> None:
+        """A fit with corners as sharp as they are was reached: they are not taken back for the sake of what is added."""
+        self._wide = None
+
     def doubt(self, effects: Sequence[Addition]) -> list[str]:
         """That the data feel how the corners of these effects are rounded, where they do."""
         own = {one.key: self.refitter.rounded(one).width for one in effects if self.path.cornered([one])}

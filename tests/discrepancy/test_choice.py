@@ -322,6 +322,17 @@ def test_where_whole_fits_fail_with_sharp_corners_the_wider_ones_count_again(pre
     assert made.choice.refitter.share == 1
 
 
+def test_sharp_corners_that_a_fit_was_reached_with_are_not_taken_back(prepared, monkeypatch):
+    """What is added later is not in the pool from before they were sharpened."""
+    made = prepared(rubbing, ["coulomb_friction"], most=1)
+    monkeypatch.setattr("casadi_engine.discrepancy.path.FELT", 1e-9)  # whatever the data say
+    made.choice.run(made.fit)
+    share = made.choice.refitter.share
+    assert share < 1
+    assert not made.choice.refits.blunted()
+    assert made.choice.refitter.share == share
+
+
 def test_a_structure_whose_whole_fit_fails_gives_way_to_the_next(prepared, monkeypatch):
     """And is said to have failed."""
     made = prepared(rubbing, ["coulomb_friction", Alike()], most=1)
