@@ -268,7 +268,7 @@ class Refits:
         return True
 
     def settled(self) -> None:
-        """A fit with corners as sharp as they are was reached: they are not taken back for the sake of what is added."""
+        """A fit with corners as sharp as they are was reached: they are not taken back for what is added later."""
         self._wide = None
 
     def doubt(self, effects: Sequence[Addition]) -> list[str]:
