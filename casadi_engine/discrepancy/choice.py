@@ -347,7 +347,10 @@ class Choice:
         """Refits of one effect from another start than ``here``: in windows from the parameters' own values; where none
         has arrived, from a small amplitude."""
         if own is not None:
-            self._try(here, _chosen(screened, own, members), None)
+            one = _chosen(screened, own, members)
+            self._try(here, one, None)
+            if self.refits.path.cornered([one]):  # as sharp as it is: wide corners may lead to another valley
+                self._try(here, one, None, near=True)
         self._arrive(here, screened.candidates[members[0]].key, lambda: _chosen(screened, at_here, members))
 
     def _promising(

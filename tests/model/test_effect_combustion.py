@@ -89,7 +89,8 @@ def test_ports_of_cylinders_have_the_signals_of_the_table(model):
         if port.kind == "coupling":
             assert {"twist", "twist_rate", "stiffness"} <= set(port.signals)
         if port.kind == "sensor":
-            assert set(port.signals) == {"value", "rate"}
+            # the load's speed bends by states alone, the engine's by the pressures too
+            assert set(port.signals) - {"bend"} == {"value", "rate"}
         if port.kind == "parameter":
             assert set(port.signals) == {"value", "time"}
     cylinders = model.ports["cylinders"].signals["combustion_torque"]
