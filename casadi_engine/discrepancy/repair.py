@@ -287,11 +287,21 @@ class _Job:
     def _null(self, jobs: int | None) -> tuple[Fit, Parameters, float]:
         """The fit without effects, the parameters that later fits start from, and the work of a start."""
         self.tell(f"fit without effects, {self.several['starts']} starts")
+        options: dict[str, Any] = {"noise": self.noise, "progress": False, **self.options}
         with Deadline(best=True) as own:
             fit = estimate(
-                self.model, self.portion.data, parameters=self.parameters, noise=self.noise, jobs=jobs, progress=False,
-                **self.several, **self.options,
-            )  # fmt: skip
+                self.model,
+                self.portion.data,
+                parameters=self.parameters,
+                jobs=jobs,
+                **self.several,
+                **options,
+            )
+            if "one more step" in fit.status:  # as its message tells a person to
+                again = estimate(
+                    self.model, self.portion.data, parameters=self.parameters, warm=fit, **options
+                )
+                fit = again if again.converged else fit
         self.null_fit = fit
         fit, pars = settle_scatter(fit, self.parameters, noise=self.noise, options=self.options)
         self.null_fit = fit

@@ -39,7 +39,8 @@ Outcomes = Callable[[list[Array], bool, "Begun | None"], Iterator[Attempt | Esti
 def attempts_from(
     search: Search, starts: list[Array], neighbours: int = 0, *, outcomes: Outcomes | None = None
 ) -> list[Attempt]:
-    """The outcome of every start up to an interruption; drawn starts at which the model fails are passed over.
+    """The outcome of every start up to an interruption; starts at which the model fails are passed over, if it does not
+    fail at all of them.
 
     Beside an optimum in the frequency domain, where a look costs little, the data's weakest direction is always
     followed; what is found there counts as an attempt only if it is another optimum.
@@ -106,16 +107,17 @@ def interrupted(attempts: list[Attempt]) -> bool:
 
 def _tried(run: Outcomes, attempts: list[Attempt], starts: list[Array], beside: Begun | None = None) -> bool:
     """Add the outcomes of these starts, beside an optimum up to one that is lower; False if the user ended them."""
-    first = not attempts
+    first, fault = not attempts, None
     known = best_of(attempts).merit if attempts else -np.inf
     for outcome in run(starts, first, beside):
         if isinstance(outcome, EstimationError):
-            if first and not attempts:  # the set's own values have to be possible
-                raise outcome
+            fault = fault or outcome
             continue
         attempts.append(outcome)
         if beside is not None and best_of(attempts).merit < known - _LOWER:
             break
+    if fault is not None and not attempts:  # the set's own values, and all that were drawn
+        raise fault
     return not interrupted(attempts)
 
 

@@ -1,5 +1,8 @@
 """What is said beside "nothing missing", where that may hide something."""
 
+import importlib
+from dataclasses import replace
+
 import numpy as np
 from scipy.signal import lfilter
 
@@ -46,3 +49,20 @@ def test_a_parameter_at_a_bound_is_told_where_nothing_was_added():
     assert (
         "J_eng went to a bound: the model may not describe these data, whatever was tested" in found.messages
     )
+
+
+def test_a_first_fit_that_asks_for_one_more_step_is_given_it(monkeypatch):
+    module, asked = importlib.import_module("casadi_engine.discrepancy.repair"), []
+    real = module.estimate
+
+    def estimate(*arguments, **options):
+        fit = real(*arguments, **options)
+        asked.append(options.get("warm"))
+        why = "not converged: one more step would still lower chi-squared by 0.00124, more than 0.001"
+        return replace(fit, status=why) if len(asked) == 1 else fit
+
+    monkeypatch.setattr(module, "estimate", estimate)
+    found = nothing_of(swing(0.1 * np.random.default_rng(4).standard_normal(600)))
+    assert found.verdict == "nothing missing"
+    assert asked[0] is None
+    assert asked[1].status.startswith("not converged")

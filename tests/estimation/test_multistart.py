@@ -2,11 +2,13 @@
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
 import casadi_engine as ce
+from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.loss import Loss
 from casadi_engine.estimation.multistart import attempts_from, best_of, distinct_optima
 from casadi_engine.estimation.search import Search
@@ -174,3 +176,20 @@ def test_more_neighbours_than_parameters_are_those_there_are(valleys):
     model, data, noise = valleys(start=1.0)
     fit = ce.estimate(model, data, noise=noise, neighbours=7, **REST)
     assert sum(o.starts for o in fit.optima) == 3
+
+
+def test_where_the_set_is_impossible_drawn_starts_are_searched_from():
+    """x' = -k x with a root that has no number below k = 1."""
+    b = ce.Blueprint("rooted")
+    k, x = b.parameter("k", 0.5, min=0.1, max=5.0), b.state("x")
+    b.ode("x", -k * x + 1e-9 * ca.sqrt(k - 1))
+    b.output("y", x)
+    time = np.arange(100) * 0.02
+    y = np.exp(-2 * time) + 0.01 * np.random.default_rng(0).standard_normal(100)
+    data = ce.Experiment.from_arrays("r", time=time, units={"y": "1"}, y=y)
+    options = {"noise": ce.Noise(y=0.01), "progress": False}
+    with pytest.raises(EstimationError, match="cannot be evaluated at the start values"):
+        ce.estimate(b.model(), data, **options)
+    fit = ce.estimate(b.model(), data, starts=12, **options)
+    assert fit.converged
+    assert abs(fit.values["k"] - 2.0) < 4 * fit.stderr["k"]
