@@ -313,7 +313,7 @@ class RungeKuttaPropagator:
     def _lost(self, begun: Array) -> Array:
         """By how much shorter the steps of each cell have to be where Newton's method did not arrive in some."""
         layout = self.layout
-        fine = np.isfinite(begun).all(axis=0)
+        fine = np.asarray(np.isfinite(begun).all(axis=0))
         lost = fine[: layout.steps] & ~fine[layout.after]
         if not lost.any():
             raise FloatingPointError("the model's state is not finite here")
