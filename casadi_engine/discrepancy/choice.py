@@ -349,7 +349,8 @@ class Choice:
         if own is not None:
             one = _chosen(screened, own, members)
             self._try(here, one, None)
-            if self.refits.path.cornered([one]):  # as sharp as it is: wide corners may lead to another valley
+            # as sharp as it is: wide corners may lead to another valley; what has a special case starts from that
+            if self.refits.path.cornered([one]) and not one.candidate.source.effect.limit:
                 self._try(here, one, None, near=True)
         self._arrive(here, screened.candidates[members[0]].key, lambda: _chosen(screened, at_here, members))
 

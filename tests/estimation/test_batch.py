@@ -145,10 +145,10 @@ def test_a_start_at_which_the_model_fails_is_passed_over_in_processes_too(line, 
     assert sum(o.starts for o in two.optima) < 6
 
 
-def test_a_first_start_that_fails_is_an_error_in_processes_too(line_data):
+def test_starts_that_all_fail_are_an_error_in_processes_too(line_data):
     pytest.importorskip("joblib", reason="several processes need joblib")
     b = ce.Blueprint("root")
-    p, x, u = b.parameter("p", -0.5, min=-1, max=1), b.state("x"), b.input("u1")
+    p, x, u = b.parameter("p", -0.5, min=-1, max=-0.1), b.state("x"), b.input("u1")
     b.ode("x", p**0.5 * u)
     b.output("y", x)
     for jobs in (1, 2):
