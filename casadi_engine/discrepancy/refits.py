@@ -11,6 +11,7 @@ import numpy as np
 from casadi_engine.deadline import late
 from casadi_engine.discrepancy.compression import scatter_columns
 from casadi_engine.discrepancy.evidence import Digest, Evidence, Levels, digest, evidence, levels_left
+from casadi_engine.discrepancy.exchanged_units import impossible_gain
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.noise_choice import scatter_of
 from casadi_engine.discrepancy.noise_model import NoiseModel
@@ -146,7 +147,9 @@ class Refits:
         return [self.pool[key]] if key in self.pool else []
 
     def _counted(self, effects: tuple[Addition, ...], arrived: Arrived) -> Tried | None:
-        """A refit with its evidence."""
+        """A refit with its evidence; None where a sensor would have a gain that none has."""
+        if impossible_gain(effects, arrived.values, self.refitter.model):
+            return None
         try:
             with np.errstate(all="ignore"):
                 null = self.path.residuals(effects, arrived)

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 
+from casadi_engine.discrepancy.exchanged_units import exchanges
 from casadi_engine.estimation.summary import BOUND_WORDS, count, number, with_error
-from casadi_engine.experiment.units import CONFUSED, NOT_STATED, read_unit
+from casadi_engine.experiment.units import NOT_STATED
 from casadi_engine.model.declared_units import seconds_in
 from casadi_engine.model.port_units import is_speed
 
@@ -149,19 +150,12 @@ def _other_unit(one: FoundEffect, model: Model) -> str:
     """The units that were exchanged where the gain of a sensor is their ratio within its error; "" for others."""
     output = next(out for out in model.outputs if one.at == f"sensor_{out.name}")
     factor, error = 1 + one.amplitude.value, one.amplitude.stderr
-    if output.unit == NOT_STATED or error is None or error > _SURE * abs(factor):
+    if error is None or error > _SURE * abs(factor):
         return ""
-    own = read_unit(output.unit)
-    for name in CONFUSED:
-        other = read_unit(name)
-        times, over, plus = own.steps_to(other)
-        ratio = times / over
-        if own.dimension != other.dimension or ratio == 1 or plus:
-            continue
-        for right, label, share in ((name, output.unit, ratio), (output.unit, name, 1 / ratio)):
-            if abs(factor - share) <= _WITHIN * error:
-                times_large = with_error(factor, error)
-                return f"{output.name} is {times_large} times as large, as numbers in {right} labelled {label} would be"
+    for right, label, share in exchanges(output.unit):
+        if abs(factor - share) <= _WITHIN * error:
+            times_large = with_error(factor, error)
+            return f"{output.name} is {times_large} times as large, as numbers in {right} labelled {label} would be"
     return ""
 
 

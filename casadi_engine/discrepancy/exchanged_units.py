@@ -1,0 +1,41 @@
+"""Units that are taken for one another: what a sensor shows whose numbers have another unit than its label."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from casadi_engine.experiment.units import CONFUSED, NOT_STATED, read_unit
+
+if TYPE_CHECKING:
+    from casadi_engine.discrepancy.refit import Addition
+    from casadi_engine.model import Model
+
+# Gain by which a sensor may be wrong that shows its own unit; how near to a ratio of units a larger one has to be.
+_WRONG, _NEAR = 0.5, 0.05
+
+
+def exchanges(unit: str) -> Iterator[tuple[str, str, float]]:
+    """(unit of the numbers, unit on the label, by how much they are too large) for a channel of this unit."""
+    if unit == NOT_STATED:
+        return
+    own = read_unit(unit)
+    for name in CONFUSED:
+        other = read_unit(name)
+        times, over, plus = own.steps_to(other)
+        ratio = times / over
+        if own.dimension == other.dimension and ratio != 1 and not plus:
+            yield name, unit, ratio
+            yield unit, name, 1 / ratio
+
+
+def impossible_gain(effects: Sequence[Addition], values: Mapping[str, float], model: Model) -> bool:
+    """True if a sensor would show half as much too much, or more, and that is no ratio of units."""
+    for one in effects:
+        if one.candidate.effect != "sensor_gain" or abs(values.get(one.amplitude, 0.0)) <= _WRONG:
+            continue
+        factor = 1 + values[one.amplitude]
+        units = [out.unit for out in model.outputs if one.candidate.port == f"sensor_{out.name}"]
+        if not any(abs(factor / share - 1) <= _NEAR for unit in units for *_, share in exchanges(unit)):
+            return True
+    return False
