@@ -367,8 +367,9 @@ def _largest(model: Model, records: Sequence[Experiment]) -> dict[str, float]:
     found: dict[str, float] = {}
     for out, value in zip(model.outputs, ca.vertsplit(model.output_expressions), strict=True):
         courses = [np.abs(record[out.name].values) for record in records if out.name in record]
-        if value.is_symbolic() and courses:
-            found[str(value)] = float(max(np.nanmax(course) for course in courses))
+        seen = [course[np.isfinite(course)] for course in courses]
+        if value.is_symbolic() and any(course.size for course in seen):
+            found[str(value)] = float(max(course.max() for course in seen if course.size))
     return found
 
 

@@ -188,9 +188,9 @@ class SpectralSearch:
         """Steps (nv,) of a standard error along the ``count`` directions that the lowest frequencies tell least of,
         beside what the band tells: where a mode is buried in noise, the optima of its frequency lie along these.
         """
-        size = np.sqrt(np.diag(found.information))
-        whole = found.information / np.outer(size, size)
         with np.errstate(all="ignore"):
+            size = np.sqrt(np.diag(found.information))
+            whole = found.information / np.outer(size, size)
             try:
                 root = np.linalg.inv(np.linalg.cholesky(whole))
                 edges = self._edges()

@@ -1,11 +1,14 @@
 """A model that is written with jumps: what a repair gives back where nothing is missing."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
+from casadi_engine.errors import ExperimentError
 
 TRUTH = {"J": 0.004, "c": 0.03, "k": 0.06, "spring": 0.15}
 REST, SIGMA = 0.2, 0.01
@@ -78,3 +81,9 @@ def test_where_the_written_equations_do_not_fit_as_well_the_rounded_ones_stay(
     found = ce.repair(throttle(), record, parameters=parameters, effects=["constant_torque"], progress=False)
     assert found.model.corners
     assert "tanh stands in place of their jumps" in str(found)
+
+
+def test_an_output_without_a_number_is_refused_by_name(record, parameters):
+    empty = record.with_channel(replace(record["angle"], values=np.full(len(record["angle"].time), np.nan)))
+    with pytest.raises(ExperimentError, match="every sample of this output is missing"):
+        ce.repair(throttle(), empty, parameters=parameters, progress=False)
