@@ -241,10 +241,12 @@ class Choice:
         if here.key not in self.refits.improved or not here.effects:
             return None
         self.refits.improved.clear()
-        before = self._stations.pop(here.key)
-        found = self._station(self.pool[here.key])
-        if found is None:
-            self._stations[here.key] = before
+        before, found = self._stations.pop(here.key), None
+        try:
+            found = self._station(self.pool[here.key])
+        finally:  # whatever ends it: the answer so far is asked of the stations
+            if found is None:
+                self._stations[here.key] = before
         return found
 
     def _weak(self, best: Tried) -> bool:

@@ -216,9 +216,8 @@ def _with_events(
     events = [*moving, *(one for one in idle if one.recurs)]
     if not events:
         return []
-    if moving and not any(
-        one in idle for one in moving
-    ):  # they go on from the records searched: or have never come
+    if moving and not any(one in idle for one in moving):
+        # they go on from the records searched, or have never come
         gone = [*idle, *moving]
         return [held_fit(fit, record, noise=noise, idle=gone)]
     null = _without_events(held, effects, events, record, refitter)

@@ -333,6 +333,21 @@ def test_sharp_corners_that_a_fit_was_reached_with_are_not_taken_back(prepared, 
     assert made.choice.refitter.share == share
 
 
+def test_a_structure_that_is_fitted_anew_keeps_its_fit_where_that_is_ended(prepared, monkeypatch):
+    made = prepared(rubbing, ["coulomb_friction"], most=1)
+    made.choice.run(made.fit)
+    choice, kept = made.choice, made.choice.fit
+
+    def ended(self, tried):
+        raise KeyboardInterrupt
+
+    choice.refits.improved.add(choice.best)
+    monkeypatch.setattr(Choice, "_station", ended)
+    with pytest.raises(KeyboardInterrupt):
+        choice._renewed(choice.pool[choice.best])
+    assert choice.fit is kept
+
+
 def test_a_structure_whose_whole_fit_fails_gives_way_to_the_next(prepared, monkeypatch):
     """And is said to have failed."""
     made = prepared(rubbing, ["coulomb_friction", Alike()], most=1)
