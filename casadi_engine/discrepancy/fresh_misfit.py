@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from casadi_engine.discrepancy.repaired import Unknown
 from casadi_engine.distributions import f_sf
 
 if TYPE_CHECKING:
@@ -13,6 +14,8 @@ if TYPE_CHECKING:
 # The gap on fresh data is larger by at least this factor, and chance would do as much less often than this. Samples of
 # coloured noise count less by a memory that is generous.
 _LARGER, _SURE, MEMORY = 1.5, 1e-4, 20.0
+# The test by which something is missing that the fresh data alone show.
+FRESH = "fresh data"
 
 
 def fresh_misfit(repair: Repair) -> str | None:
@@ -79,16 +82,27 @@ def _beyond(repair: Repair, found: float) -> bool:
     return ratio > _LARGER and f_sf(ratio, fresh, known) < _SURE
 
 
+def _more_than_noise(repair: Repair) -> float | None:
+    """How often chance would leave the fresh residual as far from white as it is; None where it may be louder noise."""
+    after = None if repair.gaps is None else repair.gaps.validation_after
+    every = [] if after is None else [p for own in after.whiteness_p.values() for p in own.values()]
+    least = min((p for p in every if p is not None), default=1.0)
+    return least if least < _SURE else None
+
+
 def held_to_fresh_data(repair: Repair) -> Repair:
     """The repair with what its model does not describe of the fresh data said first.
 
-    It is not confirmed where more of the gap is left there than the effects closed: a gain alone confirms nothing then.
+    Where nothing was found, and that is no louder noise, something is missing. What was found is not confirmed where
+    more of the gap is left there than the effects closed: a gain alone confirms nothing then.
     """
     misfit = fresh_misfit(repair)
     if misfit is None:
         doubt = fresh_doubt(repair)
         return repair if doubt is None else replace(repair, messages=(doubt, *repair.messages))
     gaps, confirmed = repair.gaps, repair.confirmed
+    if repair.verdict == "nothing missing" and (p := _more_than_noise(repair)) is not None:
+        return replace(repair, verdict="unnamed", unknown=Unknown(misfit, {FRESH: p}))
     before = None if gaps is None else gaps.validation_before
     after = None if gaps is None else gaps.validation_after
     mostly = before is None or after is None or 2 * after.gap.chi2_per_sample > before.gap.chi2_per_sample

@@ -1,15 +1,17 @@
 """Effects that no library names: score tests of unknown smooth functions of a signal, at every location.
 
-A torque psi f(v), f a Gaussian process over the range of a signal v (twist, twist rate, speed, crank angle, time), is
-written in cosines of falling variance. The test looks at the few combinations of them to which the data are most
-sensitive under that prior, as a group; the course f(v) with its band is found under the same prior.
+A torque psi f(v), f a Gaussian process over the range of a signal v (of the port, its place where that is not known,
+time), is written in cosines of falling variance. The test looks at the few combinations of them to which the data are
+most sensitive under that prior, as a group; the course f(v) with its band is found under the same prior. What comes
+back with every turn of a shaft is looked for order by order. An input and a sensor are locations too: what they do may
+be another function of what they say.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -19,20 +21,28 @@ from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.null_distribution import Row
 from casadi_engine.discrepancy.null_model import FOUR_STROKE, NullModel
 from casadi_engine.discrepancy.score import Scores
-from casadi_engine.simulation.candidate_sensitivities import Direction, torque_direction
+from casadi_engine.effects.candidate import responses
+from casadi_engine.experiment.units import NOT_STATED, read_unit
+from casadi_engine.model import Model, Port
+from casadi_engine.simulation.candidate_sensitivities import slot_direction
 
-SIGNALS = ("twist", "twist_rate", "speed", "angle", "time")
+TIME, PLACE, TURN = "time", "place", "turn"
 _TERMS = 12
 _DIMENSIONS = 6
 _SHARE = 0.999
 _POINTS = 61
 # Variance of the k-th cosine over that of the first: the course of a Matern process of length half the range.
 _ROUGH = 2.0
+# What comes back so often in a turn of a shaft is looked for.
+_ORDERS = 24
 
 
 @dataclass(frozen=True, eq=False)
 class Family:
-    """Functions of one signal at one port: numbers of its candidates, their prior variances, and the signal's range."""
+    """Functions of one signal at one port: numbers of its candidates, their prior variances, and the signal's range.
+
+    order : how often in a turn the functions come back, 0 for others
+    """
 
     port: str
     signal: str
@@ -41,11 +51,25 @@ class Family:
     low: float
     high: float
     visited: Array  # (_POINTS,) share of the samples near each point of the range
+    order: int = 0
 
     @property
     def name(self) -> str:
         """``a function of signal at port``."""
+        if self.order:
+            return f"{self.order} per turn at {self.port}"
         return f"a function of {self.signal} at {self.port}"
+
+
+@dataclass(frozen=True, eq=False)
+class _Signal:
+    """A signal at a port: its expression, its values at all samples, and the rate of a place that is none of the
+    model's states."""
+
+    name: str
+    expression: ca.SX
+    values: Array
+    rate: ca.SX | None = None
 
 
 def family_candidates(
@@ -53,69 +77,101 @@ def family_candidates(
 ) -> tuple[list[Candidate], list[Family]]:
     """The terms of all families as candidates, to be scored together with a library, and the families.
 
-    ports : names of ports that take a torque; None for all inertias and couplings. first : number of the first term
+    ports : names of ports; None for all inertias, couplings, inputs and sensors. first : number of the first term
     among all candidates that are scored
     """
-    model = null.model
-    chosen = (
-        [p.name for p in model.ports.with_slot if p.kind in ("inertia", "coupling")]
-        if ports is None
-        else ports
-    )
+    kinds = ("inertia", "coupling", "input", "sensor")
+    chosen = [p for p in null.model.ports if (p.kind in kinds if ports is None else p.name in ports)]
     candidates: list[Candidate] = []
     families: list[Family] = []
-    for name in chosen:
-        signals = dict(model.ports[name].signals) | {"time": model.t}
-        for signal in SIGNALS:
-            if signal not in signals:
-                continue
-            expression = signals[signal]
-            values = _values(null, expression)
-            cyclic = signal == "angle"
-            low, high = (0.0, FOUR_STROKE) if cyclic else (float(values.min()), float(values.max()))
-            if not high - low > 1e-9 * max(abs(low), abs(high)):
-                continue
-            orders = range(1, terms + 1) if cyclic else range(terms)
-            basis, variances = _terms(expression, low, high, orders, cyclic=cyclic)
-            members = tuple(range(first + len(candidates), first + len(candidates) + len(basis)))
-            for k, term in enumerate(basis):
-                direction: Direction = torque_direction(model, name, term, name=f"{signal} {k} at {name}")
-                unit = model.ports[name].unit
-                candidates.append(
-                    Candidate(f"function_of_{signal}", name, direction, nuisance={"term": k}, unit=unit)
-                )
-            wrapped = np.mod(values, FOUR_STROKE) if cyclic else values
-            count, _ = np.histogram(wrapped, bins=_POINTS, range=(low, high))
-            families.append(Family(name, signal, members, variances, low, high, count / max(count.sum(), 1)))
+    for port in chosen:
+        for signal in _signals(null, port):
+            for basis, family in _families(port.name, signal, terms):
+                members = tuple(range(first + len(candidates), first + len(candidates) + len(basis)))
+                families.append(replace(family, members=members))
+                candidates += [_candidate(null.model, port, signal, k, term) for k, term in enumerate(basis)]
     return candidates, families
 
 
+def _signals(null: NullModel, port: Port) -> list[_Signal]:
+    """What a function at a port may depend on and what moves there: its own signals; its place, which is its speed
+    added up, where that is none of them; and time, where something may act."""
+    found = [_Signal(name, value, _values(null, value)) for name, value in port.signals.items()]
+    if port.slot is not None:
+        found.append(_Signal(TIME, null.model.t, _values(null, null.model.t)))
+    if port.kind == "inertia" and "speed" in port.signals and "angle" not in port.signals:
+        speed, unit = port.signals["speed"], port.units.get("speed", NOT_STATED)
+        known = None if unit == NOT_STATED else read_unit(unit)
+        turns = known is not None and known.dimension == "s-1 rad"
+        rate = speed * (float(known.factor) * math.pi ** float(known.pi)) if known and turns else speed
+        place = _added_up(null, rate)
+        whole = turns and np.ptp(place) > 2 * math.pi
+        found.append(_Signal(TURN if whole else PLACE, ca.SX.sym("place"), place, rate))
+    span = [max(float(np.abs(one.values).max()), 1e-300) for one in found]
+    return [one for one, size in zip(found, span, strict=True) if np.ptp(one.values) > 1e-9 * size]
+
+
+def _families(port: str, signal: _Signal, terms: int) -> list[tuple[list[ca.SX], Family]]:
+    """The families of a signal with their terms."""
+    v, values = signal.expression, signal.values
+    cycle = {"angle": FOUR_STROKE, TURN: 2 * math.pi}.get(signal.name)
+    low, high = (0.0, cycle) if cycle else (float(values.min()), float(values.max()))
+    count, _ = np.histogram(np.mod(values, cycle) if cycle else values, bins=_POINTS, range=(low, high))
+    blank = Family(port, signal.name, (), np.ones(2), low, high, count / max(count.sum(), 1))
+    if signal.name == TURN:
+        return [
+            ([ca.cos(k * v), ca.sin(k * v)], replace(blank, order=k))
+            for k in range(1, 1 + _ORDERS)
+        ]  # fmt: skip
+    orders = np.arange(1, terms + 1) if cycle else np.arange(terms)
+    variances = 1 / (1 + (orders / _ROUGH) ** 2) ** 2
+    if cycle:  # half orders of the crank
+        basis = [turn(0.5 * k * v) for k in orders for turn in (ca.cos, ca.sin)]
+        return [(basis, replace(blank, variances=np.repeat(variances, 2)))]
+    basis = [ca.cos(math.pi * k * (v - low) / (high - low)) for k in orders]
+    return [(basis, replace(blank, variances=variances))]
+
+
+def _candidate(model: Model, port: Port, signal: _Signal, number: int, term: ca.SX) -> Candidate:
+    """A term of a family at its port."""
+    name = f"{signal.name} {number} at {port.name}"
+    slots, drives, outputs, beyond = responses(model, port, ca.vertcat(term, 0))
+    direction = slot_direction(model, slots, name=name, drives=drives, outputs=outputs)
+    if beyond is not None:
+        direction = replace(direction, ode=direction.ode + beyond)
+    if signal.rate is not None:
+        direction = replace(direction, states=signal.expression, rates=signal.rate, start=(0.0,))
+    return Candidate(
+        f"function_of_{signal.name}", port.name, direction, nuisance={"term": number}, unit=port.unit
+    )
+
+
 def _values(null: NullModel, expression: ca.SX) -> Array:
+    return np.concatenate(_by_record(null, expression))
+
+
+def _by_record(null: NullModel, expression: ca.SX) -> list[Array]:
     found = []
     for record in null.records:
         value = record.path.function([expression])(*record.path.at_samples().arguments)[0][0]
         found.append(np.broadcast_to(value, record.path.grid.time.shape))
-    return np.concatenate(found)
+    return found
 
 
-def _terms(v: ca.SX, low: float, high: float, orders: range, *, cyclic: bool) -> tuple[list[ca.SX], Array]:
-    terms, variances = [], []
-    for k in orders:
-        variance = 1 / (1 + (k / _ROUGH) ** 2) ** 2
-        if cyclic:  # half orders of the crank
-            terms += [ca.cos(0.5 * k * v), ca.sin(0.5 * k * v)]
-            variances += [variance, variance]
-        else:
-            terms.append(ca.cos(math.pi * k * (v - low) / (high - low)))
-            variances.append(variance)
-    return terms, np.array(variances)
+def _added_up(null: NullModel, rate: ca.SX) -> Array:
+    """A place (N,) from its rate, zero where a record begins."""
+    made = []
+    for record, speed in zip(null.records, _by_record(null, rate), strict=True):
+        steps = np.diff(record.path.grid.time) * (speed[1:] + speed[:-1]) / 2
+        made.append(np.concatenate([[0.0], np.cumsum(steps)]))
+    return np.concatenate(made)
 
 
 def _basis_at(family: Family, points: Array) -> Array:
     """(points, terms) values of a family's terms."""
-    if family.signal == "angle":
-        orders = np.arange(1, len(family.members) // 2 + 1)
-        phase = 0.5 * orders * points[:, None]
+    if family.order or family.signal == "angle":
+        half = np.arange(1, len(family.members) // 2 + 1)
+        phase = points[:, None] * (family.order or 0.5 * half)
         return np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(points), -1)
     share = (points - family.low) / (family.high - family.low)
     return np.cos(math.pi * np.arange(len(family.members)) * share[:, None])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from casadi_engine.discrepancy.fresh_misfit import fresh_doubt, fresh_misfit
+from casadi_engine.discrepancy.fresh_misfit import FRESH, fresh_doubt, fresh_misfit
 from casadi_engine.discrepancy.wording import AT_FAULT, USER, is_blind, twins
 from casadi_engine.estimation.summary import count
 
@@ -29,6 +29,8 @@ def headline(repair: Repair) -> str:
         said = f"{what} is missing that these data could show{tried}{_on_fresh(repair)}"
         return said + ("; the residual is coloured, and others may hide in it" if may_hide(repair) else "")
     if repair.verdict == "unnamed":
+        if _in_fresh_alone(repair):
+            return "something is missing that the data of the search do not show: the fresh data do not fit"
         why = "no physical effect could be looked for" if blind else "no effect of the library names it"
         if repair.stopped and not blind:
             why = "the search ended before an effect of the library could name it"
@@ -40,6 +42,11 @@ def headline(repair: Repair) -> str:
     )
     tried = " (of what was tried)" if repair.stopped or "left out" in repair.options else ""
     return f"{_named(repair)}{tried}{doubt}, {sure[repair.confirmed]}{_on_fresh(repair)}"
+
+
+def _in_fresh_alone(repair: Repair) -> bool:
+    """True if what is missing is seen in the fresh data alone."""
+    return repair.unknown is not None and FRESH in repair.unknown.tests
 
 
 def may_hide(repair: Repair) -> bool:
@@ -95,7 +102,7 @@ def next_step(repair: Repair) -> str:
         )
     if repair.next_experiment is not None:
         return _to_split(repair.next_experiment)
-    if fresh_misfit(repair) is not None:
+    if fresh_misfit(repair) is not None or _in_fresh_alone(repair):
         return "look for what is missing in the fresh records: give them as data of the search"
     if repair.verdict == "nothing missing" and fresh_doubt(repair) is not None:
         return "record more before you use the model, or give the fresh records as data too: its parameters are vague"

@@ -162,7 +162,7 @@ def _made(model: Model, term: Term, size: float | None) -> Candidate:
     states = _own_states(term, list(numbers.values()))
     effect = term.effect
     every = {name: term.constants.get(name, numbers.get(name, math.nan)) for name in effect.nuisance}
-    slots, drives, outputs, beyond = _responses(model, term, value)
+    slots, drives, outputs, beyond = responses(model, term.port, value)
     return Candidate(model, effect, term.port.name, every, size, slots, drives, outputs, states, beyond)
 
 
@@ -340,15 +340,14 @@ def _own_states(term: Term, numbers: list[float]) -> tuple[OwnState, ...]:
     return tuple(replace(state, rate=ca.substitute(state.rate, known, point)) for state in term.states)
 
 
-def _responses(model: Model, term: Term, value: Any) -> tuple[Any, Any, Any, Any]:
-    """Slots, drives, outputs per unit of amplitude, and the ode's own share (of a parameter), or None.
+def responses(model: Model, port: Port, value: Any) -> tuple[Any, Any, Any, Any]:
+    """What a value at a port adds to slots, drives and outputs, and the ode's own share (of a parameter), or None.
 
-    value : (2, 1), what the law adds, and what arrives at the second end of a link
+    value : (2, 1), what a law adds there, and what arrives at the second end of a link
     """
     slots = ca.SX.zeros(model.w.numel(), 1)
     drives = ca.SX.zeros(model.d.numel(), 1)
     outputs = ca.SX.zeros(len(model.outputs), 1)
-    port = term.port
     value, arrives = ca.vertsplit(value)
     if takes_torque(port) or port.ends:
         rows = [made.name for made in model.ports.with_slot]

@@ -39,7 +39,8 @@ class Direction:
     name : what it is called in results
     ode : (n, 1) SX, d(dx/dt)/dpsi; output : (ny, 1) SX, dy/dpsi beside the states' share; both in the model's
     (x, u, d, w, t, p) and in ``states``
-    states, rates, start : symbols of the term's own states, their time derivatives at psi = 0 and first values
+    states, rates, start : symbols of the term's own states, their time derivatives at psi = 0 and first values; several
+    terms may share them
     inputs, series : symbols of further known signals and their values (ns, N) at the grid's samples, linear between
     initial : (n,) derivative of the first state, or None for zero
     """
@@ -53,6 +54,16 @@ class Direction:
     inputs: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
     series: Array | None = None
     initial: Array | None = None
+
+
+def _with_states(directions: Sequence[Direction]) -> list[Direction]:
+    """Directions with states of their own; of those that share them the first."""
+    found = {}
+    for one in directions:
+        key = tuple(one.states[k].element_hash() for k in range(one.states.numel()))
+        if key:
+            found.setdefault(key, one)
+    return list(found.values())
 
 
 def torque_direction(model: Model, port: str, torque: ca.SX, *, name: str) -> Direction:
@@ -141,7 +152,8 @@ class Sweep:
         model = path.model
         n, width = path.states, len(self.directions)
         self.shape = (len(model.outputs), width)
-        own = ca.vertcat(ca.SX(0, 1), *[d.states for d in self.directions])
+        stated = _with_states(self.directions)
+        own = ca.vertcat(ca.SX(0, 1), *[d.states for d in stated])
         inputs = ca.vertcat(ca.SX(0, 1), *[d.inputs for d in self.directions])
         self._series = np.concatenate(
             [np.zeros((0, path.grid.samples)), *[d.series for d in self.directions if d.series is not None]]
@@ -163,12 +175,12 @@ class Sweep:
         self.substeps = min(max(1, wanted), _MOST_SUBSTEPS) if substeps is None else substeps
         self._ode = Columns(path, [d.ode for d in self.directions], xi, n)
         self._out = Columns(path, [d.output for d in self.directions], xi, self.shape[0])
-        self._own = self._own_states(own) if own.numel() else None
+        self._own = self._own_states(own, stated) if own.numel() else None
         self._constant: tuple[Array, Steps] | None = None
 
-    def _own_states(self, own: ca.SX) -> OwnStates:
-        start = np.array([v for d in self.directions for v in d.start], dtype=float)
-        rates = ca.vertcat(*[d.rates for d in self.directions])
+    def _own_states(self, own: ca.SX, stated: Sequence[Direction]) -> OwnStates:
+        start = np.array([v for d in stated for v in d.start], dtype=float)
+        rates = ca.vertcat(*[d.rates for d in stated])
         return OwnStates(self.path, start, rates, own, self.substeps)
 
     def _slopes(self, points: Points) -> tuple[Array, Array]:

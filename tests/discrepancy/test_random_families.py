@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+import casadi_engine as ce
+
 from casadi_engine.discrepancy.compression import compress
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_distribution import NullDistribution
@@ -21,6 +23,8 @@ def test_every_location_has_its_families(shaft):
     names = [f.name for f in families]
     assert "a function of twist at coupling" in names
     assert "a function of time at load" in names
+    assert "a function of value at input_T" in names
+    assert "a function of value at sensor_omega" in names
     assert families[0].members[0] == 5
     assert sum(len(f.members) for f in families) == len(candidates)
     assert all(f.visited.sum() == pytest.approx(1) for f in families)
@@ -53,6 +57,40 @@ def test_a_law_of_the_twist_is_found_and_drawn(shaft):
     assert np.corrcoef(bent(course.mean), bent(truth))[0, 1] > 0.95
     assert course.level > 0
     assert set(course.looks_like) == {"linear", "quadratic", "cubic", "step", "periodic"}
+
+
+def surest(made, families):
+    rows = [(row, f) for f in families if (row := family_row(made, f)) is not None]
+    p = {f.name: float(row.p_value(made.y[:, None])[0]) for row, f in rows}
+    return min(p, key=p.get), min(p.values())
+
+
+def test_what_comes_back_with_every_turn_is_found_by_its_order(shaft):
+    """A ripple of 0.3 N m, 5 times a turn of the load: the angle is no state of the model."""
+    angle = [0.0]
+
+    def hidden(t, x):
+        angle[0] += x[1] * 4e-4
+        return np.array([0.0, 0.3 * np.sin(5 * angle[0] + 1)])
+
+    made, families = scored(shaft, shaft.data(hidden=hidden, n=900, seed=3))
+    name, p = surest(made, families)
+    assert name == "5 per turn at load"
+    assert p < 1e-12
+    family = next(f for f in families if f.name == name)
+    course = family_course(made, family)
+    assert 0.5 * np.ptp(course.mean) == pytest.approx(0.3, rel=0.25)
+
+
+def test_an_input_that_saturates_is_found_at_the_input(shaft):
+    data = shaft.data(n=900, seed=3)
+    shown = 25 + 14 * np.arctanh(np.clip((data["T"].values - 25) / 14, -0.95, 0.95))
+    columns = {name: data[name].values for name in data.names} | {"T": shown}
+    units = {name: data[name].unit for name in data.names}
+    shifted = ce.Experiment.from_arrays("shown", time=data["T"].time, units=units, **columns)
+    name, p = surest(*scored(shaft, shifted))
+    assert name == "a function of value at input_T"
+    assert p < 1e-12
 
 
 def test_families_of_effect_free_records_are_not_significant(shaft):

@@ -163,6 +163,29 @@ def test_fresh_data_that_do_not_fit_are_no_reason_to_go_on(white):
     assert mood(changed) == "poor"
 
 
+def test_nothing_is_called_missing_no_longer_where_fresh_data_swing(white):
+    gaps = white.gaps
+    own = replace(gaps.estimation_after, gap=replace(gaps.estimation_after.gap, samples=400))
+
+    def on_fresh(p):
+        wide = replace(own, gap=replace(own.gap, chi2_per_sample=9.0), whiteness_p={"fresh": {"omega": p}})
+        return held_to_fresh_data(
+            replace(white, gaps=replace(gaps, estimation_after=own, validation_after=wide))
+        )
+
+    louder = on_fresh(0.3)
+    assert louder.verdict == "nothing missing"
+    assert louder.messages[0].startswith("the fresh data do not fit")
+    swings = on_fresh(1e-9)
+    assert swings.verdict == "unnamed"
+    assert dict(swings.unknown.tests) == {"fresh data": 1e-9}
+    assert swings.unknown.sentence.startswith("the fresh data do not fit: chi2/N is 9 there and ")
+    assert headline(swings) == (
+        "something is missing that the data of the search do not show: the fresh data do not fit"
+    )
+    assert next_step(swings).startswith("look for what is missing in the fresh records")
+
+
 def test_fresh_data_that_errors_of_the_parameters_explain_promise_no_more(white):
     gaps = white.gaps
     own = replace(gaps.estimation_after, gap=replace(gaps.estimation_after.gap, samples=28))
