@@ -13,6 +13,7 @@ from casadi_engine.discrepancy.certificate import (
     class_matrix,
     equation_of,
     found_effects,
+    in_place_of,
     noise_found,
     not_found,
     place_of,
@@ -32,9 +33,19 @@ from casadi_engine.discrepancy.latent_torque import LatentTorque, latent_torques
 from casadi_engine.discrepancy.left_out import left_out_alike
 from casadi_engine.discrepancy.next_experiment import next_experiment
 from casadi_engine.discrepancy.noise_model import NoiseModel
-from casadi_engine.discrepancy.repaired import FoundEffect, Gaps, NextExperiment, Repair, Unknown, Verdict
+from casadi_engine.discrepancy.refits import key_of
+from casadi_engine.discrepancy.repaired import (
+    FoundEffect,
+    Gaps,
+    NextExperiment,
+    Repair,
+    Unknown,
+    Verdict,
+    more_probable,
+)
 from casadi_engine.discrepancy.selection import effective_samples
 from casadi_engine.discrepancy.station import Station
+from casadi_engine.discrepancy.unknown_law import unknown_law
 from casadi_engine.discrepancy.vanishing import may_vanish
 from casadi_engine.discrepancy.verdict_words import may_hide
 
@@ -45,7 +56,11 @@ _MAY_HIDE = (
 # Shares of the spare time behind a budget at which the tests beside the library have to be there, and the rest that an
 # answer can do without.
 _TESTS, _EXTRA = 0.75, 0.9
-_LEFT_OUT = {"leftover": "what no effect of the library names", "latent torque": "where something acts"}
+_LEFT_OUT = {
+    "leftover": "what no effect of the library names",
+    "latent torque": "where something acts",
+    "unknown law": "a law that no effect names, in the place of those found",
+}
 _UNTOLD = "the time was up before it could be told whether anything is missing"
 # Independent samples that a coloured residual has to be worth to be called noise, and per cent of an output's motion
 # that the model has to explain beside it.
@@ -88,6 +103,13 @@ class Answer:
                 unknown = _behind_a_sensor(null, way[1])
         if found and not (proof.judgement and proof.judgement.confirmed) and not _visible(found):
             unknown = _too_small(found)
+            found, withdrawn = (), (*found, *withdrawn)
+            proof = replace(proof, kept=proof.kept[:1], after=proof.before)
+            last = null
+        law = self._law(last) if found else None
+        if law is not None:
+            unknown = law if more_probable(law) or unknown is None else unknown
+        if more_probable(law):
             found, withdrawn = (), (*found, *withdrawn)
             proof = replace(proof, kept=proof.kept[:1], after=proof.before)
             last = null
@@ -141,6 +163,14 @@ class Answer:
         if may_hide(done):
             done = replace(done, messages=(*done.messages, _MAY_HIDE))
         return held_to_fresh_data(done)
+
+    def _law(self, last: Station) -> Unknown | None:
+        """A law that no effect names, in the place of those found, that these do not exclude."""
+        tried = self.search.pool.get(key_of(last.effects))
+        if tried is None:
+            return None
+        law = self._in_time("unknown law", lambda: unknown_law(self.search.refits, tried))
+        return None if law is None else in_place_of(last, law)
 
     def _honest(self, proof: Confirmation) -> tuple[Confirmation, Station]:
         """The last model with errors that count with the colour of its noise."""

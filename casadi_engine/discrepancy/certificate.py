@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -15,7 +16,9 @@ from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.localisation import where_in_data
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
+from casadi_engine.discrepancy.random_families import PLACE, TIME, Course, Family
 from casadi_engine.discrepancy.refit import Addition
+from casadi_engine.discrepancy.refits import FACTOR
 from casadi_engine.discrepancy.repaired import (
     ClassMatrix,
     Equation,
@@ -28,6 +31,7 @@ from casadi_engine.discrepancy.repaired import (
 )
 from casadi_engine.discrepancy.screening import Screened
 from casadi_engine.discrepancy.station import Station
+from casadi_engine.discrepancy.unknown_law import UnknownLaw
 from casadi_engine.effects import candidate as candidate_of
 from casadi_engine.estimation import Fit
 from casadi_engine.model import Model
@@ -35,6 +39,8 @@ from casadi_engine.model import Model
 # Candidates drawn in the class matrix.
 _MATRIX = 24
 _LIKE = 0.8
+# Log odds beyond which no number is said.
+_SAID = 9.0
 
 
 def score_rows(screened: Screened) -> tuple[ScoreRow, ...]:
@@ -202,14 +208,48 @@ def unknown_of(screened: Screened) -> Unknown | None:
     if family is None or course is None or family.name not in alarms:
         first = next(iter(alarms)).rsplit("/", 2)
         return Unknown(f"the residual of {first[1]} in {first[0]} is not white", alarms)
-    shape, like = next(iter(course.looks_like.items()))
-    port = screened.null.model.ports[family.port]
-    words = f"an unknown {port.quantity} at {family.port} that depends on "
-    named = port.is_mechanical and family.signal != "time"
-    words += f"its {port.called(family.signal)}" if named else port.called(family.signal)
-    if like > _LIKE:
-        words += f" and looks {shape}"
+    words = f"{law_words(screened.null.model, family)}{likeness_words(course)}"
     return Unknown(words, alarms, family.port, family.signal, leftover.family_p, course)
+
+
+def in_place_of(last: Station, law: UnknownLaw) -> Unknown | None:
+    """What is said of a law that no effect names, where it is more probable than the effects found in its place, or
+    nearly as probable (then with its odds); None where these exclude it."""
+    if law.log < -math.log(FACTOR):
+        return None
+    family, odds = law.course.family, math.exp(min(law.log, _SAID))
+    words = law_words(last.fit.model, family)
+    names = " and ".join(one.label for one in last.effects)
+    if odds < 1:
+        words += f", in the place of {names}, is not excluded ({odds:.2g} times as probable)"
+    else:
+        much = f"{odds:.2g} times" if law.log < _SAID else "far"
+        words += (
+            f"{likeness_words(law.course)}: {much} more probable than {names}, the nearest of the library"
+        )
+    return Unknown(words, {}, family.port, family.signal, None, law.course, odds)
+
+
+def law_words(model: Model, family: Family) -> str:
+    """An unknown law in words: what acts, where, and what it depends on."""
+    port = model.ports[family.port]
+    kind, _, name = family.port.partition("_")
+    if port.kind in ("input", "sensor"):
+        return f"the {kind} {name} {'acts as' if kind == 'input' else 'shows'} another function of its value"
+    acts = f"an unknown {port.quantity} at {family.port}"
+    if family.order:
+        return f"{acts} that comes back {family.order} times a turn"
+    named = port.is_mechanical and family.signal != TIME
+    own = "place, its speed added up" if family.signal == PLACE else port.called(family.signal)
+    return f"{acts} that depends on {'its ' if named else ''}{own}"
+
+
+def likeness_words(course: Course) -> str:
+    """What a course looks like, where it does."""
+    if course.family.order:
+        return ""
+    shape, like = next(iter(course.looks_like.items()))
+    return f" and looks {shape}" if like > _LIKE else ""
 
 
 def equation_of(model: Model, base: Model) -> Equation:

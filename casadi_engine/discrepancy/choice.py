@@ -76,6 +76,7 @@ class Choice:
     failed: dict[str, str] = field(default_factory=dict)
     best: Key = frozenset()
     _stations: dict[Key, Station] = field(default_factory=dict, repr=False)
+    _asked: set[tuple[Key, Key]] = field(default_factory=set, repr=False)
 
     def run(self, null_fit: Fit) -> None:
         """Add, drop and exchange effects until no change is worth it."""
@@ -96,6 +97,11 @@ class Choice:
                 station = self._stations[here.key]
                 if not self._asks(station.screened):
                     break
+                if not here.effects:
+                    station = self._by_windows(here) or station
+                    here = self.pool[here.key]
+                    if not self._asks(station.screened):
+                        break
                 beside = f" beside {here.label}" if here.effects else ""
                 ask()
                 made = self._round(here, station)
@@ -198,21 +204,22 @@ class Choice:
         screened = station.screened
         tried = self._timed("refit", lambda: self._added(here, screened))
         self._timed("evidence", self.refits.weigh)
-        known = int(screened.scores.testable.sum())
         tried += self._timed("exchange", lambda: self._without_idle(tried))
         while True:
             best = self._most_probable(tried)
-            gain = -math.inf if best is None else best.log - here.log
+            gain = -math.inf if best is None else _together(best, tried) - here.log
             calibrated = (
                 bool(screened.significant) and not screened.noise.colour and not self.refits.levels.memory
             )
-            if best is None or not (calibrated or gain > math.log(FACTOR * max(known, 1))):
+            if best is None or not (calibrated or gain > math.log(FACTOR) + self.price):
                 self._told(here, tried, None)
                 return None
             if self._weak(best):
                 best.failed = True
                 continue
             best = self._timed("exchange", lambda: self._exchanged(best, here))  # noqa: B023
+            self._timed("exchange", lambda: self._again_without(best, here))  # noqa: B023
+            here = self.pool[here.key]
             renewed = self._renewed(here)
             if renewed is not None:
                 return self._round(self.pool[here.key], renewed)
@@ -238,16 +245,32 @@ class Choice:
     def _renewed(self, here: Tried) -> Station | None:
         """The structure fitted and scored anew, where what was tried beside it found a better optimum of it: what a
         poor one leaves is no missing effect. None where there is none, or where that fit does not converge."""
-        if here.key not in self.refits.improved or not here.effects:
+        if here.key not in self.refits.improved:
             return None
         self.refits.improved.clear()
         before, found = self._stations.pop(here.key), None
         try:
-            found = self._station(self.pool[here.key])
+            found = self._station(self.refits.pool[here.key])
         finally:  # whatever ends it: the answer so far is asked of the stations
             if found is None:
                 self._stations[here.key] = before
+        if not here.effects and found is not None:
+            self.null_fit = self.refits.null_fit = self.refitter.base = found.fit
         return found
+
+    def _by_windows(self, here: Tried) -> Station | None:
+        """The model without effects fitted anew, where the path of all refits leads to a better optimum of it."""
+        for start in (None, Start(here.arrived.values, here.arrived.initial)):
+            self._timed("refit", lambda: self.refits.tried((), start))  # noqa: B023
+        return self._renewed(here)
+
+    def _again_without(self, best: Tried, here: Tried) -> None:
+        """Refit ``here`` from where the structure that is to take its place ended: an effect that only led out of a
+        poor optimum is no missing one."""
+        if here.key <= best.key and (here.key, best.key) not in self._asked and not late():
+            self._asked.add((here.key, best.key))
+            self.refits.tried(here.effects, Start(best.arrived.values, best.arrived.initial))
+            self.refits.weigh()
 
     def _weak(self, best: Tried) -> bool:
         """True if an amplitude is no finding beside coloured noise, whose slow part may do as much."""
@@ -265,7 +288,11 @@ class Choice:
         values = best.arrived.values
         for one in best.effects:
             own = [n for n in values if n.partition("@")[0] == one.amplitude]
-            if all(abs(values[n]) < BEYOND * error.get(n, math.inf) for n in own):
+            # as certain as it is in white noise, by as much less as its error is larger
+            plain, white = best.certainty(one), best.evidence.error
+            size = max((abs(values[n]) / white.get(n, math.inf) for n in own), default=0.0)
+            found = max((abs(values[n]) / error.get(n, math.inf) for n in own), default=0.0)
+            if size > 0 and found * plain < BEYOND * size:
                 return True
         return False
 
@@ -575,6 +602,13 @@ class Choice:
         made = work()
         self.timing[what] = self.timing.get(what, 0.0) + time.perf_counter() - begun
         return made
+
+
+def _together(best: Tried, tried: Sequence[Tried]) -> float:
+    """The log evidence of the best structure and of its rivals together: that one of them is right is more probable
+    than each alone."""
+    rivals = [t.log for t in tried if t is not best and t.beyond > BEYOND and len(t.key) == len(best.key)]
+    return float(np.logaddexp.reduce([best.log, *rivals]))
 
 
 def vanished(effects: Sequence[Addition], fit: Fit) -> bool:

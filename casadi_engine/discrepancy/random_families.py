@@ -35,6 +35,8 @@ _POINTS = 61
 _ROUGH = 2.0
 # What comes back so often in a turn of a shaft is looked for.
 _ORDERS = 24
+# Steps of a sensor beyond this share of its residual are not blurred by its noise.
+_STEP = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +98,10 @@ def family_candidates(
 def _signals(null: NullModel, port: Port) -> list[_Signal]:
     """What a function at a port may depend on and what moves there: its own signals; its place, which is its speed
     added up, where that is none of them; and time, where something may act."""
-    found = [_Signal(name, value, _values(null, value)) for name, value in port.signals.items()]
+    if port.kind == "sensor" and _in_steps(null, port.name.partition("_")[2]):
+        return []
+    names = ("value",) if port.kind == "sensor" else tuple(port.signals)
+    found = [_Signal(name, port.signals[name], _values(null, port.signals[name])) for name in names]
     if port.slot is not None:
         found.append(_Signal(TIME, null.model.t, _values(null, null.model.t)))
     if port.kind == "inertia" and "speed" in port.signals and "angle" not in port.signals:
@@ -109,6 +114,18 @@ def _signals(null: NullModel, port: Port) -> list[_Signal]:
         found.append(_Signal(TURN if whole else PLACE, ca.SX.sym("place"), place, rate))
     span = [max(float(np.abs(one.values).max()), 1e-300) for one in found]
     return [one for one, size in zip(found, span, strict=True) if np.ptp(one.values) > 1e-9 * size]
+
+
+def _in_steps(null: NullModel, output: str) -> bool:
+    """True for a sensor that is read in steps that its noise does not blur: what it adds is a function of its value."""
+    for record in null.records:
+        if output not in record.residual:
+            continue
+        values = np.unique(record.path.grid.measured[output].values)
+        size = float(np.std(record.residual[output]))
+        if len(values) > 1 and float(np.median(np.diff(values))) > _STEP * size:
+            return True
+    return False
 
 
 def _families(port: str, signal: _Signal, terms: int) -> list[tuple[list[ca.SX], Family]]:
@@ -246,11 +263,26 @@ def family_course(scores: Scores, family: Family, *, dimensions: int = 2 * _DIME
         middle = -0.5 * math.log(top)
         found = optimize.minimize_scalar(cost, bounds=(middle - 3, middle + 15), method="bounded")
         level = math.exp(float(found.x)) if float(found.fun) < 0 else 0.0
-    points = np.linspace(family.low, family.high, _POINTS)
+    points = _points(family)
     turned = _basis_at(family, points) * np.sqrt(family.variances) @ turn.T
     shrunk = level**2 / (1 + level**2 * energy)
     mean, band = turned @ (shrunk * slope), np.sqrt((turned**2 * shrunk).sum(axis=1))
     return Course(family, points, mean, band, level, _likeness(family, points, mean))
+
+
+def course_of(family: Family, coefficients: Array, root: Array, level: float) -> Course:
+    """The course of a family's function whose coefficients are known.
+
+    root : (terms, r), root @ root.T is their covariance
+    """
+    points = _points(family)
+    basis = _basis_at(family, points)
+    mean, band = basis @ coefficients, np.linalg.norm(basis @ root, axis=1)
+    return Course(family, points, mean, band, level, _likeness(family, points, mean))
+
+
+def _points(family: Family) -> Array:
+    return np.linspace(family.low, family.high, _POINTS)
 
 
 def _likeness(family: Family, points: Array, mean: Array) -> dict[str, float]:

@@ -34,6 +34,8 @@ _RELEVELLED = 0.7
 _BETTER = 1.0
 # Rivals that are refitted with sharper corners.
 _RIVALS = 6
+# Standard errors from which an amplitude is there at all, however much a refit with it gained.
+_THERE = 1.0
 
 Key = frozenset[tuple[str, str]]
 
@@ -42,13 +44,14 @@ Key = frozenset[tuple[str, str]]
 class Tried:
     """A structure that was refitted: its effects, where that ended, and its evidence with the noise of all.
 
-    failed : its whole fit did not converge
+    pool : all structures at the time it is asked; failed : its whole fit did not converge
     """
 
     effects: tuple[Addition, ...]
     arrived: Arrived
     digest: Digest
     evidence: Evidence
+    pool: Callable[[], dict[Key, Tried]]
     failed: bool = False
 
     @property
@@ -81,10 +84,16 @@ class Tried:
         return min(map(self.certainty, self.effects), default=math.inf)
 
     def certainty(self, one: Addition) -> float:
-        """The amplitude of an effect in its standard errors, the largest where records have their own."""
+        """The amplitude of an effect in its standard errors, the largest where records have their own; or the root of
+        what chi-squared falls by with it, where that is larger: the optimum without it may be far, and its error by the
+        slopes says nothing of the way there."""
         values = self.arrived.values
         own = [n for n in values if n.partition("@")[0] == one.amplitude]
-        return max((abs(values[n]) / self.evidence.error.get(n, math.inf) for n in own), default=math.inf)
+        size = max((abs(values[n]) / self.evidence.error.get(n, math.inf) for n in own), default=math.inf)
+        without = self.pool().get(self.key - {one.candidate.key})
+        if without is None or not _THERE <= size < math.inf:
+            return size
+        return max(size, math.sqrt(max(without.evidence.cost - self.evidence.cost, 0.0)))
 
 
 def form_of(effects: Sequence[Addition]) -> frozenset[tuple[str, str, bool]]:
@@ -155,13 +164,13 @@ class Refits:
                 null = self.path.residuals(effects, arrived)
                 priors = priors_of(null, self.path.parameters(effects), effects)
                 choices = float(np.prod([one.choices for one in effects]))
-                made = digest(null, priors, random=self._random(null), held=arrived.held, choices=choices)
+                made = digest(null, priors, random=self.random(null), held=arrived.held, choices=choices)
                 found = evidence(made, self.levels)
         except FAILURES:
             return None
-        return Tried(effects, arrived, made, found) if math.isfinite(found.log) else None
+        return Tried(effects, arrived, made, found, lambda: self.pool) if math.isfinite(found.log) else None
 
-    def _random(self, null: NullModel) -> dict[str, dict[str, Array]] | None:
+    def random(self, null: NullModel) -> dict[str, dict[str, Array]] | None:
         """Columns of the random amplitudes of combustions whose pressure was assumed."""
         scatter = scatter_of(null, self.refitter.data, self.cylinders) if self.cylinders is not None else ()
         return {r.name: scatter_columns(r, scatter) for r in null.records} if scatter else None
@@ -187,7 +196,7 @@ class Refits:
             try:
                 with np.errstate(all="ignore"):
                     null = self.path.residuals(best.effects, best.arrived)
-                    self.levels = levels_left(null, known, self.levels.scatter, self._random(null))
+                    self.levels = levels_left(null, known, self.levels.scatter, self.random(null))
             except FAILURES:
                 return
             for one in self.pool.values():

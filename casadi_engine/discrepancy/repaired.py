@@ -177,6 +177,8 @@ class Unknown:
 
     sentence : in words; tests : name of each rejected residual test -> p-value; port, signal : the torque at ``port``
     as a function of ``signal`` that explains most, with its p-value and course, None if no such function does
+    odds : how many times more probable that function is than the effects that were found in its place, where it is
+    held against them and they do not exclude it; they are withdrawn where it is more probable
     """
 
     sentence: str
@@ -185,6 +187,12 @@ class Unknown:
     signal: str | None = None
     p_value: float | None = None
     course: Course | None = None
+    odds: float | None = None
+
+
+def more_probable(unknown: Unknown | None) -> bool:
+    """True for a law of no name that is more probable than the effects that were found."""
+    return unknown is not None and unknown.odds is not None and unknown.odds >= 1
 
 
 @dataclass(frozen=True)

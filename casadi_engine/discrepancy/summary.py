@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from casadi_engine.discrepancy.assumed_pressure import is_carried
+from casadi_engine.discrepancy.repaired import more_probable
 from casadi_engine.discrepancy.verdict_words import headline, next_step
 from casadi_engine.discrepancy.wording import (
     LISTED,
@@ -86,13 +87,20 @@ def _found(repair: Repair) -> list[str]:
     lines: list[str] = []
     for title, effects in (
         ("Found", repair.effects),
-        ("Withdrawn: contradicted by fresh data", repair.withdrawn),
+        (_withdrawn(repair), repair.withdrawn),
     ):
         if effects:
             lines += [title]
         for one in effects:
             lines += _effect(one, repair)
     return lines
+
+
+def _withdrawn(repair: Repair) -> str:
+    """Why effects that were found are no answer."""
+    if more_probable(repair.unknown):
+        return "Withdrawn: less probable than an unknown law"
+    return "Withdrawn: contradicted by fresh data"
 
 
 def _effect(one: FoundEffect, repair: Repair) -> list[str]:
@@ -135,6 +143,7 @@ def _unknown(repair: Repair) -> list[str]:
         return []
     tests = ", ".join(f"{name} p = {p:.2g}" for name, p in list(repair.unknown.tests.items())[:3])
     head = "Still unexplained" if repair.effects else "Unexplained"
+    head = "Not excluded" if repair.effects and repair.unknown.odds is not None else head
     return wrapped(f"{head}: {repair.unknown.sentence}" + (f" ({tests})" if tests else ""), "  ")
 
 

@@ -40,6 +40,7 @@ def headline(repair: Repair) -> str:
     doubt = (
         f", or {others[0] if len(others) == 1 else f'one of {count(len(others))} others'}" if others else ""
     )
+    doubt += ", or a law that the library lacks" if repair.unknown and repair.unknown.odds is not None else ""
     tried = " (of what was tried)" if repair.stopped or "left out" in repair.options else ""
     return f"{_named(repair)}{tried}{doubt}, {sure[repair.confirmed]}{_on_fresh(repair)}"
 

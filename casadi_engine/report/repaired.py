@@ -187,6 +187,7 @@ def _unknown(unknown: Unknown) -> dict[str, Any]:
         "at": unknown.port,
         "signal": unknown.signal,
         "p_value": unknown.p_value,
+        "odds": unknown.odds,
         "looks_like": {} if course is None else dict(course.looks_like),
         "course": None
         if course is None

@@ -6,7 +6,7 @@ import math
 
 from casadi_engine.discrepancy.confirmation import share_explained
 from casadi_engine.discrepancy.fresh_misfit import fresh_doubt, fresh_misfit
-from casadi_engine.discrepancy.repaired import FoundEffect, Repair
+from casadi_engine.discrepancy.repaired import FoundEffect, Repair, more_probable
 from casadi_engine.discrepancy.verdict_words import may_hide, next_step
 from casadi_engine.discrepancy.wording import acting_at, clock, first_words, in_unit, is_blind, right_value
 from casadi_engine.estimation.summary import number, with_error
@@ -21,17 +21,18 @@ def verdict_lines(repair: Repair) -> list[str]:
     lines = [_verdict(repair), *(f"{words}." for words in first_words(repair))]
     lines += [_class(one) for one in repair.effects if len(one.members) > 1]
     if repair.effects and repair.unknown is not None:
-        lines.append(f"The residuals still hold more: {repair.unknown.sentence}.")
+        beside = "The residuals still hold more" if repair.unknown.odds is None else "Not excluded"
+        lines.append(f"{beside}: {repair.unknown.sentence}.")
     lines += [f"{_where(repair)}." if _where(repair) else ""]
     lines += [_confirmed(repair)]
     lines += [gap_sentence(repair)]
     moved = moved_parameters(repair)
     if moved:
         lines.append(f"Without it the model had these wrong: {moved}.")
-    lines += [
-        f"Found first and then contradicted by fresh data: {one.name} at {one.at}."
-        for one in repair.withdrawn
-    ]
+    why = (
+        "less probable than an unknown law" if more_probable(repair.unknown) else "contradicted by fresh data"
+    )
+    lines += [f"Found first and then {why}: {one.name} at {one.at}." for one in repair.withdrawn]
     lines += [_sentence(text) for text in repair.messages]
     lines.append(f"Next: {next_step(repair)}.")
     return [line for line in lines if line]

@@ -58,7 +58,7 @@ class Direction:
 
 def _with_states(directions: Sequence[Direction]) -> list[Direction]:
     """Directions with states of their own; of those that share them the first."""
-    found = {}
+    found: dict[tuple[int, ...], Direction] = {}
     for one in directions:
         key = tuple(one.states[k].element_hash() for k in range(one.states.numel()))
         if key:

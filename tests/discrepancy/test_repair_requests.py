@@ -345,8 +345,8 @@ def _swing(torque, *, seed=0, name="swing"):
 def test_an_effect_in_the_fresh_data_alone_is_not_passed_over():
     data, fresh = _swing(0.0), _swing(6.0, seed=1, name="later")
     found = ce.repair(ce.one_inertia(), data, fresh=fresh, effects=FEW, starts=1, progress=False)
-    assert found.verdict == "nothing missing"
-    assert found.messages[0].startswith("the fresh data do not fit: chi2/N is ")
+    assert found.verdict == "unnamed"
+    assert found.unknown.sentence.startswith("the fresh data do not fit: chi2/N is ")
     assert "look for what is missing in the fresh records" in str(found)
     same = ce.repair(ce.one_inertia(), data, fresh=_swing(0.0, seed=1), effects=FEW, starts=1, progress=False)
     assert not any("do not fit" in text for text in same.messages)

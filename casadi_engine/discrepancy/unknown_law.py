@@ -1,0 +1,185 @@
+"""An unknown law as a rival of what was named: a function of one signal at one port in the place of the effects.
+
+The laws that were found are taken out along their own simulation, and a smooth function takes their place, with the
+same noise, the same priors of everything else, and the size of its own averaged over. Where the data make that much
+more probable, what acts has a name that the library lacks: effects that are bent to look alike are no finding.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg
+
+from casadi_engine.discrepancy.compression import candidate_columns
+from casadi_engine.discrepancy.evidence import Columns, Digest, Levels, Prior, digest, evidence
+from casadi_engine.discrepancy.linear_algebra import Array
+from casadi_engine.discrepancy.null_model import NullModel
+from casadi_engine.discrepancy.priors import priors_of
+from casadi_engine.discrepancy.random_families import Course, Family, course_of, family_candidates
+from casadi_engine.discrepancy.refits import Refits, Tried
+
+# Sizes of the function over which its evidence is averaged: what moves an output by its own variation, down to the
+# ten-thousandth of it.
+_SIZES = np.logspace(-4, 0, 9)
+_LAW = "law"
+
+
+@dataclass(frozen=True)
+class UnknownLaw:
+    """The function that is most probable: its course, and the log of how much more probable the model is with it than
+    with the effects."""
+
+    course: Course
+    log: float
+
+
+def unknown_law(refits: Refits, tried: Tried) -> UnknownLaw | None:
+    """The most probable function of one signal in the place of a structure's effects; None where it cannot be told."""
+    null = refits.null(tried)
+    if null is None:
+        return None
+    effects = tried.effects
+    priors = priors_of(null, refits.path.parameters(effects), effects)
+    random = refits.random(null)
+    choices = float(np.prod([one.choices for one in effects]))
+    held = tried.arrived.held
+    named = evidence(digest(null, priors, random=random, held=held, choices=choices), refits.levels)
+    own = {name for name in null.parameters if any(name.startswith(f"{one.key}.") for one in effects)}
+    bare = _without(null, [one.amplitude for one in effects], own)
+    if bare is None or not math.isfinite(named.log):
+        return None
+    candidates, families = family_candidates(null)
+    columns = {record.name: candidate_columns(record, candidates) for record in null.records}
+    found: list[tuple[float, float, Digest, Family]] = []
+    for family in families:
+        members = list(family.members)
+        beside = _beside(
+            bare, {r: {o: c[:, members] for o, c in made.items()} for r, made in columns.items()}
+        )
+        made = _counted(beside, priors, family, held - own, random)
+        if made is not None:
+            logs = [evidence(_of_size(made, family, share), refits.levels).log for share in _SIZES]
+            found.append((float(np.logaddexp.reduce(logs)), _SIZES[int(np.argmax(logs))], made, family))
+    if not found:
+        return None
+    log, share, made, family = max(found, key=lambda one: one[0])
+    course = _course(_of_size(made, family, share), family, refits.levels, share)
+    return UnknownLaw(course, log - math.log(len(_SIZES) * len(families)) - named.log)
+
+
+def _without(null: NullModel, amplitudes: Sequence[str], own: Collection[str]) -> NullModel | None:
+    """The model without its effects' numbers, and with what their laws did left to the residual; None where an
+    amplitude is not free."""
+    mine = [k for k, name in enumerate(null.parameters) if name in own]
+    rest = [k for k in range(len(null.parameters)) if k not in mine]
+    step = np.zeros(len(null.parameters))
+    for k, name in enumerate(null.parameters):
+        step[k] = null.values[k] if name.partition("@")[0] in amplitudes else 0.0
+    n = null.turn.shape[1]
+    taken = np.linalg.lstsq(null.turn, step, rcond=None)[0]
+    if not np.allclose(null.turn @ taken, step, rtol=1e-6, atol=1e-9 * np.abs(step).max(initial=0.0)):
+        return None
+    inside = _free_of(null.turn, mine)
+    records = []
+    for record in null.records:
+        slopes, residual = {}, {}
+        for output, every in record.slopes.items():
+            slopes[output] = np.column_stack([every[:, :n] @ inside, every[:, n:]])
+            residual[output] = record.residual[output] + every[:, :n] @ taken
+        records.append(replace(record, slopes=slopes, residual=residual))
+    prior = null.prior
+    if len(prior):
+        prior = np.column_stack([prior[:, :-1] @ inside, prior[:, -1]])
+    return replace(
+        null,
+        parameters=tuple(null.parameters[k] for k in rest),
+        units=tuple(null.units[k] for k in rest),
+        values=null.values[rest],
+        turn=null.turn[rest] @ inside,
+        prior=prior,
+        records=tuple(records),
+    )
+
+
+def _free_of(turn: Array, mine: Sequence[int]) -> Array:
+    """(n, m) the directions in which some parameters do not move."""
+    apart = ~turn[list(mine)].any(axis=0)
+    alone = [bool(mine) and not np.delete(column, mine).any() for column in turn.T]
+    if np.all(apart | np.array(alone)):
+        return np.asarray(np.eye(turn.shape[1])[:, apart])
+    return np.asarray(linalg.null_space(turn[list(mine)]))
+
+
+def _beside(bare: NullModel, columns: dict[str, dict[str, Array]]) -> NullModel:
+    """The model with the terms of a function as further parameters."""
+    terms = next(iter(next(iter(columns.values())).values())).shape[1]
+    names = tuple(f"{_LAW} {k}" for k in range(terms))
+    n = bare.turn.shape[1]
+    records = []
+    for record in bare.records:
+        slopes = {
+            output: np.column_stack([every[:, :n], columns[record.name][output], every[:, n:]])
+            for output, every in record.slopes.items()
+        }
+        records.append(replace(record, slopes=slopes))
+    prior = bare.prior
+    if len(prior):
+        prior = np.column_stack([prior[:, :-1], np.zeros((len(prior), terms)), prior[:, -1]])
+    return replace(
+        bare,
+        parameters=(*bare.parameters, *names),
+        units=(*bare.units, *["1"] * terms),
+        values=np.concatenate([bare.values, np.zeros(terms)]),
+        turn=linalg.block_diag(bare.turn, np.eye(terms)),
+        prior=prior,
+        records=tuple(records),
+    )
+
+
+def _counted(
+    null: NullModel,
+    priors: dict[str, Prior],
+    family: Family,
+    held: frozenset[str],
+    random: Columns | None,
+) -> Digest | None:
+    """What the evidence of a function is counted from, at its largest size; None where it moves no output."""
+    names = _names(family)
+    first = null.turn.shape[1] - len(names)
+    size = math.inf
+    for record in null.records:
+        for output, slopes in record.slopes.items():
+            terms = slopes[:, first : first + len(names)] * np.sqrt(family.variances)
+            moved = math.sqrt(float((terms**2).sum()) / len(terms))
+            varied = float(np.std(record.path.grid.measured[output].values))
+            if moved > 0 and varied > 0:
+                size = min(size, varied / moved)
+    if not math.isfinite(size):
+        return None
+    own = {name: Prior(size * math.sqrt(v)) for name, v in zip(names, family.variances, strict=True)}
+    return digest(null, priors | own, random=random, held=held)
+
+
+def _of_size(made: Digest, family: Family, share: float) -> Digest:
+    """The same with a prior of the function that is so much narrower."""
+    prior = made.prior.copy()
+    prior[[made.names.index(name) for name in _names(family)]] /= share
+    return replace(made, prior=prior)
+
+
+def _course(made: Digest, family: Family, levels: Levels, share: float) -> Course:
+    """The most likely course of the function, with its band."""
+    rows = np.concatenate([*(part * levels.weight(output) for output, part in made.parts), made.prior])
+    inverse = np.linalg.pinv(rows[:, :-1])
+    n = made.turn.shape[1]
+    own = slice(n - len(family.members), n)
+    return course_of(family, inverse[own] @ rows[:, -1], inverse[own], share)
+
+
+def _names(family: Family) -> list[str]:
+    """The terms of a function as parameters."""
+    return [f"{_LAW} {k}" for k in range(len(family.members))]
