@@ -166,10 +166,11 @@ class Answer:
 
     def _law(self, last: Station) -> Unknown | None:
         """A law that no effect names, in the place of those found, that these do not exclude."""
-        tried = self.search.pool.get(key_of(last.effects))
+        search = self.search
+        tried = search.pool.get(key_of(last.effects))
         if tried is None:
             return None
-        law = self._in_time("unknown law", lambda: unknown_law(self.search.refits, tried))
+        law = self._in_time("unknown law", lambda: unknown_law(search.refits, tried, search.price))
         return None if law is None else in_place_of(last, law)
 
     def _honest(self, proof: Confirmation) -> tuple[Confirmation, Station]:

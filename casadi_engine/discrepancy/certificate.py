@@ -10,6 +10,7 @@ import numpy as np
 
 from casadi_engine.discrepancy.assumed_pressure import carried_cylinders, is_carried, scatter_carried
 from casadi_engine.discrepancy.confirmation import share_explained
+from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.fresh import gap_of
 from casadi_engine.discrepancy.latent_torque import LatentTorque
 from casadi_engine.discrepancy.linear_algebra import Array
@@ -18,7 +19,6 @@ from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.random_families import PLACE, TIME, Course, Family
 from casadi_engine.discrepancy.refit import Addition
-from casadi_engine.discrepancy.refits import FACTOR
 from casadi_engine.discrepancy.repaired import (
     ClassMatrix,
     Equation,
@@ -213,14 +213,13 @@ def unknown_of(screened: Screened) -> Unknown | None:
 
 
 def in_place_of(last: Station, law: UnknownLaw) -> Unknown | None:
-    """What is said of a law that no effect names, where it is more probable than the effects found in its place, or
-    nearly as probable (then with its odds); None where these exclude it."""
+    """What is said of a law that no effect names in the place of the effects found, where these do not exclude it."""
     if law.log < -math.log(FACTOR):
         return None
     family, odds = law.course.family, math.exp(min(law.log, _SAID))
     words = law_words(last.fit.model, family)
     names = " and ".join(one.label for one in last.effects)
-    if odds < 1:
+    if odds < FACTOR:
         words += f", in the place of {names}, is not excluded ({odds:.2g} times as probable)"
     else:
         much = f"{odds:.2g} times" if law.log < _SAID else "far"

@@ -155,16 +155,31 @@ class Choice:
 
     def _with_colour(self) -> None:
         """Score beside the chosen structure with the colour that its residual has, where that waited."""
-        last = self.chosen
-        if last.screened.choice.waits:
+        if self.chosen.screened.choice.waits:
             self.tell("the colour of the noise")
             try:
                 with self.deadline.spared(_COLOUR):
-                    screened = self._timed("score", lambda: coloured(last.screened, last.fit))
+                    self._in_colour(self.best)
             except TimeUp:
                 self.failed["the colour of the noise"] = TIME_UP
-                return
-            self._stations[self.best] = replace(last, screened=screened)
+
+    def _in_colour(self, key: Key) -> Screened:
+        """A structure's scores with the colour that its residual has, where that waited."""
+        station = self._stations[key]
+        if station.screened.choice.waits:
+            screened = self._timed("score", lambda: coloured(station.screened, station.fit))
+            self._stations[key] = replace(station, screened=screened)
+        return self._stations[key].screened
+
+    def _scores_in_colour(self, here: Tried, best: Tried, tried: Sequence[Tried]) -> bool:
+        """True if the calibrated test in coloured noise finds the most probable effect, or one that it does not
+        exclude. Evidence counts fewer samples there, which for a fast effect in slow noise is too few."""
+        screened = self._in_colour(here.key)
+        if not screened.noise.colour:
+            return False
+        alike = [t for t in tried if t.log > best.log - math.log(FACTOR) and len(t.key) == len(best.key)]
+        keys = {one.newest(here).candidate.key for one in alike if here.key < one.key}
+        return any(screened.candidates[k].key in keys for k in screened.significant)
 
     @property
     def pool(self) -> dict[Key, Tried]:
@@ -211,7 +226,8 @@ class Choice:
             calibrated = (
                 bool(screened.significant) and not screened.noise.colour and not self.refits.levels.memory
             )
-            if best is None or not (calibrated or gain > math.log(FACTOR) + self.price):
+            sure = calibrated or gain > math.log(FACTOR) + self.price
+            if best is None or not (sure or (gain > 0 and self._scores_in_colour(here, best, tried))):
                 self._told(here, tried, None)
                 return None
             if self._weak(best):

@@ -29,6 +29,8 @@ from casadi_engine.discrepancy.selection import effective_samples
 # Prior standard deviation of a first state, in the state's scale.
 _STATE = 10.0
 _TINY = 1e-300
+# A structure is excluded where another one is so many times more probable.
+FACTOR = 20.0
 # log of the height of a normal law over Cauchy's of the same width.
 _HEAVY = 0.5 * math.log(math.pi / 2)
 

@@ -270,7 +270,7 @@ def family_course(scores: Scores, family: Family, *, dimensions: int = 2 * _DIME
     return Course(family, points, mean, band, level, _likeness(family, points, mean))
 
 
-def course_of(family: Family, coefficients: Array, root: Array, level: float) -> Course:
+def course_of(family: Family, coefficients: Array, root: Array) -> Course:
     """The course of a family's function whose coefficients are known.
 
     root : (terms, r), root @ root.T is their covariance
@@ -278,6 +278,7 @@ def course_of(family: Family, coefficients: Array, root: Array, level: float) ->
     points = _points(family)
     basis = _basis_at(family, points)
     mean, band = basis @ coefficients, np.linalg.norm(basis @ root, axis=1)
+    level = float(np.sqrt(np.mean(mean**2)))
     return Course(family, points, mean, band, level, _likeness(family, points, mean))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from casadi_engine.deadline import late
 from casadi_engine.discrepancy.compression import scatter_columns
-from casadi_engine.discrepancy.evidence import Digest, Evidence, Levels, digest, evidence, levels_left
+from casadi_engine.discrepancy.evidence import FACTOR, Digest, Evidence, Levels, digest, evidence, levels_left
 from casadi_engine.discrepancy.exchanged_units import impossible_gain
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.noise_choice import scatter_of
@@ -24,8 +24,6 @@ from casadi_engine.errors import EstimationError
 from casadi_engine.estimation import Fit
 from casadi_engine.estimation.corner_widths import FELT, ROUNDED
 
-# A structure is excluded where another one is so many times more probable.
-FACTOR = 20.0
 # Share of what the best effect takes from chi-squared that another may still gain in further steps.
 PART = 0.3
 # Levels that fall by this share are new ones, at which refits go on.

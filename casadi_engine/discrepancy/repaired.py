@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.discrepancy.confirmation import Gap, PairedGain
+from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.latent_torque import LatentTorque
 from casadi_engine.discrepancy.random_families import Course
 from casadi_engine.estimation.fit import Estimate, Fit, Trace
@@ -178,7 +179,7 @@ class Unknown:
     sentence : in words; tests : name of each rejected residual test -> p-value; port, signal : the torque at ``port``
     as a function of ``signal`` that explains most, with its p-value and course, None if no such function does
     odds : how many times more probable that function is than the effects that were found in its place, where it is
-    held against them and they do not exclude it; they are withdrawn where it is more probable
+    held against them and they do not exclude it; they are withdrawn where it excludes them
     """
 
     sentence: str
@@ -191,8 +192,8 @@ class Unknown:
 
 
 def more_probable(unknown: Unknown | None) -> bool:
-    """True for a law of no name that is more probable than the effects that were found."""
-    return unknown is not None and unknown.odds is not None and unknown.odds >= 1
+    """True for a law of no name that excludes the effects that were found."""
+    return unknown is not None and unknown.odds is not None and unknown.odds >= FACTOR
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,10 @@
 """An unknown law as a rival of what was named: a function of one signal at one port in the place of the effects.
 
 The laws that were found are taken out along their own simulation, and a smooth function takes their place, with the
-same noise, the same priors of everything else, and the size of its own averaged over. Where the data make that much
-more probable, what acts has a name that the library lacks: effects that are bent to look alike are no finding.
+same noise, the same priors of everything else, and the size of its own averaged over. Where the effects leave colour,
+each is also held against the noise that it leaves itself: it may be what is missing that colours the other's. Where the
+data make the function more probable, what acts has a name that the library lacks: effects that are bent to look alike
+are no finding.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from scipy import linalg
 from casadi_engine.discrepancy.compression import candidate_columns
 from casadi_engine.discrepancy.evidence import Columns, Digest, Levels, Prior, digest, evidence
 from casadi_engine.discrepancy.linear_algebra import Array
+from casadi_engine.discrepancy.noise_model import deviance, estimated_noise
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.priors import priors_of
 from casadi_engine.discrepancy.random_families import Course, Family, course_of, family_candidates
@@ -26,6 +29,8 @@ from casadi_engine.discrepancy.refits import Refits, Tried
 # ten-thousandth of it.
 _SIZES = np.logspace(-4, 0, 9)
 _LAW = "law"
+# The most probable functions, which are held against the noise that they leave themselves.
+_COLOURED = 3
 
 
 @dataclass(frozen=True)
@@ -37,8 +42,11 @@ class UnknownLaw:
     log: float
 
 
-def unknown_law(refits: Refits, tried: Tried) -> UnknownLaw | None:
-    """The most probable function of one signal in the place of a structure's effects; None where it cannot be told."""
+def unknown_law(refits: Refits, tried: Tried, further: float) -> UnknownLaw | None:
+    """The most probable function of one signal in the place of a structure's effects; None where it cannot be told.
+
+    further : what a further effect has to gain in log probability
+    """
     null = refits.null(tried)
     if null is None:
         return None
@@ -54,21 +62,73 @@ def unknown_law(refits: Refits, tried: Tried) -> UnknownLaw | None:
         return None
     candidates, families = family_candidates(null)
     columns = {record.name: candidate_columns(record, candidates) for record in null.records}
-    found: list[tuple[float, float, Digest, Family]] = []
+    found: list[_Rival] = []
     for family in families:
         members = list(family.members)
-        beside = _beside(
-            bare, {r: {o: c[:, members] for o, c in made.items()} for r, made in columns.items()}
-        )
+        own_columns = {r: {o: c[:, members] for o, c in made.items()} for r, made in columns.items()}
+        beside = _beside(bare, own_columns)
         made = _counted(beside, priors, family, held - own, random)
         if made is not None:
             logs = [evidence(_of_size(made, family, share), refits.levels).log for share in _SIZES]
-            found.append((float(np.logaddexp.reduce(logs)), _SIZES[int(np.argmax(logs))], made, family))
+            sized = _of_size(made, family, _SIZES[int(np.argmax(logs))])
+            log = float(np.logaddexp.reduce(logs)) - math.log(len(_SIZES) * len(families)) - named.log
+            found.append(_Rival(log, family, beside, sized))
+    found = sorted(found, key=lambda one: -one.log)[:_COLOURED]
     if not found:
         return None
-    log, share, made, family = max(found, key=lambda one: one[0])
-    course = _course(_of_size(made, family, share), family, refits.levels, share)
-    return UnknownLaw(course, log - math.log(len(_SIZES) * len(families)) - named.log)
+    if refits.levels.memory and random is None:
+        taken = _own_columns(null, own)
+        of_effects = digest(null, priors, held=held, choices=choices)
+        for one in found:
+            log = _with_own_colour(one, null, of_effects, taken) - math.log(len(families))
+            one.log = max(one.log, log)
+    best = max(found, key=lambda one: one.log)
+    log = best.log + (len(effects) - 1) * further
+    return UnknownLaw(_course(best.digest, best.family, refits.levels), log)
+
+
+@dataclass
+class _Rival:
+    """A function in the place of effects: its log odds, its model, and what its evidence is counted from."""
+
+    log: float
+    family: Family
+    null: NullModel
+    digest: Digest
+
+
+def _own_columns(null: NullModel, own: Collection[str]) -> Columns:
+    """What the effects' numbers move: record -> output -> (N, k)."""
+    n = null.turn.shape[1]
+    mine = [k for k, name in enumerate(null.parameters) if name in own]
+    moved = linalg.null_space(_free_of(null.turn, mine).T)
+    return {r.name: {o: every[:, :n] @ moved for o, every in r.slopes.items()} for r in null.records}
+
+
+def _with_own_colour(rival: _Rival, null: NullModel, effects: Digest, taken: Columns) -> float:
+    """The log odds of a function where either is held against the noise that it leaves itself."""
+    n, terms = rival.null.turn.shape[1], len(rival.family.members)
+    law = {r.name: {o: c[:, n - terms : n] for o, c in r.slopes.items()} for r in rival.null.records}
+    rest = {
+        r.name: {o: np.delete(c, np.s_[n - terms : n], axis=1) for o, c in r.slopes.items()}
+        for r in rival.null.records
+    }
+    noise, deviances = [], []
+    for model, free, other in ((rival.null, law, taken), (null, taken, law)):
+        explained = _stacked(rest, free)
+        own = estimated_noise(model, explained=explained, colour=True)
+        held = next(iter(next(iter(explained.values())).values())).shape[1]
+        deviances.append(deviance(model, own, _stacked(explained, other), held))
+        noise.append(own)
+    levels = Levels(noise[0].sigma)
+    occam = [found.log + 0.5 * found.cost for found in (evidence(d, levels) for d in (rival.digest, effects))]
+    return 0.5 * (deviances[1] - deviances[0]) + occam[0] - occam[1]
+
+
+def _stacked(columns: Columns, more: Columns) -> dict[str, dict[str, Array]]:
+    return {
+        r: {o: np.column_stack([c, more[r][o]]) for o, c in outputs.items()} for r, outputs in columns.items()
+    }
 
 
 def _without(null: NullModel, amplitudes: Sequence[str], own: Collection[str]) -> NullModel | None:
@@ -171,13 +231,13 @@ def _of_size(made: Digest, family: Family, share: float) -> Digest:
     return replace(made, prior=prior)
 
 
-def _course(made: Digest, family: Family, levels: Levels, share: float) -> Course:
+def _course(made: Digest, family: Family, levels: Levels) -> Course:
     """The most likely course of the function, with its band."""
     rows = np.concatenate([*(part * levels.weight(output) for output, part in made.parts), made.prior])
     inverse = np.linalg.pinv(rows[:, :-1])
     n = made.turn.shape[1]
     own = slice(n - len(family.members), n)
-    return course_of(family, inverse[own] @ rows[:, -1], inverse[own], share)
+    return course_of(family, inverse[own] @ rows[:, -1], inverse[own])
 
 
 def _names(family: Family) -> list[str]:

@@ -453,7 +453,7 @@ def test_friction_that_fades_beyond_all_speeds_is_no_rival_of_dry_friction(held,
         one = SimpleNamespace(candidate=candidate, key=f"load.{effect.name}")
         rests = frozenset({"load.stribeck_friction.fading"} if held else ())
         arrived = SimpleNamespace(held=rests)
-        return refits.Tried((one,), arrived, None, SimpleNamespace(log=1.0))
+        return refits.Tried((one,), arrived, None, SimpleNamespace(log=1.0), dict)
 
     def fails(*_):
         raise FloatingPointError

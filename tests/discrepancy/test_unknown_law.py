@@ -1,0 +1,83 @@
+"""An unknown law in the place of effects that were found: more probable than wrong names, less than right ones."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import casadi_engine as ce
+
+
+def brake(speed):
+    """An eddy-current brake: a law that no library has."""
+    return 1.2 * (speed / 3) / (1 + (speed / 3) ** 2)
+
+
+def drag(speed):
+    return 0.01 * speed * abs(speed)
+
+
+def run(law, seed, *, noise=0.04):
+    """0.4 kg m2 with viscous friction and a law, by an integrator of its own."""
+    time = np.arange(500) * 0.04
+    rng = np.random.default_rng(seed)
+    tones = 2 * np.pi * np.array([0.06, 0.17, 0.43])
+    torque = 1.5 * np.sin(tones[:, None] * time + rng.uniform(0, 6, (3, 1))).sum(axis=0) + 1.0
+
+    def rate(t, w):
+        return (np.interp(t, time, torque) - 0.15 * w - law(w)) / 0.4
+
+    speed = solve_ivp(rate, (0, time[-1]), [0.0], t_eval=time, rtol=1e-9, atol=1e-9, max_step=0.04).y[0]
+    shown = speed + noise * rng.standard_normal(len(time))
+    units = {"T": "N m", "omega": "rad/s"}
+    return ce.Experiment.from_arrays(f"run {seed}", time=time, units=units, T=torque, omega=shown)
+
+
+def repaired(law, **options):
+    effects = ["coulomb_friction", "quadratic_drag", "constant_torque", "load_step"]
+    return ce.repair(
+        ce.one_inertia(), run(law, 1), fresh=run(law, 2), effects=effects, starts=1, progress=False, **options
+    )
+
+
+@pytest.fixture(scope="module")
+def braked():
+    return repaired(brake)
+
+
+def test_a_law_of_no_name_is_more_probable_than_effects_that_were_bent(braked, tmp_path):
+    assert braked.verdict == "unnamed"
+    assert braked.effects == ()
+    assert braked.withdrawn
+    unknown = braked.unknown
+    assert unknown.odds >= 20
+    assert (unknown.port, unknown.signal) == ("engine", "speed")
+    assert unknown.sentence.startswith("an unknown torque at engine that depends on its speed")
+    assert "the nearest of the library" in unknown.sentence
+    assert "Withdrawn: less probable than an unknown law" in str(braked)
+    ce.report(braked, tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    assert "less probable than an unknown law" in page
+
+
+def test_the_course_of_an_unknown_law_is_drawn(braked):
+    """Up to a constant and a slope, which belong to the friction that is fitted beside it."""
+    course = braked.unknown.course
+    seen = course.family.visited > 0.002
+    weight = np.sqrt(course.family.visited[seen])
+    plain = np.column_stack([np.ones_like(course.signal), course.signal])[seen] * weight[:, None]
+
+    def bent(values):
+        own = values[seen] * weight
+        return own - plain @ np.linalg.lstsq(plain, own, rcond=None)[0]
+
+    assert np.corrcoef(bent(course.mean), bent(-brake(course.signal)))[0, 1] > 0.97
+
+
+def test_a_law_of_the_library_is_more_probable_than_an_unknown_one():
+    found = repaired(drag)
+    assert [one.key for one in found.effects] == ["engine.quadratic_drag"]
+    assert found.verdict == "named"
+    assert found.unknown is None or found.unknown.odds is None
+    assert math.isfinite(found.effects[0].amplitude.value)
