@@ -1,10 +1,9 @@
 """An unknown law as a rival of what was named: a function of one signal at one port in the place of the effects.
 
 The laws that were found are taken out along their own simulation, and a smooth function takes their place, with the
-same noise, the same priors of everything else, and the size of its own averaged over. Where the effects leave colour,
-each is also held against the noise that it leaves itself: it may be what is missing that colours the other's. Where the
-data make the function more probable, what acts has a name that the library lacks: effects that are bent to look alike
-are no finding.
+same noise, the same priors of everything else, and the size of its own averaged over. Where the function takes most of
+the colour that the effects leave, each is also held against the noise that it leaves itself. Where the data make the
+function more probable, what acts has a name that the library lacks: effects that are bent to look alike are no finding.
 """
 
 from __future__ import annotations
@@ -31,6 +30,8 @@ _SIZES = np.logspace(-4, 0, 9)
 _LAW = "law"
 # The most probable functions, which are held against the noise that they leave themselves.
 _COLOURED = 3
+# Share of what effects leave beyond white noise that a function has to take for that to be no noise of the sensors.
+_TAKEN = 0.8
 
 
 @dataclass(frozen=True)
@@ -106,23 +107,34 @@ def _own_columns(null: NullModel, own: Collection[str]) -> Columns:
 
 
 def _with_own_colour(rival: _Rival, null: NullModel, effects: Digest, taken: Columns) -> float:
-    """The log odds of a function where either is held against the noise that it leaves itself."""
+    """The log odds of a function that takes most of the colour that effects leave, where either is held against the
+    colour that it leaves itself; -inf for one that leaves most of it, which is then the sensors' own."""
     n, terms = rival.null.turn.shape[1], len(rival.family.members)
     law = {r.name: {o: c[:, n - terms : n] for o, c in r.slopes.items()} for r in rival.null.records}
     rest = {
         r.name: {o: np.delete(c, np.s_[n - terms : n], axis=1) for o, c in r.slopes.items()}
         for r in rival.null.records
     }
-    noise, deviances = [], []
+    noise, deviances, power = [], [], []
     for model, free, other in ((rival.null, law, taken), (null, taken, law)):
         explained = _stacked(rest, free)
         own = estimated_noise(model, explained=explained, colour=True)
-        held = next(iter(next(iter(explained.values())).values())).shape[1]
-        deviances.append(deviance(model, own, _stacked(explained, other), held))
+        left = estimated_noise(model, explained=explained).sigma
+        power.append(np.array([left[name] for name in sorted(left)]) ** 2)
+        deviances.append(deviance(model, own, _stacked(explained, other), _width(explained)))
         noise.append(own)
+    least = np.array([noise[0].sigma[name] for name in sorted(noise[0].sigma)]) ** 2
+    if ((power[1] - power[0]) / least).sum() < _TAKEN * ((power[1] - least) / least).sum():
+        return -math.inf
     levels = Levels(noise[0].sigma)
-    occam = [found.log + 0.5 * found.cost for found in (evidence(d, levels) for d in (rival.digest, effects))]
-    return 0.5 * (deviances[1] - deviances[0]) + occam[0] - occam[1]
+    ours, theirs = (
+        one.log + 0.5 * one.cost for one in (evidence(d, levels) for d in (rival.digest, effects))
+    )
+    return 0.5 * (deviances[1] - deviances[0]) + ours - theirs
+
+
+def _width(columns: Columns) -> int:
+    return next(iter(next(iter(columns.values())).values())).shape[1]
 
 
 def _stacked(columns: Columns, more: Columns) -> dict[str, dict[str, Array]]:

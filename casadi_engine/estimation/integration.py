@@ -32,9 +32,9 @@ Array = NDArray[np.float64]
 SHIFT = 0.02
 # Integration errors below this share of the outputs' size are not pursued: they are near the rounding of long runs.
 _NEGLIGIBLE = 1e-9
-# Chi-squared by which a simulation may differ from what a search found in intervals: within 0.03 standard errors, and a
+# Chi-squared by which a simulation may differ from what a search found in intervals: within 0.1 standard errors, and a
 # share for the rounding of long sums and the tolerance of continuity.
-_ALIKE, SHARE = 1e-3, 1e-6
+_ALIKE, SHARE = 1e-2, 1e-6
 
 
 def alike(simulated: float, found: float) -> bool:
