@@ -41,11 +41,10 @@ from casadi_engine.discrepancy.repaired import (
     Repair,
     Unknown,
     Verdict,
-    more_probable,
 )
 from casadi_engine.discrepancy.selection import effective_samples
 from casadi_engine.discrepancy.station import Station
-from casadi_engine.discrepancy.unknown_law import unknown_law
+from casadi_engine.discrepancy.unknown_law import UnknownLaw, unknown_law
 from casadi_engine.discrepancy.vanishing import may_vanish
 from casadi_engine.discrepancy.verdict_words import may_hide
 
@@ -106,13 +105,14 @@ class Answer:
             found, withdrawn = (), (*found, *withdrawn)
             proof = replace(proof, kept=proof.kept[:1], after=proof.before)
             last = null
-        law = self._law(last) if found else None
-        if law is not None:
-            unknown = law if more_probable(law) or unknown is None else unknown
-        if more_probable(law):
-            found, withdrawn = (), (*found, *withdrawn)
-            proof = replace(proof, kept=proof.kept[:1], after=proof.before)
-            last = null
+        law = self._law(last) if found or (unknown is None and last.screened.noise.colour) else None
+        rival = None if law is None else in_place_of(last, law)
+        if rival is not None and law is not None:
+            unknown = rival if law.log >= 0 or unknown is None else unknown
+            if law.excludes:
+                found, withdrawn = (), (*found, *withdrawn)
+                proof = replace(proof, kept=proof.kept[:1], after=proof.before)
+                last = null
         verdict = _verdict(found, unknown)
         self._say(null, last, proof)
         blank = Repair(
@@ -164,14 +164,16 @@ class Answer:
             done = replace(done, messages=(*done.messages, _MAY_HIDE))
         return held_to_fresh_data(done)
 
-    def _law(self, last: Station) -> Unknown | None:
+    def _law(self, last: Station) -> UnknownLaw | None:
         """A law that no effect names, in the place of those found, that these do not exclude."""
         search = self.search
         tried = search.pool.get(key_of(last.effects))
         if tried is None:
             return None
-        law = self._in_time("unknown law", lambda: unknown_law(search.refits, tried, search.price))
-        return None if law is None else in_place_of(last, law)
+        found: UnknownLaw | None = self._in_time(
+            "unknown law", lambda: unknown_law(search.refits, tried, search.price)
+        )
+        return found
 
     def _honest(self, proof: Confirmation) -> tuple[Confirmation, Station]:
         """The last model with errors that count with the colour of its noise."""

@@ -213,19 +213,21 @@ def unknown_of(screened: Screened) -> Unknown | None:
 
 
 def in_place_of(last: Station, law: UnknownLaw) -> Unknown | None:
-    """What is said of a law that no effect names in the place of the effects found, where these do not exclude it."""
-    if law.log < -math.log(FACTOR):
+    """What is said of a law that no effect names in the place of the effects found, or of none, where these do not
+    exclude it."""
+    if law.log < (-1 if last.effects else 1) * math.log(FACTOR):
         return None
     family, odds = law.course.family, math.exp(min(law.log, _SAID))
     words = law_words(last.fit.model, family)
     names = " and ".join(one.label for one in last.effects)
-    if odds < FACTOR:
+    much = f"{odds:.2g} times" if law.log < _SAID else "far"
+    if not names:
+        words += f"{likeness_words(law.course)}: {much} more probable than noise of that colour"
+    elif odds < FACTOR:
         words += f", in the place of {names}, is not excluded ({odds:.2g} times as probable)"
     else:
-        much = f"{odds:.2g} times" if law.log < _SAID else "far"
-        words += (
-            f"{likeness_words(law.course)}: {much} more probable than {names}, the nearest of the library"
-        )
+        near = "" if law.excludes else f", which explains {100 * law.share:.0f} % of what that does"
+        words += f"{likeness_words(law.course)}: {much} more probable than {names}, the nearest of the library{near}"
     return Unknown(words, {}, family.port, family.signal, None, law.course, odds)
 
 

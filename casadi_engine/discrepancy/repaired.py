@@ -179,7 +179,7 @@ class Unknown:
     sentence : in words; tests : name of each rejected residual test -> p-value; port, signal : the torque at ``port``
     as a function of ``signal`` that explains most, with its p-value and course, None if no such function does
     odds : how many times more probable that function is than the effects that were found in its place, where it is
-    held against them and they do not exclude it; they are withdrawn where it excludes them
+    held against them and they do not exclude it
     """
 
     sentence: str
@@ -192,7 +192,7 @@ class Unknown:
 
 
 def more_probable(unknown: Unknown | None) -> bool:
-    """True for a law of no name that excludes the effects that were found."""
+    """True for a law of no name that is far more probable than the effects that were found."""
     return unknown is not None and unknown.odds is not None and unknown.odds >= FACTOR
 
 

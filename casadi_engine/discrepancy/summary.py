@@ -98,7 +98,7 @@ def _found(repair: Repair) -> list[str]:
 
 def _withdrawn(repair: Repair) -> str:
     """Why effects that were found are no answer."""
-    if more_probable(repair.unknown):
+    if more_probable(repair.unknown) and not repair.effects:
         return "Withdrawn: less probable than an unknown law"
     return "Withdrawn: contradicted by fresh data"
 
@@ -143,7 +143,8 @@ def _unknown(repair: Repair) -> list[str]:
         return []
     tests = ", ".join(f"{name} p = {p:.2g}" for name, p in list(repair.unknown.tests.items())[:3])
     head = "Still unexplained" if repair.effects else "Unexplained"
-    head = "Not excluded" if repair.effects and repair.unknown.odds is not None else head
+    if repair.effects and repair.unknown.odds is not None:
+        head = "More probable in its place" if more_probable(repair.unknown) else "Not excluded"
     return wrapped(f"{head}: {repair.unknown.sentence}" + (f" ({tests})" if tests else ""), "  ")
 
 

@@ -3,7 +3,8 @@
 The laws that were found are taken out along their own simulation, and a smooth function takes their place, with the
 same noise, the same priors of everything else, and the size of its own averaged over. Where the function takes most of
 the colour that the effects leave, each is also held against the noise that it leaves itself. Where the data make the
-function more probable, what acts has a name that the library lacks: effects that are bent to look alike are no finding.
+function more probable, what acts has a name that the library lacks, and effects that are bent to look alike are no
+finding, unless they explain most of what the function does: then they stay, and the answer says so.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 from scipy import linalg
 
 from casadi_engine.discrepancy.compression import candidate_columns
-from casadi_engine.discrepancy.evidence import Columns, Digest, Levels, Prior, digest, evidence
+from casadi_engine.discrepancy.evidence import FACTOR, Columns, Digest, Levels, Prior, digest, evidence
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.noise_model import deviance, estimated_noise
 from casadi_engine.discrepancy.null_model import NullModel
@@ -32,15 +33,24 @@ _LAW = "law"
 _COLOURED = 3
 # Share of what effects leave beyond white noise that a function has to take for that to be no noise of the sensors.
 _TAKEN = 0.8
+# Effects that explain this share of what a function does stay the answer, whatever is more probable: dry friction of a
+# real machine is never all that depends on its speed.
+_NEAR = 0.8
 
 
 @dataclass(frozen=True)
 class UnknownLaw:
-    """The function that is most probable: its course, and the log of how much more probable the model is with it than
-    with the effects."""
+    """The function that is most probable: its course, the log of how much more probable the model is with it than with
+    the effects, and the share of what it takes from chi-squared that these take too."""
 
     course: Course
     log: float
+    share: float
+
+    @property
+    def excludes(self) -> bool:
+        """True where the effects are no answer: far less probable, and much of what the function does is left."""
+        return self.log >= math.log(FACTOR) and self.share < _NEAR
 
 
 def unknown_law(refits: Refits, tried: Tried, further: float) -> UnknownLaw | None:
@@ -85,7 +95,10 @@ def unknown_law(refits: Refits, tried: Tried, further: float) -> UnknownLaw | No
             one.log = max(one.log, log)
     best = max(found, key=lambda one: one.log)
     log = best.log + (len(effects) - 1) * further
-    return UnknownLaw(_course(best.digest, best.family, refits.levels), log)
+    none = refits.pool[frozenset()].evidence.cost
+    least = evidence(best.digest, refits.levels).cost
+    share = (none - named.cost) / (none - least) if none > least else 1.0
+    return UnknownLaw(_course(best.digest, best.family, refits.levels), log, share)
 
 
 @dataclass

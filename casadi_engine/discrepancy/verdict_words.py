@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from casadi_engine.discrepancy.fresh_misfit import FRESH, fresh_doubt, fresh_misfit
+from casadi_engine.discrepancy.repaired import more_probable
 from casadi_engine.discrepancy.wording import AT_FAULT, USER, is_blind, twins
 from casadi_engine.estimation.summary import count
 
@@ -40,7 +41,8 @@ def headline(repair: Repair) -> str:
     doubt = (
         f", or {others[0] if len(others) == 1 else f'one of {count(len(others))} others'}" if others else ""
     )
-    doubt += ", or a law that the library lacks" if repair.unknown and repair.unknown.odds is not None else ""
+    if repair.unknown and repair.unknown.odds is not None:
+        doubt += f", or {'rather ' if more_probable(repair.unknown) else ''}a law that the library lacks"
     tried = " (of what was tried)" if repair.stopped or "left out" in repair.options else ""
     return f"{_named(repair)}{tried}{doubt}, {sure[repair.confirmed]}{_on_fresh(repair)}"
 

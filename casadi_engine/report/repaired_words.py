@@ -21,7 +21,7 @@ def verdict_lines(repair: Repair) -> list[str]:
     lines = [_verdict(repair), *(f"{words}." for words in first_words(repair))]
     lines += [_class(one) for one in repair.effects if len(one.members) > 1]
     if repair.effects and repair.unknown is not None:
-        beside = "The residuals still hold more" if repair.unknown.odds is None else "Not excluded"
+        beside = "The residuals still hold more" if repair.unknown.odds is None else "In its place"
         lines.append(f"{beside}: {repair.unknown.sentence}.")
     lines += [f"{_where(repair)}." if _where(repair) else ""]
     lines += [_confirmed(repair)]
