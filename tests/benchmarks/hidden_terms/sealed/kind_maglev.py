@@ -14,7 +14,7 @@ import casadi_engine as ce
 
 GRAVITY, MASS = 9.81, 0.5
 # The controller [A, mm, A/mm, A s/mm] and its amplifier [Ohm, V/A].
-HELD, CENTRE, GAIN, DAMPING = 2.0, 8.0, 0.6, 0.014
+HELD, CENTRE, GAIN, DAMPING = 2.0, 8.0, 0.8, 0.018
 NOMINAL, LOOP = 5.0, 20.0
 
 
@@ -100,7 +100,7 @@ KIND = Kind(
         "sensor_gap.sensor_offset": Hidden(0.6, ce.effects.SensorOffset(), "sensor_gap"),
         "sensor_gap.sensor_delay": Hidden(9e-3, ce.effects.SensorDelay(), "sensor_gap"),
         "parameter_R.wrong_value": Hidden(0.4, wrong="R"),
-        "coil.saturation": Hidden(0.05),
+        "coil.saturation": Hidden(0.02),
         "coil.eddy_currents": Hidden(6.0),
     },
     choices=(

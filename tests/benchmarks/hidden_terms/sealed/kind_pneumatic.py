@@ -12,7 +12,7 @@ from hidden_terms.simulator import Dry, delayed, simulate
 
 import casadi_engine as ce
 
-GRAVITY, SUPPLY, ROOM = 9.81, 10.0, 1.0
+GRAVITY, SUPPLY, ROOM = 9.81, 12.0, 1.0
 # 50 mm of bore [mm2]; speed at which friction fades [mm/s].
 AREA, FADING = 1963.0, 80.0
 
@@ -27,7 +27,7 @@ def model(outputs):
     mass = b.parameter("m", 15.0, unit="kg", vary=False)
     stiffness = b.parameter("Ks", 3.0, unit="N/mm", min=0.1, max=60)
     viscous = b.parameter("c", 0.3, unit="N s/mm", min=0.01, max=6)
-    fill = b.parameter("kf", 250.0, unit="mm/s", min=10, max=5000)
+    fill = b.parameter("kf", 208.0, unit="mm/s", min=10, max=5000)
     vent = b.parameter("kv", 600.0, unit="mm/s", min=20, max=10_000)
     dead = b.parameter("x0", 40.0, unit="mm", vary=False, description="length of the dead volume")
     polytropic = b.parameter("gamma", 1.3, unit="1", vary=False)
@@ -103,7 +103,7 @@ def dropped(rng):
 KIND = Kind(
     name="pneumatic",
     sentence="a pneumatic cylinder that lifts a mass",
-    truth={"m": 15.0, "Ks": 3.0, "c": 0.3, "kf": 250.0, "kv": 600.0, "x0": 40.0, "gamma": 1.3},
+    truth={"m": 15.0, "Ks": 3.0, "c": 0.3, "kf": 208.0, "kv": 600.0, "x0": 40.0, "gamma": 1.3},
     terms={
         "piston.coulomb_friction": Hidden(35.0, ce.effects.CoulombFriction(), "piston"),
         "piston.stribeck_friction": Hidden(30.0, ce.effects.StribeckFriction(), "piston", {"fading": FADING}),
