@@ -298,7 +298,7 @@ class Choice:
                 null = refits.path.residuals(best.effects, best.arrived)
                 slopes = {record.name: dict(record.slopes) for record in null.records}
                 noise = estimated_noise(null, explained=slopes, colour=True)
-                error = coloured_errors(null, refits.path.levels, noise)
+                error = coloured_errors(null, best.arrived.levels, noise)
         except FAILURES:
             return False  # its whole fit has the last word
         values = best.arrived.values

@@ -65,6 +65,7 @@ class Arrived:
 
     cost : chi-squared with priors at the levels of the path, simulated from the first states
     settled : it is an optimum; held : parameters at a bound
+    refit, levels : the refit, and the levels of the noise (output -> sigma) by which its residuals were weighted
     """
 
     values: Mapping[str, float]
@@ -73,6 +74,7 @@ class Arrived:
     settled: bool
     held: frozenset[str]
     refit: Refit = field(repr=False)
+    levels: Mapping[str, float]
 
 
 class Path:
@@ -149,13 +151,13 @@ class Path:
         with Deadline() as own:
             found = problem.run(start=values, initial=initial, horizons=(None,), most=_STEPS)
         self._work[:1] = [_AHEAD * _STEPS * own.done / max(found.steps, 1)]
-        return _arrived(problem, found)
+        return _arrived(problem, found, self.levels)
 
     def residuals(self, effects: Sequence[Addition], arrived: Arrived) -> NullModel:
         """Residuals and slopes where a refit of these effects ended, as its own integrator has them; without the paths
         that candidates act along."""
         model, parameters, problem = self._problem(effects)
-        return null_of_refit(model, parameters, problem, arrived.refit, self.levels)
+        return null_of_refit(model, parameters, problem, arrived.refit, arrived.levels)
 
     def null_at(self, effects: Sequence[Addition], arrived: Arrived) -> NullModel:
         """The model with these effects, linearised along a simulation where a refit of them ended."""
@@ -284,7 +286,7 @@ class Path:
             if found.converged:  # what wanders is no measure of what refits cost
                 self._work.append(own.done)
                 self._least[id(problem)] = min(own.done, self._least.get(id(problem), math.inf))
-            return _arrived(problem, found)
+            return _arrived(problem, found, self.levels)
         except (*FAILURES, TimeUp):
             return None
 
@@ -399,7 +401,7 @@ def first_states_on(
     return Start(found.values, found.initial, {}, found.converged, fineness=found.fineness)
 
 
-def _arrived(problem: RefitProblem, found: Refit) -> Arrived | None:
+def _arrived(problem: RefitProblem, found: Refit, levels: Mapping[str, float]) -> Arrived | None:
     if not found.initial or not np.isfinite(found.cost):
         return None
     pmap = problem.pmap
@@ -409,4 +411,6 @@ def _arrived(problem: RefitProblem, found: Refit) -> Arrived | None:
         near = _AT_BOUND * max(abs(value), 1e-12)
         if value - low <= near or high - value <= near:
             held.add(name)
-    return Arrived(found.values, found.initial, found.cost, found.converged, frozenset(held), found)
+    return Arrived(
+        found.values, found.initial, found.cost, found.converged, frozenset(held), found, dict(levels)
+    )

@@ -34,6 +34,8 @@ _BETTER = 1.0
 _RIVALS = 6
 # Standard errors from which an amplitude is there at all, however much a refit with it gained.
 _THERE = 1.0
+# So many times the standard errors by the slopes: a drop of chi-squared four times what these promise.
+_ELSEWHERE = 2.0
 
 Key = frozenset[tuple[str, str]]
 
@@ -83,15 +85,16 @@ class Tried:
 
     def certainty(self, one: Addition) -> float:
         """The amplitude of an effect in its standard errors, the largest where records have their own; or the root of
-        what chi-squared falls by with it, where that is larger: the optimum without it may be far, and its error by the
-        slopes says nothing of the way there."""
+        what chi-squared falls by with it, where that is far larger: the optimum without it is elsewhere then, and its
+        error by the slopes says nothing of the way there."""
         values = self.arrived.values
         own = [n for n in values if n.partition("@")[0] == one.amplitude]
         size = max((abs(values[n]) / self.evidence.error.get(n, math.inf) for n in own), default=math.inf)
         without = self.pool().get(self.key - {one.candidate.key})
         if without is None or not _THERE <= size < math.inf:
             return size
-        return max(size, math.sqrt(max(without.evidence.cost - self.evidence.cost, 0.0)))
+        drop = math.sqrt(max(without.evidence.cost - self.evidence.cost, 0.0))
+        return drop if drop > _ELSEWHERE * size else size
 
 
 def form_of(effects: Sequence[Addition]) -> frozenset[tuple[str, str, bool]]:

@@ -199,3 +199,14 @@ def test_a_fresh_record_that_the_model_cannot_follow_has_no_start(pendulum, rubb
     pars = model.parameters()
     pars.fix(rubbing.broken.amplitude, 3.0)
     assert first_states_on(model, pendulum.decay(samples=50), pars, {"y": pendulum.level}) is None
+
+
+def test_residuals_of_a_refit_are_those_of_its_own_levels(rubbing, pendulum):
+    """Levels that change after a refit do not change what it left."""
+    path = Path(rubbing.refitter, {"y": pendulum.level})
+    arrived = path.from_point([rubbing.one], Start.of(rubbing.fit))
+    before = path.residuals([rubbing.one], arrived).records[0].residual["y"]
+    path.relevel({"y": pendulum.level / 5})
+    after = path.residuals([rubbing.one], arrived).records[0].residual["y"]
+    np.testing.assert_array_equal(before, after)
+    assert np.std(after) == pytest.approx(pendulum.level, rel=0.2)

@@ -316,6 +316,12 @@ def test_data_cannot_confirm_what_is_found_in_them(shaft, friction):
         ce.repair(shaft.model, friction, fresh=friction, effects=FEW, progress=False)
 
 
+def test_a_record_that_is_given_twice_is_refused():
+    one, two = _swing(0.0), _swing(0.0, name="again")
+    with pytest.raises(ExperimentError, match=r"'again' is given twice; seen: the measurements of .*swing"):
+        ce.repair(ce.one_inertia(), [one, two], effects=FEW, starts=1, progress=False)
+
+
 @pytest.mark.parametrize(
     ("effects", "message"),
     [
