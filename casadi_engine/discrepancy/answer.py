@@ -20,9 +20,10 @@ from casadi_engine.discrepancy.certificate import (
     score_rows,
     unknown_of,
 )
-from casadi_engine.discrepancy.choice import BEYOND, TIME_UP, Choice
+from casadi_engine.discrepancy.choice import TIME_UP, Choice
 from casadi_engine.discrepancy.coloured_errors import with_coloured_errors
 from casadi_engine.discrepancy.confirmation import PairedGain
+from casadi_engine.discrepancy.families import BEYOND
 from casadi_engine.discrepancy.fresh import (
     Portions,
     side,

@@ -19,7 +19,7 @@ import numpy as np
 from casadi_engine.deadline import Deadline, TimeUp, ask, late
 from casadi_engine.discrepancy.assumed_pressure import settle_scatter
 from casadi_engine.discrepancy.coloured_errors import coloured_errors
-from casadi_engine.discrepancy.events import by_one_step
+from casadi_engine.discrepancy.families import BEYOND, chosen_of, costs_of, families_of
 from casadi_engine.discrepancy.linearised import OneStep, one_step, without_effect
 from casadi_engine.discrepancy.membership import class_of, ordered, reached
 from casadi_engine.discrepancy.noise_model import estimated_noise
@@ -35,8 +35,6 @@ from casadi_engine.discrepancy.start import Start
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.estimation import Fit
 
-# An amplitude is a finding beyond so many of its standard errors.
-BEYOND = 3.0
 # Candidates that are refitted in the place of a member, the best by one step; times that a better one is looked from.
 _EXCHANGED, _AGAIN = 6, 3
 # A refit has arrived if chi-squared is no higher than without its effect, but for rounded corners; share of the
@@ -138,9 +136,9 @@ class Choice:
         if not now.effects or len(now.effects) >= self.most or late():
             return
         screened = self._stations[frozenset()].screened
-        families = _families(screened)
+        families = families_of(screened)
         made = self._timed("exchange", lambda: tried_in_two(
-            self.refits, now, screened, families, partial(_chosen, screened), self.tell
+            self.refits, now, screened, families, partial(chosen_of, screened), self.tell
         ))  # fmt: skip
         self.refits.weigh()
         ready = [one for one in made if one.beyond > BEYOND and one.log - self.price > now.log]
@@ -151,7 +149,7 @@ class Choice:
     @property
     def price(self) -> float:
         """What a further effect has to gain in log probability."""
-        return price_of(_families(self._stations[frozenset()].screened))
+        return price_of(families_of(self._stations[frozenset()].screened))
 
     def _with_colour(self) -> None:
         """Score beside the chosen structure with the colour that its residual has, where that waited."""
@@ -219,15 +217,21 @@ class Choice:
         screened = station.screened
         tried = self._timed("refit", lambda: self._added(here, screened))
         self._timed("evidence", self.refits.weigh)
+        known = int(screened.scores.testable.sum())
         tried += self._timed("exchange", lambda: self._without_idle(tried))
         while True:
             best = self._most_probable(tried)
-            gain = -math.inf if best is None else _together(best, tried) - here.log
+            gain = -math.inf if best is None else best.log - here.log
+            if best is not None and not here.effects:
+                gain = _together(best, tried) - here.log
             calibrated = (
                 bool(screened.significant) and not screened.noise.colour and not self.refits.levels.memory
             )
-            sure = calibrated or gain > math.log(FACTOR) + self.price
-            if best is None or not (sure or (gain > 0 and self._scores_in_colour(here, best, tried))):
+            # that anything is missing is told by all together; one more effect has to show it alone
+            price = math.log(max(known, 1)) if here.effects else self.price
+            sure = calibrated or gain > math.log(FACTOR) + price
+            in_colour = gain > 0 and not here.effects
+            if best is None or not (sure or (in_colour and self._scores_in_colour(here, best, tried))):
                 self._told(here, tried, None)
                 return None
             if self._weak(best):
@@ -350,11 +354,11 @@ class Choice:
         Of a linear model those are left out that explain far less than the best one by one step from either side: from
         ``here``, and in the place of the best one.
         """
-        families = _families(screened)
+        families = families_of(screened)
         white = screened.choice.white or screened.compressed
         scores = score(white)
         at_here = OneStep(here.arrived.cost - scores.drop, scores.amplitude, scores.error, here.arrived.cost)
-        cost = _costs(screened, at_here, families)
+        cost = costs_of(screened, at_here, families)
         order = sorted(families, key=lambda key: cost[key])
         if here.effects:
             # beside what was found the model is near the truth, and one step tells what has nothing to give
@@ -370,7 +374,7 @@ class Choice:
                     ask()
                     self.tell(f"refit {len(done) + 1} of {many}: {key[0]} at {key[1]}")
                     done.append(key)
-                    self._try(here, _chosen(screened, at_here, families[key]), start)
+                    self._try(here, chosen_of(screened, at_here, families[key]), start)
                 rivals = self._promising(here, screened, families, at_here, todo)
                 for key in todo:  # once every effect has an answer
                     ask()
@@ -392,12 +396,12 @@ class Choice:
         """Refits of one effect from another start than ``here``: in windows from the parameters' own values; where none
         has arrived, from a small amplitude."""
         if own is not None:
-            one = _chosen(screened, own, members)
+            one = chosen_of(screened, own, members)
             self._try(here, one, None)
             # as sharp as it is: wide corners may lead to another valley; what has a special case starts from that
             if self.refits.path.cornered([one]) and not one.candidate.source.effect.limit:
                 self._try(here, one, None, near=True)
-        self._arrive(here, screened.candidates[members[0]].key, lambda: _chosen(screened, at_here, members))
+        self._arrive(here, screened.candidates[members[0]].key, lambda: chosen_of(screened, at_here, members))
 
     def _promising(
         self,
@@ -418,7 +422,7 @@ class Choice:
         if step is None:
             return rest
         most = self._rival(best.arrived.cost, here.arrived.cost, screened)
-        costs = [_costs(screened, one, families) for one in (at_here, step)]
+        costs = [costs_of(screened, one, families) for one in (at_here, step)]
         lead = best.newest(here).candidate.key
         return [key for key in rest if key == lead or min(cost[key] for cost in costs) < most]
 
@@ -491,10 +495,10 @@ class Choice:
         if step is None:
             return []
         others = {key: own for key, own in families.items() if key != member.candidate.key}
-        cost = _costs(screened, step, others)
+        cost = costs_of(screened, step, others)
         most = self._rival(tried.arrived.cost, step.none, screened)
         order = [key for key in sorted(cost, key=lambda key: cost[key]) if cost[key] < most]
-        found = [_chosen(screened, step, families[key]) for key in order[:_EXCHANGED]]
+        found = [chosen_of(screened, step, families[key]) for key in order[:_EXCHANGED]]
         return [form for one in found for form in one.forms]
 
     def _exchanged(self, best: Tried, here: Tried) -> Tried:
@@ -506,7 +510,7 @@ class Choice:
 
     def _exchanged_for(self, best: Tried, here: Tried) -> Tried:
         screened = self._stations[frozenset()].screened
-        families = _families(screened)
+        families = families_of(screened)
         while len(best.effects) > 1 and not late():
             made: list[Tried] = []
             for member in best.effects:
@@ -635,28 +639,3 @@ def vanished(effects: Sequence[Addition], fit: Fit) -> bool:
         if own and all(abs(e.value) <= _GONE * abs(one.start) for e in own):
             return True
     return False
-
-
-def _families(screened: Screened) -> dict[tuple[str, str], list[int]]:
-    """(effect, port) -> its testable candidates."""
-    found: dict[tuple[str, str], list[int]] = {}
-    for k in screened.order:
-        found.setdefault(screened.candidates[k].key, []).append(k)
-    return found
-
-
-def _costs(
-    screened: Screened, step: OneStep, families: dict[tuple[str, str], list[int]]
-) -> dict[tuple[str, str], float]:
-    """Chi-squared with each effect by one step."""
-    return {key: by_one_step(screened.candidates, step, own).cost for key, own in families.items()}
-
-
-def _chosen(screened: Screened, step: OneStep, members: Sequence[int]) -> Addition:
-    """The candidate of the least chi-squared, started at its one-step amplitude: small where that has a wrong sign."""
-    found = by_one_step(screened.candidates, step, members)
-    candidate, size = screened.candidates[found.lead], found.amplitude
-    if size * candidate.side < 0 or size == 0 or not math.isfinite(size):
-        size = BEYOND * float(screened.scores.error[found.lead]) * (candidate.side or 1)
-    whole = any(grid.whole for grid in candidate.source.effect.nuisance.values())
-    return addition(candidate, size, len(members) if whole else 1, found.times)

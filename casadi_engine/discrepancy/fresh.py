@@ -45,10 +45,10 @@ def portions(
     model: Model, data: tuple[Experiment, ...], fresh: tuple[Experiment, ...], *, share: float
 ) -> Portions:
     """Fresh records as they are; without them the last ``share`` of every record's cycles is held out, at least three
-    cycles together, if three are left to search in. Raises ExperimentError for a fresh record that is searched in, and for one
-    that is given twice."""
-    for number, record in enumerate(data):
-        twin = next((one for one in data[:number] if _same(model, one, record)), None)
+    cycles together, if three are left to search in. Raises ExperimentError for a fresh record that is searched in, and
+    for one that is given twice."""
+    for k, record in enumerate(data):
+        twin = next((one for one in data[:k] if _same(model, one, record)), None)
         if twin is not None:
             raise ExperimentError(
                 f"{record.place} is given twice",
