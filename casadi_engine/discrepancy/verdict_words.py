@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from casadi_engine.discrepancy.fresh_misfit import FRESH, fresh_doubt, fresh_misfit
 from casadi_engine.discrepancy.repaired import more_probable
-from casadi_engine.discrepancy.wording import AT_FAULT, USER, is_blind, twins
+from casadi_engine.discrepancy.wording import AT_FAULT, USER, is_blind, twins, what_acts
 from casadi_engine.estimation.summary import count
 
 if TYPE_CHECKING:
@@ -147,8 +147,7 @@ def _without_name(repair: Repair) -> str:
     if unknown is None or unknown.course is None:
         curve = "the residuals and what they ask for at each port"
     else:
-        known = unknown.port is not None and unknown.port in repair.model.ports.names
-        curve = f"the curve of the unknown {repair.model.ports[str(unknown.port)].quantity if known else 'torque'}"
+        curve = f"the curve of the unknown {what_acts(repair.model, str(unknown.port))[0]}"
     return f"look at {curve}, ce.report(repair, 'repair.html'), and write an effect of your own (ten lines, ce.Effect)"
 
 

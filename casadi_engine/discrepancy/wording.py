@@ -104,6 +104,19 @@ def twins(one: FoundEffect) -> tuple[Member, ...]:
     return tuple(m for m in one.members[1:] if abs(m.rho) > _TWINS and not m.more)
 
 
+def what_acts(model: Model, port: str) -> tuple[str, str]:
+    """What an unknown law at a port is a part of, and its unit: a torque, or the value of an input or a sensor."""
+    if port not in model.ports.names:
+        return "torque", "N m"
+    known = model.ports[port]
+    kind, _, name = port.partition("_")
+    if known.kind in ("input", "sensor"):
+        every = model.inputs if known.kind == "input" else model.outputs
+        unit = next((one.unit for one in every if one.name == name), NOT_STATED)
+        return f"part of {kind} {name}", unit
+    return known.quantity, known.unit
+
+
 def acting_at(model: Model, port: str) -> str:
     """``a torque at PORT``, in the words of what acts there."""
     acts = model.ports[port].quantity if port in model.ports.names else "torque"

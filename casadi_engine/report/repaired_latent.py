@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.discrepancy.latent_torque import LatentCourse, LatentTorque
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair
+from casadi_engine.discrepancy.wording import what_acts
 from casadi_engine.experiment.units import NOT_STATED
 from casadi_engine.report import panels
 from casadi_engine.report.repaired_gap import FOUR_STROKE
@@ -46,8 +47,7 @@ class Seen:
 
 def acting(repair: Repair, port: str, unit: bool = True) -> str:
     """What acts at a port, with its unit: ``torque [N m]``."""
-    known = repair.model.ports[port] if port in repair.model.ports.names else None
-    quantity, own = ("torque", "N m") if known is None else (known.quantity, known.unit)
+    quantity, own = what_acts(repair.model, port)
     return f"{quantity} [{own}]" if unit and own != NOT_STATED else quantity
 
 
@@ -58,6 +58,11 @@ def axis_of(repair: Repair, port: str, signal: str) -> str:
     known = repair.model.ports[port] if port in repair.model.ports.names else None
     if known is None:
         return signal.replace("_", " ")
+    if known.kind in ("input", "sensor") and signal == "value":
+        _, own = what_acts(repair.model, port)
+        return port.partition("_")[2] + (f" [{own}]" if own != NOT_STATED else "")
+    if signal == "turn":
+        return "angle, the speed added up [rad]"
     unit = known.units.get(signal)
     return known.called(signal) + ("" if unit is None else f" [{unit}]")
 
