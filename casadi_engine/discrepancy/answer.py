@@ -34,6 +34,7 @@ from casadi_engine.discrepancy.latent_torque import LatentTorque, latent_torques
 from casadi_engine.discrepancy.left_out import left_out_alike
 from casadi_engine.discrepancy.next_experiment import next_experiment
 from casadi_engine.discrepancy.noise_model import NoiseModel
+from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.refits import key_of
 from casadi_engine.discrepancy.repaired import (
     FoundEffect,
@@ -171,9 +172,13 @@ class Answer:
         tried = search.pool.get(key_of(last.effects))
         if tried is None:
             return None
-        found: UnknownLaw | None = self._in_time(
-            "unknown law", lambda: unknown_law(search.refits, tried, search.price)
-        )
+        try:
+            found: UnknownLaw | None = self._in_time(
+                "unknown law", lambda: unknown_law(search.refits, tried, search.price)
+            )
+        except FAILURES as fault:  # there is an answer
+            self.messages.append(f"{_LEFT_OUT['unknown law']}: not told, as its numbers fail ({fault})")
+            return None
         return found
 
     def _honest(self, proof: Confirmation) -> tuple[Confirmation, Station]:

@@ -239,7 +239,8 @@ def law_words(model: Model, family: Family) -> str:
         return f"the {kind} {name} {'acts as' if kind == 'input' else 'shows'} another function of its value"
     acts = f"an unknown {port.quantity} at {family.port}"
     if family.order:
-        return f"{acts} that comes back {family.order} times a turn"
+        often = "once" if family.order == 1 else f"{family.order} times"
+        return f"{acts} that comes back {often} a turn"
     named = port.is_mechanical and family.signal != TIME
     own = "place, its speed added up" if family.signal == PLACE else port.called(family.signal)
     return f"{acts} that depends on {'its ' if named else ''}{own}"

@@ -18,6 +18,7 @@ from casadi_engine.discrepancy.random_families import (
     Course,
     Family,
     family_candidates,
+    family_columns,
     family_course,
     family_row,
 )
@@ -73,7 +74,10 @@ def leftover(screened: Screened) -> Leftover:
     null, choice = screened.null, screened.choice
     tests, lines = _residual_tests(screened)
     found, families = family_candidates(null)
-    scores = score(compress(null, found, choice.noise, scatter=choice.scatter)) if found else None
+    scores = None
+    if found:
+        columns = family_columns(null, found)
+        scores = score(compress(null, found, choice.noise, scatter=choice.scatter, columns=columns))
     rows: list[tuple[Row, Family]] = []
     for family in families if scores is not None else ():
         row = family_row(scores, family)  # type: ignore[arg-type]

@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_engine.discrepancy.candidate import Candidate
+from casadi_engine.discrepancy.compression import candidate_columns
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.null_distribution import Row
 from casadi_engine.discrepancy.null_model import FOUR_STROKE, NullModel
@@ -93,6 +94,15 @@ def family_candidates(
                 families.append(replace(family, members=members))
                 candidates += [_candidate(null.model, port, signal, k, term) for k, term in enumerate(basis)]
     return candidates, families
+
+
+def family_columns(null: NullModel, candidates: Sequence[Candidate]) -> dict[str, dict[str, Array]]:
+    """Sensitivities of the terms: record -> output -> (N, k), zero for a term whose sensitivity grows beyond all
+    numbers in any of them: the data cannot test it."""
+    found = {record.name: candidate_columns(record, candidates) for record in null.records}
+    every = [own for outputs in found.values() for own in outputs.values()]
+    finite = np.all([np.isfinite(own).all(axis=0) for own in every], axis=0)
+    return {r: {o: np.where(finite, own, 0.0) for o, own in outputs.items()} for r, outputs in found.items()}
 
 
 def _signals(null: NullModel, port: Port) -> list[_Signal]:

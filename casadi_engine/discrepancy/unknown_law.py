@@ -16,13 +16,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from casadi_engine.discrepancy.compression import candidate_columns
 from casadi_engine.discrepancy.evidence import FACTOR, Columns, Digest, Levels, Prior, digest, evidence
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.noise_model import deviance, estimated_noise
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.priors import priors_of
-from casadi_engine.discrepancy.random_families import Course, Family, course_of, family_candidates
+from casadi_engine.discrepancy.random_families import (
+    Course,
+    Family,
+    course_of,
+    family_candidates,
+    family_columns,
+)
 from casadi_engine.discrepancy.refits import Refits, Tried
 
 # Sizes of the function over which its evidence is averaged: what moves an output by its own variation, down to the
@@ -72,7 +77,7 @@ def unknown_law(refits: Refits, tried: Tried, further: float) -> UnknownLaw | No
     if bare is None or not math.isfinite(named.log):
         return None
     candidates, families = family_candidates(null)
-    columns = {record.name: candidate_columns(record, candidates) for record in null.records}
+    columns = family_columns(null, candidates)
     found: list[_Rival] = []
     for family in families:
         members = list(family.members)

@@ -4,10 +4,16 @@ import numpy as np
 import pytest
 
 import casadi_engine as ce
+from casadi_engine.discrepancy import random_families
 from casadi_engine.discrepancy.compression import compress
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_distribution import NullDistribution
-from casadi_engine.discrepancy.random_families import family_candidates, family_course, family_row
+from casadi_engine.discrepancy.random_families import (
+    family_candidates,
+    family_columns,
+    family_course,
+    family_row,
+)
 from casadi_engine.discrepancy.score import score
 
 
@@ -109,3 +115,22 @@ def test_a_family_that_parameters_take_whole_cannot_be_tested(shaft):
     blind = type(made)(**{**vars(made), "information": np.zeros_like(made.information)})
     assert family_row(blind, family) is None
     assert family_course(blind, family).level == 0
+
+
+def test_a_term_beyond_all_numbers_is_not_tested(shaft, monkeypatch):
+    null = shaft.null(shaft.data())
+    candidates, families = family_candidates(null)
+    whole = random_families.candidate_columns
+
+    def grown(record, terms):
+        found = whole(record, terms)
+        found["omega"][-1, families[0].members[0]] = np.inf
+        return found
+
+    monkeypatch.setattr(random_families, "candidate_columns", grown)
+    columns = family_columns(null, candidates)["shaft"]
+    assert all(np.isfinite(own).all() for own in columns.values())
+    assert not columns["omega_load"][:, families[0].members[0]].any()
+    made = score(compress(null, candidates, NoiseModel(shaft.sigma), columns={"shaft": columns}))
+    assert made.information[families[0].members[0]] == 0
+    assert made.testable.any()

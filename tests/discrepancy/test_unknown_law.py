@@ -7,6 +7,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
+from casadi_engine.discrepancy import answer
+from casadi_engine.discrepancy.certificate import law_words
+from casadi_engine.discrepancy.random_families import Family
 
 
 def brake(speed):
@@ -97,3 +100,28 @@ def test_a_law_of_the_library_is_more_probable_than_an_unknown_one():
     assert found.verdict == "named"
     assert found.unknown is None or found.unknown.odds is None
     assert math.isfinite(found.effects[0].amplitude.value)
+
+
+@pytest.mark.parametrize(
+    ("port", "signal", "order", "words"),
+    [
+        ("engine", "turn", 1, "an unknown torque at engine that comes back once a turn"),
+        ("engine", "turn", 2, "an unknown torque at engine that comes back 2 times a turn"),
+        ("engine", "place", 0, "an unknown torque at engine that depends on its place, its speed added up"),
+        ("input_T", "value", 0, "the input T acts as another function of its value"),
+        ("sensor_omega", "value", 0, "the sensor omega shows another function of its value"),
+    ],
+)
+def test_a_law_in_words(port, signal, order, words):
+    family = Family(port, signal, (0,), np.ones(1), 0.0, 1.0, np.ones(61), order)
+    assert law_words(ce.one_inertia(), family) == words
+
+
+def test_an_answer_is_kept_where_the_law_cannot_be_told(monkeypatch):
+    def fails(*_):
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    monkeypatch.setattr(answer, "unknown_law", fails)
+    found = repaired(drag)
+    assert [one.key for one in found.effects] == ["engine.quadratic_drag"]
+    assert any("not told, as its numbers fail (SVD did not converge)" in text for text in found.messages)
