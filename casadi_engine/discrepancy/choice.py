@@ -17,44 +17,28 @@ from functools import partial
 import numpy as np
 
 from casadi_engine.deadline import Deadline, TimeUp, ask, late
+from casadi_engine.discrepancy.additions import AGAIN, TIME_UP, Additions, instead
 from casadi_engine.discrepancy.assumed_pressure import settle_scatter
 from casadi_engine.discrepancy.coloured_errors import coloured_errors
-from casadi_engine.discrepancy.families import BEYOND, chosen_of, costs_of, families_of
-from casadi_engine.discrepancy.linearised import OneStep, one_step, without_effect
+from casadi_engine.discrepancy.families import BEYOND, chosen_of, families_of
 from casadi_engine.discrepancy.membership import class_of, ordered, reached
 from casadi_engine.discrepancy.noise_model import estimated_noise
-from casadi_engine.discrepancy.null_model import null_at
 from casadi_engine.discrepancy.pairs import price_of, tried_in_two
 from casadi_engine.discrepancy.path import FAILURES
-from casadi_engine.discrepancy.refit import Addition, Refitter, addition
-from casadi_engine.discrepancy.refits import FACTOR, PART, Key, Refits, Tried, key_of
+from casadi_engine.discrepancy.refit import Addition, Refitter
+from casadi_engine.discrepancy.refits import FACTOR, Key, Refits, Tried, key_of
 from casadi_engine.discrepancy.repaired import Round
-from casadi_engine.discrepancy.score import score
 from casadi_engine.discrepancy.screening import Screened, coloured
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.estimation import Fit
 
-# Candidates that are refitted in the place of a member, the best by one step; times that a better one is looked from.
-_EXCHANGED, _AGAIN = 6, 3
-# A refit has arrived if chi-squared is no higher than without its effect, but for rounded corners; share of the
-# one-step amplitude from which it is tried again.
-_NESTED, _SMALL = 1.0, 0.02
-# Log likelihood that a further effect has to promise to be refitted.
-_NOTHING = 1.0
-# Effects that are refitted first in a linear model; of others those that by one step take away all but ``PART`` of what
-# the best one does.
-_FIRST = 6
-# Why a refit was not tried.
-TIME_UP = "the time was up"
 # Shares of the spare time behind a budget at which whole fits, and the search for the colour of the noise, have to end.
 _FIT, _COLOUR = 0.35, 0.45
 # Times the spare time that is kept before the end of the budget, for fresh data.
 _KEPT = 0.5
 _NO_FIT = "its fit of all data does not converge"
 _NOTHING_LEFT = "its fit of all data leaves nothing of it"
-# What the time did not allow where every effect was refitted once.
-_OTHER_STARTS = "other starts of these effects"
 # Share of where its search started at which an amplitude is none.
 _GONE = 1e-6
 
@@ -116,7 +100,7 @@ class Choice:
     def _most_probable_first(self) -> None:
         """Let a structure of as many effects that the last levels of the noise make more probable take the place of the
         chosen one: what is named first is to be what is most probable."""
-        for _ in range(_AGAIN if self.best else 0):
+        for _ in range(AGAIN if self.best else 0):
             now = self.pool[self.best]
             alike = [
                 t for t in self.pool.values() if len(t.effects) == len(now.effects) and t.beyond > BEYOND
@@ -215,7 +199,7 @@ class Choice:
     def _round(self, here: Tried, station: Station) -> Tried | None:
         """The structure that takes the place of ``here``; None where none does."""
         screened = station.screened
-        tried = self._timed("refit", lambda: self._added(here, screened))
+        tried = self._timed("refit", lambda: self._added(here, station))
         self._timed("evidence", self.refits.weigh)
         known = int(screened.scores.testable.sum())
         tried += self._timed("exchange", lambda: self._without_idle(tried))
@@ -316,6 +300,9 @@ class Choice:
                 return True
         return False
 
+    def _added(self, here: Tried, station: Station) -> list[Tried]:
+        return Additions(self.refits, here, station, self.failed, self.tell).run()
+
     def _without_idle(self, tried: Sequence[Tried]) -> list[Tried]:
         """The most probable structure without members of which it leaves next to nothing: what was added may do alone
         what they did."""
@@ -348,159 +335,6 @@ class Choice:
         found = [one for one in tried if one.beyond > BEYOND and math.isfinite(one.log)]
         return max(found, key=lambda one: one.log, default=None)
 
-    def _added(self, here: Tried, screened: Screened) -> list[Tried]:
-        """Every effect at every port beside ``here``, refitted.
-
-        Of a linear model those are left out that explain far less than the best one by one step from either side: from
-        ``here``, and in the place of the best one.
-        """
-        families = families_of(screened)
-        white = screened.choice.white or screened.compressed
-        scores = score(white)
-        at_here = OneStep(here.arrived.cost - scores.drop, scores.amplitude, scores.error, here.arrived.cost)
-        cost = costs_of(screened, at_here, families)
-        order = sorted(families, key=lambda key: cost[key])
-        if here.effects:
-            # beside what was found the model is near the truth, and one step tells what has nothing to give
-            least = here.arrived.cost - 2 * _NOTHING * max(self.refits.levels.memory.values(), default=1.0)
-            order = [key for key in order if cost[key] < least]
-        own = self._own_step(here, screened)
-        start = Start(here.arrived.values, here.arrived.initial)
-        todo, done = (order[:_FIRST] if self.refits.path.linear else order), list[tuple[str, str]]()
-        try:
-            while todo:
-                many = len(done) + len(todo)
-                for key in todo:
-                    ask()
-                    self.tell(f"refit {len(done) + 1} of {many}: {key[0]} at {key[1]}")
-                    done.append(key)
-                    self._try(here, chosen_of(screened, at_here, families[key]), start)
-                rivals = self._promising(here, screened, families, at_here, todo)
-                for key in todo:  # once every effect has an answer
-                    ask()
-                    elsewhere = own if key in rivals else None
-                    self._from_elsewhere(here, screened, families[key], at_here, elsewhere)
-                rest = [key for key in order if key not in done]
-                todo = self._promising(here, screened, families, at_here, rest) if rest else []
-            keys = [self._key(here, key) for key in done]
-            self.refits.relevel([self.pool[key] for key in keys if key in self.pool])
-            self._around(here, screened, families)
-        except TimeUp:  # the best of those that were tried
-            left = [f"{key[0]} at {key[1]}" for key in todo if key not in done]
-            self.failed |= dict.fromkeys(left or [_OTHER_STARTS], TIME_UP)
-        return [self.pool[key] for key in map(partial(self._key, here), done) if key in self.pool]
-
-    def _from_elsewhere(
-        self, here: Tried, screened: Screened, members: list[int], at_here: OneStep, own: OneStep | None
-    ) -> None:
-        """Refits of one effect from another start than ``here``: in windows from the parameters' own values; where none
-        has arrived, from a small amplitude."""
-        if own is not None:
-            one = chosen_of(screened, own, members)
-            self._try(here, one, None)
-            # as sharp as it is: wide corners may lead to another valley; what has a special case starts from that
-            if self.refits.path.cornered([one]) and not one.candidate.source.effect.limit:
-                self._try(here, one, None, near=True)
-        self._arrive(here, screened.candidates[members[0]].key, lambda: chosen_of(screened, at_here, members))
-
-    def _promising(
-        self,
-        here: Tried,
-        screened: Screened,
-        families: dict[tuple[str, str], list[int]],
-        at_here: OneStep,
-        rest: list[tuple[str, str]],
-    ) -> list[tuple[str, str]]:
-        """The best effect so far, and those of the rest that may explain about as much by one step."""
-        found = [self.pool[k] for key in families if (k := self._key(here, key)) in self.pool]
-        best = min(found, key=lambda one: one.arrived.cost, default=None)
-        if best is None:
-            return rest
-        null, states = self.refits.null(best), len(self.null_fit.model.states)
-        gone = None if null is None else without_effect(null, best.newest(here), states)
-        step = None if gone is None else one_step(gone, screened.candidates, self.refits.path.levels)
-        if step is None:
-            return rest
-        most = self._rival(best.arrived.cost, here.arrived.cost, screened)
-        costs = [costs_of(screened, one, families) for one in (at_here, step)]
-        lead = best.newest(here).candidate.key
-        return [key for key in rest if key == lead or min(cost[key] for cost in costs) < most]
-
-    def _arrive(self, here: Tried, key: tuple[str, str], chosen: Callable[[], Addition]) -> None:
-        """Another refit of an effect that has not come below the model without it, of which that is a special case,
-        from a small amplitude; it has no answer if that fails too."""
-        known = self.pool.get(self._key(here, key))
-        if known is None or known.arrived.cost > here.arrived.cost + _NESTED:
-            one = chosen()
-            small = replace(one, start=_SMALL * one.start)
-            self._try(here, small, Start(here.arrived.values, here.arrived.initial), near=True)
-            known = self.pool.get(self._key(here, key))
-        if known is None or known.arrived.cost > here.arrived.cost + _NESTED:
-            self.failed[f"{key[0]} at {key[1]}"] = TIME_UP if late() else "no refit of it arrives"
-
-    def _rival(self, least: float, none: float, screened: Screened) -> float:
-        """Chi-squared by one step up to which an effect may well be a rival of one with chi-squared ``least``."""
-        chance = (
-            2
-            * math.log(FACTOR * len(screened.candidates))
-            * max(self.refits.levels.memory.values(), default=1.0)
-        )
-        return least + PART * max(none - least, 0.0) + chance
-
-    def _around(self, here: Tried, screened: Screened, families: dict[tuple[str, str], list[int]]) -> None:
-        """Refits from the parameters of the most probable one, in its place; again where that finds a better one."""
-        for _ in range(_AGAIN):
-            tried = [self.pool[k] for key in families if (k := self._key(here, key)) in self.pool]
-            best = max(tried, key=lambda one: one.log, default=None)
-            if best is None or late():
-                return
-            last = best.newest(here)
-            for one in self._instead(best, last, screened, families):
-                ask()
-                self.tell(f"refit {one.label} from the parameters of {last.label}")
-                start = {n: v for n, v in best.arrived.values.items() if not n.startswith(f"{last.key}.")}
-                self._try(here, one, Start(start, best.arrived.initial))
-            self._containing(here, screened, families)
-            now = max(self.pool[k].log for key in families if (k := self._key(here, key)) in self.pool)
-            if now <= best.log:
-                return
-
-    def _containing(
-        self, here: Tried, screened: Screened, families: dict[tuple[str, str], list[int]]
-    ) -> None:
-        """Refits of effects that ended above a special case of theirs, from where that ended."""
-        for key, members in families.items():
-            effect = screened.candidates[members[0]].source.effect
-            known, simple = (self.pool.get(self._key(here, k)) for k in (key, (effect.limit, key[1])))
-            if simple is None or (known is not None and known.arrived.cost <= simple.arrived.cost + _NESTED):
-                continue
-            case = next(one for one in simple.effects if one.candidate.key == (effect.limit, key[1]))
-            if case.candidate.key not in families:
-                continue
-            number = next(k for k in families[case.candidate.key])
-            alike = np.abs(screened.scores.correlation[number, members])
-            candidate = screened.candidates[members[int(np.argmax(alike))]]
-            own = {n: v for n, v in simple.arrived.values.items() if not n.startswith(f"{case.key}.")}
-            size = next(v for n, v in simple.arrived.values.items() if n.partition("@")[0] == case.amplitude)
-            self._try(here, addition(candidate, size), Start(own, simple.arrived.initial))
-
-    def _instead(
-        self, tried: Tried, member: Addition, screened: Screened, families: dict[tuple[str, str], list[int]]
-    ) -> list[Addition]:
-        """The candidates that might do as well in the place of a member, the best by one step first."""
-        null = self.refits.null(tried)
-        states = len(self.null_fit.model.states)
-        rest = None if null is None else without_effect(null, member, states)
-        step = None if rest is None else one_step(rest, screened.candidates, self.refits.path.levels)
-        if step is None:
-            return []
-        others = {key: own for key, own in families.items() if key != member.candidate.key}
-        cost = costs_of(screened, step, others)
-        most = self._rival(tried.arrived.cost, step.none, screened)
-        order = [key for key in sorted(cost, key=lambda key: cost[key]) if cost[key] < most]
-        found = [chosen_of(screened, step, families[key]) for key in order[:_EXCHANGED]]
-        return [form for one in found for form in one.forms]
-
     def _exchanged(self, best: Tried, here: Tried) -> Tried:
         """The structure after its members were exchanged one by one, and each was left out, as far as time allows."""
         try:
@@ -517,7 +351,7 @@ class Choice:
                 rest = tuple(one for one in best.effects if one is not member)
                 others = {k: v for k, v in families.items() if k not in key_of(rest)}
                 start = {n: v for n, v in best.arrived.values.items() if not n.startswith(f"{member.key}.")}
-                for one in self._instead(best, member, screened, others):
+                for one in instead(self.refits, best, member, screened, others):
                     ask()
                     self.tell(f"exchange {member.label} for {one.label}")
                     made += self.refits.tried((*rest, one), Start(start, best.arrived.initial))
@@ -531,26 +365,6 @@ class Choice:
                 return best
             best = top
         return best
-
-    # ---- refits
-
-    def _key(self, here: Tried, key: tuple[str, str]) -> Key:
-        return here.key | {key}
-
-    def _try(self, here: Tried, one: Addition, start: Start | None, *, near: bool = False) -> None:
-        for form in one.forms:
-            self.refits.tried((*here.effects, form), start, near=near)
-
-    def _own_step(self, here: Tried, screened: Screened) -> OneStep | None:
-        """One step from the parameters' own values, the effects so far as they were found."""
-        fit, own = self._stations[here.key].fit, self.refitter.parameters
-        z = np.array([float(own[n].value) if n in own else fit.values[n] for n in fit.free])
-        try:
-            with np.errstate(all="ignore"):
-                null = null_at(fit.model, fit.data, fit.parameters, z, self.refits.path.first_states())
-        except (*FAILURES, KeyError):
-            return None
-        return one_step(null, screened.candidates, self.refits.path.levels)
 
     # ---- whole fits
 

@@ -25,10 +25,13 @@ from casadi_engine.discrepancy.noise_choice import is_white
 from casadi_engine.discrepancy.noise_model import NoiseModel, estimated_noise
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.selection import effective_samples
+from casadi_engine.validation.autoregression import autoregression
 
 # Prior standard deviation of a first state, in the state's scale.
 _STATE = 10.0
 _TINY = 1e-300
+# Samples below which nothing can be said of colour.
+_SHORT = 20
 # A structure is excluded where another one is so many times more probable.
 FACTOR = 20.0
 # log of the height of a normal law over Cauchy's of the same width.
@@ -50,11 +53,13 @@ class Prior:
 @dataclass(frozen=True)
 class Levels:
     """The noise that models are held against: output -> standard deviation, and how many samples are worth one
-    independent one; scatter : standard deviation of random amplitudes, in their unit."""
+    independent one; scatter : standard deviation of random amplitudes, in their unit; foretold : what the past of the
+    residual foretells of chi-squared, which a better model may take away."""
 
     sigma: Mapping[str, float]
     memory: Mapping[str, float] = field(default_factory=dict)
     scatter: float = 0.0
+    foretold: float = 0.0
 
     def weight(self, output: str) -> float:
         """What an output's residual is multiplied by."""
@@ -161,12 +166,23 @@ def levels_left(
         return Levels(sigma, {}, scatter)
     count = dict.fromkeys(sigma, 0.0)
     worth = dict.fromkeys(sigma, 0.0)
+    foretold = 0.0
     for record in null.records:
         for output, e in record.residual.items():
             count[output] += len(e)
             worth[output] += effective_samples(e)
+            foretold += _foretold(e / sigma[output])
     memory = {n: count[n] / worth[n] for n in sigma if worth[n] > 0}
-    return Levels(sigma, memory, scatter)
+    return Levels(sigma, memory, scatter, foretold)
+
+
+def _foretold(e: Array) -> float:
+    """What the past of a residual (N,) foretells of its squares; all where it is too short to tell."""
+    squares = float(e @ e)
+    if len(e) < _SHORT:
+        return squares
+    variance = autoregression(e[:, None], np.ones(len(e), dtype=bool)).variances
+    return squares * float(1 - variance[-1] / max(variance[0], 1e-300))
 
 
 def _prior_rows(null: NullModel, priors: Mapping[str, Prior], turn: Array, random: Array) -> Array:

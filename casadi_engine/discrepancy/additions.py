@@ -1,0 +1,280 @@
+"""One more effect beside a structure: every one that may turn out the best is refitted.
+
+They come in the order of what one step says of them. Once one of them leaves white noise, the model with it is near the
+truth, and a step from there, in its place, tells what the others can come to: those that stay far above are not
+refitted any more. Without that, where the equations are linear, one step leaves out what explains far less.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from casadi_engine.deadline import TimeUp, ask, late
+from casadi_engine.discrepancy.families import chosen_of, costs_of, families_of
+from casadi_engine.discrepancy.linearised import OneStep, one_step, without_effect
+from casadi_engine.discrepancy.null_model import null_at
+from casadi_engine.discrepancy.path import FAILURES
+from casadi_engine.discrepancy.refit import Addition, addition
+from casadi_engine.discrepancy.refits import FACTOR, PART, Refits, Tried
+from casadi_engine.discrepancy.score import score
+from casadi_engine.discrepancy.screening import Screened
+from casadi_engine.discrepancy.start import Start
+from casadi_engine.discrepancy.station import Station
+
+# Why a refit was not tried.
+TIME_UP = "the time was up"
+# What the time did not allow where every effect was refitted once.
+_OTHER_STARTS = "other starts of these effects"
+# Candidates that are refitted in the place of a member, the best by one step; times that a better one is looked from.
+_EXCHANGED, AGAIN = 6, 3
+# A refit has arrived if chi-squared is no higher than without its effect, but for rounded corners; share of the
+# one-step amplitude from which it is tried again.
+_NESTED, _SMALL = 1.0, 0.02
+# Log likelihood that a further effect has to promise to be refitted.
+_NOTHING = 1.0
+# Share of the gap that one step foretells, from a model that leaves white noise, of which a refit leaves at least
+# that: the values of nuisance parameters, and parameters far from where they were, may close the rest.
+_STAYS = 0.1
+
+Family = tuple[str, str]
+
+
+@dataclass
+class Additions:
+    """The refits of one round.
+
+    here, station : the structure, and its fit and scores; failed : takes what has no answer, and why; tell : takes what
+    is being done, in words
+    """
+
+    refits: Refits
+    here: Tried
+    station: Station
+    failed: dict[str, str]
+    tell: Callable[[str], None]
+    done: list[Family] = field(default_factory=list)
+
+    def run(self) -> list[Tried]:
+        """The structures with one effect more, as far as the time allows."""
+        self.screened = self.station.screened
+        self.families = families_of(self.screened)
+        here, known = self.here, score(self.screened.choice.white or self.screened.compressed)
+        none = here.arrived.cost
+        self.at_here = OneStep(none - known.drop, known.amplitude, known.error, none)
+        self.own: OneStep | None = self._own_step()
+        self.lead = self.at_here
+        self.start: Start | None = Start(here.arrived.values, here.arrived.initial)
+        order = left = self._order()
+        best: Tried | None = None
+        try:
+            while left:
+                ask()
+                key = left[0]
+                self.tell(f"refit {len(self.done) + 1} of {len(self.done) + len(left)}: {key[0]} at {key[1]}")
+                self.done.append(key)
+                self._try(chosen_of(self.screened, self.lead, self.families[key]), self.start)
+                left, before = left[1:], best
+                best = min(self._tried(), key=lambda one: one.arrived.cost, default=None)
+                if left and best is not None and best is not before:
+                    left = self._left(best, [k for k in order if k not in self.done])
+            if best is not None:
+                self._elsewhere(best)
+            self.refits.relevel(self._tried())
+            self._around()
+        except TimeUp:  # the best of those that were tried
+            names = [f"{key[0]} at {key[1]}" for key in left if key not in self.done]
+            self.failed |= dict.fromkeys(names or [_OTHER_STARTS], TIME_UP)
+        return self._tried()
+
+    # ---- what is refitted
+
+    def _order(self) -> list[Family]:
+        """The effects in the order of their refits."""
+        cost = costs_of(self.screened, self.at_here, self.families)
+        own, none = self.own, self.at_here.none
+        if self.refits.path.linear and own is not None and own.cost.min() < PART * self.at_here.cost.min():
+            # what the fit without the effect made of the parameters is further from the truth than their own values
+            self.lead, self.start, self.own = own, None, None
+            cost = costs_of(self.screened, own, self.families)
+        order = sorted(self.families, key=lambda key: cost[key])
+        if self.here.effects:
+            # beside what was found the model is near the truth, and one step tells what has nothing to give
+            least = none - 2 * _NOTHING * max(self.refits.levels.memory.values(), default=1.0)
+            order = [key for key in order if cost[key] < least]
+        if not order:
+            return []
+        # of those that may do as well as the best one, first what has no values to be looked for on a grid
+        most = rival(self.refits, cost[order[0]], none, self.screened)
+        effects = {one.key: one.source.effect for one in self.screened.candidates}
+        return sorted(order, key=lambda key: (cost[key] > most, len(effects[key].nuisance)))
+
+    def _left(self, best: Tried, rest: list[Family]) -> list[Family]:
+        """Those of the rest that are worth a refit, after the best one so far has arrived."""
+        self.refits.weigh()
+        linear, step = self.refits.path.linear, self._in_place_of(best)
+        if step is None:
+            return rest
+        if linear:
+            self.lead, self.start = step, _start_without(best, best.newest(self.here))
+        return self._promising(best, step, rest, clearly=not linear)
+
+    def _promising(
+        self, best: Tried, step: OneStep, keys: Sequence[Family], *, clearly: bool = False
+    ) -> list[Family]:
+        """The effects that may come down to the best one so far, or to what it leaves unexplained.
+
+        step : in its place; clearly : leave out only those that one step in its place clearly tells apart
+        """
+        cost, least, levels = (
+            costs_of(self.screened, step, self.families),
+            best.arrived.cost,
+            self.refits.levels,
+        )
+        if levels.memory:
+            here = costs_of(self.screened, self.at_here, self.families)
+            cost = {key: min(own, here[key]) for key, own in cost.items()}
+        share = min(1.0, max(levels.sigma.get(n, own) / own for n, own in self.refits.path.levels.items()))
+        most = least + share**2 * (chance(self.refits, self.screened) + levels.foretold) / _STAYS
+        if not clearly:
+            most = min(most, rival(self.refits, least, min(self.here.arrived.cost, step.none), self.screened))
+        return [key for key in keys if cost[key] < most]
+
+    def _in_place_of(self, best: Tried) -> OneStep | None:
+        return step_in_place(self.refits, best, best.newest(self.here), self.screened)
+
+    # ---- other starts
+
+    def _elsewhere(self, best: Tried) -> None:
+        """Refits from other starts, once every effect has an answer."""
+        self.refits.weigh()
+        step = self._in_place_of(best)
+        near = self.done if step is None else self._promising(best, step, self.done)
+        for key in self.done:
+            ask()
+            lead = key == best.newest(self.here).candidate.key
+            if self.own is not None and (lead or key in near):
+                self._from_own(chosen_of(self.screened, self.own, self.families[key]))
+            if lead or key in near or self.refits.levels.memory:
+                self._arrive(key)
+
+    def _from_own(self, one: Addition) -> None:
+        """A refit in windows from the parameters' own values."""
+        self._try(one, None)
+        # as sharp as it is: wide corners may lead to another valley; what has a special case starts from that
+        if self.refits.path.cornered([one]) and not one.candidate.source.effect.limit:
+            self._try(one, None, near=True)
+
+    def _arrive(self, key: Family) -> None:
+        """Another refit of an effect that has not come below the model without it, of which that is a special case,
+        from a small amplitude; it has no answer if that fails too."""
+        known, none = self._known(key), self.here.arrived
+        if known is None or known.arrived.cost > none.cost + _NESTED:
+            one = chosen_of(self.screened, self.at_here, self.families[key])
+            self._try(replace(one, start=_SMALL * one.start), Start(none.values, none.initial), near=True)
+            known = self._known(key)
+        if known is None or known.arrived.cost > none.cost + _NESTED:
+            self.failed[f"{key[0]} at {key[1]}"] = TIME_UP if late() else "no refit of it arrives"
+
+    def _around(self) -> None:
+        """Refits from the parameters of the most probable one, in its place; again where that finds a better one."""
+        for _ in range(AGAIN):
+            best = max(self._of_families(), key=lambda one: one.log, default=None)
+            if best is None or late():
+                return
+            last = best.newest(self.here)
+            for one in instead(self.refits, best, last, self.screened, self.families):
+                ask()
+                self.tell(f"refit {one.label} from the parameters of {last.label}")
+                self._try(one, _start_without(best, last))
+            self._containing()
+            if max(one.log for one in self._of_families()) <= best.log:
+                return
+
+    def _containing(self) -> None:
+        """Refits of effects that ended above a special case of theirs, from where that ended."""
+        candidates = self.screened.candidates
+        for key, members in self.families.items():
+            limit = (candidates[members[0]].source.effect.limit, key[1])
+            known, simple = self._known(key), self._known(limit)
+            if simple is None or (known is not None and known.arrived.cost <= simple.arrived.cost + _NESTED):
+                continue
+            if limit not in self.families:
+                continue
+            case = next(one for one in simple.effects if one.candidate.key == limit)
+            alike = np.abs(self.screened.scores.correlation[self.families[limit][0], members])
+            candidate = candidates[members[int(np.argmax(alike))]]
+            size = next(v for n, v in simple.arrived.values.items() if n.partition("@")[0] == case.amplitude)
+            self._try(addition(candidate, size), _start_without(simple, case))
+
+    # ---- refits
+
+    def _try(self, one: Addition, start: Start | None, *, near: bool = False) -> None:
+        for form in one.forms:
+            self.refits.tried((*self.here.effects, form), start, near=near)
+
+    def _known(self, key: Family) -> Tried | None:
+        return self.refits.pool.get(self.here.key | {key})
+
+    def _tried(self) -> list[Tried]:
+        """The structures of the effects that were refitted here, in the order of their refits."""
+        return [one for one in map(self._known, self.done) if one is not None]
+
+    def _of_families(self) -> list[Tried]:
+        """The structures of all effects that can be tested, wherever they were refitted."""
+        return [one for one in map(self._known, self.families) if one is not None]
+
+    def _own_step(self) -> OneStep | None:
+        """One step from the parameters' own values, the effects so far as they were found."""
+        refits, fit = self.refits, self.station.fit
+        own = refits.refitter.parameters
+        z = np.array([float(own[n].value) if n in own else fit.values[n] for n in fit.free])
+        try:
+            with np.errstate(all="ignore"):
+                null = null_at(fit.model, fit.data, fit.parameters, z, refits.path.first_states())
+        except (*FAILURES, KeyError):
+            return None
+        return one_step(null, self.screened.candidates, refits.path.levels)
+
+
+def instead(
+    refits: Refits, tried: Tried, member: Addition, screened: Screened, families: Mapping[Family, list[int]]
+) -> list[Addition]:
+    """The candidates that might do as well in the place of a member, the best by one step first."""
+    step = step_in_place(refits, tried, member, screened)
+    if step is None:
+        return []
+    others = {key: own for key, own in families.items() if key != member.candidate.key}
+    cost = costs_of(screened, step, others)
+    most = rival(refits, tried.arrived.cost, step.none, screened)
+    order = [key for key in sorted(cost, key=lambda key: cost[key]) if cost[key] < most]
+    found = [chosen_of(screened, step, families[key]) for key in order[:_EXCHANGED]]
+    return [form for one in found for form in one.forms]
+
+
+def step_in_place(refits: Refits, tried: Tried, member: Addition, screened: Screened) -> OneStep | None:
+    """One step of all candidates in the place of a member; None where that fails."""
+    null, states = refits.null(tried), len(refits.null_fit.model.states)
+    gone = None if null is None else without_effect(null, member, states)
+    return None if gone is None else one_step(gone, screened.candidates, refits.path.levels)
+
+
+def rival(refits: Refits, least: float, none: float, screened: Screened) -> float:
+    """Chi-squared by one step up to which an effect may well be a rival of one with chi-squared ``least``: that takes
+    away all but ``PART`` of what this one takes of its logarithm, as the level of the noise is estimated."""
+    return float(least * max(none / max(least, 1e-300), 1.0) ** PART + chance(refits, screened))
+
+
+def chance(refits: Refits, screened: Screened) -> float:
+    """Chi-squared by which the least of all candidates may lie below the others by chance, at a factor of odds."""
+    memory = max(refits.levels.memory.values(), default=1.0)
+    return 2 * math.log(FACTOR * len(screened.candidates)) * memory
+
+
+def _start_without(tried: Tried, member: Addition) -> Start:
+    """Where a structure's refit ended, but for the parameters of a member."""
+    values = {n: v for n, v in tried.arrived.values.items() if not n.startswith(f"{member.key}.")}
+    return Start(values, tried.arrived.initial)
