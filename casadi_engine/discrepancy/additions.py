@@ -8,7 +8,7 @@ refitted any more. Without that, where the equations are linear, one step leaves
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -65,10 +65,9 @@ class Additions:
         here, known = self.here, score(self.screened.choice.white or self.screened.compressed)
         none = here.arrived.cost
         self.at_here = OneStep(none - known.drop, known.amplitude, known.error, none)
-        self.own: OneStep | None = self._own_step()
         self.lead = self.at_here
         self.start: Start | None = Start(here.arrived.values, here.arrived.initial)
-        order = left = self._order()
+        order = left = self._ordered()
         best: Tried | None = None
         try:
             while left:
@@ -77,10 +76,10 @@ class Additions:
                 self.tell(f"refit {len(self.done) + 1} of {len(self.done) + len(left)}: {key[0]} at {key[1]}")
                 self.done.append(key)
                 self._try(chosen_of(self.screened, self.lead, self.families[key]), self.start)
-                left, before = left[1:], best
-                best = min(self._tried(), key=lambda one: one.arrived.cost, default=None)
-                if left and best is not None and best is not before:
-                    left = self._left(best, [k for k in order if k not in self.done])
+                left, found = left[1:], min(self._tried(), key=lambda one: one.arrived.cost, default=None)
+                if found is not None and (best is None or found.arrived.cost < best.arrived.cost - _NESTED):
+                    best = found
+                    left = self._left(best, [k for k in order if k not in self.done]) if left else []
             if best is not None:
                 self._elsewhere(best)
             self.refits.relevel(self._tried())
@@ -92,25 +91,31 @@ class Additions:
 
     # ---- what is refitted
 
-    def _order(self) -> list[Family]:
-        """The effects in the order of their refits."""
-        cost = costs_of(self.screened, self.at_here, self.families)
-        own, none = self.own, self.at_here.none
-        if self.refits.path.linear and own is not None and own.cost.min() < PART * self.at_here.cost.min():
-            # what the fit without the effect made of the parameters is further from the truth than their own values
-            self.lead, self.start, self.own = own, None, None
-            cost = costs_of(self.screened, own, self.families)
-        order = sorted(self.families, key=lambda key: cost[key])
+    def _ordered(self) -> list[Family]:
+        """The effects that are worth a refit, in the order of these."""
+        none, cost = self.at_here.none, costs_of(self.screened, self.at_here, self.families)
         if self.here.effects:
             # beside what was found the model is near the truth, and one step tells what has nothing to give
             least = none - 2 * _NOTHING * max(self.refits.levels.memory.values(), default=1.0)
-            order = [key for key in order if cost[key] < least]
-        if not order:
+            self.families = {key: own for key, own in self.families.items() if cost[key] < least}
+        if not self.families:
             return []
-        # of those that may do as well as the best one, first what has no values to be looked for on a grid
+        here = self.here.arrived
+        if self.refits.path.linear and (here.held or not here.settled):
+            own = self._own_step(self.families)
+            if own is not None and own.cost.min() < PART * self.at_here.cost.min():
+                # what the fit without the effect made of the parameters is further off than their own values
+                self.lead, self.start = own, None
+                cost = costs_of(self.screened, own, self.families)
+        order = sorted(self.families, key=lambda key: cost[key])
+        # of those that may do as well as the best one, first each effect where it does best, and what has no values to
+        # be looked for on a grid
         most = rival(self.refits, cost[order[0]], none, self.screened)
+        first = {key[0]: key for key in reversed(order)}
         effects = {one.key: one.source.effect for one in self.screened.candidates}
-        return sorted(order, key=lambda key: (cost[key] > most, len(effects[key].nuisance)))
+        return sorted(
+            order, key=lambda key: (cost[key] > most, first[key[0]] != key, len(effects[key].nuisance))
+        )
 
     def _left(self, best: Tried, rest: list[Family]) -> list[Family]:
         """Those of the rest that are worth a refit, after the best one so far has arrived."""
@@ -144,7 +149,7 @@ class Additions:
         return [key for key in keys if cost[key] < most]
 
     def _in_place_of(self, best: Tried) -> OneStep | None:
-        return step_in_place(self.refits, best, best.newest(self.here), self.screened)
+        return step_in_place(self.refits, best, best.newest(self.here), self.screened, self.families)
 
     # ---- other starts
 
@@ -152,20 +157,23 @@ class Additions:
         """Refits from other starts, once every effect has an answer."""
         self.refits.weigh()
         step = self._in_place_of(best)
-        near = self.done if step is None else self._promising(best, step, self.done)
+        lead = best.newest(self.here).candidate.key
+        near = [*(self.done if step is None else self._promising(best, step, self.done))]
+        near += [] if lead in near else [lead]
+        own = self._own_step(near) if self.start is not None else None
         for key in self.done:
             ask()
-            lead = key == best.newest(self.here).candidate.key
-            if self.own is not None and (lead or key in near):
-                self._from_own(chosen_of(self.screened, self.own, self.families[key]))
-            if lead or key in near or self.refits.levels.memory:
+            if own is not None and key in near:
+                self._from_own(chosen_of(self.screened, own, self.families[key]))
+            if key in near or self.refits.levels.memory:
                 self._arrive(key)
 
     def _from_own(self, one: Addition) -> None:
         """A refit in windows from the parameters' own values."""
         self._try(one, None)
         # as sharp as it is: wide corners may lead to another valley; what has a special case starts from that
-        if self.refits.path.cornered([one]) and not one.candidate.source.effect.limit:
+        path, special = self.refits.path, one.candidate.source.effect.limit
+        if not path.linear and path.cornered([one]) and not special:
             self._try(one, None, near=True)
 
     def _arrive(self, key: Family) -> None:
@@ -227,8 +235,8 @@ class Additions:
         """The structures of all effects that can be tested, wherever they were refitted."""
         return [one for one in map(self._known, self.families) if one is not None]
 
-    def _own_step(self) -> OneStep | None:
-        """One step from the parameters' own values, the effects so far as they were found."""
+    def _own_step(self, keys: Iterable[Family]) -> OneStep | None:
+        """One step of some effects from the parameters' own values, the effects so far as they were found."""
         refits, fit = self.refits, self.station.fit
         own = refits.refitter.parameters
         z = np.array([float(own[n].value) if n in own else fit.values[n] for n in fit.free])
@@ -237,14 +245,15 @@ class Additions:
                 null = null_at(fit.model, fit.data, fit.parameters, z, refits.path.first_states())
         except (*FAILURES, KeyError):
             return None
-        return one_step(null, self.screened.candidates, refits.path.levels)
+        members = sorted(k for key in keys for k in self.families[key])
+        return one_step(null, self.screened.candidates, refits.path.levels, members)
 
 
 def instead(
     refits: Refits, tried: Tried, member: Addition, screened: Screened, families: Mapping[Family, list[int]]
 ) -> list[Addition]:
     """The candidates that might do as well in the place of a member, the best by one step first."""
-    step = step_in_place(refits, tried, member, screened)
+    step = step_in_place(refits, tried, member, screened, families)
     if step is None:
         return []
     others = {key: own for key, own in families.items() if key != member.candidate.key}
@@ -255,11 +264,19 @@ def instead(
     return [form for one in found for form in one.forms]
 
 
-def step_in_place(refits: Refits, tried: Tried, member: Addition, screened: Screened) -> OneStep | None:
-    """One step of all candidates in the place of a member; None where that fails."""
-    null, states = refits.null(tried), len(refits.null_fit.model.states)
-    gone = None if null is None else without_effect(null, member, states)
-    return None if gone is None else one_step(gone, screened.candidates, refits.path.levels)
+def step_in_place(
+    refits: Refits, tried: Tried, member: Addition, screened: Screened, families: Mapping[Family, list[int]]
+) -> OneStep | None:
+    """One step of the candidates of some families in the place of a member; None where that fails."""
+    asked = (member.candidate.key, tuple(families), id(screened), tuple(refits.path.levels.items()))
+    known = refits.steps.get(tried)
+    if known is None or known[0] != asked:
+        null, states = refits.null(tried), len(refits.null_fit.model.states)
+        gone = None if null is None else without_effect(null, member, states)
+        members = sorted(k for own in families.values() for k in own)
+        step = None if gone is None else one_step(gone, screened.candidates, refits.path.levels, members)
+        refits.steps[tried] = known = (asked, step)
+    return known[1]
 
 
 def rival(refits: Refits, least: float, none: float, screened: Screened) -> float:

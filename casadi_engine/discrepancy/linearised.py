@@ -27,8 +27,18 @@ class OneStep:
     none: float
 
 
-def one_step(null: NullModel, candidates: Sequence[Candidate], levels: Mapping[str, float]) -> OneStep | None:
-    """All candidates linearised along a model, at white levels; None where that fails."""
+def one_step(
+    null: NullModel,
+    candidates: Sequence[Candidate],
+    levels: Mapping[str, float],
+    members: Sequence[int] | None = None,
+) -> OneStep | None:
+    """Candidates linearised along a model, at white levels; None where that fails.
+
+    members : numbers of those that are asked for, None for all; the others come out as changing nothing
+    """
+    if members is not None and len(members) < len(candidates):
+        return _step_of_members(null, candidates, levels, members)
     try:
         with np.errstate(all="ignore"):
             columns = {r.name: candidate_columns(r, candidates) for r in null.records}
@@ -41,6 +51,18 @@ def one_step(null: NullModel, candidates: Sequence[Candidate], levels: Mapping[s
     left = without(basis(reduced.rows[:, : reduced.parameters]), reduced.rows[:, -1:])
     none = float((left**2).sum())
     return OneStep(none - scores.drop, scores.amplitude, scores.error, none)
+
+
+def _step_of_members(
+    null: NullModel, candidates: Sequence[Candidate], levels: Mapping[str, float], members: Sequence[int]
+) -> OneStep | None:
+    own = one_step(null, [candidates[k] for k in members], levels)
+    if own is None:
+        return None
+    cost, amplitude = np.full(len(candidates), own.none), np.zeros(len(candidates))
+    error = np.full(len(candidates), np.inf)
+    cost[members], amplitude[members], error[members] = own.cost, own.amplitude, own.error
+    return OneStep(cost, amplitude, error, own.none)
 
 
 def without_effect(null: NullModel, one: Addition, states: int) -> NullModel | None:

@@ -102,7 +102,7 @@ class Path:
         Where a law has corners they are wide at first, as wide as its motion, and then sharper from one refit to the
         next: a wide corner bends the simulation everywhere and shows the way, a sharp one only where it is passed.
         """
-        if start is not None and self.linear:
+        if self.linear:
             return self.from_point(effects, start)
         refitter, own = self.refitter, self.refitter.share
         least: Arrived | None = None

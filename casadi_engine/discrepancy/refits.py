@@ -13,6 +13,7 @@ from casadi_engine.discrepancy.compression import scatter_columns
 from casadi_engine.discrepancy.evidence import FACTOR, Digest, Evidence, Levels, digest, evidence, levels_left
 from casadi_engine.discrepancy.exchanged_units import impossible_gain
 from casadi_engine.discrepancy.linear_algebra import Array
+from casadi_engine.discrepancy.linearised import OneStep
 from casadi_engine.discrepancy.noise_choice import scatter_of
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
@@ -134,6 +135,8 @@ class Refits:
         self.improved: set[Key] = (
             set()
         )  # structures of which a better optimum was found since this was last asked
+        # structure -> what was asked, and one step of all candidates in the place of one of its effects
+        self.steps: dict[Tried, tuple[tuple[object, ...], OneStep | None]] = {}
         self._fine: set[Key] = set()  # structures whose corners are as sharp as the data feel
         self._tell = tell
 
