@@ -36,10 +36,6 @@ _EXCHANGED, AGAIN = 6, 3
 _NESTED, _SMALL = 1.0, 0.02
 # Log likelihood that a further effect has to promise to be refitted.
 _NOTHING = 1.0
-# Share of the gap that one step foretells, from a model that leaves white noise, of which a refit leaves at least
-# that: the values of nuisance parameters, and parameters far from where they were, may close the rest.
-_STAYS = 0.1
-
 Family = tuple[str, str]
 
 
@@ -130,7 +126,8 @@ class Additions:
     def _promising(
         self, best: Tried, step: OneStep, keys: Sequence[Family], *, clearly: bool = False
     ) -> list[Family]:
-        """The effects that may come down to the best one so far, or to what it leaves unexplained.
+        """The effects that may come down to the best one so far, or to what it leaves unexplained, if a refit leaves at
+        least ``PART`` of the gap that one step foretells.
 
         step : in its place; clearly : leave out only those that one step in its place clearly tells apart
         """
@@ -143,7 +140,7 @@ class Additions:
             here = costs_of(self.screened, self.at_here, self.families)
             cost = {key: min(own, here[key]) for key, own in cost.items()}
         share = min(1.0, max(levels.sigma.get(n, own) / own for n, own in self.refits.path.levels.items()))
-        most = least + share**2 * (chance(self.refits, self.screened) + levels.foretold) / _STAYS
+        most = least + share**2 * (chance(self.refits, self.screened) + levels.foretold) / PART
         if not clearly:
             most = min(most, rival(self.refits, least, min(self.here.arrived.cost, step.none), self.screened))
         return [key for key in keys if cost[key] < most]
