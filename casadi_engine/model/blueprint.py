@@ -22,6 +22,7 @@ from casadi_engine.model.declared_units import (
     seconds_in,
 )
 from casadi_engine.model.model import Model
+from casadi_engine.model.port_places import check_slots_act, check_slots_are_used
 from casadi_engine.model.port_units import with_units
 from casadi_engine.model.rates import with_rates
 from casadi_engine.parameters import near_matches
@@ -210,15 +211,18 @@ class Blueprint:
         """Check everything and return the Model.
 
         Raises ModelError for a model without states or outputs, a state without ode, an undeclared symbol, a
-        symbol where it may not be used, laws that depend on each other in a circle, one name declared in two units, an
-        output that is a state as it stands in another unit than the state's,
-        or units per hour in equations of which nobody said whether they are per hour.
+        symbol where it may not be used, a slot in no ode or in one that says what a speed is, laws that depend on
+        each other in a circle, one name declared in two units, an output that is a state as it stands in another unit
+        than the state's, or units per hour in equations of which nobody said whether they are per hour.
         """
         self._check_complete()
         inputs, outputs = ([made[0] for made in group.values()] for group in (self._inputs, self._outputs))
         check_shared_units(inputs, outputs)
         check_output_units(list(self._outputs.values()), list(self._states.values()))
         check_crank_angle(inputs)
+        check_slots_are_used(self._ports, self._odes, self._laws)
+        stated = {name: self._ports[name].unit for name in self._stated}
+        check_slots_act(self._ports, self._states, self._odes, stated)
         if self._time_unit is None:
             others = [made[0] for group in (self._parameters, self._states) for made in group.values()]
             refuse_other_clocks(self.name, [*others, *inputs])
