@@ -138,7 +138,8 @@ class Blueprint:
         """Declare a port; returns its slot symbol to be put into the ode, or None if it takes none.
 
         kind : inertia, coupling, cylinder or internal; those of input, sensor and parameter are made by `model()`,
-            and links and pipes between inertias, ``a_and_b``
+            and links and pipes between inertias, ``a_and_b``. At an internal port no effect of the library is looked
+            for; unknown functions of its signals are, and of a port without any, nothing
         signals : name -> expression, what is known there. An effect can act where the signals are that its law reads:
             ``speed`` of an inertia, ``twist``, ``twist_rate`` and ``stiffness`` of a coupling serve those of the
             library, which ``print(ce.effects.table())`` lists one by one.
@@ -149,6 +150,50 @@ class Blueprint:
         unit : of the slot; None takes the one that the ode asks for in which the slot stands, as far as the units that
             were declared tell; else N m, N where the signals are states in m or m/s, and "-" where they are in neither.
             Amplitudes of effects follow it and the signals: N s/m or W/K for N m s/rad
+
+        Raises ModelError for a name that is taken, a kind or unit that does not exist, and a signal that is no scalar.
+
+        Notes
+        -----
+        What stores something is an "inertia", whatever it stores, and its ``speed`` is what losses depend on:
+
+        ==============================  ==========  ===================================  ========================
+        system                          kind        the slot adds                        signals
+        ==============================  ==========  ===================================  ========================
+        a shaft, a rotor                inertia     a torque that drives it [N m]        speed [rad/s]
+        a shaft between two of them     coupling    a torque, ends together [N m]        twist [rad], twist_rate,
+                                                                                         stiffness [N m/rad]
+        a mass                          inertia     a force that drives it [N]           speed [m/s]
+        a spring or damper              coupling    a force, ends together [N]           twist [m], twist_rate,
+                                                                                         stiffness [N/m]
+        a capacitor, a node             inertia     a current into it [A]                speed: voltage [V]
+        a coil, a branch                inertia     a voltage along it [V]               speed: current [A]
+        a tank, a volume of oil         inertia     a flow into it [m3/s]                speed: level [m] or
+                                                                                         pressure [Pa]
+        a body that is heated           inertia     a heat flow into it [W]              speed: temperature less
+                                                                                         that around it [K]
+        a species in a reactor          inertia     a rate at which it is made,          speed: concentration
+                                                    mol/(L s)
+        anything else                   internal    what stands there in your ode        any
+        ==============================  ==========  ===================================  ========================
+
+        Two of a kind whose slots have the same unit have a pipe between them, ``a_and_b``, for what flows from one to
+        the other. Give what is around a body as an input or a parameter in its unit: of a bare number, as in
+        ``T - 293``, the unit is not known.
+
+        Examples
+        --------
+        A room that may lose more heat than by G, by a law that is not known:
+
+        >>> b = Blueprint("room")
+        >>> C, G = b.parameter("C", 2e5, unit="J/K", min=1e3), b.parameter("G", 50.0, unit="W/K", min=0)
+        >>> T, heat, outside = b.state("T", unit="K"), b.input("P", unit="W"), b.input("T_out", unit="K")
+        >>> lost = b.port("walls", "inertia", {"speed": T - outside})
+        >>> b.ode("T", (heat - G * (T - outside) + lost) / C)
+        >>> b.output("T_room", T, unit="K")
+        >>> walls = b.model().ports["walls"]
+        >>> walls.quantity, walls.unit, walls.in_its_unit("N m s2/rad2")  # the last: of a quadratic loss
+        ('power', 'W', 'W/K2')
         """
         if _identifier("port", name) in self._ports:
             raise _repeated("port", name)
