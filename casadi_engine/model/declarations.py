@@ -154,7 +154,7 @@ class Port:
 
     @property
     def is_own(self) -> bool:
-        """True for an internal port with signals: no effect of the library acts there, unknown functions of them may."""
+        """True for an internal port with signals: unknown functions of them may act there, no effect of the library."""
         return self.kind == "internal" and self.slot is not None and bool(self.signals)
 
     def in_its_unit(self, text: str) -> str:
