@@ -15,7 +15,6 @@ from casadi_engine.discrepancy.certificate import (
     found_effects,
     in_place_of,
     noise_found,
-    not_found,
     place_of,
     score_rows,
     unknown_of,
@@ -23,6 +22,7 @@ from casadi_engine.discrepancy.certificate import (
 from casadi_engine.discrepancy.choice import TIME_UP, Choice
 from casadi_engine.discrepancy.coloured_errors import with_coloured_errors
 from casadi_engine.discrepancy.confirmation import PairedGain
+from casadi_engine.discrepancy.detectable import not_found
 from casadi_engine.discrepancy.families import BEYOND
 from casadi_engine.discrepancy.fresh import (
     Portions,
