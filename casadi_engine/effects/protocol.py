@@ -252,6 +252,15 @@ class Effect:
         del port, share
         return self
 
+    def beyond(self, values: Mapping[str, float]) -> bool:
+        """True where its nuisance parameters are out of what the records reach, so that it is hardly told from its
+        ``limit``; by default never.
+
+        values : nuisance name -> value
+        """
+        del values
+        return False
+
     def describe(self, port: str) -> str:
         """The sentence for a port of that name at which a torque acts."""
         return self._filled(self.sentence, port, "torque", "speed")
