@@ -7,6 +7,7 @@ where it is so large that the effect would have to move an output by more than t
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -45,21 +46,29 @@ def not_found(screened: Screened) -> tuple[NotFound, ...]:
         if middle is None:
             found.append(NotFound(name, at, math.inf, unit, False, _untestable(screened, own)))
             continue
-        size = float(detectable[middle])
+        size = _size(screened, own, detectable, middle)
         twin = _twin(screened, middle, middles)
-        beyond = size > _PLAUSIBLE * scales[middle]
-        found.append(
-            NotFound(
-                name,
-                at,
-                size,
-                unit,
-                True,
-                _beyond(size, scales[middle], screened, middle) if beyond else "",
-                twin,
-            )
-        )
+        times = float(detectable[middle]) / float(scales[middle])
+        note = _beyond(size, times, screened, middle) if times > _PLAUSIBLE else ""
+        found.append(NotFound(name, at, size, unit, True, note, twin))
     return tuple(found)
+
+
+def _size(screened: Screened, own: Sequence[int], detectable: Array, middle: int) -> float:
+    """The smallest size of an effect; of a law without a slope at 0 that at which a secant finds its own size."""
+    side = screened.candidates[middle].side
+    alike = [k for k in own if screened.candidates[k].side == side and np.isfinite(detectable[k])]
+    flat = [k for k in alike if screened.candidates[k].source.is_flat]
+    if middle not in flat:
+        return float(detectable[middle])
+    flat.sort(key=lambda k: abs(screened.candidates[k].size or 1.0))
+    sizes = np.log([abs(screened.candidates[k].size or 1.0) for k in flat])
+    over = sizes - np.log(detectable[flat])  # rises with the size
+    k = int(np.clip(np.searchsorted(over, 0.0), 1, max(len(over) - 1, 1)))
+    if k >= len(over) or over[k] <= over[k - 1]:
+        return float(detectable[middle])
+    rise = (over[k] - over[k - 1]) / (sizes[k] - sizes[k - 1])
+    return float(np.exp(sizes[k] - over[k] / rise))
 
 
 def prior_scales(screened: Screened) -> Array:
@@ -106,9 +115,9 @@ def _twin(screened: Screened, middle: int, middles: dict[tuple[str, str], int]) 
     return name
 
 
-def _beyond(size: float, scale: float, screened: Screened, k: int) -> str:
+def _beyond(size: float, ratio: float, screened: Screened, k: int) -> str:
     kind = screened.null.model.ports[screened.candidates[k].port].kind
-    times = f"{size / scale:.2g} times"
+    times = f"{ratio:.2g} times"
     if kind == "parameter" and screened.candidates[k].unit == "1":
         return f"it would have to be wrong by {100 * size:.2g} %"
     if kind == "sensor":

@@ -209,6 +209,9 @@ class Effect:
     def sizes(self, port: Any, values: Mapping[str, float]) -> tuple[float, ...]:
         """Amplitudes whose secants are tested besides the slope at 0, for laws that bend in the amplitude.
 
+        Without any, a law that has no slope at 0, of a square or a magnitude of its amplitude, is tested by secants of
+        all sizes from 1e-8 to 1e6 in its unit.
+
         values : numbers of the model's parameters by name
         """
         del port, values
