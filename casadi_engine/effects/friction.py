@@ -175,7 +175,7 @@ class StribeckFriction(_Rounded):
     it fades there: what keeps nine tenths up to the largest speed is dry friction.
 
     span : the least and the largest fading speed [rad/s]; None for what the speed's magnitude and the records say
-    fastest : the largest speed of the records [rad/s], which ``fitted`` sets. With a fading speed beyond it this is dry
+    fastest : the largest speed of the records [rad/s], which ``fitted`` sets where no span was given. With a fading speed beyond it this is dry
         friction less a part that grows with speed: no more is seen of the fading
     """
 
@@ -203,15 +203,13 @@ class StribeckFriction(_Rounded):
         del record, values
         speeds = [np.abs(course) for course in port.courses("speed")]
         fastest = max((float(speed.max()) for speed in speeds), default=_math.inf)
-        if not 0 < fastest < _math.inf:
+        if self.span is not None or not 0 < fastest < _math.inf:
             return self
-        # in steps, so that nothing hangs on the last digits of a fit
-        seen = replace(self, fastest=float(f"{fastest:.2g}"))
-        if self.span is not None:
-            return seen
         slowest = min(float(speed.min()) for speed in speeds)
+        # in steps, so that the grid does not hang on the last digits of a fit
         span = max(fastest * _SLOWEST, slowest / _REACH), _REACH * fastest
-        return replace(seen, span=tuple(float(f"{end:.2g}") for end in span))  # type: ignore[arg-type]
+        low, high, top = (float(f"{end:.2g}") for end in (*span, fastest))
+        return replace(self, span=(low, high), fastest=top)
 
     def beyond(self, values: Mapping[str, float]) -> bool:
         """True where it fades beyond all speeds of the records."""
