@@ -175,8 +175,8 @@ class StribeckFriction(_Rounded):
     it fades there: what keeps nine tenths up to the largest speed is dry friction.
 
     span : the least and the largest fading speed [rad/s]; None for what the speed's magnitude and the records say
-    fastest : the largest speed of the records [rad/s], which ``fitted`` sets where no span was given. With a fading speed beyond it this is dry
-        friction less a part that grows with speed: no more is seen of the fading
+    fastest : the largest speed of the records [rad/s], which ``fitted`` sets where no span was given. With a fading
+        speed beyond it this is dry friction less a part that grows with speed: no more is seen of the fading
     """
 
     width: float | None = None
