@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import keyword
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from numbers import Real
 from typing import Any
 
@@ -25,6 +25,7 @@ from casadi_engine.model.model import Model
 from casadi_engine.model.port_places import check_slots_act, check_slots_are_used
 from casadi_engine.model.port_units import with_units
 from casadi_engine.model.rates import with_rates
+from casadi_engine.model.symbol_checks import check_symbols, column, hashes
 from casadi_engine.parameters import near_matches
 
 
@@ -273,21 +274,21 @@ class Blueprint:
             refuse_other_clocks(self.name, [*others, *inputs])
         drives = self._with_direct_inputs()
         x, u, p = (
-            _column(made[1] for made in group.values())
+            column(made[1] for made in group.values())
             for group in (self._states, self._inputs, self._parameters)
         )
-        d = _column(symbol for _, symbol, _ in drives.values())
+        d = column(symbol for _, symbol, _ in drives.values())
         slots = {name: port.slot for name, port in self._ports.items() if port.slot is not None}
-        w = _column(slots.values())
+        w = column(slots.values())
         # A channel that enters directly is read through its drive, so that the core never sees a channel.
         through = self._passed_on(drives)
-        swap_from = _column(channel for channel, _ in through.values())
-        swap_to = _column(symbol for _, symbol in through.values())
+        swap_from = column(channel for channel, _ in through.values())
+        swap_to = column(symbol for _, symbol in through.values())
         ode, outputs = (
-            ca.substitute(column, swap_from, swap_to) if through else column
-            for column in (
-                _column(self._odes[name] for name in self._states),
-                _column(value for _, value in self._outputs.values()),
+            ca.substitute(own, swap_from, swap_to) if through else own
+            for own in (
+                column(self._odes[name] for name in self._states),
+                column(value for _, value in self._outputs.values()),
             )
         )
         model = Model(
@@ -306,12 +307,12 @@ class Blueprint:
             t=self._time,
             p=p,
             ode=ode,
-            drive_expressions=_column(value for _, _, value in drives.values()),
-            laws=_column(self._laws.get(name, ca.SX(0)) for name in slots),
+            drive_expressions=column(value for _, _, value in drives.values()),
+            laws=column(self._laws.get(name, ca.SX(0)) for name in slots),
             output_expressions=outputs,
             time_unit=self._time_unit or "s",
         )
-        _check_symbols(model)
+        check_symbols(model)
         if w.numel() and ca.depends_on(model.slot_laws, w):
             raise ModelError(
                 "the laws of the slots depend on each other in a circle",
@@ -349,7 +350,7 @@ class Blueprint:
     def _with_direct_inputs(self) -> dict[str, tuple[Variable, Any, Any]]:
         """The drives, with one more for each channel that an ode or output uses directly."""
         drives = dict(self._drives)
-        used = _hashes(_column([*self._odes.values(), *(value for _, value in self._outputs.values())]))
+        used = hashes(column([*self._odes.values(), *(value for _, value in self._outputs.values())]))
         passed_on = self._passed_on(drives)
         for name, (variable, symbol) in self._inputs.items():
             key = symbol.element_hash()
@@ -400,53 +401,6 @@ class Blueprint:
         for group in (self._states, self._inputs, self._parameters):
             if name in group:
                 raise _repeated(kind, name)
-
-
-def _check_symbols(model: Model) -> None:
-    """Every symbol of every expression must be declared, and allowed where it is used."""
-    groups = {
-        "states": model.x,
-        "channels": model.u,
-        "drives": model.d,
-        "slots": model.w,
-        "time": model.t,
-        "parameters": model.p,
-    }
-    owner = {key: group for group, column in groups.items() for key in _hashes(column)}
-    rules: list[tuple[str, Sequence[Variable | Port], Any, tuple[str, ...]]] = [
-        ("the ode of", model.states, model.ode, ("states", "drives", "slots", "time", "parameters")),
-        ("the drive", model.drives, model.drive_expressions, ("channels", "time", "parameters")),
-        ("the law of port", model.ports.with_slot, model.laws, tuple(groups)),
-        ("the output", model.outputs, model.output_expressions, ("states", "drives", "parameters")),
-    ]
-    for what, items, column, allowed in rules:
-        wrong = [symbol for symbol in ca.symvar(column) if owner.get(symbol.element_hash()) not in allowed]
-        if not wrong:
-            continue
-        symbol, group = wrong[0], owner.get(wrong[0].element_hash())
-        row = next(row for row in range(len(items)) if ca.depends_on(column[row], symbol))
-        if group is None:
-            raise ModelError(
-                f"{what} {items[row].name} uses a symbol that was not declared",
-                seen=symbol.name(),
-                allowed=", ".join(made.name() for made in ca.symvar(_column(groups.values()))),
-                cure="declare it with state, input, drive, port or parameter and use the symbol returned",
-            )
-        raise ModelError(
-            f"{what} {items[row].name} uses a symbol that may not be used there",
-            seen=f"{symbol.name()} (one of the {group})",
-            allowed=", ".join(allowed),
-            cure="move the term: channels enter by drives, nonlinear torques by laws of ports",
-        )
-
-
-def _column(items: Any) -> Any:
-    made = list(items)
-    return ca.vertcat(*made) if made else ca.SX(0, 1)
-
-
-def _hashes(column: Any) -> set[int]:
-    return {symbol.element_hash() for symbol in ca.symvar(column)}
 
 
 def _scalar(what: str, expression: Any) -> Any:
