@@ -80,6 +80,8 @@ def prior_scales(screened: Screened) -> Array:
     for record in screened.null.records:
         for output, columns in screened.columns[record.name].items():
             varied = _variation(record, output)
+            if not varied > 0:
+                continue  # an output that stands still says nothing of sizes
             moved = np.sqrt(np.mean(np.square(columns), axis=0))
             with np.errstate(divide="ignore"):
                 found = np.minimum(found, np.where(moved > 0, varied / moved, np.inf))
