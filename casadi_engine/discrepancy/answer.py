@@ -15,7 +15,6 @@ from casadi_engine.discrepancy.certificate import (
     found_effects,
     in_place_of,
     noise_found,
-    not_found,
     place_of,
     score_rows,
     unknown_of,
@@ -23,6 +22,7 @@ from casadi_engine.discrepancy.certificate import (
 from casadi_engine.discrepancy.choice import TIME_UP, Choice
 from casadi_engine.discrepancy.coloured_errors import with_coloured_errors
 from casadi_engine.discrepancy.confirmation import PairedGain
+from casadi_engine.discrepancy.detectable import not_found
 from casadi_engine.discrepancy.families import BEYOND
 from casadi_engine.discrepancy.fresh import (
     Portions,
@@ -98,7 +98,7 @@ class Answer:
             unknown = _unknown(last, null, found, withdrawn, cut=cut)
             if unknown is None and not found and (words := _so_far(self.search)):
                 unknown = Unknown(words[0], {})
-        if null.screened.request.blind and not found:
+        if null.screened.request.blind and not found and not _at_own_port(null, unknown):
             way = self.search.way(self.search.best)
             if way is not None and len(way) > 1:
                 unknown = _behind_a_sensor(null, way[1])
@@ -392,6 +392,12 @@ def _no_noise(null: Station) -> Unknown | None:
                 words = f"the model explains {max(share, 0.0):.0f} % of {output} in {record.name}, and the rest is"
                 return Unknown(f"{words} coloured: {_NOT_NOISE}", {})
     return None
+
+
+def _at_own_port(null: Station, unknown: Unknown | None) -> bool:
+    """True if what is missing is a law at a port of the user's own kind, where the library has no effects."""
+    ports = null.fit.model.ports
+    return unknown is not None and unknown.port in ports.names and ports[str(unknown.port)].is_own
 
 
 def _behind_a_sensor(null: Station, station: Station) -> Unknown:

@@ -24,7 +24,6 @@ from casadi_engine.discrepancy.repaired import (
     Equation,
     FoundEffect,
     NoiseFound,
-    NotFound,
     Place,
     ScoreRow,
     Unknown,
@@ -79,22 +78,6 @@ def class_matrix(screened: Screened) -> ClassMatrix | None:
     rho = screened.scores.correlation[np.ix_(chosen, chosen)]
     labels = tuple(screened.candidates[k].label for k in chosen)
     return ClassMatrix(labels, tuple(best)[:_MATRIX], rho)
-
-
-def not_found(screened: Screened) -> tuple[NotFound, ...]:
-    """Every effect that is not in the model, with the size that would have been found: the middle one of its grid."""
-    detectable = screened.scores.detectable(screened.threshold)
-    sizes: dict[tuple[str, str], list[float]] = {}
-    units: dict[tuple[str, str], str] = {}
-    for k, one in enumerate(screened.candidates):
-        sizes.setdefault(one.key, []).append(float(detectable[k]))
-        units[one.key] = one.unit
-    found = []
-    for (name, at), own in sizes.items():
-        finite = np.sort([size for size in own if np.isfinite(size)])
-        middle = float(finite[len(finite) // 2]) if len(finite) else np.inf
-        found.append(NotFound(name, at, middle, units[name, at], bool(len(finite))))
-    return tuple(found)
 
 
 def found_effects(stations: Sequence[Station]) -> tuple[FoundEffect, ...]:

@@ -21,7 +21,7 @@ from casadi_engine.discrepancy.additions import AGAIN, TIME_UP, Additions, inste
 from casadi_engine.discrepancy.assumed_pressure import settle_scatter
 from casadi_engine.discrepancy.coloured_errors import coloured_errors
 from casadi_engine.discrepancy.families import BEYOND, chosen_of, families_of
-from casadi_engine.discrepancy.membership import class_of, ordered, reached
+from casadi_engine.discrepancy.membership import class_of, ordered, reached, simpler
 from casadi_engine.discrepancy.noise_model import estimated_noise
 from casadi_engine.discrepancy.pairs import price_of, tried_in_two
 from casadi_engine.discrepancy.path import FAILURES
@@ -99,20 +99,24 @@ class Choice:
 
     def _most_probable_first(self) -> None:
         """Let a structure of as many effects that the last levels of the noise make more probable take the place of the
-        chosen one: what is named first is to be what is most probable."""
+        chosen one: what is named first is to be what is most probable, or where that is not told the simplest."""
         for _ in range(AGAIN if self.best else 0):
             now = self.pool[self.best]
             alike = [
                 t for t in self.pool.values() if len(t.effects) == len(now.effects) and t.beyond > BEYOND
             ]
             top = max(alike, key=lambda one: one.log, default=now)
-            if late() or top.log <= now.log + 1:
+            told = top.log > now.log + 1
+            top = top if told else simpler(now, alike, FACTOR)
+            if late() or top is now:
                 return
             if self._station(top) is None:
                 self.failed.setdefault(top.label, _NO_FIT)
                 top.failed = True
             else:
                 self.best = top.key
+            if not told:
+                return
 
     def _in_two(self) -> None:
         """Let two effects take the place of one where that is more probable, and others in its class know of it."""

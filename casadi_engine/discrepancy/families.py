@@ -12,6 +12,8 @@ from casadi_engine.discrepancy.screening import Screened
 
 # An amplitude is a finding beyond so many of its standard errors.
 BEYOND = 3.0
+# Difference of chi-squared within which two secants of one law are the same.
+_SAME = 0.1
 
 
 def families_of(screened: Screened) -> dict[tuple[str, str], list[int]]:
@@ -29,10 +31,23 @@ def costs_of(
     return {key: by_one_step(screened.candidates, step, own).cost for key, own in families.items()}
 
 
+def _of_its_size(screened: Screened, step: OneStep, members: Sequence[int], lead: int) -> int:
+    """Of the secants of a law without a slope at 0, which explain the same, the one whose size the data ask for."""
+    alike = [k for k in members if step.cost[k] <= step.cost[lead] + _SAME]
+
+    def off(k: int) -> float:
+        ratio = float(step.amplitude[k]) / float(screened.candidates[k].size or 1.0)
+        return abs(math.log(ratio)) if ratio > 0 else math.inf
+
+    return min(alike, key=off, default=lead)
+
+
 def chosen_of(screened: Screened, step: OneStep, members: Sequence[int]) -> Addition:
     """The candidate of the least chi-squared, started at its one-step amplitude: small where that has a wrong sign."""
     found = by_one_step(screened.candidates, step, members)
     candidate, size = screened.candidates[found.lead], found.amplitude
+    if candidate.source.is_flat:
+        candidate = screened.candidates[_of_its_size(screened, step, members, found.lead)]
     if size * candidate.side < 0 or size == 0 or not math.isfinite(size):
         size = BEYOND * float(screened.scores.error[found.lead]) * (candidate.side or 1)
     whole = any(grid.whole for grid in candidate.source.effect.nuisance.values())

@@ -106,7 +106,7 @@ def _groups(null: NullModel, names: Sequence[str], times: Sequence[Array]) -> It
 
 def _torque_port(model: Model, name: str) -> bool:
     port = model.ports[name]
-    if port.slot is None or port.kind == "internal":
+    if port.slot is None or (port.kind == "internal" and not port.is_own):
         return False
     return port.kind != "cylinder" or name == "cylinders" or "cylinders" not in model.ports
 

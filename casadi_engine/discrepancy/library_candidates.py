@@ -9,7 +9,7 @@ from typing import Any
 
 import casadi as ca
 
-from casadi_engine.discrepancy.candidate import Candidate
+from casadi_engine.discrepancy.candidate import Candidate, Side
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.effects import Effect, candidates
 from casadi_engine.effects.candidate import Known
@@ -69,13 +69,21 @@ def library_candidates(
                 port=made.at,
                 direction={record.name: direction_of(made)},
                 nuisance=dict(made.values),
-                side=made.amplitude.one_sided,  # type: ignore[arg-type]
+                side=_side(made),
                 unit=_unit(null.model, made),
                 group=_group(made, port.kind, port.name),
                 size=made.size,
                 source=made,
             )
     return list(found.values())
+
+
+def _side(made: Any) -> Side:
+    """The sign that an amplitude may have; that of its own size for a law which has no slope at 0."""
+    if made.is_flat:
+        return 1 if made.size > 0 else -1
+    side: Side = made.amplitude.one_sided
+    return side
 
 
 def direction_of(made: Any) -> Direction:

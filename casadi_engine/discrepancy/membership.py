@@ -14,6 +14,41 @@ from casadi_engine.discrepancy.selection import selection_frequency
 from casadi_engine.discrepancy.station import Station
 
 Key = frozenset[tuple[str, str]]
+# Difference of log evidence that tells nothing: there the simpler one is named first.
+_TIE = 1.0
+
+
+def simpler(now: Any, alike: Sequence[Any], factor: float) -> Any:
+    """The structure of fewer numbers, of those with as many effects, that the data do not tell from the one chosen:
+    within a unit of log evidence of the most probable one. The chosen one itself where none is simpler.
+
+    A structure with an effect beyond what the records reach gives way to the one with its special case in its place,
+    where that is not excluded.
+    """
+    top = max([now.log, *(one.log for one in alike)])
+    out = [e for e in now.effects if _beyond(e, now)]
+    for one in out:
+        key = now.key - {one.candidate.key} | {(one.candidate.source.effect.limit, one.candidate.port)}
+        case = next((t for t in alike if t.key == key and t.log > top - math.log(factor)), None)
+        if case is not None:
+            return case
+    few = [t for t in alike if t.log > top - _TIE and numbers(t.effects) < numbers(now.effects)]
+    return min(few, key=lambda t: (numbers(t.effects), -t.log), default=now)
+
+
+def numbers(effects: Sequence[Addition]) -> int:
+    """How many numbers effects bring: amplitudes, and the nuisance parameters that are estimated."""
+    return sum(1 + sum(not grid.whole for grid in one.nuisance.values()) for one in effects)
+
+
+def _beyond(one: Addition, tried: Any) -> bool:
+    """True if an effect of a structure has ended out of what the records reach."""
+    own = {
+        name.rpartition(".")[2]: value
+        for name, value in tried.arrived.values.items()
+        if name.startswith(f"{one.key}.")
+    }
+    return bool(one.candidate.source.effect.limit) and bool(one.candidate.source.effect.beyond(own))
 
 
 def ordered(effects: Sequence[Addition], pool: Mapping[Any, Any]) -> tuple[Addition, ...]:
@@ -74,8 +109,29 @@ def class_of(
     logs.setdefault((own, ""), top)
     kept = {k: math.exp(log - top) for k, log in logs.items() if k[0] == own or log > top - math.log(factor)}
     total = sum(kept.values())
-    order = sorted(kept, key=lambda k: (k[0] != own, -kept[k]))
+    order = _simple_first(sorted(kept, key=lambda k: (k[0] != own, -kept[k])), kept, pool, rest)
     return tuple(Member(name, at, 1.0, kept[(name, at), more] / total, more) for (name, at), more in order)
+
+
+def _simple_first(
+    order: list[tuple[tuple[str, str], str]],
+    kept: Mapping[tuple[tuple[str, str], str], float],
+    pool: Mapping[Any, Any],
+    rest: Key,
+) -> list[tuple[tuple[str, str], str]]:
+    """Members in order of probability, itself first; of those that the data do not tell apart the simplest first."""
+    done, left = order[:1], order[1:]
+
+    def size(member: tuple[tuple[str, str], str]) -> int:
+        found = None if member[1] else pool.get(rest | {member[0]})
+        return 99 if found is None else numbers(found.effects)
+
+    while left:
+        alike = [m for m in left if kept[m] > kept[left[0]] * math.exp(-_TIE)]
+        first = min(alike, key=size)  # the most probable of these where sizes are equal
+        done.append(first)
+        left.remove(first)
+    return done
 
 
 def number_of(screened: Screened, key: tuple[str, str], label: str = "") -> int:

@@ -80,11 +80,12 @@ def family_candidates(
 ) -> tuple[list[Candidate], list[Family]]:
     """The terms of all families as candidates, to be scored together with a library, and the families.
 
-    ports : names of ports; None for all inertias, couplings, inputs and sensors. first : number of the first term
-    among all candidates that are scored
+    ports : names of ports; None for all inertias, couplings, inputs and sensors, and for what is internal and has
+    signals. first : number of the first term among all candidates that are scored
     """
     kinds = ("inertia", "coupling", "input", "sensor")
-    chosen = [p for p in null.model.ports if (p.kind in kinds if ports is None else p.name in ports)]
+    offered = [p for p in null.model.ports if p.kind in kinds or p.is_own]
+    chosen = offered if ports is None else [p for p in null.model.ports if p.name in ports]
     candidates: list[Candidate] = []
     families: list[Family] = []
     for port in chosen:

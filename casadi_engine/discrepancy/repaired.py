@@ -199,13 +199,25 @@ def more_probable(unknown: Unknown | None) -> bool:
 @dataclass(frozen=True)
 class NotFound:
     """An effect that was looked for and not found: the smallest size that would have been, with 95 % power, in ``unit``
-    (inf where not testable, which is not to say that it is absent)."""
+    (inf where not testable, which is not to say that it is absent).
+
+    note : why it is not testable, or why that size is no plausible one, so that nothing is excluded; "" for others
+    twin : ``effect at port`` of another that does the same in these data: one of this size would be found, and may be
+    taken for that; "" for others
+    """
 
     name: str
     at: str
     smallest_detectable: float
     unit: str
     testable: bool
+    note: str = ""
+    twin: str = ""
+
+    @property
+    def excluded(self) -> bool:
+        """True if larger sizes than the smallest detectable one are excluded, and those are plausible."""
+        return self.testable and not self.note
 
 
 @dataclass(frozen=True)

@@ -254,7 +254,7 @@ def _scored(
     if compressed is None:
         compressed = compress(null, candidates, choice.noise, scatter=choice.scatter, columns=columns)
     scores = score(compressed)
-    choice = replace(choice, messages=(*choice.messages, *_cannot_tell(scores)))
+    choice = replace(choice, messages=(*choice.messages, *_cannot_tell(scores), *_flat(candidates)))
     share, _ = split_alpha(alpha)
     law = NullDistribution(library_rows(scores), seed=seed)
     return Screened(
@@ -270,6 +270,19 @@ def _scored(
         law.threshold(share),
         request,
         seed,
+    )
+
+
+def _flat(candidates: Sequence[Candidate]) -> tuple[str, ...]:
+    """That effects were looked for from other sizes than 0, where they have no slope."""
+    flat: dict[str, list[float]] = {}
+    for one in candidates:
+        if one.source is not None and one.source.is_flat and one.size is not None:
+            flat.setdefault(f"{one.effect} at {one.port}", []).append(abs(one.size))
+    return tuple(
+        f"{name} does nothing to first order at amplitude 0 (a square, a magnitude): it is not testable by a slope, "
+        f"and was looked for from amplitudes of {min(sizes):.2g} to {max(sizes):.2g}"
+        for name, sizes in flat.items()
     )
 
 

@@ -24,14 +24,14 @@ from casadi_engine.estimation.summary import count, number, with_error, wrapped
 from casadi_engine.experiment.units import NOT_STATED
 
 if TYPE_CHECKING:
-    from casadi_engine.discrepancy.repaired import FoundEffect, Repair, Side
+    from casadi_engine.discrepancy.repaired import FoundEffect, NotFound, Repair, Side
 
 LINES = 45
 # Change of a level that is said.
 _OTHER = 0.05
 _SHIFTS, _TERMS, _NOTES = 6, 4, 3
-# Lines of one equation that are shown.
-_LONG = 4
+# Lines of one equation that are shown; effects named of which nothing is excluded.
+_LONG, _NAMED = 4, 3
 
 
 def summary(repair: Repair) -> str:
@@ -229,15 +229,34 @@ def _equation(repair: Repair) -> list[str]:
 
 
 def _not_found(repair: Repair) -> list[str]:
-    testable = [one for one in repair.not_found if one.testable]
-    rest = len(repair.not_found) - len(testable)
-    shown = testable[:LISTED]
+    """Sizes that would have been found; what these data say little of stands behind, in words."""
+    told = [one for one in repair.not_found if one.excluded and not one.twin]
+    alike = [one for one in repair.not_found if one.excluded and one.twin]
+    beyond = [one for one in repair.not_found if one.testable and not one.excluded]
+    rest = sum(not one.testable for one in repair.not_found)
+    shown = told[:LISTED]
     parts = [f"{one.name} at {one.at} {one.smallest_detectable:.2g}{si(one.unit)}" for one in shown]
-    parts += [f"and {count(len(testable) - LISTED)} more"] if len(testable) > LISTED else []
+    parts += [f"and {count(len(told) - LISTED)} more"] if len(told) > LISTED else []
+    parts += [_not_told_apart(alike)] if alike else []
+    parts += [f"no plausible size is excluded of {_listed(beyond)}"] if beyond else []
     parts += [f"{rest} not testable with these data"] if rest else []
     vague = " (some in units that were not stated)" if any(one.unit == NOT_STATED for one in shown) else ""
     words = f"Smallest detectable sizes (95 % power){vague}: {'; '.join(parts)}"
     return wrapped(words, "  ") if parts else []
+
+
+def _not_told_apart(alike: list[NotFound]) -> str:
+    """Effects that do the same in these data, in words and not by a size of each."""
+    first = alike[0]
+    size = f"{first.smallest_detectable:.2g}{si(first.unit)}"
+    more = f", and {count(len(alike) - 1)} more that have such a rival" if len(alike) > 1 else ""
+    return f"{first.name} at {first.at} not told from {first.twin} (one of the two from {size}){more}"
+
+
+def _listed(some: list[NotFound]) -> str:
+    names = [f"{one.name} at {one.at}" for one in some[:_NAMED]]
+    more = [f"{count(len(some) - _NAMED)} more"] if len(some) > _NAMED else []
+    return " and ".join(", ".join([*names, *more]).rsplit(", ", 1))
 
 
 def _not_applicable(repair: Repair) -> list[str]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from casadi_engine.discrepancy.fresh_misfit import FRESH, fresh_doubt, fresh_misfit
 from casadi_engine.discrepancy.repaired import more_probable
-from casadi_engine.discrepancy.wording import AT_FAULT, USER, is_blind, twins, what_acts
+from casadi_engine.discrepancy.wording import AT_FAULT, USER, is_blind, names_own_law, twins, what_acts
 from casadi_engine.estimation.summary import count
 
 if TYPE_CHECKING:
@@ -32,7 +32,8 @@ def headline(repair: Repair) -> str:
     if repair.verdict == "unnamed":
         if _in_fresh_alone(repair):
             return "something is missing that the data of the search do not show: the fresh data do not fit"
-        why = "no physical effect could be looked for" if blind else "no effect of the library names it"
+        unseen = blind and not names_own_law(repair)
+        why = "no physical effect could be looked for" if unseen else "no effect of the library names it"
         if repair.stopped and not blind:
             why = "the search ended before an effect of the library could name it"
         return f"something is missing, and {why}"
@@ -141,7 +142,7 @@ def _to_split(made: NextExperiment) -> str:
 
 
 def _without_name(repair: Repair) -> str:
-    if is_blind(repair):
+    if is_blind(repair) and not names_own_law(repair):
         return "give the model its ports as said above, and repair again"
     unknown = repair.unknown
     if unknown is None or unknown.course is None:

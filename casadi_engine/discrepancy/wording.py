@@ -30,7 +30,10 @@ _SURE, _WITHIN = 0.02, 3.0
 def first_words(repair: Repair) -> list[str]:
     """What has to be known before the verdict is read: where nothing physical was tested, and what was not tried."""
     said = [str(repair.options[key]) for key in ("hold", "left out") if key in repair.options]
-    if is_blind(repair):
+    said += _of_internal_ports(repair.null_fit.model)
+    if is_blind(repair) and _only_internal(repair.null_fit.model):
+        said.append("Besides, wrong fixed parameters and sensor errors alone were tested")
+    elif is_blind(repair):
         said.append(
             f"{_why_blind(repair)}: wrong fixed parameters and sensor errors alone were tested. Where the model is "
             f"written, {_cure_blind(repair)}"
@@ -42,6 +45,37 @@ def first_words(repair: Repair) -> list[str]:
         )
         said.append(f"Stopped by {repair.stopped}; not searched: {names or 'further effects'}")
     return said
+
+
+def _only_internal(model: Model) -> bool:
+    """True if all ports at which something may act are internal."""
+    return bool(model.ports.with_slot) and all(port.kind == "internal" for port in model.ports.with_slot)
+
+
+def _of_internal_ports(model: Model) -> list[str]:
+    """What is looked for at internal ports: functions of their signals, or nothing, but for what has a law anyway."""
+    said = []
+    own = [port for port in model.ports if port.is_own]
+    if own:
+        listed = "; ".join(f"{port.name} ({', '.join(port.signals)})" for port in own)
+        said.append(
+            f"Of internal ports unknown functions of their signals are looked for, and no effect of the library: "
+            f'{listed}. For its effects give such a port the kind "inertia" or "coupling"'
+        )
+    rows = zip(model.ports.with_slot, ca.vertsplit(model.laws) if model.laws.numel() else (), strict=False)
+    idle = [port.name for port, law in rows if port.kind == "internal" and not port.signals and law.is_zero()]
+    if idle:
+        said.append(
+            f"Nothing is looked for at {', '.join(idle)}: an internal port without signals. Give it what acts there "
+            f'may depend on: b.port("{idle[0]}", "internal", {{"signal": ...}}), or the kind "inertia" or "coupling"'
+        )
+    return said
+
+
+def names_own_law(repair: Repair) -> bool:
+    """True if what is missing was found as a function at an internal port."""
+    ports, unknown = repair.null_fit.model.ports, repair.unknown
+    return unknown is not None and unknown.port in ports.names and ports[str(unknown.port)].is_own
 
 
 def is_blind(repair: Repair) -> bool:

@@ -40,6 +40,8 @@ from casadi_engine.parameters import Parameters
 # What was read of laws: by port, effect and values the terms, and with the model and the sizes the candidates.
 Known = dict[tuple[Any, ...], list[Any]]
 
+# Amplitudes at which a law is looked at that has no slope at 0, in its own unit.
+_SIZES = tuple(10.0**power for power in range(-8, 7))
 # A combustion counts as a cycle of the record if at least this much of it is inside [rad].
 _INSIDE = 0.5
 
@@ -78,6 +80,11 @@ class Candidate:
         shown = [f"{name}={value:.6g}" for name, value in self.values.items()]
         shown += [] if self.size is None else [f"{self.amplitude.name}={self.size:.6g}"]
         return f"{self.key}({', '.join(shown)})" if shown else self.key
+
+    @property
+    def is_flat(self) -> bool:
+        """True where secants had to be taken, as the law has no slope at amplitude 0."""
+        return self.size is not None and type(self.effect).sizes is Effect.sizes
 
     @property
     def amplitude(self) -> Amplitude:
@@ -268,15 +275,33 @@ def _at_port(
         return [], f"no value of {' and '.join(own.nuisance)} is within reach of the motion on the records"
     places = tuple(_without_amplitude(sharper, values) for values in points)
     law = (port, sharper, tuple(tuple(one.items()) for one in places), sharp)
-    key = (model, *law, sizes)
     # an effect that is no value may have changed since
     if known is None or not _is_value(sharper):
         known = {}
+    if law not in known:
+        known[law] = read_terms(model, sharper, port, places, sharp=sharp)
+    if len(sizes) == 1 and not sharp and _is_flat(known[law][0]):
+        sizes = _secants(own.amplitude)
+    key = (model, *law, sizes)
     if key not in known:
-        if law not in known:
-            known[law] = read_terms(model, sharper, port, places, sharp=sharp)
         known[key] = [_made(model, term, size) for term in known[law] for size in sizes]
     return [one if one.effect is own else replace(one, effect=own) for one in known[key]], ""
+
+
+def _is_flat(term: Term) -> bool:
+    """True for a law that has no slope at amplitude 0, as of a square or a magnitude: none of it is seen there."""
+    law = ca.vertcat(term.value, term.arrives, *[state.rate for state in term.states])
+    slope = ca.substitute(ca.jacobian(law, term.amplitude), term.amplitude, 0)
+    return bool(ca.sparsify(ca.simplify(slope)).nnz() == 0)
+
+
+def _secants(amplitude: Amplitude) -> tuple[float, ...]:
+    """Amplitudes whose secants stand for the slope of a law that has none, of any size and of each sign allowed."""
+    sides = [side for side, end in ((1.0, amplitude.max), (-1.0, amplitude.min)) if side * end > 0]
+    within = {1.0: amplitude.max, -1.0: -amplitude.min}
+    return tuple(side * size for side in sides for size in _SIZES if size <= within[side]) or tuple(
+        side * within[side] for side in sides
+    )
 
 
 def _is_value(effect: Effect) -> bool:

@@ -175,10 +175,13 @@ class StribeckFriction(_Rounded):
     it fades there: what keeps nine tenths up to the largest speed is dry friction.
 
     span : the least and the largest fading speed [rad/s]; None for what the speed's magnitude and the records say
+    fastest : the largest speed of the records [rad/s], which ``fitted`` sets where no span was given. With a fading
+        speed beyond it this is dry friction less a part that grows with speed: no more is seen of the fading
     """
 
     width: float | None = None
     span: tuple[float, float] | None = None
+    fastest: float = _math.inf
 
     name = "stribeck_friction"
     attaches = ("inertia",)
@@ -205,7 +208,12 @@ class StribeckFriction(_Rounded):
         slowest = min(float(speed.min()) for speed in speeds)
         # in steps, so that the grid does not hang on the last digits of a fit
         span = max(fastest * _SLOWEST, slowest / _REACH), _REACH * fastest
-        return replace(self, span=tuple(float(f"{end:.2g}") for end in span))  # type: ignore[arg-type]
+        low, high, top = (float(f"{end:.2g}") for end in (*span, fastest))
+        return replace(self, span=(low, high), fastest=top)
+
+    def beyond(self, values: Mapping[str, float]) -> bool:
+        """True where it fades beyond all speeds of the records."""
+        return values.get("fading", 0.0) > self.fastest
 
     def choices(self, port: Any, grids: Mapping[str, tuple[float, ...]]) -> tuple[dict[str, float], ...]:
         """All fading speeds that the motion comes within reach of."""

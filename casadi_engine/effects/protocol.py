@@ -209,6 +209,9 @@ class Effect:
     def sizes(self, port: Any, values: Mapping[str, float]) -> tuple[float, ...]:
         """Amplitudes whose secants are tested besides the slope at 0, for laws that bend in the amplitude.
 
+        Without any, a law that has no slope at 0, of a square or a magnitude of its amplitude, is tested by secants of
+        all sizes from 1e-8 to 1e6 in its unit.
+
         values : numbers of the model's parameters by name
         """
         del port, values
@@ -251,6 +254,15 @@ class Effect:
         """
         del port, share
         return self
+
+    def beyond(self, values: Mapping[str, float]) -> bool:
+        """True where its nuisance parameters are out of what the records reach, so that it is hardly told from its
+        ``limit``; by default never.
+
+        values : nuisance name -> value
+        """
+        del values
+        return False
 
     def describe(self, port: str) -> str:
         """The sentence for a port of that name at which a torque acts."""

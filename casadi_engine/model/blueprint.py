@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import keyword
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from numbers import Real
 from typing import Any
 
@@ -22,8 +22,10 @@ from casadi_engine.model.declared_units import (
     seconds_in,
 )
 from casadi_engine.model.model import Model
+from casadi_engine.model.port_places import check_slots_act, check_slots_are_used
 from casadi_engine.model.port_units import with_units
 from casadi_engine.model.rates import with_rates
+from casadi_engine.model.symbol_checks import check_symbols, column, hashes
 from casadi_engine.parameters import near_matches
 
 
@@ -137,7 +139,8 @@ class Blueprint:
         """Declare a port; returns its slot symbol to be put into the ode, or None if it takes none.
 
         kind : inertia, coupling, cylinder or internal; those of input, sensor and parameter are made by `model()`,
-            and links and pipes between inertias, ``a_and_b``
+            and links and pipes between inertias, ``a_and_b``. At an internal port no effect of the library is looked
+            for; unknown functions of its signals are, and of a port without any, nothing
         signals : name -> expression, what is known there. An effect can act where the signals are that its law reads:
             ``speed`` of an inertia, ``twist``, ``twist_rate`` and ``stiffness`` of a coupling serve those of the
             library, which ``print(ce.effects.table())`` lists one by one.
@@ -148,6 +151,50 @@ class Blueprint:
         unit : of the slot; None takes the one that the ode asks for in which the slot stands, as far as the units that
             were declared tell; else N m, N where the signals are states in m or m/s, and "-" where they are in neither.
             Amplitudes of effects follow it and the signals: N s/m or W/K for N m s/rad
+
+        Raises ModelError for a name that is taken, a kind or unit that does not exist, and a signal that is no scalar.
+
+        Notes
+        -----
+        What stores something is an "inertia", whatever it stores, and its ``speed`` is what losses depend on:
+
+        ==============================  ==========  ===================================  ========================
+        system                          kind        the slot adds                        signals
+        ==============================  ==========  ===================================  ========================
+        a shaft, a rotor                inertia     a torque that drives it [N m]        speed [rad/s]
+        a shaft between two of them     coupling    a torque, ends together [N m]        twist [rad], twist_rate,
+                                                                                         stiffness [N m/rad]
+        a mass                          inertia     a force that drives it [N]           speed [m/s]
+        a spring or damper              coupling    a force, ends together [N]           twist [m], twist_rate,
+                                                                                         stiffness [N/m]
+        a capacitor, a node             inertia     a current into it [A]                speed: voltage [V]
+        a coil, a branch                inertia     a voltage along it [V]               speed: current [A]
+        a tank, a volume of oil         inertia     a flow into it [m3/s]                speed: level [m] or
+                                                                                         pressure [Pa]
+        a body that is heated           inertia     a heat flow into it [W]              speed: temperature less
+                                                                                         that around it [K]
+        a species in a reactor          inertia     a rate at which it is made,          speed: concentration
+                                                    mol/(L s)
+        anything else                   internal    what stands there in your ode        any
+        ==============================  ==========  ===================================  ========================
+
+        Two of a kind whose slots have the same unit have a pipe between them, ``a_and_b``, for what flows from one to
+        the other. Give what is around a body as an input or a parameter in its unit: of a bare number, as in
+        ``T - 293``, the unit is not known.
+
+        Examples
+        --------
+        A room that may lose more heat than by G, by a law that is not known:
+
+        >>> b = Blueprint("room")
+        >>> C, G = b.parameter("C", 2e5, unit="J/K", min=1e3), b.parameter("G", 50.0, unit="W/K", min=0)
+        >>> T, heat, outside = b.state("T", unit="K"), b.input("P", unit="W"), b.input("T_out", unit="K")
+        >>> lost = b.port("walls", "inertia", {"speed": T - outside})
+        >>> b.ode("T", (heat - G * (T - outside) + lost) / C)
+        >>> b.output("T_room", T, unit="K")
+        >>> walls = b.model().ports["walls"]
+        >>> walls.quantity, walls.unit, walls.in_its_unit("N m s2/rad2")  # the last: of a quadratic loss
+        ('power', 'W', 'W/K2')
         """
         if _identifier("port", name) in self._ports:
             raise _repeated("port", name)
@@ -210,35 +257,38 @@ class Blueprint:
         """Check everything and return the Model.
 
         Raises ModelError for a model without states or outputs, a state without ode, an undeclared symbol, a
-        symbol where it may not be used, laws that depend on each other in a circle, one name declared in two units, an
-        output that is a state as it stands in another unit than the state's,
-        or units per hour in equations of which nobody said whether they are per hour.
+        symbol where it may not be used, a slot in no ode or in one that says what a speed is, laws that depend on
+        each other in a circle, one name declared in two units, an output that is a state as it stands in another unit
+        than the state's, or units per hour in equations of which nobody said whether they are per hour.
         """
         self._check_complete()
         inputs, outputs = ([made[0] for made in group.values()] for group in (self._inputs, self._outputs))
         check_shared_units(inputs, outputs)
         check_output_units(list(self._outputs.values()), list(self._states.values()))
         check_crank_angle(inputs)
+        check_slots_are_used(self._ports, self._odes, self._laws)
+        stated = {name: self._ports[name].unit for name in self._stated}
+        check_slots_act(self._ports, self._states, self._odes, stated)
         if self._time_unit is None:
             others = [made[0] for group in (self._parameters, self._states) for made in group.values()]
             refuse_other_clocks(self.name, [*others, *inputs])
         drives = self._with_direct_inputs()
         x, u, p = (
-            _column(made[1] for made in group.values())
+            column(made[1] for made in group.values())
             for group in (self._states, self._inputs, self._parameters)
         )
-        d = _column(symbol for _, symbol, _ in drives.values())
+        d = column(symbol for _, symbol, _ in drives.values())
         slots = {name: port.slot for name, port in self._ports.items() if port.slot is not None}
-        w = _column(slots.values())
+        w = column(slots.values())
         # A channel that enters directly is read through its drive, so that the core never sees a channel.
         through = self._passed_on(drives)
-        swap_from = _column(channel for channel, _ in through.values())
-        swap_to = _column(symbol for _, symbol in through.values())
+        swap_from = column(channel for channel, _ in through.values())
+        swap_to = column(symbol for _, symbol in through.values())
         ode, outputs = (
-            ca.substitute(column, swap_from, swap_to) if through else column
-            for column in (
-                _column(self._odes[name] for name in self._states),
-                _column(value for _, value in self._outputs.values()),
+            ca.substitute(own, swap_from, swap_to) if through else own
+            for own in (
+                column(self._odes[name] for name in self._states),
+                column(value for _, value in self._outputs.values()),
             )
         )
         model = Model(
@@ -257,12 +307,12 @@ class Blueprint:
             t=self._time,
             p=p,
             ode=ode,
-            drive_expressions=_column(value for _, _, value in drives.values()),
-            laws=_column(self._laws.get(name, ca.SX(0)) for name in slots),
+            drive_expressions=column(value for _, _, value in drives.values()),
+            laws=column(self._laws.get(name, ca.SX(0)) for name in slots),
             output_expressions=outputs,
             time_unit=self._time_unit or "s",
         )
-        _check_symbols(model)
+        check_symbols(model)
         if w.numel() and ca.depends_on(model.slot_laws, w):
             raise ModelError(
                 "the laws of the slots depend on each other in a circle",
@@ -300,7 +350,7 @@ class Blueprint:
     def _with_direct_inputs(self) -> dict[str, tuple[Variable, Any, Any]]:
         """The drives, with one more for each channel that an ode or output uses directly."""
         drives = dict(self._drives)
-        used = _hashes(_column([*self._odes.values(), *(value for _, value in self._outputs.values())]))
+        used = hashes(column([*self._odes.values(), *(value for _, value in self._outputs.values())]))
         passed_on = self._passed_on(drives)
         for name, (variable, symbol) in self._inputs.items():
             key = symbol.element_hash()
@@ -351,53 +401,6 @@ class Blueprint:
         for group in (self._states, self._inputs, self._parameters):
             if name in group:
                 raise _repeated(kind, name)
-
-
-def _check_symbols(model: Model) -> None:
-    """Every symbol of every expression must be declared, and allowed where it is used."""
-    groups = {
-        "states": model.x,
-        "channels": model.u,
-        "drives": model.d,
-        "slots": model.w,
-        "time": model.t,
-        "parameters": model.p,
-    }
-    owner = {key: group for group, column in groups.items() for key in _hashes(column)}
-    rules: list[tuple[str, Sequence[Variable | Port], Any, tuple[str, ...]]] = [
-        ("the ode of", model.states, model.ode, ("states", "drives", "slots", "time", "parameters")),
-        ("the drive", model.drives, model.drive_expressions, ("channels", "time", "parameters")),
-        ("the law of port", model.ports.with_slot, model.laws, tuple(groups)),
-        ("the output", model.outputs, model.output_expressions, ("states", "drives", "parameters")),
-    ]
-    for what, items, column, allowed in rules:
-        wrong = [symbol for symbol in ca.symvar(column) if owner.get(symbol.element_hash()) not in allowed]
-        if not wrong:
-            continue
-        symbol, group = wrong[0], owner.get(wrong[0].element_hash())
-        row = next(row for row in range(len(items)) if ca.depends_on(column[row], symbol))
-        if group is None:
-            raise ModelError(
-                f"{what} {items[row].name} uses a symbol that was not declared",
-                seen=symbol.name(),
-                allowed=", ".join(made.name() for made in ca.symvar(_column(groups.values()))),
-                cure="declare it with state, input, drive, port or parameter and use the symbol returned",
-            )
-        raise ModelError(
-            f"{what} {items[row].name} uses a symbol that may not be used there",
-            seen=f"{symbol.name()} (one of the {group})",
-            allowed=", ".join(allowed),
-            cure="move the term: channels enter by drives, nonlinear torques by laws of ports",
-        )
-
-
-def _column(items: Any) -> Any:
-    made = list(items)
-    return ca.vertcat(*made) if made else ca.SX(0, 1)
-
-
-def _hashes(column: Any) -> set[int]:
-    return {symbol.element_hash() for symbol in ca.symvar(column)}
 
 
 def _scalar(what: str, expression: Any) -> Any:

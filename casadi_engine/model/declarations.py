@@ -152,6 +152,11 @@ class Port:
         """Name of the parameter at a port of that kind; "" at others."""
         return self.name.removeprefix("parameter_") if self.kind == "parameter" else ""
 
+    @property
+    def is_own(self) -> bool:
+        """True for an internal port with signals: unknown functions of them may act there, no effect of the library."""
+        return self.kind == "internal" and self.slot is not None and bool(self.signals)
+
     def in_its_unit(self, text: str) -> str:
         """A unit of torques and angles as it reads at this port, "-" where that is not known; any other unit as it is.
 

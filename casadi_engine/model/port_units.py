@@ -7,6 +7,7 @@ the equations do not go with the declared ones, nothing is said.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
@@ -26,6 +27,8 @@ MECHANICAL = ("torque", "force", "angular acceleration", "acceleration")
 # Units that are written by their own symbol, whatever products they come from: J/K times K/s is W.
 _NAMED = ("N m", "N", "W", "A", "V", "Pa")
 _SCALED, _NEAR, _HALVES = 1.7, 1e-6, 2
+# Relative error of a conversion number that was written by hand, as 9.549 for rpm.
+_CONVERTED = 1e-4
 
 
 def units_of(expressions: Sequence[Any], units: Sequence[tuple[Any, str]]) -> list[str | None]:
@@ -122,6 +125,7 @@ def _units_by_odes(
     rests = [ca.substitute(odes[i][1], every, ca.SX.zeros(every.shape)) for i in entered]
     known = units_of([*(slope for *_, slope in told), *rests], units)
     added = dict(zip(entered, known[len(told) :], strict=True))  # what is added to the slots of an ode
+    alone = {i for i, rest in zip(entered, rests, strict=True) if rest.is_zero()}
     plain = ca.vertcat(*[symbol for symbol, unit in units if unit == "1"])
     found: list[set[str | None]] = [set() for _ in slots]
     for i, k in entries:
@@ -136,8 +140,19 @@ def _units_by_odes(
         elif rest is not None and _of_one_kind(rest, wanted):
             # numbers may convert units, as in 1e3 (F + slot)/m for mm/s2: what is added to a slot shows it
             wanted = rest
+        elif i in alone and _is_conversion(slope, odes[i][0]):
+            wanted = unit_product(*read_unit(odes[i][0]).exponents, (per, -1))
         found[k].add(None if vague else slot_unit(wanted, unit))
     return [each.pop() if len(each) == 1 else None for each in found]
+
+
+def _is_conversion(slope: Any, unit: str) -> bool:
+    """True if the number in a slope takes SI into a unit, as 60/(2 pi) in 60/(2 pi) slot/J for rpm/s."""
+    own = read_unit(unit)
+    factor = float(own.factor) * math.pi ** float(own.pi)
+    symbols = ca.vertcat(*ca.symvar(slope))
+    number = float(ca.Function("number", [symbols], [slope])(np.ones(symbols.numel())))
+    return factor != 1 and abs(abs(number) * factor - 1) < _CONVERTED
 
 
 def _text(powers: Mapping[str, Fraction]) -> str:

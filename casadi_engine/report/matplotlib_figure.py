@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-STYLE = {
+STYLE: dict[str, Any] = {
     "font.size": 9,
     "axes.titlesize": 9,
     "axes.labelsize": 9,
@@ -28,6 +28,8 @@ STYLE = {
 }
 # More single dots than this are stored as pixels: as paths they would make a vector figure of megabytes.
 DOTS = 400
+# Width of a character as a share of the font size; inches that numbers beside a panel, and handles of a key, take.
+_CHARACTER, _BESIDE, _HANDLE = 0.55, 0.6, 0.5
 # Maps of more rows than this have no numbers in their cells.
 NUMBERED = 16
 
@@ -60,7 +62,7 @@ def figure_of(sketch: Sketch) -> Figure:
         grid = figure.add_gridspec(*sketch.grid, width_ratios=sketch.across, height_ratios=sketch.down)
         for panel in sketch.panels:
             ax = figure.add_subplot(grid[panel.rows, panel.columns])
-            _draw(ax, panel)
+            _draw(ax, panel, _inches(sketch, panel))
             if sketch.grid[1] > 2 and panel.xscale == "linear" and panel.xnames is panel.xticks is None:
                 ax.locator_params(axis="x", nbins=4)
         if sketch.key:
@@ -68,6 +70,18 @@ def figure_of(sketch: Sketch) -> Figure:
         if sketch.foot:
             figure.supxlabel(sketch.foot, fontsize=9)
     return figure
+
+
+def _inches(sketch: Sketch, panel: Panel) -> float:
+    """The width of a panel [in], about."""
+    shares = np.ones(sketch.grid[1]) if sketch.across is None else np.asarray(sketch.across, dtype=float)
+    return sketch.width * float(shares[panel.columns].sum() / shares.sum())
+
+
+def _wrapped(words: str, inches: float, size: float) -> str:
+    """Words in lines that go into so many inches at a font size [pt]: what is wider than its panel has no place."""
+    most = max(int(72 * inches / (_CHARACTER * size)), 16)
+    return "\n".join(line for part in words.split("\n") for line in textwrap.wrap(part, most) or [""])
 
 
 def _one_key(figure: Figure) -> None:
@@ -80,7 +94,7 @@ def _one_key(figure: Figure) -> None:
         figure.legend(list(known.values()), list(known), loc="outside upper right", ncols=4, frameon=False)
 
 
-def _draw(ax: Axes, panel: Panel) -> None:
+def _draw(ax: Axes, panel: Panel, inches: float) -> None:
     scales = {"x": panel.xscale, "y": panel.yscale}
     for axis, scale in scales.items():
         if scale != "linear":
@@ -99,14 +113,24 @@ def _draw(ax: Axes, panel: Panel) -> None:
         ax.invert_yaxis()
     _ticks(ax, panel, scales)
     ax.set_axisbelow(True)
-    ax.set_xlabel(panel.x)
+    names = max((len(name) for name in panel.ynames[1]), default=0) if panel.ynames is not None else 0
+    inside = inches - _BESIDE - _CHARACTER * STYLE["font.size"] * names / 72
+    ax.set_xlabel(_wrapped(panel.x, inside, STYLE["axes.labelsize"]))
     ax.set_ylabel(panel.y)
-    ax.set_title(panel.title, loc="left")
+    ax.set_title(_wrapped(panel.title, inside, STYLE["axes.titlesize"]), loc="left")
     if panel.key and panel.labels:
-        place: dict[str, Any] = {"loc": panel.key}
-        if panel.key == "center left":
-            place["bbox_to_anchor"] = (1.0, 0.5)
-        ax.legend(frameon=False, **place)
+        _key(ax, panel, inside)
+
+
+def _key(ax: Axes, panel: Panel, inches: float) -> None:
+    """The names of a panel's lines: inside it they take no part in the layout, else a long one leaves no panel."""
+    place: dict[str, Any] = {"loc": panel.key, "frameon": False}
+    if panel.key == "center left":
+        ax.legend(bbox_to_anchor=(1.0, 0.5), **place)
+        return
+    handles, names = ax.get_legend_handles_labels()
+    names = [_wrapped(name, inches - _HANDLE, STYLE["legend.fontsize"]) for name in names]
+    ax.legend(handles, names, **place).set_in_layout(False)
 
 
 def _ticks(ax: Axes, panel: Panel, scales: dict[str, str]) -> None:

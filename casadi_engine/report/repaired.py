@@ -48,8 +48,8 @@ def _(result: Repair) -> dict[str, Any]:
         "unknown": None if result.unknown is None else _unknown(result.unknown),
         "not_found": [
             {"name": one.name, "at": one.at}
-            | _size(one.smallest_detectable if one.testable else math.inf)
-            | {"unit": one.unit, "testable": bool(one.testable)}
+            | _size(one.smallest_detectable if one.testable else math.inf, one.note)
+            | {"unit": one.unit, "testable": bool(one.testable), "note": one.note, "twin": one.twin}
             for one in result.not_found
         ],
         "not_applicable": [
@@ -197,10 +197,10 @@ def _unknown(unknown: Unknown) -> dict[str, Any]:
     return made | ({"why": why} if why else {})
 
 
-def _size(value: float) -> dict[str, Any]:
+def _size(value: float, note: str) -> dict[str, Any]:
     if math.isfinite(value):
         return {"smallest_detectable": value}
-    why = "not testable: the free parameters explain all that it does in these data"
+    why = f"not testable: {note or 'the free parameters explain all that it does in these data'}"
     return {"smallest_detectable": None, "why": {"smallest_detectable": why}}
 
 

@@ -66,15 +66,33 @@ def _(result: Repair) -> dict[str, Maker]:
 
 
 def _chosen(gaps: tuple[Pair, ...]) -> list[Pair]:
-    """Records for the overview: those of the search, and a fresh one last if there is any."""
-    old, fresh = [one for one in gaps if not one.fresh], [one for one in gaps if one.fresh]
-    return old[: _ACROSS - bool(fresh)] + fresh[: _ACROSS - min(len(old), _ACROSS - bool(fresh))]
+    """Panels of the overview: every output once, as far as there is room, then further records of the search, and a
+    fresh record last if there is any."""
+    old = _outputs_first([one for one in gaps if not one.fresh])
+    fresh = _outputs_first([one for one in gaps if one.fresh])
+    room = _ACROSS - bool(fresh)
+    return old[:room] + fresh[: _ACROSS - min(len(old), room)]
+
+
+def _outputs_first(gaps: list[Pair]) -> list[Pair]:
+    """The first record of each output before the others, the widest gap first among those."""
+    first: dict[str, Pair] = {}
+    for one in gaps:
+        first.setdefault(one.output, one)
+    wide = sorted(first.values(), key=_width, reverse=True)
+    return wide + [one for one in gaps if one not in wide]
+
+
+def _width(pair: Pair) -> float:
+    """Mean square of a gap before the repair, in variances of its noise, so that outputs of any unit compare."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        width = float(np.nanmean((pair.before / pair.sigma) ** 2)) if np.isfinite(pair.before).any() else 0.0
+    return width if np.isfinite(width) else 0.0
 
 
 def _widest(chosen: list[Pair]) -> Pair:
     """The record of the search in which the gap was largest."""
-    old = [one for one in chosen if not one.fresh] or chosen
-    return max(old, key=lambda one: float(np.nanmean(one.before**2)))
+    return max([one for one in chosen if not one.fresh] or chosen, key=_width)
 
 
 def _overview(repair: Repair, gaps: tuple[Pair, ...]) -> Sketch:
@@ -91,6 +109,7 @@ def _overview(repair: Repair, gaps: tuple[Pair, ...]) -> Sketch:
     widest = _widest(chosen)
     if widest.theta is None:  # nothing turns: the gap over time takes the place of engine orders
         draw_course(left, widest, 0)
+        left.title = f"{widest.title}, {widest.shown[0][0]}"
     else:
         draw_orders(left, widest)
     left.key, left.room = "upper right", 0.35

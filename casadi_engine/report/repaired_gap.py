@@ -185,7 +185,7 @@ def draw_folded(panel: Panel, pair: Pair) -> None:
     for label, colour, residual in pair.shown:
         where, mean, _ = folded(pair, residual)
         panel.plot(where, mean, color=colour, linewidth=1.2, label=label)
-    gap = f"measured − simulated [{pair.unit}]"
+    gap = f"{pair.output}: measured − simulated [{pair.unit}]"
     if pair.theta is None:
         panels.dress(panel, x="time [s], mean of pieces", y=gap, title=pair.title)
         return
@@ -252,7 +252,9 @@ def draw_course(panel: Panel, pair: Pair, which: int) -> None:
 
 
 def same_height(chosen: list[Panel]) -> None:
-    """One vertical scale for panels that are compared."""
-    limits = [panel.limits("y") for panel in chosen]
-    for panel in chosen:
-        panel.ylim = min(low for low, _ in limits), max(high for _, high in limits)
+    """One vertical scale for panels that are compared: those of one quantity, by the words of their axis."""
+    for words in {panel.y for panel in chosen}:
+        alike = [panel for panel in chosen if panel.y == words]
+        limits = [panel.limits("y") for panel in alike]
+        for panel in alike:
+            panel.ylim = min(low for low, _ in limits), max(high for _, high in limits)

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from casadi_engine.discrepancy.repaired import Repair
+from casadi_engine.discrepancy.repaired import NotFound, Repair
 from casadi_engine.discrepancy.wording import held_out, in_unit, is_blind, twins
 from casadi_engine.estimation.summary import number, with_error
 from casadi_engine.report import tables
@@ -283,17 +283,26 @@ def _scores(result: Repair) -> Section:
     return Section("scores", "What was looked for", lines=lines, wanted=wanted)
 
 
+def _said_of(one: NotFound) -> str:
+    """Why a size is not said, or not the whole story."""
+    if not one.testable:
+        return f"not testable: {one.note or 'the free parameters explain all that it does'}; it may be there"
+    if one.note:
+        return f"no plausible size is excluded: {one.note} ({one.smallest_detectable:.3g}) to be found"
+    return (
+        f"does the same here as {one.twin}: one of the two would be found, not told apart" if one.twin else ""
+    )
+
+
 def _not_found(result: Repair) -> Section:
     rows = [
         (
             f"{one.name} at {one.at}",
             f"{one.smallest_detectable:.3g}"
-            if one.testable and math.isfinite(one.smallest_detectable)
+            if one.excluded and math.isfinite(one.smallest_detectable)
             else "-",
             in_unit(one.unit).strip(),
-            ""
-            if one.testable
-            else "not testable: the free parameters explain all that it does; it may be there",
+            _said_of(one),
         )
         for one in result.not_found
     ]

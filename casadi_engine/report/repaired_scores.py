@@ -28,8 +28,8 @@ def standing(repair: Repair, row: ScoreRow) -> str:
     return "above" if row.significant else "below"
 
 
-# Characters of a name beside other panels.
-_BESIDE = 24
+# Characters of a name beside other panels; room below the bars for each line of the key there, as a share of them.
+_BESIDE, _KEY_ROOM = 24, 0.16
 
 WORDS = {
     "found": "found",
@@ -73,10 +73,13 @@ def draw_scores(panel: Panel, repair: Repair, most: int = MOST_ROWS) -> None:
     else:
         panel.xlim = (0, 1.15 * max(top, repair.threshold))
     names = [f"{row.effect} at {row.at}" for row in rows]
+    below = len(rows) - 0.4
     if most < MOST_ROWS:  # beside other panels, and all of it stands in the chart of its own
         names = [name if len(name) <= _BESIDE else f"{name[: _BESIDE - 1]}…" for name in names]
+        panel.title, panel.x = "scores of the model without effects", "score |z| [1]"
+        below += _KEY_ROOM * len(panel.labels) * len(rows)
     panel.ynames = (range(len(rows)), names)
-    panel.ylim, panel.flipped = (-0.6, len(rows) - 0.4), True
+    panel.ylim, panel.flipped = (-0.6, below), True
     panel.key = "lower right"
 
 

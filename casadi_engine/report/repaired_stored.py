@@ -52,11 +52,16 @@ def stored_sections(result: Mapping[str, Any]) -> list[Section]:
     if result["gap"] is not None:
         sections.append(Section("gap", "The gap before and after", tables=[_gap_table(result["gap"])]))
     rows = [
-        (f"{one['name']} at {one['at']}", _size(one["smallest_detectable"]), one["unit"])
+        (
+            f"{one['name']} at {one['at']}",
+            "no plausible size" if one["testable"] and one.get("note") else _size(one["smallest_detectable"]),
+            one["unit"],
+            f"does the same here as {one['twin']}" if one.get("twin") else one.get("note", ""),
+        )
         for one in result["not_found"]
     ]
     if rows:
-        made = table(("effect", "smallest size found in 95 %", "unit"), rows, right=(1,))
+        made = table(("effect", "smallest size found in 95 %", "unit", "note"), rows, right=(1,))
         sections.append(Section("not-found", "Not found", tables=[made]))
     return sections
 

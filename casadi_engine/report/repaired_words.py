@@ -8,7 +8,15 @@ from casadi_engine.discrepancy.confirmation import share_explained
 from casadi_engine.discrepancy.fresh_misfit import fresh_doubt, fresh_misfit
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair, more_probable
 from casadi_engine.discrepancy.verdict_words import may_hide, next_step
-from casadi_engine.discrepancy.wording import acting_at, clock, first_words, in_unit, is_blind, right_value
+from casadi_engine.discrepancy.wording import (
+    acting_at,
+    clock,
+    first_words,
+    in_unit,
+    is_blind,
+    names_own_law,
+    right_value,
+)
 from casadi_engine.estimation.summary import number, with_error
 from casadi_engine.report.panels import half_width
 
@@ -60,7 +68,7 @@ def _verdict(repair: Repair) -> str:
         )
     if repair.verdict == "unnamed":
         words = repair.unknown.sentence if repair.unknown is not None else "the residuals are not noise"
-        if is_blind(repair):
+        if is_blind(repair) and not names_own_law(repair):
             return f"Something is missing, and no physical effect could be looked for: {words}."
         return f"Something is missing that no effect of the library names: {words}."
     return f"Something is missing: {' and '.join(effect_words(one, repair) for one in repair.effects)}."

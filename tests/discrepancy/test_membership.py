@@ -23,7 +23,9 @@ def pool_of(**logs):
     """dry_drag=3.0 -> the structure of both and its log evidence."""
     known = {"dry": DRY, "drag": DRAG, "step": STEP, "offset": OFFSET, "none": None}
     return {
-        frozenset(known[part] for part in name.split("_") if known[part]): SimpleNamespace(log=log)
+        frozenset(known[part] for part in name.split("_") if known[part]): SimpleNamespace(
+            log=log, effects=()
+        )
         for name, log in logs.items()
     }
 

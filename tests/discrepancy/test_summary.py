@@ -165,7 +165,8 @@ def test_units_behind_numbers(unit, words):
 
 def test_a_unit_that_was_not_stated_is_said_once(leaking):
     missed = tuple(
-        replace(one, unit="-", testable=True, smallest_detectable=0.5) for one in leaking.not_found
+        replace(one, unit="-", testable=True, smallest_detectable=0.5, note="", twin="")
+        for one in leaking.not_found
     )
     words = joined(replace(leaking, not_found=missed))
     assert words.count("not stated") == 1

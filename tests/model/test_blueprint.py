@@ -243,8 +243,7 @@ def test_repeated_drive_output_port_law_and_ode():
 
 def test_port_name_that_the_blueprint_makes_itself():
     b, x, _ = small()
-    b.port("sensor_y", "inertia")
-    b.ode("x", -x)
+    b.ode("x", b.port("sensor_y", "inertia") - x)
     b.output("y", x)
     with pytest.raises(ModelError, match="the port sensor_y is declared twice"):
         b.model()

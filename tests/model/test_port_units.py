@@ -126,3 +126,15 @@ def test_a_number_that_converts_units_is_seen_by_what_is_added_to_the_slot(speed
         port(lambda b, w: b.port("other", "internal") + w * b.parameter("c", 1.0, unit=f"{acts} s/m")).unit
         != acts
     )
+
+
+@pytest.mark.parametrize(("speed", "factor", "unit"), [
+    ("rpm", 9.5493, "N m"), ("rpm", 60 / (2 * 3.141592653589793), "N m"), ("deg/s", 57.29578, "N m"),
+    ("rpm", 5.0, "rpm kg m2/s"), ("rad/s", 9.5493, "N m"),
+])  # fmt: skip
+def test_a_number_that_converts_units_is_seen_where_nothing_is_added_to_the_slot(speed, factor, unit):
+    b = ce.Blueprint("one")
+    w, inertia = b.state("w", unit=speed), b.parameter("J", 2.0, unit="kg m2")
+    b.ode("w", factor * b.port("here", "inertia", {"speed": w}) / inertia)
+    b.output("y", w, unit=speed)
+    assert b.model().ports["here"].unit == unit

@@ -398,11 +398,12 @@ def loop():
     b = Blueprint("loop")
     v = [b.state(f"v{i}") for i in (1, 2)]
     twists = [b.state(f"twist{i}") for i in (1, 2)]
+    bodies, springs = [], []
     for i in (0, 1):
-        b.port(f"body_{i}", "inertia", {"speed": v[i]})
-        b.port(f"spring_{i}", "coupling", {"twist": twists[i], "twist_rate": v[1] - v[0]})
+        bodies.append(b.port(f"body_{i}", "inertia", {"speed": v[i]}))
+        springs.append(b.port(f"spring_{i}", "coupling", {"twist": twists[i], "twist_rate": v[1] - v[0]}))
     for i in (0, 1):
-        b.ode(f"v{i + 1}", sum(twists) * (1 - 2 * i))
+        b.ode(f"v{i + 1}", (sum(twists) + sum(springs)) * (1 - 2 * i) + bodies[i])
         b.ode(f"twist{i + 1}", v[1] - v[0])
     b.output("y", v[0])
     return b.model()
@@ -415,9 +416,9 @@ def odd(case):
     v = [b.state(f"v{i}") for i in (1, 2)]
     twist = b.state("twist")
     slots = [b.port(f"body_{i}", "inertia", {"speed": speed}) for i, speed in enumerate(v)]
-    b.port("spring", "coupling", {"twist": twist, "twist_rate": v[1] - v[0]})
+    spring = b.port("spring", "coupling", {"twist": twist, "twist_rate": v[1] - v[0]})
     inertia = radius**2 if case == "square" else radius
-    torque = (-3 if case == "backwards" else 3) * twist
+    torque = (-3 if case == "backwards" else 3) * twist + spring
     b.ode("v1", (slots[0] + torque) / inertia)
     b.ode("v2", (slots[1] - torque - (twist if case == "more" else 0)) / 2)
     b.ode("twist", v[0] - v[1] if case == "backwards" else v[1] - v[0])
