@@ -44,7 +44,8 @@ class Additions:
     """The refits of one round.
 
     here, station : the structure, and its fit and scores; failed : takes what has no answer, and why; tell : takes what
-    is being done, in words
+    is being done, in words; done : the effects that were refitted; left_out : chi-squared by one step of those that
+    stay far above the best one
     """
 
     refits: Refits
@@ -53,6 +54,7 @@ class Additions:
     failed: dict[str, str]
     tell: Callable[[str], None]
     done: list[Family] = field(default_factory=list)
+    left_out: dict[Family, float] = field(default_factory=dict)
 
     def run(self) -> list[Tried]:
         """The structures with one effect more, as far as the time allows."""
@@ -121,7 +123,10 @@ class Additions:
             return rest
         if linear:
             self.lead, self.start = step, _start_without(best, best.newest(self.here))
-        return self._promising(best, step, rest, clearly=not linear)
+        left = self._promising(best, step, rest, clearly=not linear)
+        cost = costs_of(self.screened, step, self.families)
+        self.left_out = {key: cost[key] for key in rest if key not in left}
+        return left
 
     def _promising(
         self, best: Tried, step: OneStep, keys: Sequence[Family], *, clearly: bool = False
@@ -169,8 +174,7 @@ class Additions:
         """A refit in windows from the parameters' own values."""
         self._try(one, None)
         # as sharp as it is: wide corners may lead to another valley; what has a special case starts from that
-        path, special = self.refits.path, one.candidate.source.effect.limit
-        if not path.linear and path.cornered([one]) and not special:
+        if self.refits.path.cornered([one]) and not one.candidate.source.effect.limit:
             self._try(one, None, near=True)
 
     def _arrive(self, key: Family) -> None:

@@ -59,6 +59,7 @@ class Choice:
     best: Key = frozenset()
     _stations: dict[Key, Station] = field(default_factory=dict, repr=False)
     _asked: set[tuple[Key, Key]] = field(default_factory=set, repr=False)
+    _left_out: tuple[tuple[str, float], ...] = ()
 
     def run(self, null_fit: Fit) -> None:
         """Add, drop and exchange effects until no change is worth it."""
@@ -305,7 +306,12 @@ class Choice:
         return False
 
     def _added(self, here: Tried, station: Station) -> list[Tried]:
-        return Additions(self.refits, here, station, self.failed, self.tell).run()
+        made = Additions(self.refits, here, station, self.failed, self.tell)
+        tried = made.run()
+        self._left_out = tuple(
+            (f"{effect} at {port}", cost) for (effect, port), cost in made.left_out.items()
+        )
+        return tried
 
     def _without_idle(self, tried: Sequence[Tried]) -> list[Tried]:
         """The most probable structure without members of which it leaves next to nothing: what was added may do alone
@@ -333,7 +339,7 @@ class Choice:
         library = tuple((one.label, one.log - here.log) for one in order)
         refits = tuple((one.label, one.arrived.cost, one.arrived.settled) for one in order)
         gone = tuple(one.label for one in here.effects if kept and one.candidate.key not in kept.key)
-        self.rounds.append(Round(library, refits, None if kept is None else kept.label, gone))
+        self.rounds.append(Round(library, refits, None if kept is None else kept.label, gone, self._left_out))
 
     def _most_probable(self, tried: Sequence[Tried]) -> Tried | None:
         found = [one for one in tried if one.beyond > BEYOND and math.isfinite(one.log)]

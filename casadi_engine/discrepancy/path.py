@@ -102,8 +102,8 @@ class Path:
         Where a law has corners they are wide at first, as wide as its motion, and then sharper from one refit to the
         next: a wide corner bends the simulation everywhere and shows the way, a sharp one only where it is passed.
         """
-        if self.linear:
-            return self.from_point(effects, start)
+        # windows have nothing to tell of a linear model near a run of it
+        first = (None,) if self.linear and start is not None and start.initial else None
         refitter, own = self.refitter, self.refitter.share
         least: Arrived | None = None
         lost = False
@@ -111,7 +111,7 @@ class Path:
             try:
                 for level in range(_WIDER, 0, -1):
                     refitter.share = own * SHARPER_BY**level
-                    there = self._ended(effects, least or start, (None,) if least else None)
+                    there = self._ended(effects, least or start, (None,) if least else first)
                     lost = there is None or (least is not None and there.cost > _LOST * least.cost)
                     if lost:
                         break
@@ -119,10 +119,10 @@ class Path:
             finally:
                 refitter.share = own
         if least is None:
-            return self._ended(effects, start, None)
+            return self._ended(effects, start, first)
         found = None if lost else self._ended(effects, least, (None,))
         if found is None or found.cost > _LOST * least.cost:
-            plain = self._ended(effects, start, None)
+            plain = self._ended(effects, start, first)
             known = [one for one in (found, plain) if one is not None]
             found = min(known, key=lambda one: one.cost, default=None)
         if lost and (found is None or found.cost > _LOST * least.cost):

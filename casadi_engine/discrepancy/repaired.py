@@ -253,12 +253,14 @@ class NoiseFound:
 @dataclass(frozen=True)
 class Round:
     """One round of the search: structures (label, gain of log evidence over the one before), their refits (label,
-    chi-squared, converged), the label kept or None, and the labels dropped."""
+    chi-squared, converged), the label kept or None, the labels dropped, and effects that were not refitted (label,
+    chi-squared by one step in the place of the best one), as they stay far above it."""
 
     proposals: tuple[tuple[str, float], ...]
     refits: tuple[tuple[str, float, bool], ...]
     kept: str | None
     dropped: tuple[str, ...]
+    left_out: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

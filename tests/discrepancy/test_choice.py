@@ -11,10 +11,12 @@ import casadi_engine as ce
 from casadi_engine.deadline import Deadline
 from casadi_engine.discrepancy import choice as module
 from casadi_engine.discrepancy import refits
+from casadi_engine.discrepancy.additions import Additions
 from casadi_engine.discrepancy.choice import Choice, key_of
 from casadi_engine.discrepancy.fresh import Portions
 from casadi_engine.discrepancy.fresh_choice import FreshChoice
 from casadi_engine.discrepancy.refit import Refitter, addition
+from casadi_engine.discrepancy.refits import PART
 from casadi_engine.discrepancy.screening import screen
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.effects import Amplitude, Effect
@@ -30,6 +32,11 @@ def rubbing(t, angle, rate):
 
 def rubbing_and_pushed(t, angle, rate):
     return 0.8 + rubbing(t, angle, rate)
+
+
+def everything(self, best, step, keys, **_):
+    """In the place of ``_promising``: no effect is left out."""
+    return list(keys)
 
 
 @pytest.fixture(scope="module")
@@ -78,18 +85,34 @@ def test_the_best_structure_is_the_truth_beyond_all_rivals(named):
     best = found.pool[found.best]
     assert best.label == "coulomb_friction at pivot"
     assert best.beyond > 3 * module.BEYOND
-    others = [one.log for key, one in found.pool.items() if key and DRY not in key]
-    assert max(others) < best.log - math.log(module.FACTOR)
+    # the others need no refit: from the truth one step says that they stay far above
+    assert set(found.pool) == {frozenset(), frozenset({DRY})}
+    left = dict(found.rounds[0].left_out)
+    assert set(left) == {"quadratic_drag at pivot", "constant_torque at pivot"}
+    assert min(left.values()) > best.arrived.cost + 20 * math.log(module.FACTOR)
     assert found.chosen.fit.converged
     assert found.null.effects == ()
     assert not found.failed
+
+
+def test_what_one_step_leaves_out_no_refit_brings_back(named, prepared, monkeypatch):
+    made = prepared(rubbing)
+    monkeypatch.setattr(Additions, "_promising", everything)
+    made.choice.run(made.fit)
+    assert made.choice.best == {DRY}
+    left = dict(named.choice.rounds[0].left_out)
+    best = made.choice.pool[made.choice.best].arrived.cost
+    for key in (DRAG, CONSTANT):
+        gap = made.choice.pool[frozenset({key})].arrived.cost - best
+        assert gap > PART * (left[" at ".join(key)] - best) > 0
 
 
 def test_rounds_tell_what_was_tried_and_kept(named):
     first = named.choice.rounds[0]
     assert first.kept == "coulomb_friction at pivot"
     # a viscous friction more is one with the model's own damping, and cannot be tested
-    assert {label.partition(" at")[0] for label, _ in first.proposals} == {*FEW} - {"viscous_friction"}
+    seen = [label.partition(" at")[0] for label, _ in (*first.proposals, *first.left_out)]
+    assert sorted(seen) == sorted({*FEW} - {"viscous_friction"})
     assert first.proposals[0][0] == first.refits[0][0] == "coulomb_friction at pivot"
     assert first.dropped == ()
     assert named.said[0] == "scores of all effects at all ports"
@@ -232,9 +255,9 @@ def test_no_verdict_depends_on_how_the_model_is_written(pendulum, named, way):
     found = Choice(refitter, lambda fit: screen(fit, FEW), 4, lambda _: None)
     found.run(fit)
     assert found.best == named.choice.best
-    for key in (frozenset({DRY}), frozenset({DRAG})):
-        here, there = (one.pool[key].log - one.pool[frozenset()].log for one in (found, named.choice))
-        assert here == pytest.approx(there, abs=0.3)
+    here, there = (one.pool[one.best].log - one.pool[frozenset()].log for one in (found, named.choice))
+    assert here == pytest.approx(there, abs=0.3)
+    assert dict(found.rounds[0].left_out) == pytest.approx(dict(named.choice.rounds[0].left_out), rel=0.02)
     assert found.pool[found.best].beyond == pytest.approx(named.choice.pool[found.best].beyond, rel=0.02)
 
 
@@ -277,7 +300,7 @@ def test_what_the_time_did_not_allow_is_listed(prepared, monkeypatch):
     """The best of what was refitted is kept all the same."""
     deadline = Deadline(spare=600.0)
     made = prepared(rubbing, deadline=deadline)
-    real, refits = Choice._try, []
+    real, refits = Additions._try, []
 
     def once(self, *args):
         real(self, *args)
@@ -285,7 +308,8 @@ def test_what_the_time_did_not_allow_is_listed(prepared, monkeypatch):
         if len(refits) == 2:
             deadline.stop()
 
-    monkeypatch.setattr(Choice, "_try", once)
+    monkeypatch.setattr(Additions, "_try", once)
+    monkeypatch.setattr(Additions, "_promising", everything)
     with deadline:
         made.choice.run(made.fit)
     assert len(made.choice.rounds) == 1
@@ -297,7 +321,8 @@ def test_what_the_time_did_not_allow_is_listed(prepared, monkeypatch):
 def test_every_effect_is_refitted_once_before_any_is_refitted_from_elsewhere(prepared, monkeypatch):
     deadline = Deadline(spare=600.0)
     made = prepared(rubbing, deadline=deadline)
-    monkeypatch.setattr(Choice, "_from_elsewhere", lambda self, *args: deadline.stop())
+    monkeypatch.setattr(Additions, "_promising", everything)
+    monkeypatch.setattr(Additions, "_from_own", lambda self, *args: deadline.stop())
     with deadline:
         made.choice.run(made.fit)
     assert made.choice.failed == {"other starts of these effects": "the time was up"}
@@ -375,6 +400,7 @@ def test_no_more_effects_than_asked_for(prepared):
 
 def test_an_effect_whose_refits_do_not_arrive_is_said_to_have_no_answer(prepared, monkeypatch):
     made = prepared(rubbing)
+    monkeypatch.setattr(Additions, "_promising", everything)
     for name in ("from_point", "from_windows"):
         real = getattr(refits.Path, name)
         lost = lambda self, effects, start, real=real: (  # noqa: E731
