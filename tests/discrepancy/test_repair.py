@@ -65,7 +65,7 @@ def drive():
 
 
 # Effects among which these are looked for; the others, and these in the slow run, among the whole library, as
-# tests/problems/test_hidden_effect.py does in the quick run too. The quick run keeps one whole repair; classes are also
+# tests/cli/test_repair_command.py does in the quick run too. The quick run keeps one whole repair; classes are also
 # held by test_choice.py and tests/effects/test_sensor_gain.py, a misfire's cycle by test_assumed_pressure.py, and
 # repairs with events by test_events.py.
 FEW = {

@@ -8,6 +8,7 @@ test_crankshaft_problem.py), experiments that are chosen (tests/identifiability)
 import importlib
 import re
 import sys
+from functools import cache
 from pathlib import Path
 
 import matplotlib.image
@@ -24,6 +25,7 @@ def quick(tmp_path_factory):
         patch.syspath_prepend(str(FOLDER))
         patch.setattr(importlib.import_module("shared"), "RESULTS", tmp_path_factory.mktemp("thesis"))
 
+        @cache
         def run(name):
             out = tmp_path_factory.mktemp(name)
             lines = importlib.import_module(name).page(True, out)
