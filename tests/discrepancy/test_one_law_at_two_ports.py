@@ -74,7 +74,9 @@ def record():
 
 @pytest.fixture(scope="module")
 def repair(record):
-    return ce.repair(carriage(), record, effects=["coulomb_friction", "stribeck_friction"], progress=False)
+    return ce.repair(
+        carriage(), record, effects=["coulomb_friction", "stribeck_friction"], starts=1, progress=False
+    )
 
 
 def test_the_two_are_as_probable_and_both_are_named(repair):
@@ -106,13 +108,13 @@ def alone(request, record, repair):
     first = repair.effects[0].at
     (rival,) = {"mass", "spring"} - {first}
     port, other = (rival, first) if request.param == "rival" else (first, rival)
-    found = ce.repair(carriage(), record, effects=["coulomb_friction"], at=port, progress=False)
+    found = ce.repair(carriage(), record, effects=["coulomb_friction"], at=port, starts=1, progress=False)
     return port, other, found
 
 
-def test_one_port_alone_is_named_with_the_same_number(alone, record):
+def test_one_port_alone_is_named_with_the_same_number(alone, repair):
     port, _, found = alone
-    both = ce.repair(carriage(), record, effects=["coulomb_friction"], progress=False).effects[0].amplitude
+    both = repair.effects[0].amplitude
     assert {row.at for row in found.scores} == {port}
     assert [one.key for one in found.effects] == [f"{port}.coulomb_friction"]
     size = found.effects[0].amplitude

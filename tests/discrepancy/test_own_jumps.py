@@ -60,6 +60,7 @@ def test_where_nothing_is_missing_the_fit_is_of_the_equations_as_they_were_writt
         record,
         parameters=parameters,
         effects=["coulomb_friction", "constant_torque"],
+        starts=1,
         progress=False,
     )
     assert found.verdict == "nothing missing"
@@ -78,7 +79,9 @@ def test_where_the_written_equations_do_not_fit_as_well_the_rounded_ones_stay(
     import casadi_engine.discrepancy.own_jumps as own_jumps
 
     monkeypatch.setattr(own_jumps, "FELT", -1e6)
-    found = ce.repair(throttle(), record, parameters=parameters, effects=["constant_torque"], progress=False)
+    found = ce.repair(
+        throttle(), record, parameters=parameters, effects=["constant_torque"], starts=1, progress=False
+    )
     assert found.model.corners
     assert "tanh stands in place of their jumps" in str(found)
 

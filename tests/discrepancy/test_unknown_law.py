@@ -122,6 +122,8 @@ def test_an_answer_is_kept_where_the_law_cannot_be_told(monkeypatch):
         raise np.linalg.LinAlgError("SVD did not converge")
 
     monkeypatch.setattr(answer, "unknown_law", fails)
-    found = repaired(drag)
+    found = ce.repair(
+        ce.one_inertia(), run(drag, 1), effects=["quadratic_drag"], holdout=0, starts=1, progress=False
+    )
     assert [one.key for one in found.effects] == ["engine.quadratic_drag"]
     assert any("not told, as its numbers fail (SVD did not converge)" in text for text in found.messages)

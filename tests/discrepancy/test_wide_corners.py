@@ -50,8 +50,18 @@ def fitted():
     return fit, record
 
 
-@pytest.mark.parametrize("gap", [0.002, 0.02, 0.05])
-@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize(
+    ("gap", "known"),
+    [
+        (0.002, True),
+        (0.002, False),
+        (0.05, False),
+        *(
+            pytest.param(gap, known, marks=pytest.mark.slow)
+            for gap, known in ((0.02, True), (0.02, False), (0.05, True))
+        ),
+    ],
+)
 def test_a_play_is_found_from_any_start(fitted, gap, known):
     fit, record = fitted
     (candidate, *_) = screen(fit, ["backlash"], at=["coupling"]).candidates

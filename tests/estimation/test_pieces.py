@@ -51,7 +51,7 @@ def swing():
     b.ode("angle", rate)
     b.ode("rate", torque - k * ca.sin(angle) - c * rate)
     b.output("y", angle)
-    model, time = b.model(), np.arange(600) * 0.02
+    model, time = b.model(), np.arange(400) * 0.02
     push = 6 * np.sin(1.7 * time) + 4 * np.sin(5.1 * time + 1)
     plain = ce.Experiment.from_arrays("swing", time=time, units={"T": "1"}, T=push)
     y = ce.simulate(model, plain, initial={"angle": 1.0, "rate": 0.0})["y"].values

@@ -24,8 +24,9 @@ def test_simulated(name):
     assert outcome.passes, f"{outcome.kind}: {outcome.detail}"
 
 
-# A reactor that runs away costs as much to fit as fifty others; the quick run simulates it.
-LONG = {"stirred_reactor"}
+# A reactor that runs away costs as much to fit as fifty others, a ball that bounces as thirty; the quick run simulates
+# both, and recovers a mass at an end stop.
+LONG = {"stirred_reactor", "bouncing_ball"}
 
 
 @pytest.mark.parametrize(

@@ -81,8 +81,9 @@ def test_repair_takes_friction_that_is_written_as_a_sign():
     noise = 0.02 * np.random.default_rng(1).standard_normal(len(t))
     record = ce.Experiment.from_arrays("pushed", time=t, units=units, F=push, v=run["v"].values + noise)
     found = ce.repair(
-        model(0.0), record, effects=["constant_torque", "quadratic_drag"], holdout=0.0, progress=False
-    )
+        model(0.0), record, effects=["constant_torque", "quadratic_drag"], holdout=0.0, starts=1,
+        progress=False,
+    )  # fmt: skip
     assert [one.key for one in found.effects] == ["slide.constant_torque"]
     assert found.effects[0].amplitude.value == pytest.approx(-0.4, abs=0.02)
     assert found.fit.values["Fc"] == pytest.approx(0.5, abs=0.03)

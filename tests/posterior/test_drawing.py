@@ -22,8 +22,8 @@ def modes_at(target, at):
     return Modes(at, target.information(squares.matrix)[None], target.log_density(at), np.ones(1), 1, valley)
 
 
-def drawing_of(target):
-    return Drawing(target, "auto", np.random.default_rng(0), 500, 20_000, lambda words: None)
+def drawing_of(target, evaluations=20_000):
+    return Drawing(target, "auto", np.random.default_rng(0), 500, evaluations, lambda words: None)
 
 
 @pytest.fixture
@@ -83,7 +83,7 @@ def test_walkers_that_do_not_agree_are_judged_by_weights(fit, post, monkeypatch)
     pytest.importorskip("emcee")
     target = Target(fit)
     modes = modes_at(target, target.start)
-    own, asked = drawing_of(target), []
+    own, asked = drawing_of(target, 6_000), []
     sample = importance.sample
 
     def untrusted_at_first(density, start, *others):

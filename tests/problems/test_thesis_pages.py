@@ -1,12 +1,14 @@
 """The pages of problems/thesis: each in its quick form, its conclusions and the numbers that the thesis gives.
 
 Slow are those whose claims the tests of the rooms hold on shorter records or without any: residual tests, repair,
-misfires, reduction, engine orders.
+misfires, reduction, engine orders, the crankshaft's modes and fit (tests/model/test_chain.py and
+test_crankshaft_problem.py), experiments that are chosen (tests/identifiability).
 """
 
 import importlib
 import re
 import sys
+from functools import cache
 from pathlib import Path
 
 import matplotlib.image
@@ -23,6 +25,7 @@ def quick(tmp_path_factory):
         patch.syspath_prepend(str(FOLDER))
         patch.setattr(importlib.import_module("shared"), "RESULTS", tmp_path_factory.mktemp("thesis"))
 
+        @cache
         def run(name):
             out = tmp_path_factory.mktemp(name)
             lines = importlib.import_module(name).page(True, out)
@@ -71,6 +74,7 @@ def test_figures_4_11_to_4_19(quick):
     assert lines["Figure 4.13", "by 20: within the band"].ours.startswith("speed alone by 20: 0 of 25")
 
 
+@pytest.mark.slow
 def test_tables_4_7_to_4_13(quick):
     lines = quick("crankshaft_tables")
     assert len(lines) == 7
@@ -98,6 +102,7 @@ def test_tables_4_6_to_4_10(quick):
     assert lines["Table 4.10", "main frequency: largest/smallest 1.064"].ours == "1.053, by receptance 1.054"
 
 
+@pytest.mark.slow
 def test_dampers(quick):
     lines = quick("dampers")
     chosen = lines["chapter 6 (b)", "a technique is wanted: C21, C76"].ours

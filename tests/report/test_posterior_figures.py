@@ -21,6 +21,12 @@ def post():
     return ce.posterior(ce.estimate(ce.one_inertia(), data, progress=False), draws=300)
 
 
+@pytest.fixture(scope="module")
+def ahead(post):
+    """What a few draws predict."""
+    return post.predictive(draws=5)
+
+
 def test_every_figure_is_drawn_with_labels(post):
     made = figures(post)
     assert list(made) == ["overview", "pairs", "modes", "prediction run"]
@@ -55,11 +61,11 @@ def test_pairs_mark_the_modes_that_have_mass(post):
     assert [bar.get_height() for bar in right.patches] == pytest.approx([100.0, 0.1])
 
 
-def test_the_prediction_is_drawn_with_its_band(post):
+def test_the_prediction_is_drawn_with_its_band(post, ahead):
     figure = ce.plot(post, what="prediction run")
     assert len(figure.axes) == 2
     assert figure.axes[0].collections
-    assert ce.plot(post.predictive(draws=5)).axes[0].collections
+    assert ce.plot(ahead).axes[0].collections
 
 
 def test_it_has_words_and_a_table(post):
@@ -77,14 +83,14 @@ def test_a_comparison_shows_how_far_each_model_lies_below_the_best(post):
     assert any("20.00" in words.get_text() and "< 0.001 %" in words.get_text() for words in axes.texts)
 
 
-def test_a_short_record_is_drawn_whole_and_a_long_one_at_its_end(post, monkeypatch):
+def test_a_short_record_is_drawn_whole_and_a_long_one_at_its_end(ahead, monkeypatch):
     from casadi_engine.report import posterior_figures
 
-    (top, _) = ce.plot(post, what="prediction run").axes
+    (top, _) = ce.plot(ahead).axes
     assert (top.get_title(loc="left") or top.get_title()) == "run: omega"
     assert len(top.lines[0].get_xdata()) == 100
     monkeypatch.setattr(posterior_figures, "SEEN", 30)
-    (top, _) = ce.plot(post.predictive(draws=5)).axes
+    (top, _) = ce.plot(ahead).axes
     assert len(top.lines[0].get_xdata()) == 30
     assert (top.get_title(loc="left") or top.get_title()).endswith(", the last part")
     assert top.get_ylabel() == "omega [rad/s]"
