@@ -41,9 +41,6 @@ def check(result, secret, *, errors=4.5):
     assert all(p > 0.001 for outputs in gap["after"]["whiteness_p"].values() for p in outputs.values())
 
 
-# The same effect in the same plant is named, sized and confirmed by tests/discrepancy/test_repair.py, in the quick run
-# too; that the page loads, by test_problem_files.py; the command on the whole library, by tests/cli.
-@pytest.mark.slow
 def test_the_hidden_effect_is_named_in_three_cycles(secret, tmp_path, monkeypatch, capsys):
     # Figures take seconds; the tests of the report room draw them.
     room = importlib.import_module("casadi_engine.report")
