@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -31,6 +31,7 @@ from casadi_engine.discrepancy.fresh import (
 from casadi_engine.discrepancy.fresh_choice import SEEN, Confirmation, FreshChoice
 from casadi_engine.discrepancy.fresh_misfit import held_to_fresh_data
 from casadi_engine.discrepancy.latent_torque import LatentTorque, latent_torques
+from casadi_engine.discrepancy.law_refit import refitted_law
 from casadi_engine.discrepancy.left_out import left_out_alike
 from casadi_engine.discrepancy.next_experiment import next_experiment
 from casadi_engine.discrepancy.noise_model import NoiseModel
@@ -109,6 +110,10 @@ class Answer:
             last = null
         law = self._law(last) if found or (unknown is None and last.screened.noise.colour) else None
         rival = None if law is None else in_place_of(last, law)
+        if not found and last.screened.noise.colour:
+            far = self._law(last, refitted_law)
+            if far is not None and (law is None or far.log > law.log):
+                law, rival = far, in_place_of(last, far) or rival
         if rival is not None and law is not None:
             unknown = rival if law.log >= 0 or unknown is None else unknown
             if law.excludes:
@@ -166,7 +171,7 @@ class Answer:
             done = replace(done, messages=(*done.messages, _MAY_HIDE))
         return held_to_fresh_data(done)
 
-    def _law(self, last: Station) -> UnknownLaw | None:
+    def _law(self, last: Station, told: Callable[..., UnknownLaw | None] = unknown_law) -> UnknownLaw | None:
         """A law that no effect names, in the place of those found, that these do not exclude."""
         search = self.search
         tried = search.pool.get(key_of(last.effects))
@@ -174,7 +179,7 @@ class Answer:
             return None
         try:
             found: UnknownLaw | None = self._in_time(
-                "unknown law", lambda: unknown_law(search.refits, tried, search.price)
+                "unknown law", lambda: told(search.refits, tried, search.price)
             )
         except FAILURES as fault:  # there is an answer
             self.messages.append(f"{_LEFT_OUT['unknown law']}: not told, as its numbers fail ({fault})")

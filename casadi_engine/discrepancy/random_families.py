@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.compression import candidate_columns
@@ -152,12 +153,31 @@ def _families(port: str, signal: _Signal, terms: int) -> list[tuple[list[ca.SX],
             for k in range(1, 1 + _ORDERS)
         ]  # fmt: skip
     orders = np.arange(1, terms + 1) if cycle else np.arange(terms)
-    variances = 1 / (1 + (orders / _ROUGH) ** 2) ** 2
+    variances = _variances(orders)
     if cycle:  # half orders of the crank
         basis = [turn(0.5 * k * v) for k in orders for turn in (ca.cos, ca.sin)]
         return [(basis, replace(blank, variances=np.repeat(variances, 2)))]
-    basis = [ca.cos(math.pi * k * (v - low) / (high - low)) for k in orders]
-    return [(basis, replace(blank, variances=variances))]
+    family = replace(blank, variances=variances)
+    return [(terms_at(family, v), family)]
+
+
+def _variances(orders: NDArray[np.integer]) -> Array:
+    return np.asarray(1 / (1 + (orders / _ROUGH) ** 2) ** 2)
+
+
+def smooth_family(port: str, signal: str, values: Array, *, terms: int = _TERMS) -> Family:
+    """The family of smooth functions of a signal over the values (N,) that it has."""
+    low, high = float(values.min()), float(values.max())
+    count, _ = np.histogram(values, bins=_POINTS, range=(low, high))
+    return Family(
+        port, signal, tuple(range(terms)), _variances(np.arange(terms)), low, high, count / len(values)
+    )
+
+
+def terms_at(family: Family, signal: ca.SX) -> list[ca.SX]:
+    """The terms of a smooth family as expressions of its signal."""
+    share = (signal - family.low) / (family.high - family.low)
+    return [ca.cos(math.pi * k * share) for k in range(len(family.variances))]
 
 
 def _candidate(model: Model, port: Port, signal: _Signal, number: int, term: ca.SX) -> Candidate:

@@ -32,7 +32,7 @@ from casadi_engine.discrepancy.refits import Refits, Tried
 
 # Sizes of the function over which its evidence is averaged: what moves an output by its own variation, down to the
 # ten-thousandth of it.
-_SIZES = np.logspace(-4, 0, 9)
+SIZES = np.logspace(-4, 0, 9)
 _LAW = "law"
 # The most probable functions, which are held against the noise that they leave themselves.
 _COLOURED = 3
@@ -85,9 +85,9 @@ def unknown_law(refits: Refits, tried: Tried, further: float) -> UnknownLaw | No
         beside = _beside(bare, own_columns)
         made = _counted(beside, priors, family, held - own, random)
         if made is not None:
-            logs = [evidence(_of_size(made, family, share), refits.levels).log for share in _SIZES]
-            sized = _of_size(made, family, _SIZES[int(np.argmax(logs))])
-            log = float(np.logaddexp.reduce(logs)) - math.log(len(_SIZES) * len(families)) - named.log
+            logs = [evidence(of_size(made, _names(family), share), refits.levels).log for share in SIZES]
+            sized = of_size(made, _names(family), SIZES[int(np.argmax(logs))])
+            log = float(np.logaddexp.reduce(logs)) - math.log(len(SIZES) * len(families)) - named.log
             found.append(_Rival(log, family, beside, sized))
     found = sorted(found, key=lambda one: -one.log)[:_COLOURED]
     if not found:
@@ -254,10 +254,10 @@ def _counted(
     return digest(null, priors | own, random=random, held=held)
 
 
-def _of_size(made: Digest, family: Family, share: float) -> Digest:
-    """The same with a prior of the function that is so much narrower."""
+def of_size(made: Digest, terms: Sequence[str], share: float) -> Digest:
+    """The same with a prior of the function's terms that is so much narrower."""
     prior = made.prior.copy()
-    prior[[made.names.index(name) for name in _names(family)]] /= share
+    prior[[made.names.index(name) for name in terms]] /= share
     return replace(made, prior=prior)
 
 

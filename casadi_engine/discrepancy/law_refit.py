@@ -1,0 +1,239 @@
+"""An unknown law far from the model without it: a function of one signal at one port as a part of the equations.
+
+Where a law is large, the model without it is far from the motion that was measured, and nothing that is linearised
+along its simulation sees what is missing: the residual looks like coloured noise. Here the function stands in the
+equations, its terms are parameters with a smooth prior, and the model is refitted from short windows, which follow the
+measurement. Its evidence is held against that of the model without it, at the noise that the function leaves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casadi_engine.deadline import ask
+from casadi_engine.discrepancy.evidence import Digest, Levels, Prior, digest, evidence, levels_left
+from casadi_engine.discrepancy.linear_algebra import Array
+from casadi_engine.discrepancy.null_model import NullModel
+from casadi_engine.discrepancy.path import FAILURES, null_of_refit
+from casadi_engine.discrepancy.priors import priors_of
+from casadi_engine.discrepancy.random_families import Course, Family, course_of, smooth_family, terms_at
+from casadi_engine.discrepancy.refits import Refits, Tried
+from casadi_engine.discrepancy.unknown_law import SIZES, UnknownLaw, of_size
+from casadi_engine.effects import Amplitude, Effect, Grid
+from casadi_engine.estimation.refit_answer import Refit
+from casadi_engine.estimation.refit_problem import RefitProblem
+from casadi_engine.model import Model, Port
+from casadi_engine.parameters import Parameters
+from casadi_engine.simulation.null_path import NullPath
+
+# Kinds of ports at which something acts.
+_KINDS = ("inertia", "coupling", "internal")
+_STEPS = 30
+# Horizons over which every function is refitted; those go on to the whole record whose chi-squared over these is within
+# such a factor of the least.
+_SHORT, _NEAR = 3, 2.0
+# Terms of a function.
+_TERMS = 20
+# Factor of all terms, which is one: they are what is estimated.
+_WHOLE = "whole"
+
+
+class _Function(Effect):
+    """A smooth function of a signal: cosines over the range that the records visit."""
+
+    def __init__(self, port: Port, family: Family) -> None:
+        self.name = f"function_of_{family.signal}"  # type: ignore[misc]
+        self.attaches = (port.kind,)  # type: ignore[misc]
+        self.amplitude = Amplitude(_WHOLE, unit=None)  # type: ignore[misc]
+        self.nuisance: Mapping[str, Grid] = MappingProxyType(  # type: ignore[misc]
+            {f"c{k}": Grid() for k in range(len(family.variances))}
+        )
+        self._family = family
+
+    def law(self, port: Any, p: Any, math: Any) -> Any:
+        del math
+        terms = terms_at(self._family, getattr(port, self._family.signal))
+        return p.whole * sum((getattr(p, f"c{k}") * term for k, term in enumerate(terms)), 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Setup:
+    """A model with a function: its parameters, the names of the terms, and their prior standard deviations."""
+
+    family: Family
+    model: Model
+    parameters: Parameters
+    terms: tuple[str, ...]
+    deviations: Array
+
+
+def refitted_law(refits: Refits, tried: Tried, further: float) -> UnknownLaw | None:
+    """The most probable function beside a structure's effects, each refitted; None where none arrives.
+
+    further : what a further effect has to gain in log probability
+    """
+    setups = [one for port in refits.refitter.model.ports for one in _setups(refits, tried, port)]
+    begun = [one for one in (_begun(refits, tried, setup) for setup in setups) if one is not None]
+    least = min((one.found.cost for one in begun), default=math.inf)
+    found = []
+    for one in begun:
+        if one.found.cost > _NEAR * least:
+            continue
+        made = _followed(refits, tried, one)
+        found += [] if made is None else [made]
+    if not found:
+        return None
+    log, course = max(found, key=lambda one: one[0])
+    return UnknownLaw(course, log - math.log(len(setups)) - max(further, 0.0), 0.0)
+
+
+def _setups(refits: Refits, tried: Tried, port: Port) -> list[_Setup]:
+    """A function of every signal of a port at which something acts, over the range that the records visit.
+
+    Its prior is as large as all that moves the states there.
+    """
+    if port.kind not in _KINDS or port.slot is None or not port.signals:
+        return []
+    first = smooth_family(port.name, next(iter(port.signals)), np.array([0.0, 1.0]), terms=_TERMS)
+    probe = _attached(refits, tried, first, 1.0)
+    problem = RefitProblem(probe.model, refits.refitter.data, probe.parameters, levels=refits.path.levels)
+    try:
+        with np.errstate(all="ignore"):
+            paths = problem.measured_paths(tried.arrived.values)
+            size = _size(probe, paths)
+            visited = {name: _along(paths, own) for name, own in port.signals.items()}
+    except FAILURES:
+        return []
+    found = []
+    for name, values in visited.items():
+        moves = np.ptp(values) > 1e-9 * max(float(np.abs(values).max()), 1e-300)
+        if moves and math.isfinite(size):
+            found.append(_attached(refits, tried, smooth_family(port.name, name, values, terms=_TERMS), size))
+    return found
+
+
+def _attached(refits: Refits, tried: Tried, family: Family, size: float) -> _Setup:
+    """The model with a function of such a size."""
+    model = refits.refitter.extended(tried.effects)
+    effect = _Function(model.ports[family.port], family)
+    wider = model.with_effect(effect, at=family.port)
+    terms = tuple(f"{family.port}.{effect.name}.c{k}" for k in range(len(family.variances)))
+    parameters = refits.refitter.parameters_of(model, tried.effects).unconstrained().extended(wider)
+    parameters.fix(f"{family.port}.{effect.name}.{_WHOLE}", 1.0)
+    deviations = size * np.sqrt(family.variances)
+    for name, deviation in zip(terms, deviations, strict=True):
+        parameters[name].set(0.0, min=None, max=None, prior=(0.0, float(deviation)))
+    return _Setup(family, wider, parameters, terms, deviations)
+
+
+def _size(probe: _Setup, paths: Sequence[NullPath]) -> float:
+    """The amplitude at which what acts at a port moves some state as much as all does; inf where it moves none."""
+    model = probe.model
+    symbol = model.p[list(model.parameter_names).index(probe.terms[0])]
+    pushes = ca.densify(ca.jacobian(model.closed_ode, symbol))
+    size = math.inf
+    for k in range(len(model.states)):
+        gain = float(np.sqrt(np.mean(_along(paths, pushes[k]) ** 2)))
+        moved = float(np.std(np.concatenate([path.slope[k] for path in paths])))
+        if gain > 0 and moved > 0:
+            size = min(size, moved / gain)
+    return size
+
+
+def _along(paths: Sequence[NullPath], expression: ca.SX) -> Array:
+    """An expression along all records."""
+    found = [path.function([expression])(*path.at_samples().arguments)[0][0] for path in paths]
+    return np.concatenate(
+        [np.broadcast_to(own, path.grid.time.shape) for own, path in zip(found, paths, strict=True)]
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Begun:
+    """A function that was refitted over short windows."""
+
+    setup: _Setup
+    problem: RefitProblem
+    found: Refit
+
+
+def _begun(refits: Refits, tried: Tried, setup: _Setup) -> _Begun | None:
+    """A function refitted over windows so short that the measurement leads, whatever the law; None where that fails."""
+    ask()
+    refitter = refits.refitter
+    try:
+        with np.errstate(all="ignore"):
+            problem = RefitProblem(
+                setup.model,
+                refitter.data,
+                setup.parameters,
+                levels=refits.path.levels,
+                interval=refitter.interval,
+            )
+            short = _horizons(problem)[:_SHORT]
+            found = problem.run(start=tried.arrived.values, horizons=short, most=_STEPS)
+    except FAILURES:
+        return None
+    return _Begun(setup, problem, found) if found.initial and math.isfinite(found.cost) else None
+
+
+def _followed(refits: Refits, tried: Tried, one: _Begun) -> tuple[float, Course] | None:
+    """The log odds of a function beside a structure's effects, averaged over its size, and its course, after windows
+    that grow to the whole record; None where it does not arrive there."""
+    ask()
+    setup = one.setup
+    try:
+        with np.errstate(all="ignore"):
+            longer = _horizons(one.problem)[_SHORT:] or [None]
+            found = one.problem.run(warm=one.found, horizons=longer, most=_STEPS)
+            if not found.initial or not math.isfinite(found.cost):
+                return None
+            null = null_of_refit(setup.model, setup.parameters, one.problem, found, refits.path.levels)
+            known = {name: s for name, (s, own) in refits.null_fit.noise.items() if not own}
+            levels = levels_left(null, known, refits.levels.scatter, None)
+            made = _counted(null, setup, tried)
+            logs = [evidence(of_size(made, setup.terms, share), levels).log for share in SIZES]
+            log = float(np.logaddexp.reduce(logs)) - math.log(len(SIZES)) - evidence(tried.digest, levels).log
+            best = of_size(made, setup.terms, SIZES[int(np.argmax(logs))])
+            return (log, _course(best, null, setup, levels)) if math.isfinite(log) else None
+    except FAILURES:
+        return None
+
+
+def _horizons(problem: RefitProblem) -> list[float | None]:
+    """Windows from one interval on that double, and the whole record: a law far from the motion so far leads astray
+    over windows that grow faster."""
+    lengths = [(record.grid.step * record.plan.length, record.plan.m) for record in problem.records]
+    shortest, most = min(length for length, _ in lengths), max(m for _, m in lengths)
+    return [*(shortest * 2.0**k for k in range(math.ceil(math.log2(max(most, 2))))), None]
+
+
+def _counted(null: NullModel, setup: _Setup, tried: Tried) -> Digest:
+    """What the evidence is counted from, with the function's prior at its largest."""
+    mine = [null.parameters.index(name) for name in setup.terms]
+    prior = null.prior
+    if len(prior):  # those of the terms are counted by size
+        moved = np.abs(prior[:, :-1] @ null.turn[mine].T).max(axis=1, initial=0.0)
+        prior = prior[moved == 0]
+    priors = priors_of(null, setup.parameters, tried.effects)
+    priors |= {n: Prior(float(d)) for n, d in zip(setup.terms, setup.deviations, strict=True)}
+    made = digest(replace(null, prior=prior), priors)
+    rows = made.prior.copy()
+    rows[mine, -1] = -null.values[mine] / setup.deviations  # around zero, not around what was found
+    return replace(made, prior=rows)
+
+
+def _course(made: Digest, null: NullModel, setup: _Setup, levels: Levels) -> Course:
+    """The course of the function where its refit ended, with its band."""
+    rows = np.concatenate([*(part * levels.weight(output) for output, part in made.parts), made.prior])
+    mine = [null.parameters.index(name) for name in setup.terms]
+    inverse = np.linalg.pinv(rows[:, :-1])[: made.turn.shape[1]]
+    root = made.turn[mine] @ inverse
+    return course_of(setup.family, null.values[mine] + root @ rows[:, -1], root)
