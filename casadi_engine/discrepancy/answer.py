@@ -110,10 +110,11 @@ class Answer:
             last = null
         law = self._law(last) if found or (unknown is None and last.screened.noise.colour) else None
         rival = None if law is None else in_place_of(last, law)
-        if not found and last.screened.noise.colour:
+        if last.screened.noise.colour:
             far = self._law(last, refitted_law)
-            if far is not None and (law is None or far.log > law.log):
-                law, rival = far, in_place_of(last, far) or rival
+            words = None if far is None else in_place_of(last, far)
+            if words is not None and far is not None and (rival is None or law is None or far.log > law.log):
+                law, rival = far, words
         if rival is not None and law is not None:
             unknown = rival if law.log >= 0 or unknown is None else unknown
             if law.excludes:

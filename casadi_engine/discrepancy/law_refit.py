@@ -75,23 +75,26 @@ class _Setup:
 
 
 def refitted_law(refits: Refits, tried: Tried, further: float) -> UnknownLaw | None:
-    """The most probable function beside a structure's effects, each refitted; None where none arrives.
+    """The most probable function in the place of a structure's effects, or of none, each refitted; None where none
+    arrives.
 
     further : what a further effect has to gain in log probability
     """
-    setups = [one for port in refits.refitter.model.ports for one in _setups(refits, tried, port)]
-    begun = [one for one in (_begun(refits, tried, setup) for setup in setups) if one is not None]
+    none = refits.pool[frozenset()]
+    setups = [one for port in refits.refitter.model.ports for one in _setups(refits, none, port)]
+    begun = [one for one in (_begun(refits, none, setup) for setup in setups) if one is not None]
     least = min((one.found.cost for one in begun), default=math.inf)
     found = []
     for one in begun:
         if one.found.cost > _NEAR * least:
             continue
-        made = _followed(refits, tried, one)
+        made = _followed(refits, none, tried, one)
         found += [] if made is None else [made]
     if not found:
         return None
-    log, course = max(found, key=lambda one: one[0])
-    return UnknownLaw(course, log - math.log(len(setups)) - max(further, 0.0), 0.0)
+    best = max(found, key=lambda one: one.log)
+    price = math.log(len(setups)) - (len(tried.effects) - 1) * max(further, 0.0)
+    return replace(best, log=best.log - price)
 
 
 def _setups(refits: Refits, tried: Tried, port: Port) -> list[_Setup]:
@@ -184,9 +187,9 @@ def _begun(refits: Refits, tried: Tried, setup: _Setup) -> _Begun | None:
     return _Begun(setup, problem, found) if found.initial and math.isfinite(found.cost) else None
 
 
-def _followed(refits: Refits, tried: Tried, one: _Begun) -> tuple[float, Course] | None:
-    """The log odds of a function beside a structure's effects, averaged over its size, and its course, after windows
-    that grow to the whole record; None where it does not arrive there."""
+def _followed(refits: Refits, none: Tried, tried: Tried, one: _Begun) -> UnknownLaw | None:
+    """A function in the place of a structure's effects, its evidence averaged over its size, after windows that grow to
+    the whole record; None where it does not arrive there."""
     ask()
     setup = one.setup
     try:
@@ -198,11 +201,14 @@ def _followed(refits: Refits, tried: Tried, one: _Begun) -> tuple[float, Course]
             null = null_of_refit(setup.model, setup.parameters, one.problem, found, refits.path.levels)
             known = {name: s for name, (s, own) in refits.null_fit.noise.items() if not own}
             levels = levels_left(null, known, refits.levels.scatter, None)
-            made = _counted(null, setup, tried)
+            made = _counted(null, setup)
             logs = [evidence(of_size(made, setup.terms, share), levels).log for share in SIZES]
-            log = float(np.logaddexp.reduce(logs)) - math.log(len(SIZES)) - evidence(tried.digest, levels).log
+            log = float(np.logaddexp.reduce(logs)) - math.log(len(SIZES))
             best = of_size(made, setup.terms, SIZES[int(np.argmax(logs))])
-            return (log, _course(best, null, setup, levels)) if math.isfinite(log) else None
+            zero, named, law = (evidence(own, levels) for own in (none.digest, tried.digest, best))
+            share = (zero.cost - named.cost) / (zero.cost - law.cost) if zero.cost > law.cost else 1.0
+            course = _course(best, null, setup, levels)
+            return UnknownLaw(course, log - named.log, share) if math.isfinite(log) else None
     except FAILURES:
         return None
 
@@ -215,14 +221,14 @@ def _horizons(problem: RefitProblem) -> list[float | None]:
     return [*(shortest * 2.0**k for k in range(math.ceil(math.log2(max(most, 2))))), None]
 
 
-def _counted(null: NullModel, setup: _Setup, tried: Tried) -> Digest:
+def _counted(null: NullModel, setup: _Setup) -> Digest:
     """What the evidence is counted from, with the function's prior at its largest."""
     mine = [null.parameters.index(name) for name in setup.terms]
     prior = null.prior
     if len(prior):  # those of the terms are counted by size
         moved = np.abs(prior[:, :-1] @ null.turn[mine].T).max(axis=1, initial=0.0)
         prior = prior[moved == 0]
-    priors = priors_of(null, setup.parameters, tried.effects)
+    priors = priors_of(null, setup.parameters, ())
     priors |= {n: Prior(float(d)) for n, d in zip(setup.terms, setup.deviations, strict=True)}
     made = digest(replace(null, prior=prior), priors)
     rows = made.prior.copy()
