@@ -112,9 +112,9 @@ class Answer:
         rival = None if law is None else in_place_of(last, law)
         if last.screened.noise.colour:
             far = self._law(last, refitted_law)
-            words = None if far is None else in_place_of(last, far)
-            if words is not None and far is not None and (rival is None or law is None or far.log > law.log):
-                law, rival = far, words
+            told = None if far is None else in_place_of(last, far)
+            if told is not None and far is not None and (rival is None or law is None or far.log > law.log):
+                law, rival = far, told
         if rival is not None and law is not None:
             unknown = rival if law.log >= 0 or unknown is None else unknown
             if law.excludes:

@@ -233,7 +233,7 @@ def likeness_words(course: Course) -> str:
     """What a course looks like, where it does."""
     if course.family.order:
         return ""
-    shape, like = next(iter(course.looks_like.items()))
+    shape, like = next(iter(course.looks_like.items()), ("", 0.0))
     return f" and looks {shape}" if like > _LIKE else ""
 
 

@@ -35,7 +35,8 @@ from casadi_engine.simulation.null_path import NullPath
 
 # Kinds of ports at which something acts.
 _KINDS = ("inertia", "coupling", "internal")
-_STEPS = 30
+# Steps over a horizon, and over one of the short ones.
+_STEPS, _FEW = 30, 12
 # Horizons over which every function is refitted; those go on to the whole record whose chi-squared over these is within
 # such a factor of the least.
 _SHORT, _NEAR = 3, 2.0
@@ -181,7 +182,7 @@ def _begun(refits: Refits, tried: Tried, setup: _Setup) -> _Begun | None:
                 interval=refitter.interval,
             )
             short = _horizons(problem)[:_SHORT]
-            found = problem.run(start=tried.arrived.values, horizons=short, most=_STEPS)
+            found = problem.run(start=tried.arrived.values, horizons=short, most=_FEW)
     except FAILURES:
         return None
     return _Begun(setup, problem, found) if found.initial and math.isfinite(found.cost) else None
@@ -242,4 +243,7 @@ def _course(made: Digest, null: NullModel, setup: _Setup, levels: Levels) -> Cou
     mine = [null.parameters.index(name) for name in setup.terms]
     inverse = np.linalg.pinv(rows[:, :-1])[: made.turn.shape[1]]
     root = made.turn[mine] @ inverse
-    return course_of(setup.family, null.values[mine] + root @ rows[:, -1], root)
+    course = course_of(setup.family, null.values[mine] + root @ rows[:, -1], root)
+    # a line is what the model's own parameters took or left, and no likeness
+    alike = course.looks_like
+    return replace(course, looks_like={} if max(alike, key=alike.__getitem__) == "linear" else alike)

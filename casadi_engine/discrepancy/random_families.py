@@ -45,7 +45,7 @@ _STEP = 1.0
 class Family:
     """Functions of one signal at one port: numbers of its candidates, their prior variances, and the signal's range.
 
-    order : how often in a turn the functions come back, 0 for others
+    order : how often in a turn the functions come back, 0 for others; cycle : they come back with every engine cycle
     """
 
     port: str
@@ -56,6 +56,7 @@ class Family:
     high: float
     visited: Array  # (_POINTS,) share of the samples near each point of the range
     order: int = 0
+    cycle: bool = False
 
     @property
     def name(self) -> str:
@@ -156,7 +157,7 @@ def _families(port: str, signal: _Signal, terms: int) -> list[tuple[list[ca.SX],
     variances = _variances(orders)
     if cycle:  # half orders of the crank
         basis = [turn(0.5 * k * v) for k in orders for turn in (ca.cos, ca.sin)]
-        return [(basis, replace(blank, variances=np.repeat(variances, 2)))]
+        return [(basis, replace(blank, variances=np.repeat(variances, 2), cycle=True))]
     family = replace(blank, variances=variances)
     return [(terms_at(family, v), family)]
 
@@ -217,7 +218,7 @@ def _added_up(null: NullModel, rate: ca.SX) -> Array:
 
 def _basis_at(family: Family, points: Array) -> Array:
     """(points, terms) values of a family's terms."""
-    if family.order or family.signal == "angle":
+    if family.order or family.cycle:
         half = np.arange(1, len(family.members) // 2 + 1)
         phase = points[:, None] * (family.order or 0.5 * half)
         return np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(points), -1)

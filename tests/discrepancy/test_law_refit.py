@@ -1,0 +1,103 @@
+"""Laws that no library has and that are so large that nothing linearised shows them: refitted in the equations."""
+
+import functools
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import casadi_engine as ce
+from casadi_engine.discrepancy import law_refit
+
+LEVEL = 0.005
+
+
+def stage():
+    b = ce.Blueprint("stage")
+    inertia = b.parameter("J", 0.012, unit="kg m2", min=0.001, max=0.1)
+    damping = b.parameter("c", 0.03, unit="N m s/rad", min=0, max=1)
+    stiffness = b.parameter("k", 0.4, unit="N m/rad", min=0, max=5)
+    angle, rate = b.state("angle", unit="rad"), b.state("rate", unit="rad/s")
+    u = b.input("u", unit="N m")
+    pivot = b.port("pivot", "inertia", {"speed": rate, "angle": angle})
+    b.ode("angle", rate)
+    b.ode("rate", (u - damping * rate - stiffness * angle + pivot) / inertia)
+    b.output("theta", angle, unit="rad")
+    return b.model()
+
+
+def cogging(angle, rate):
+    return 0.6 * np.sin(6 * angle)
+
+
+def wave(angle, rate):
+    return 0.2 * np.sin(0.7 * rate)
+
+
+def record(law, seed, name):
+    """A record of the stage driven by five sines, with coloured noise; by SciPy."""
+    rng = np.random.default_rng(seed)
+    time = np.linspace(0, 8, 800)
+    rate, phase, size = (rng.uniform(low, high, 5) for low, high in ((0.3, 2.5), (0, 6.3), (0.1, 0.3)))
+    drive = (size * np.sin(2 * np.pi * np.outer(time, rate) + phase)).sum(axis=1)
+
+    def ode(t, x):
+        acts = np.interp(t, time, drive) - 0.02 * x[1] - 0.5 * x[0] + law(*x)
+        return [x[1], acts / 0.01]
+
+    angle = solve_ivp(ode, (0, 8), [0.1, 0.0], t_eval=time, rtol=1e-8, atol=1e-9, max_step=0.01).y[0]
+    noise = LEVEL * rng.standard_normal(len(time))
+    for k in range(1, len(time)):
+        noise[k] = 0.8 * noise[k - 1] + 0.6 * noise[k]
+    units = {"u": "N m", "theta": "rad"}
+    return ce.Experiment.from_arrays(name, time=time, units=units, u=drive, theta=angle + noise)
+
+
+@functools.cache
+def answer(law, seed=1):
+    data, fresh = record(law, seed, "data"), record(law, seed + 100, "fresh")
+    return ce.repair(stage(), data, fresh=fresh, starts=1, progress=False)
+
+
+@pytest.mark.parametrize(("law", "signal"), [(cogging, "angle"), (wave, "speed")])
+def test_a_large_law_is_found_where_it_acts(law, signal):
+    found = answer(law)
+    assert found.verdict == "unnamed"
+    assert (found.unknown.port, found.unknown.signal) == ("pivot", signal)
+    assert found.unknown.odds > 1000
+    assert f"an unknown torque at pivot that depends on its {signal}" in found.unknown.sentence
+
+
+@pytest.mark.parametrize(("law", "signal"), [(cogging, "angle"), (wave, "speed")])
+def test_its_course_is_the_truth_but_for_what_the_parameters_take(law, signal):
+    course = answer(law).unknown.course
+    where = course.family.visited > 0.005
+    v, found = course.signal[where], course.mean[where]
+    truth = law(v, 0.0) if signal == "angle" else law(0.0, v)
+    # a level and a slope are the springs' and dampers' too
+    line = np.polyfit(v, found - truth, 1)
+    left = found - truth - np.polyval(line, v)
+    assert np.std(left) < 0.12 * np.std(truth)
+    assert "linear" not in answer(law).unknown.sentence
+
+
+def test_coloured_noise_alone_is_no_law():
+    found = answer(lambda angle, rate: 0.0 * angle, 3)
+    assert found.verdict == "nothing missing"
+    assert found.unknown is None
+
+
+def test_windows_double_up_to_the_whole_record():
+    data = record(wave, 1, "data")
+    problem = law_refit.RefitProblem(
+        stage(), (data,), stage().parameters().unconstrained(), levels={"theta": LEVEL}
+    )
+    *lengths, whole = law_refit._horizons(problem)
+    assert whole is None
+    assert np.allclose(np.diff(np.log2(lengths)), 1)
+    assert lengths[-1] >= data.span[1] / 2 > lengths[0]
+
+
+def test_a_port_at_which_nothing_can_act_has_no_law():
+    model = stage()
+    assert [p.kind for p in model.ports if p.kind in law_refit._KINDS] == ["inertia"]
