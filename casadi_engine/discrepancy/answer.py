@@ -108,7 +108,11 @@ class Answer:
             found, withdrawn = (), (*found, *withdrawn)
             proof = replace(proof, kept=proof.kept[:1], after=proof.before)
             last = null
-        law = self._law(last) if found or (unknown is None and last.screened.noise.colour) else None
+        law = (
+            self._law(last, unknown_law)
+            if found or (unknown is None and last.screened.noise.colour)
+            else None
+        )
         rival = None if law is None else in_place_of(last, law)
         if last.screened.noise.colour:
             far = self._law(last, refitted_law)
@@ -172,7 +176,7 @@ class Answer:
             done = replace(done, messages=(*done.messages, _MAY_HIDE))
         return held_to_fresh_data(done)
 
-    def _law(self, last: Station, told: Callable[..., UnknownLaw | None] = unknown_law) -> UnknownLaw | None:
+    def _law(self, last: Station, told: Callable[..., UnknownLaw | None]) -> UnknownLaw | None:
         """A law that no effect names, in the place of those found, that these do not exclude."""
         search = self.search
         tried = search.pool.get(key_of(last.effects))

@@ -68,13 +68,14 @@ class Family:
 
 @dataclass(frozen=True, eq=False)
 class _Signal:
-    """A signal at a port: its expression, its values at all samples, and the rate of a place that is none of the
-    model's states."""
+    """A signal at a port: its expression, its values at all samples, the rate of a place that is none of the model's
+    states, and after how much of it everything comes back, 0 where nothing does."""
 
     name: str
     expression: ca.SX
     values: Array
     rate: ca.SX | None = None
+    cycle: float = 0.0
 
 
 def family_candidates(
@@ -115,18 +116,40 @@ def _signals(null: NullModel, port: Port) -> list[_Signal]:
         return []
     names = ("value",) if port.kind == "sensor" else tuple(port.signals)
     found = [_Signal(name, port.signals[name], _values(null, port.signals[name])) for name in names]
+    fired = any(one.kind == "cylinder" for one in null.model.ports)
+    if "angle" in names and fired:
+        found = [replace(one, cycle=FOUR_STROKE) if one.name == "angle" else one for one in found]
+    elif "angle" in names and port.kind == "inertia":
+        found += _turns(null, port)
     if port.slot is not None:
         found.append(_Signal(TIME, null.model.t, _values(null, null.model.t)))
     if port.kind == "inertia" and "speed" in port.signals and "angle" not in port.signals:
-        speed, unit = port.signals["speed"], port.units.get("speed", NOT_STATED)
-        known = None if unit == NOT_STATED else read_unit(unit)
-        turns = known is not None and known.dimension == "s-1 rad"
-        rate = speed * (float(known.factor) * math.pi ** float(known.pi)) if known and turns else speed
+        factor = _radians(port, "speed", "s-1 rad")
+        rate = port.signals["speed"] * (factor or 1.0)
         place = _added_up(null, rate)
-        whole = turns and np.ptp(place) > 2 * math.pi
-        found.append(_Signal(TURN if whole else PLACE, ca.SX.sym("place"), place, rate))
+        whole = factor is not None and np.ptp(place) > 2 * math.pi
+        name, cycle = (TURN, 2 * math.pi) if whole else (PLACE, 0.0)
+        found.append(_Signal(name, ca.SX.sym("place"), place, rate, cycle))
     span = [max(float(np.abs(one.values).max()), 1e-300) for one in found]
     return [one for one, size in zip(found, span, strict=True) if np.ptp(one.values) > 1e-9 * size]
+
+
+def _turns(null: NullModel, port: Port) -> list[_Signal]:
+    """The angle of a shaft that turns round."""
+    factor = _radians(port, "angle", "rad")
+    angle = port.signals["angle"] * (factor or 1.0)
+    values = _values(null, angle)
+    whole = factor is not None and np.ptp(values) > 2 * math.pi
+    return [_Signal(TURN, angle, values, cycle=2 * math.pi)] if whole else []
+
+
+def _radians(port: Port, signal: str, dimension: str) -> float | None:
+    """What a signal of a shaft is multiplied by to be in radians; None where its unit is of another kind."""
+    unit = port.units.get(signal, NOT_STATED)
+    known = None if unit == NOT_STATED else read_unit(unit)
+    if known is None or known.dimension != dimension:
+        return None
+    return float(known.factor) * math.pi ** float(known.pi)
 
 
 def _in_steps(null: NullModel, output: str) -> bool:
@@ -144,7 +167,7 @@ def _in_steps(null: NullModel, output: str) -> bool:
 def _families(port: str, signal: _Signal, terms: int) -> list[tuple[list[ca.SX], Family]]:
     """The families of a signal with their terms."""
     v, values = signal.expression, signal.values
-    cycle = {"angle": FOUR_STROKE, TURN: 2 * math.pi}.get(signal.name)
+    cycle = signal.cycle
     low, high = (0.0, cycle) if cycle else (float(values.min()), float(values.max()))
     count, _ = np.histogram(np.mod(values, cycle) if cycle else values, bins=_POINTS, range=(low, high))
     blank = Family(port, signal.name, (), np.ones(2), low, high, count / max(count.sum(), 1))
