@@ -166,17 +166,17 @@ def levels_left(
         return Levels(sigma, {}, scatter)
     count = dict.fromkeys(sigma, 0.0)
     worth = dict.fromkeys(sigma, 0.0)
-    foretold = 0.0
+    told = 0.0
     for record in null.records:
         for output, e in record.residual.items():
             count[output] += len(e)
             worth[output] += effective_samples(e)
-            foretold += _foretold(e / sigma[output])
+            told += foretold(e / sigma[output])
     memory = {n: count[n] / worth[n] for n in sigma if worth[n] > 0}
-    return Levels(sigma, memory, scatter, foretold)
+    return Levels(sigma, memory, scatter, told)
 
 
-def _foretold(e: Array) -> float:
+def foretold(e: Array) -> float:
     """What the past of a residual (N,) foretells of its squares; all where it is too short to tell."""
     squares = float(e @ e)
     if len(e) < _SHORT:

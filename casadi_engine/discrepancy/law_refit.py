@@ -18,14 +18,14 @@ import casadi as ca
 import numpy as np
 
 from casadi_engine.deadline import ask
-from casadi_engine.discrepancy.evidence import Digest, Levels, Prior, digest, evidence, levels_left
+from casadi_engine.discrepancy.evidence import Digest, Levels, Prior, digest, evidence, foretold, levels_left
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.path import FAILURES, null_of_refit
 from casadi_engine.discrepancy.priors import priors_of
 from casadi_engine.discrepancy.random_families import Course, Family, course_of, smooth_family, terms_at
 from casadi_engine.discrepancy.refits import Refits, Tried
-from casadi_engine.discrepancy.unknown_law import SIZES, UnknownLaw, of_size
+from casadi_engine.discrepancy.unknown_law import SIZES, TAKEN, UnknownLaw, of_size
 from casadi_engine.effects import Amplitude, Effect, Grid
 from casadi_engine.estimation.refit_answer import Refit
 from casadi_engine.estimation.refit_problem import RefitProblem
@@ -200,6 +200,8 @@ def _followed(refits: Refits, none: Tried, tried: Tried, one: _Begun) -> Unknown
             if not found.initial or not math.isfinite(found.cost):
                 return None
             null = null_of_refit(setup.model, setup.parameters, one.problem, found, refits.path.levels)
+            if not _takes_the_colour(refits.path.residuals(tried.effects, tried.arrived), null):
+                return None
             known = {name: s for name, (s, own) in refits.null_fit.noise.items() if not own}
             levels = levels_left(null, known, refits.levels.scatter, None)
             made = _counted(null, setup)
@@ -212,6 +214,19 @@ def _followed(refits: Refits, none: Tried, tried: Tried, one: _Begun) -> Unknown
             return UnknownLaw(course, log - named.log, share) if math.isfinite(log) else None
     except FAILURES:
         return None
+
+
+def _takes_the_colour(before: NullModel, after: NullModel) -> bool:
+    """True if a function takes most of what the model without it leaves beyond white noise: what it leaves would
+    else be the sensors' own colour, which any smooth function takes a little of."""
+    taken = beyond = 0.0
+    for record, left in zip(before.records, after.records, strict=True):
+        for output, e in left.residual.items():
+            whole, rest = float(record.residual[output] @ record.residual[output]), float(e @ e)
+            white = max(rest - foretold(e), 1e-300)
+            taken += (whole - rest) / white
+            beyond += (whole - white) / white
+    return taken >= TAKEN * beyond
 
 
 def _horizons(problem: RefitProblem) -> list[float | None]:

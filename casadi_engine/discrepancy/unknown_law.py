@@ -37,7 +37,7 @@ _LAW = "law"
 # The most probable functions, which are held against the noise that they leave themselves.
 _COLOURED = 3
 # Share of what effects leave beyond white noise that a function has to take for that to be no noise of the sensors.
-_TAKEN = 0.8
+TAKEN = 0.8
 # Effects that explain this share of what a function does stay the answer, whatever is more probable: dry friction of a
 # real machine is never all that depends on its speed.
 _NEAR = 0.8
@@ -142,7 +142,7 @@ def _with_own_colour(rival: _Rival, null: NullModel, effects: Digest, taken: Col
         deviances.append(deviance(model, own, _stacked(explained, other), _width(explained)))
         noise.append(own)
     least = np.array([noise[0].sigma[name] for name in sorted(noise[0].sigma)]) ** 2
-    if ((power[1] - power[0]) / least).sum() < _TAKEN * ((power[1] - least) / least).sum():
+    if ((power[1] - power[0]) / least).sum() < TAKEN * ((power[1] - least) / least).sum():
         return -math.inf
     levels = Levels(noise[0].sigma)
     ours, theirs = (
