@@ -114,7 +114,7 @@ class Answer:
             else None
         )
         rival = None if law is None else in_place_of(last, law)
-        if last.screened.noise.colour:
+        if last.screened.noise.colour or rival is not None or unknown is not None:
             far = self._law(last, refitted_law)
             told = None if far is None else in_place_of(last, far)
             if told is not None and far is not None and (rival is None or law is None or far.log > law.log):

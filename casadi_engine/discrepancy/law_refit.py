@@ -33,8 +33,8 @@ from casadi_engine.model import Model, Port
 from casadi_engine.parameters import Parameters
 from casadi_engine.simulation.null_path import NullPath
 
-# Kinds of ports at which something acts.
-_KINDS = ("inertia", "coupling", "internal")
+# Kinds of ports at which something acts, or that may act otherwise than they say.
+_KINDS = ("inertia", "coupling", "internal", "input")
 # Steps over a horizon, and over one of the short ones.
 _STEPS, _FEW = 30, 12
 # Horizons over which every function is refitted; those go on to the whole record whose chi-squared over these is within
@@ -101,10 +101,15 @@ def refitted_law(refits: Refits, tried: Tried, further: float) -> UnknownLaw | N
 def _setups(refits: Refits, tried: Tried, port: Port) -> list[_Setup]:
     """A function of every signal of a port at which something acts, over the range that the records visit.
 
-    Its prior is as large as all that moves the states there.
+    Its prior is as large as all that moves the states there, or as an input itself.
     """
-    if port.kind not in _KINDS or port.slot is None or not port.signals:
+    if port.kind not in _KINDS or (port.slot is None and port.kind != "input") or not port.signals:
         return []
+    if port.kind == "input":
+        values = _as_read(refits, port)
+        family = smooth_family(port.name, next(iter(port.signals)), values, terms=_TERMS)
+        size = float(np.std(values))
+        return [_attached(refits, tried, family, size)] if size > 0 else []
     first = smooth_family(port.name, next(iter(port.signals)), np.array([0.0, 1.0]), terms=_TERMS)
     probe = _attached(refits, tried, first, 1.0)
     problem = RefitProblem(probe.model, refits.refitter.data, probe.parameters, levels=refits.path.levels)
@@ -121,6 +126,12 @@ def _setups(refits: Refits, tried: Tried, port: Port) -> list[_Setup]:
         if moves and math.isfinite(size):
             found.append(_attached(refits, tried, smooth_family(port.name, name, values, terms=_TERMS), size))
     return found
+
+
+def _as_read(refits: Refits, port: Port) -> Array:
+    """What an input says in all records."""
+    name = port.name.removeprefix("input_")
+    return np.concatenate([np.asarray(record[name].values, dtype=float) for record in refits.refitter.data])
 
 
 def _attached(refits: Refits, tried: Tried, family: Family, size: float) -> _Setup:

@@ -31,6 +31,8 @@ _LEFT, _LEFT_OF = 8, 16
 # Newton's method: most iterations; share of what is asked for below which it goes nowhere; part of a share by which the
 # residual has to fall.
 _ITERATIONS, _LEAST, _LESS = 200, 1e-12, 0.1
+# Units of work that one iteration costs, however few steps there are.
+_CALL = 200
 
 
 class Sweeps:
@@ -200,7 +202,7 @@ def solve_stages(scheme: Tableau, function: object, x: Array, guess: Array, give
     for _ in range(_ITERATIONS):
         if not len(left):
             break
-        ask(size * len(left))
+        ask(_CALL + size * len(left))
         own = x[:, left]
         asked, off = _asked(scheme, function, own, stages, known[..., left])
         moved = np.abs(asked)
