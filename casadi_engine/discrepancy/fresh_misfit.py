@@ -94,18 +94,27 @@ def held_to_fresh_data(repair: Repair) -> Repair:
     """The repair with what its model does not describe of the fresh data said first.
 
     Where nothing was found, and that is no louder noise, something is missing. What was found is not confirmed where
-    more of the gap is left there than the effects closed: a gain alone confirms nothing then.
+    more of the gap is left there than the effects closed, as a person sees it, by its root mean square: a gain alone
+    confirms nothing then, whether or not errors of the parameters would explain what is left.
     """
     misfit = fresh_misfit(repair)
     if misfit is None:
         doubt = fresh_doubt(repair)
-        return repair if doubt is None else replace(repair, messages=(doubt, *repair.messages))
-    gaps, confirmed = repair.gaps, repair.confirmed
+        if doubt is None:
+            return repair
+        sure = None if repair.confirmed and _mostly_left(repair) else repair.confirmed
+        return replace(repair, confirmed=sure, messages=(doubt, *repair.messages))
+    confirmed = repair.confirmed
     if repair.verdict == "nothing missing" and (p := _more_than_noise(repair)) is not None:
         return replace(repair, verdict="unnamed", unknown=Unknown(misfit, {FRESH: p}))
-    before = None if gaps is None else gaps.validation_before
-    after = None if gaps is None else gaps.validation_after
-    mostly = before is None or after is None or 2 * after.gap.chi2_per_sample > before.gap.chi2_per_sample
-    if confirmed and mostly:
+    if confirmed and _mostly_left(repair):
         confirmed = False
     return replace(repair, confirmed=confirmed, messages=(misfit, *repair.messages))
+
+
+def _mostly_left(repair: Repair) -> bool:
+    """True if more of the gap on fresh data is left than the effects closed, by its root mean square."""
+    gaps = repair.gaps
+    before = None if gaps is None else gaps.validation_before
+    after = None if gaps is None else gaps.validation_after
+    return before is None or after is None or 4 * after.gap.chi2_per_sample > before.gap.chi2_per_sample

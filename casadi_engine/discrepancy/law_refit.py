@@ -25,7 +25,7 @@ from casadi_engine.discrepancy.path import FAILURES, null_of_refit
 from casadi_engine.discrepancy.priors import priors_of
 from casadi_engine.discrepancy.random_families import Course, Family, course_of, smooth_family, terms_at
 from casadi_engine.discrepancy.refits import Refits, Tried
-from casadi_engine.discrepancy.unknown_law import SIZES, TAKEN, UnknownLaw, of_size
+from casadi_engine.discrepancy.unknown_law import SIZES, TAKEN, UnknownLaw, of_size, several_at
 from casadi_engine.effects import Amplitude, Effect, Grid
 from casadi_engine.estimation.refit_answer import Refit
 from casadi_engine.estimation.refit_problem import RefitProblem
@@ -222,7 +222,8 @@ def _followed(refits: Refits, none: Tried, tried: Tried, one: _Begun) -> Unknown
             zero, named, law = (evidence(own, levels) for own in (none.digest, tried.digest, best))
             share = (zero.cost - named.cost) / (zero.cost - law.cost) if zero.cost > law.cost else 1.0
             course = _course(best, null, setup, levels)
-            return UnknownLaw(course, log - named.log, share) if math.isfinite(log) else None
+            alike = several_at(tried, setup.family.port)
+            return UnknownLaw(course, log - named.log, share, alike) if math.isfinite(log) else None
     except FAILURES:
         return None
 

@@ -46,16 +46,23 @@ _NEAR = 0.8
 @dataclass(frozen=True)
 class UnknownLaw:
     """The function that is most probable: its course, the log of how much more probable the model is with it than with
-    the effects, and the share of what it takes from chi-squared that these take too."""
+    the effects, the share of what it takes from chi-squared that these take too, and whether they are several at its
+    own port: one name that comes near is worth keeping, several that together imitate a function are not."""
 
     course: Course
     log: float
     share: float
+    several: bool = False
 
     @property
     def excludes(self) -> bool:
         """True where the effects are no answer: far less probable, and much of what the function does is left."""
-        return self.log >= math.log(FACTOR) and self.share < _NEAR
+        return self.log >= math.log(FACTOR) and (self.share < _NEAR or self.several)
+
+
+def several_at(tried: Tried, port: str) -> bool:
+    """True for a structure of several effects, all of them at one port."""
+    return len(tried.effects) > 1 and all(one.candidate.port == port for one in tried.effects)
 
 
 def unknown_law(refits: Refits, tried: Tried, further: float) -> UnknownLaw | None:
@@ -103,7 +110,8 @@ def unknown_law(refits: Refits, tried: Tried, further: float) -> UnknownLaw | No
     none = refits.pool[frozenset()].evidence.cost
     least = evidence(best.digest, refits.levels).cost
     share = (none - named.cost) / (none - least) if none > least else 1.0
-    return UnknownLaw(_course(best.digest, best.family, refits.levels), log, share)
+    course = _course(best.digest, best.family, refits.levels)
+    return UnknownLaw(course, log, share, several_at(tried, best.family.port))
 
 
 @dataclass

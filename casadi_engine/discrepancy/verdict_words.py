@@ -87,7 +87,8 @@ def _on_fresh(repair: Repair) -> str:
         what = "which the repaired model does not fit" if repair.effects else "but fresh data do not fit"
         return f", {what}: {found}"
     if fresh_doubt(repair) is not None:
-        return f", but fresh data agree only within the errors of its parameters: {found}"
+        lead = ":" if repair.effects and not repair.confirmed else ", but"
+        return f"{lead} fresh data agree only within the errors of its parameters: {found}"
     return ""
 
 
