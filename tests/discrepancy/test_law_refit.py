@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.discrepancy import law_refit
+from casadi_engine.discrepancy.unknown_law import UnknownLaw
 
 LEVEL = 0.005
 
@@ -100,4 +101,32 @@ def test_windows_double_up_to_the_whole_record():
 
 def test_a_port_at_which_nothing_can_act_has_no_law():
     model = stage()
-    assert [p.kind for p in model.ports if p.kind in law_refit._KINDS] == ["inertia"]
+    assert [p.kind for p in model.ports if p.kind in law_refit._KINDS] == ["inertia", "input"]
+
+
+def test_an_input_that_saturates_is_found_as_one():
+    """A bend of the input that leads the linear search to names of other things."""
+    rng = np.random.default_rng(4)
+    time = np.linspace(0, 8, 800)
+    drive = 0.8 * np.sin(2 * np.pi * 0.4 * time) + 0.4 * np.sin(2 * np.pi * 0.9 * time + 1)
+
+    def ode(t, x):
+        acts = np.clip(np.interp(t, time, drive), -0.4, 0.4) - 0.02 * x[1] - 0.5 * x[0]
+        return [x[1], acts / 0.01]
+
+    angle = solve_ivp(ode, (0, 8), [0.1, 0.0], t_eval=time, rtol=1e-8, atol=1e-9, max_step=0.01).y[0]
+    units = {"u": "N m", "theta": "rad"}
+    noisy = angle + LEVEL * rng.standard_normal(len(time))
+    data = ce.Experiment.from_arrays("data", time=time, units=units, u=drive, theta=noisy)
+    found = ce.repair(stage(), data, starts=1, progress=False)
+    assert found.verdict == "unnamed"
+    assert (found.unknown.port, found.unknown.signal) == ("input_u", "value")
+    assert "the input u acts as another function of its value" in found.unknown.sentence
+
+
+@pytest.mark.parametrize(
+    ("log", "share", "several", "excludes"),
+    [(2.0, 0.0, True, False), (9.0, 0.5, False, True), (9.0, 0.95, False, False), (9.0, 0.95, True, True)],
+)
+def test_one_name_that_comes_near_is_kept_and_several_are_not(log, share, several, excludes):
+    assert UnknownLaw(None, log, share, several).excludes is excludes
