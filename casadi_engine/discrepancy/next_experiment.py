@@ -43,10 +43,11 @@ def next_experiment(before: Station, after: Station) -> NextExperiment | None:
     lead = _number(before, after.members[0])
     # a law that does the very same to every output is the same law in these equations: nothing splits the two
     others = [m for m in after.members[1:] if abs(m.rho) < 1 - _SAME and not m.more]
-    if not others:
+    known = [(m, k) for m in others if (k := _number(before, m)) is not None]
+    if lead is None or not known:
         return None
-    members = (after.members[0], *others)
-    numbers = [lead, *(_number(before, member) for member in others)]
+    members = (after.members[0], *(member for member, _ in known))
+    numbers = [lead, *(k for _, k in known)]
     sizes = [float(abs(screened.scores.amplitude[k])) for k in numbers]
     now = _least(screened.scores, numbers, sizes)
     tried: list[tuple[str, float, tuple[str, ...]]] = []
@@ -69,11 +70,11 @@ def next_experiment(before: Station, after: Station) -> NextExperiment | None:
     return NextExperiment(change, pairs, expected, now) if expected > now else None
 
 
-def _number(station: Station, member: Member) -> int:
-    """The best candidate of a member."""
+def _number(station: Station, member: Member) -> int | None:
+    """The best candidate of a member; None where it was not tested beside what was found before."""
     screened = station.screened
     own = [k for k, c in enumerate(screened.candidates) if c.key == (member.name, member.at)]
-    return max(own, key=lambda k: screened.scores.statistic[k])
+    return max(own, key=lambda k: screened.scores.statistic[k], default=None)
 
 
 def _least(scores: Scores, numbers: Sequence[int], sizes: Sequence[float]) -> float:

@@ -7,6 +7,7 @@ import pytest
 
 import casadi_engine as ce
 from casadi_engine.discrepancy.next_experiment import _proposals as proposals
+from casadi_engine.discrepancy.next_experiment import next_experiment
 
 T = np.arange(50) * 1.0
 
@@ -90,3 +91,18 @@ def test_the_speed_of_a_pendulum_helps_to_tell_dry_friction_from_what_fades(pend
     )
     assert found.next_experiment.expected_separation > found.next_experiment.separation_now
     assert found.next_experiment.change in " ".join(str(found).split())
+
+
+def test_members_that_were_not_tested_before_are_not_split():
+    """An effect that stands in the place of two was no candidate beside one of them."""
+
+    def member(name):
+        return SimpleNamespace(name=name, at="wall", rho=0.5, more=())
+
+    screened = SimpleNamespace(
+        candidates=[SimpleNamespace(key=("leak", "wall"))], scores=SimpleNamespace(statistic=np.ones(1))
+    )
+    before = SimpleNamespace(screened=screened)
+    for names in (["leak", "drag"], ["drag", "leak"]):
+        after = SimpleNamespace(members=[member(name) for name in names])
+        assert next_experiment(before, after) is None
