@@ -114,7 +114,9 @@ class Answer:
             else None
         )
         rival = None if law is None else in_place_of(last, law)
-        if last.screened.noise.colour or rival is not None or unknown is not None:
+        # near the truth the law that is linearised is told from the effects; else it is refitted
+        asked = rival is not None if found else last.screened.noise.colour or unknown is not None
+        if asked:
             far = self._law(last, refitted_law)
             told = None if far is None else in_place_of(last, far)
             if told is not None and far is not None and (rival is None or law is None or far.log > law.log):

@@ -17,7 +17,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_engine.deadline import ask
+from casadi_engine.deadline import Deadline, TimeUp, ask
 from casadi_engine.discrepancy.evidence import Digest, Levels, Prior, digest, evidence, foretold, levels_left
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.null_model import NullModel
@@ -193,8 +193,12 @@ def _begun(refits: Refits, tried: Tried, setup: _Setup) -> _Begun | None:
                 interval=refitter.interval,
             )
             short = _horizons(problem)[:_SHORT]
-            found = problem.run(start=tried.arrived.values, horizons=short, most=_FEW)
+            with Deadline(work=refits.path.allowed(problem)):
+                found = problem.run(start=tried.arrived.values, horizons=short, most=_FEW)
     except FAILURES:
+        return None
+    except TimeUp:
+        ask()  # all of the time, or the work that it may cost
         return None
     return _Begun(setup, problem, found) if found.initial and math.isfinite(found.cost) else None
 
@@ -207,7 +211,8 @@ def _followed(refits: Refits, none: Tried, tried: Tried, one: _Begun) -> Unknown
     try:
         with np.errstate(all="ignore"):
             longer = _horizons(one.problem)[_SHORT:] or [None]
-            found = one.problem.run(warm=one.found, horizons=longer, most=_STEPS)
+            with Deadline(work=refits.path.allowed(one.problem)):
+                found = one.problem.run(warm=one.found, horizons=longer, most=_STEPS)
             if not found.initial or not math.isfinite(found.cost):
                 return None
             null = null_of_refit(setup.model, setup.parameters, one.problem, found, refits.path.levels)
@@ -225,6 +230,9 @@ def _followed(refits: Refits, none: Tried, tried: Tried, one: _Begun) -> Unknown
             alike = several_at(tried, setup.family.port)
             return UnknownLaw(course, log - named.log, share, alike) if math.isfinite(log) else None
     except FAILURES:
+        return None
+    except TimeUp:
+        ask()
         return None
 
 

@@ -282,7 +282,7 @@ class Path:
             values = _begun(problem, effects, {} if start is None else start.values)
             # windows begin at the measured states, which a wrong simulation has lost
             initial = (None if start is None or horizons is None else start.initial) or None
-            with Deadline(work=patience * self._allowed(problem)) as own:
+            with Deadline(work=patience * self.allowed(problem)) as own:
                 near = start.refit.nodes if initial is not None and isinstance(start, Arrived) else None
                 found = problem.run(start=values, initial=initial, horizons=horizons, most=_STEPS, near=near)
             if found.converged:  # what wanders is no measure of what refits cost
@@ -292,7 +292,7 @@ class Path:
         except (*FAILURES, TimeUp):
             return None
 
-    def _allowed(self, problem: RefitProblem) -> float:
+    def allowed(self, problem: RefitProblem) -> float:
         """Work that a refit may cost: some of what they cost in the middle, less if one of this structure arrived."""
         known = self._work[1:] or self._work
         most = _MANY * float(np.median(known)) if known else math.inf
