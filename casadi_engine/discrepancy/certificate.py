@@ -205,7 +205,8 @@ def in_place_of(last: Station, law: UnknownLaw) -> Unknown | None:
     names = " and ".join(one.label for one in last.effects)
     much = f"{odds:.2g} times" if law.log < _SAID else "far"
     if not names:
-        words += f"{likeness_words(law.course)}: {much} more probable than noise of that colour"
+        rest = "noise of that colour" if last.screened.noise.colour else "noise alone"
+        words += f"{likeness_words(law.course)}: {much} more probable than {rest}"
     elif odds < FACTOR:
         words += f", in the place of {names}, is not excluded ({odds:.2g} times as probable)"
     else:

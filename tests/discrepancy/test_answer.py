@@ -51,7 +51,9 @@ def test_an_effect_that_fresh_data_refuse_is_withdrawn(repaired):
     assert found.effects == ()
     assert found.confirmed is None
     assert [one.key for one in found.withdrawn] == ["pivot.coulomb_friction"]
-    assert found.unknown.sentence == "an unknown angular acceleration at pivot that depends on its speed"
+    assert found.unknown.sentence == (
+        "an unknown angular acceleration at pivot that depends on its speed: far more probable than noise alone"
+    )
     assert any("fresh data refuse it: the gap grows, the gain is -" in text for text in found.messages)
     assert found.fit is found.null_fit
 
