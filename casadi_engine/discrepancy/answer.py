@@ -116,7 +116,7 @@ class Answer:
         rival = None if law is None else in_place_of(last, law)
         # near the truth the law that is linearised is told from the effects; else it is refitted
         asked = rival is not None if found else last.screened.noise.colour or unknown is not None
-        if asked:
+        if asked and not null.screened.request.blind:  # an error of a sensor may be all there is
             far = self._law(last, refitted_law)
             told = None if far is None else in_place_of(last, far)
             if told is not None and far is not None and (rival is None or law is None or far.log > law.log):
