@@ -1,8 +1,8 @@
 """One more effect beside a structure: every one that may turn out the best is refitted.
 
-They come in the order of what one step says of them. Once one of them leaves white noise, the model with it is near the
-truth, and a step from there, in its place, tells what the others can come to: those that stay far above are not
-refitted any more. Without that, where the equations are linear, one step leaves out what explains far less.
+They come in the order of what one step says of them. Once one of them is refitted, a step from there, in its place,
+tells what the others can come to: those that stay far above it, by more than chance and what it leaves unexplained, are
+not refitted any more. Where the equations are linear, one step leaves out what explains far less, too.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ _EXCHANGED, AGAIN = 6, 3
 _NESTED, _SMALL = 1.0, 0.02
 # Log likelihood that a further effect has to promise to be refitted.
 _NOTHING = 1.0
+
 Family = tuple[str, str]
 
 
