@@ -210,7 +210,11 @@ def in_place_of(last: Station, law: UnknownLaw) -> Unknown | None:
     elif odds < FACTOR:
         words += f", in the place of {names}, is not excluded ({odds:.2g} times as probable)"
     else:
-        near = "" if law.excludes else f", which explains {100 * law.share:.0f} % of what that does"
+        near = (
+            ""
+            if law.excludes or law.share > 1
+            else f", which explains {100 * law.share:.0f} % of what that does"
+        )
         words += f"{likeness_words(law.course)}: {much} more probable than {names}, the nearest of the library{near}"
     return Unknown(words, {}, family.port, family.signal, None, law.course, odds)
 

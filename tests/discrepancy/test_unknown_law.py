@@ -1,6 +1,7 @@
 """An unknown law in the place of effects that were found: more probable than wrong names, less than right ones."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,8 +9,9 @@ from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.discrepancy import answer
-from casadi_engine.discrepancy.certificate import law_words
+from casadi_engine.discrepancy.certificate import in_place_of, law_words
 from casadi_engine.discrepancy.random_families import Family
+from casadi_engine.discrepancy.unknown_law import UnknownLaw
 
 
 def brake(speed):
@@ -127,3 +129,16 @@ def test_an_answer_is_kept_where_the_law_cannot_be_told(monkeypatch):
     )
     assert [one.key for one in found.effects] == ["engine.quadratic_drag"]
     assert any("not told, as its numbers fail (SVD did not converge)" in text for text in found.messages)
+
+
+@pytest.mark.parametrize(("share", "said"), [(0.9, True), (2.05, False)])
+def test_a_share_above_all_that_a_law_does_is_not_said(share, said):
+    """Effects may take more of chi-squared than a law that is linearised far from them: that is no share of it."""
+    family = Family("engine", "speed", (0,), np.ones(1), 0.0, 1.0, np.ones(61))
+    course = SimpleNamespace(family=family, looks_like={})
+    last = SimpleNamespace(
+        fit=SimpleNamespace(model=ce.one_inertia()), effects=(SimpleNamespace(label="drag at engine"),)
+    )
+    words = in_place_of(last, UnknownLaw(course, 9.5, share)).sentence
+    assert words.endswith("the nearest of the library, which explains 90 % of what that does") is said
+    assert ("explains" in words) is said
