@@ -105,7 +105,7 @@ def _work(job: Job) -> int:
 def _found(job: Job) -> Any:
     from casadi_engine import discrepancy
 
-    problem = job.problem
+    problem, wanted = job.problem, job.options.extra["effects"]
     records = fitting(job, problem.load_records())
     fresh = fitting(job, problem.load_validation())
     try:
@@ -117,7 +117,7 @@ def _found(job: Job) -> Any:
             noise=problem.noise,
             alpha=job.options.extra["alpha"],
             holdout=job.options.extra["holdout"],
-            effects=_names(job.options.extra["effects"]) or None,
+            effects=None if wanted is None else _names(wanted) or [""],  # no name is none of the library's
             without=_names(job.options.extra["without"]),
             budget=job.options.extra["budget"],
             starts=max(STARTS, problem.starts),

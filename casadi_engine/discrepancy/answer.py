@@ -17,9 +17,15 @@ from casadi_engine.discrepancy.certificate import (
     noise_found,
     place_of,
     score_rows,
-    unknown_of,
 )
 from casadi_engine.discrepancy.choice import TIME_UP, Choice
+from casadi_engine.discrepancy.claim import (
+    Claim,
+    at_own_port,
+    behind_a_sensor,
+    missing_beside,
+    reason_to_withdraw,
+)
 from casadi_engine.discrepancy.coloured_errors import with_coloured_errors
 from casadi_engine.discrepancy.confirmation import PairedGain
 from casadi_engine.discrepancy.detectable import not_found
@@ -28,7 +34,7 @@ from casadi_engine.discrepancy.fresh import (
     Portions,
     side,
 )
-from casadi_engine.discrepancy.fresh_choice import SEEN, Confirmation, FreshChoice
+from casadi_engine.discrepancy.fresh_choice import Confirmation, FreshChoice
 from casadi_engine.discrepancy.fresh_misfit import held_to_fresh_data
 from casadi_engine.discrepancy.latent_torque import LatentTorque, latent_torques
 from casadi_engine.discrepancy.law_refit import refitted_law
@@ -45,7 +51,6 @@ from casadi_engine.discrepancy.repaired import (
     Unknown,
     Verdict,
 )
-from casadi_engine.discrepancy.selection import effective_samples
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.discrepancy.unknown_law import UnknownLaw, unknown_law
 from casadi_engine.discrepancy.vanishing import may_vanish
@@ -64,10 +69,6 @@ _LEFT_OUT = {
     "unknown law": "a law that no effect names, in the place of those found",
 }
 _UNTOLD = "the time was up before it could be told whether anything is missing"
-# Independent samples that a coloured residual has to be worth to be called noise, and per cent of an output's motion
-# that the model has to explain beside it.
-_SWINGS, _MOST = 6.0, 50.0
-_NOT_NOISE = "no noise of that kind can be told from a missing effect"
 
 
 @dataclass
@@ -92,42 +93,9 @@ class Answer:
         choice = FreshChoice(self.search, self.portion, self.tell, self.messages, self.work)
         proof = self._timed("confirm", choice.run)
         proof, last = self._honest(proof)
-        found, withdrawn = self._timed("certificate", lambda: _effects(proof))
-        cut = TIME_UP in self.search.failed.values()
-        unknown = None if found else Unknown(_UNTOLD, {})
-        if self._in_time("leftover", lambda: last.screened.leftover, _TESTS) is not None:
-            unknown = _unknown(last, null, found, withdrawn, cut=cut)
-            if unknown is None and not found and (words := _so_far(self.search)):
-                unknown = Unknown(words[0], {})
-        if null.screened.request.blind and not found and not _at_own_port(null, unknown):
-            way = self.search.way(self.search.best)
-            if way is not None and len(way) > 1:
-                unknown = _behind_a_sensor(null, way[1])
-        if found and not (proof.judgement and proof.judgement.confirmed) and not _visible(found):
-            unknown = _too_small(found)
-            found, withdrawn = (), (*found, *withdrawn)
-            proof = replace(proof, kept=proof.kept[:1], after=proof.before)
-            last = null
-        law = (
-            self._law(last, unknown_law)
-            if found or (unknown is None and last.screened.noise.colour)
-            else None
-        )
-        rival = None if law is None else in_place_of(last, law)
-        # near the truth the law that is linearised is told from the effects; else it is refitted
-        asked = rival is not None if found else last.screened.noise.colour or unknown is not None
-        if asked and not null.screened.request.blind:  # an error of a sensor may be all there is
-            far = self._law(last, refitted_law)
-            told = None if far is None else in_place_of(last, far)
-            if told is not None and far is not None and (rival is None or law is None or far.log > law.log):
-                law, rival = far, told
-        if rival is not None and law is not None:
-            unknown = rival if law.log >= 0 or unknown is None else unknown
-            if law.excludes:
-                found, withdrawn = (), (*found, *withdrawn)
-                proof = replace(proof, kept=proof.kept[:1], after=proof.before)
-                last = null
-        verdict = _verdict(found, unknown)
+        claim = self._held_to_laws(self._claimed(proof, last), null)
+        found, last, proof = claim.found, claim.last, claim.proof
+        verdict = _verdict(found, claim.unknown)
         self._say(null, last, proof)
         blank = Repair(
             "answered",
@@ -137,8 +105,8 @@ class Answer:
             last.fit,
             self.alpha,
             effects=found,
-            withdrawn=withdrawn,
-            unknown=unknown,
+            withdrawn=claim.withdrawn,
+            unknown=claim.unknown,
             gaps=self._timed("gap", lambda: self._gaps(null, last, proof)),
             rounds=tuple(self.search.rounds),
             data=self.portion.data,
@@ -147,6 +115,43 @@ class Answer:
             blind=null.screened.request.blind,
         )
         return self._finished(blank, null, last, proof)
+
+    def _claimed(self, proof: Confirmation, last: Station) -> Claim:
+        """What fresh data and the tests beside the library leave of what the search found."""
+        null = self.search.null
+        found, withdrawn = self._timed("certificate", lambda: _effects(proof))
+        cut = TIME_UP in self.search.failed.values()
+        unknown = None if found else Unknown(_UNTOLD, {})
+        if self._in_time("leftover", lambda: last.screened.leftover, _TESTS) is not None:
+            unknown = missing_beside(last, null, found, withdrawn, cut=cut)
+            if unknown is None and not found and (words := _so_far(self.search)):
+                unknown = Unknown(words[0], {})
+        if null.screened.request.blind and not found and not at_own_port(null, unknown):
+            way = self.search.way(self.search.best)
+            if way is not None and len(way) > 1:
+                unknown = behind_a_sensor(null, way[1])
+        claim = Claim(proof, last, found, withdrawn, unknown)
+        sure = proof.judgement is not None and bool(proof.judgement.confirmed)
+        doubt = reason_to_withdraw(claim, null, sure) if found else None
+        return claim if doubt is None else claim.withdrawn_for(doubt, null)
+
+    def _held_to_laws(self, claim: Claim, null: Station) -> Claim:
+        """What is left where laws that no effect names are held against what is claimed."""
+        found, unknown, last = claim.found, claim.unknown, claim.last
+        coloured = bool(last.screened.noise.colour)
+        law = self._law(last, unknown_law) if found or (unknown is None and coloured) else None
+        rival = None if law is None else in_place_of(last, law)
+        # near the truth the law that is linearised is told from the effects; else it is refitted
+        asked = rival is not None if found else coloured or unknown is not None
+        if asked and not null.screened.request.blind:  # an error of a sensor may be all there is
+            far = self._law(last, refitted_law)
+            told = None if far is None else in_place_of(last, far)
+            if told is not None and far is not None and (rival is None or law is None or far.log > law.log):
+                law, rival = far, told
+        if rival is None or law is None:
+            return claim
+        claim = replace(claim, unknown=rival if law.log >= 0 or unknown is None else unknown)
+        return claim.withdrawn_for(claim.unknown, null) if law.excludes else claim
 
     def _finished(self, blank: Repair, null: Station, last: Station, proof: Confirmation) -> Repair:
         screened = null.screened
@@ -344,80 +349,6 @@ def _effects(proof: Confirmation) -> tuple[tuple[FoundEffect, ...], tuple[FoundE
     known = {one.key for one in found}
     everything = found_effects((proof.kept[0], *proof.refused))
     return found, tuple(one for one in everything if one.key not in known)
-
-
-def _visible(found: Sequence[FoundEffect]) -> bool:
-    """True if the effects together close a part of the gap that a person would see."""
-    left = math.prod(1 - min(max(one.share_explained, 0.0), 1.0) for one in found)
-    return 1 - left >= 1 - (1 - SEEN) ** 2
-
-
-def _too_small(found: Sequence[FoundEffect]) -> Unknown:
-    """What is said of effects that are beyond chance and close next to nothing of the gap."""
-    names = " and ".join(f"{one.name} at {one.at}" for one in found)
-    words = (
-        f"{names} is beyond chance, but closes next to nothing of the gap, and fresh data do not confirm it"
-    )
-    return Unknown(words, {one.key: one.p_value for one in found})
-
-
-def _unknown(
-    last: Station,
-    null: Station,
-    found: Sequence[FoundEffect],
-    withdrawn: Sequence[FoundEffect],
-    *,
-    cut: bool = False,
-) -> Unknown | None:
-    """What is missing beside the effects found; cut : the search ended before all were refitted."""
-    unknown = unknown_of(last.screened)
-    if unknown is not None or found:
-        return unknown
-    if withdrawn:
-        words = f"{withdrawn[0].name} at {withdrawn[0].at} explains these data best, but fresh data refuse it"
-        return Unknown(words, {})
-    screened = null.screened
-    if screened.significant:
-        best = screened.significant[0]
-        label = screened.candidates[best].label
-        words = f"{label} scores beyond chance, but no refit with it is better than none"
-        words = f"{label} scores beyond chance; the search ended before refits could tell" if cut else words
-        return Unknown(words, {label: screened.pooled(best)})
-    return _no_noise(null)
-
-
-def _no_noise(null: Station) -> Unknown | None:
-    """A coloured residual that swings a few times in its whole record, or is most of what was measured, may be called
-    no noise."""
-    screened = null.screened
-    for record in screened.null.records:
-        for output, e in record.residual.items():
-            swings = effective_samples(e)
-            if (record.name, output) in screened.noise.colour and swings < _SWINGS:
-                words = (
-                    f"what the model leaves of {output} in {record.name} changes as slowly as if the record held "
-                    f"{swings:.0f} independent samples: {_NOT_NOISE}"
-                )
-                return Unknown(words, {})
-            share = null.fit.fit_percent[record.name][output]["simulation"]
-            if (record.name, output) in screened.noise.colour and share is not None and share < _MOST:
-                words = f"the model explains {max(share, 0.0):.0f} % of {output} in {record.name}, and the rest is"
-                return Unknown(f"{words} coloured: {_NOT_NOISE}", {})
-    return None
-
-
-def _at_own_port(null: Station, unknown: Unknown | None) -> bool:
-    """True if what is missing is a law at a port of the user's own kind, where the library has no effects."""
-    ports = null.fit.model.ports
-    return unknown is not None and unknown.port in ports.names and ports[str(unknown.port)].is_own
-
-
-def _behind_a_sensor(null: Station, station: Station) -> Unknown:
-    """Something is missing, and what describes it best is an error of a sensor, beside which nothing was tested."""
-    one = station.effects[-1]
-    words = f"{one.label} describes the gap best, but no physical effect could be tested against it"
-    assert station.lead is not None
-    return Unknown(words, {one.label: null.screened.pooled(station.lead)})
 
 
 def _verdict(found: Sequence[FoundEffect], unknown: Unknown | None) -> Verdict:

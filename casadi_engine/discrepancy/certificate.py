@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from casadi_engine.discrepancy.assumed_pressure import carried_cylinders, is_carried, scatter_carried
-from casadi_engine.discrepancy.confirmation import share_explained
+from casadi_engine.discrepancy.confirmation import share_closed
 from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.fresh import gap_of
 from casadi_engine.discrepancy.latent_torque import LatentTorque
@@ -103,8 +103,7 @@ def _found(stations: Sequence[Station], one: Addition, last: Station) -> FoundEf
     }
     noise = last.screened.noise
     first, then = (gap_of([one.screened.null], noise) for one in (before, here))
-    # noise alone is 1, or less where the level counts what is left unexplained
-    share = share_explained(first, then, floor=min(1.0, then.chi2_per_sample))
+    share = share_closed(first, then, noise.sigma, coloured=bool(noise.colour))
     made = one.candidate.source
     return FoundEffect(
         one.candidate.effect,

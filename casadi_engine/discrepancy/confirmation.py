@@ -109,10 +109,29 @@ def gap(residuals: Sequence[Residuals]) -> Gap:
 
 def share_explained(before: Gap, after: Gap, *, floor: float = 1.0) -> float:
     """The share of the gap above the noise that the repair closed; floor : chi-squared per sample of pure noise."""
-    excess = before.chi2_per_sample - floor
-    if excess <= 0:
-        return 0.0
-    return float(np.clip((before.chi2_per_sample - after.chi2_per_sample) / excess, -1.0, 1.0))
+    return _share(before.chi2_per_sample, after.chi2_per_sample, floor)
+
+
+def share_closed(before: Gap, after: Gap, sigma: Mapping[str, float], *, coloured: bool) -> float:
+    """The share of the gap above the noise that is closed, as a person sees it: the noise is 1 of chi-squared per
+    sample, or less where its level counts what is left unexplained. What is coloured counts as gap: whether it is the
+    sensors' noise or more that is missing cannot be told.
+
+    sigma : output -> standard deviation, of the innovations where the noise is coloured
+    """
+    if not coloured:
+        return share_explained(before, after, floor=min(1.0, after.chi2_per_sample))
+    old, new = (
+        sum((gap.rmse[output] / level) ** 2 for output, level in sigma.items() if output in gap.rmse)
+        / max(sum(output in gap.rmse for output in sigma), 1)
+        for gap in (before, after)
+    )
+    return _share(old, new, min(1.0, new))
+
+
+def _share(before: float, after: float, floor: float) -> float:
+    excess = before - floor
+    return float(np.clip((before - after) / excess, -1.0, 1.0)) if excess > 0 else 0.0
 
 
 def hold_out(cycles: Sequence[int], *, share: float = 0.3) -> tuple[list[int], list[int]]:

@@ -176,6 +176,17 @@ def levels_left(
     return Levels(sigma, memory, scatter, told)
 
 
+def innovations(null: NullModel, levels: Levels) -> float:
+    """Minus the log likelihood of a model's residuals as noise of their own level and colour, but for a constant."""
+    found = 0.0
+    for record in null.records:
+        for output, e in record.residual.items():
+            coloured = output in levels.memory and len(e) >= _SHORT
+            share = 1 - foretold(e) / max(float(e @ e), _TINY) if coloured else 1.0
+            found += len(e) * math.log(levels.sigma[output] * math.sqrt(max(share, _TINY)))
+    return found
+
+
 def foretold(e: Array) -> float:
     """What the past of a residual (N,) foretells of its squares; all where it is too short to tell."""
     squares = float(e @ e)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from casadi_engine.discrepancy.confirmation import share_closed
 from casadi_engine.discrepancy.repaired import Unknown
 from casadi_engine.distributions import f_sf
 
@@ -14,6 +15,8 @@ if TYPE_CHECKING:
 # The gap on fresh data is larger by at least this factor, and chance would do as much less often than this. Samples of
 # coloured noise count less by a memory that is generous.
 _LARGER, _SURE, MEMORY = 1.5, 1e-4, 20.0
+# Share of the gap's squares above the noise that is closed where its root mean square is halved.
+HALF = 0.75
 # The test by which something is missing that the fresh data alone show.
 FRESH = "fresh data"
 
@@ -99,7 +102,7 @@ def held_to_fresh_data(repair: Repair) -> Repair:
     """
     misfit = fresh_misfit(repair)
     if misfit is None:
-        doubt = fresh_doubt(repair)
+        doubt = fresh_doubt(repair) or _coloured_doubt(repair)
         if doubt is None:
             return repair
         sure = None if repair.confirmed and _mostly_left(repair) else repair.confirmed
@@ -112,9 +115,24 @@ def held_to_fresh_data(repair: Repair) -> Repair:
     return replace(repair, confirmed=confirmed, messages=(misfit, *repair.messages))
 
 
+def _coloured_doubt(repair: Repair) -> str | None:
+    """What to say where what is left of fresh data is coloured, and more than what the effects closed."""
+    if not repair.confirmed or repair.noise is None or not repair.noise.colour or not _mostly_left(repair):
+        return None
+    return (
+        "what is left of the fresh data is coloured, and more than what was closed: noise of the sensors, or more that "
+        "is missing"
+    )
+
+
 def _mostly_left(repair: Repair) -> bool:
     """True if more of the gap on fresh data is left than the effects closed, by its root mean square."""
     gaps = repair.gaps
     before = None if gaps is None else gaps.validation_before
     after = None if gaps is None else gaps.validation_after
-    return before is None or after is None or 4 * after.gap.chi2_per_sample > before.gap.chi2_per_sample
+    if before is None or after is None:
+        return True
+    if repair.noise is None or not repair.noise.colour:
+        return 4 * after.gap.chi2_per_sample > before.gap.chi2_per_sample
+    sigma = {name: level for name, (level, _) in repair.noise.sigma.items()}
+    return share_closed(before.gap, after.gap, sigma, coloured=True) < HALF

@@ -10,7 +10,16 @@ import numpy as np
 
 from casadi_engine.deadline import late
 from casadi_engine.discrepancy.compression import scatter_columns
-from casadi_engine.discrepancy.evidence import FACTOR, Digest, Evidence, Levels, digest, evidence, levels_left
+from casadi_engine.discrepancy.evidence import (
+    FACTOR,
+    Digest,
+    Evidence,
+    Levels,
+    digest,
+    evidence,
+    innovations,
+    levels_left,
+)
 from casadi_engine.discrepancy.exchanged_units import impossible_gain
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.linearised import OneStep
@@ -153,7 +162,7 @@ class Refits:
         if known is not None and known.form == form_of(effects) and known.arrived.cost <= arrived.cost + 1e-6:
             return [known]
         made = self._counted(effects, arrived)
-        if made is not None and (known is None or made.log > known.log):
+        if made is not None and (known is None or made.log > known.log or self._excused(known, made)):
             self.pool[key] = made
             if known is not None and made.log > known.log + _BETTER:
                 self.improved.add(key)
@@ -190,21 +199,47 @@ class Refits:
                 effect, (_, at) = added.candidate.source.effect, added.candidate.key
                 rests = f"{added.key}.{effect.limit_at}" in one.arrived.held if effect.limit_at else False
                 one.failed |= rests and key - {added.candidate.key} | {(effect.limit, at)} in self.pool
-        known = {name: s for name, (s, own) in self.null_fit.noise.items() if not own}
         seen: set[Key] = set()
         while True:
             best = max(self.pool.values(), key=lambda one: one.log)
             if best.key in seen:
-                return
+                if not self.levels.memory:
+                    return
+                ready = [one for one in self.pool.values() if not one.failed]
+                closest = min(ready, key=lambda one: one.arrived.cost, default=best)
+                if closest.key in seen or not self._excused(best, closest):
+                    return
+                best = closest
             seen.add(best.key)
             try:
-                with np.errstate(all="ignore"):
-                    null = self.path.residuals(best.effects, best.arrived)
-                    self.levels = levels_left(null, known, self.levels.scatter, self.random(null))
+                self.levels = self._left_by(best)[1]
             except FAILURES:
                 return
             for one in self.pool.values():
                 one.evidence = evidence(one.digest, self.levels)
+
+    def _left_by(self, tried: Tried) -> tuple[NullModel, Levels]:
+        """The residuals of a structure, and the noise that it leaves."""
+        known = {name: s for name, (s, own) in self.null_fit.noise.items() if not own}
+        with np.errstate(all="ignore"):
+            null = self.path.residuals(tried.effects, tried.arrived)
+            return null, levels_left(null, known, self.levels.scatter, self.random(null))
+
+    def _excused(self, tried: Tried, closer: Tried) -> bool:
+        """True if a structure is the more probable one only as its gap counts as coloured noise: each one held against
+        the noise that it leaves itself, by the likelihood of its innovations, another that is closer to the data is."""
+        if not self.levels.memory or closer.arrived.cost >= tried.arrived.cost:
+            return False
+        return self._alone(closer) > self._alone(tried)
+
+    def _alone(self, tried: Tried) -> float:
+        """The log evidence with the noise that the structure leaves, of its own level and colour."""
+        try:
+            null, levels = self._left_by(tried)
+            made = evidence(tried.digest, levels)
+            return made.log + 0.5 * made.cost - innovations(null, levels)
+        except FAILURES:
+            return -math.inf
 
     def relevel(self, tried: Sequence[Tried]) -> None:
         """Go on at the levels that the most probable one leaves, where they are lower."""

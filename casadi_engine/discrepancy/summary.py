@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from casadi_engine.discrepancy.assumed_pressure import is_carried
 from casadi_engine.discrepancy.repaired import more_probable
-from casadi_engine.discrepancy.verdict_words import headline, next_step
+from casadi_engine.discrepancy.verdict_words import headline, next_step, why_withdrawn
 from casadi_engine.discrepancy.wording import (
     LISTED,
     acting_at,
@@ -87,20 +87,13 @@ def _found(repair: Repair) -> list[str]:
     lines: list[str] = []
     for title, effects in (
         ("Found", repair.effects),
-        (_withdrawn(repair), repair.withdrawn),
+        (f"Withdrawn: {why_withdrawn(repair)}", repair.withdrawn),
     ):
         if effects:
             lines += [title]
         for one in effects:
             lines += _effect(one, repair)
     return lines
-
-
-def _withdrawn(repair: Repair) -> str:
-    """Why effects that were found are no answer."""
-    if more_probable(repair.unknown) and not repair.effects:
-        return "Withdrawn: less probable than an unknown law"
-    return "Withdrawn: contradicted by fresh data"
 
 
 def _effect(one: FoundEffect, repair: Repair) -> list[str]:

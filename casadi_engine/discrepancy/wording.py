@@ -181,7 +181,7 @@ def right_value(one: FoundEffect, repair: Repair) -> str:
     """What was stated wrong, as the data have it: ``m_s = 356.5 ± 1.8 kg, stated 300``, or the unit of an output that
     its gain tells; "" for other effects."""
     port = repair.model.ports[one.at] if one.at in repair.model.ports.names else None
-    if port is not None and port.kind == "sensor" and one.name == "sensor_gain":
+    if port is not None and one.name in ("sensor_gain", "input_gain"):
         return _other_unit(one, repair.model)
     stated = None if port is None else repair.fit.estimates.get(port.parameter)
     if port is None or not port.parameter or stated is None:
@@ -194,15 +194,18 @@ def right_value(one: FoundEffect, repair: Repair) -> str:
 
 
 def _other_unit(one: FoundEffect, model: Model) -> str:
-    """The units that were exchanged where the gain of a sensor is their ratio within its error; "" for others."""
-    output = next(out for out in model.outputs if one.at == f"sensor_{out.name}")
+    """The units that were exchanged where a gain is their ratio within its error; "" for others."""
+    kind, _, name = one.at.partition("_")
+    channel = next(own for own in (model.inputs if kind == "input" else model.outputs) if own.name == name)
     factor, error = 1 + one.amplitude.value, one.amplitude.stderr
     if error is None or error > _SURE * abs(factor):
         return ""
-    for right, label, share in exchanges(output.unit):
+    if kind == "input":  # what acts is the channel times the factor: its numbers are too large by the inverse
+        factor, error = 1 / factor, error / factor**2
+    for right, label, share in exchanges(channel.unit):
         if abs(factor - share) <= _WITHIN * error:
             times_large = with_error(factor, error)
-            return f"{output.name} is {times_large} times as large, as numbers in {right} labelled {label} would be"
+            return f"{name} is {times_large} times as large, as numbers in {right} labelled {label} would be"
     return ""
 
 

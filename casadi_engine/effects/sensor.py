@@ -1,4 +1,4 @@
-"""Sensors that do not show what is there: an offset, a delay, and a gain."""
+"""Sensors that do not show what is there, by an offset, a delay or a gain, and inputs that are larger or smaller."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class SensorGain(Effect):
 
     name = "sensor_gain"
     attaches = ("sensor",)
-    kin = ("sensor_offset", "wrong_value")
+    kin = ("sensor_offset", "input_gain", "wrong_value")
     sentence = "a wrong gain of {port}"
     amplitude = Amplitude("gain", unit="1")
 
@@ -80,3 +80,20 @@ class SensorGain(Effect):
             return ""
         values = np.concatenate(courses)
         return "an offset does the same here" if values.std() < _VARIES * abs(values.mean()) else ""
+
+
+@dataclass(frozen=True)
+class InputGain(SensorGain):
+    """An input that acts more or less than its channel says, u (1 + gain): by its calibration or its actuator's.
+
+    >>> InputGain().describe("input_valve")
+    'a wrong gain of input_valve'
+    """
+
+    name = "input_gain"
+    attaches = ("input",)
+    kin = ("sensor_gain", "wrong_value", "cylinder_imbalance")
+
+    def idle(self, port: Any) -> str:
+        """As of a sensor; a crank angle is counted in turns."""
+        return "a crank angle is counted in turns" if port.name == "input_theta" else super().idle(port)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from casadi_engine.discrepancy.confirmation import share_explained
+from casadi_engine.discrepancy.confirmation import share_closed
 from casadi_engine.discrepancy.fresh_misfit import fresh_doubt, fresh_misfit
-from casadi_engine.discrepancy.repaired import FoundEffect, Repair, more_probable
-from casadi_engine.discrepancy.verdict_words import may_hide, next_step
+from casadi_engine.discrepancy.repaired import FoundEffect, Repair
+from casadi_engine.discrepancy.verdict_words import may_hide, next_step, why_withdrawn
 from casadi_engine.discrepancy.wording import (
     acting_at,
     clock,
@@ -37,10 +37,8 @@ def verdict_lines(repair: Repair) -> list[str]:
     moved = moved_parameters(repair)
     if moved:
         lines.append(f"Without it the model had these wrong: {moved}.")
-    why = (
-        "less probable than an unknown law" if more_probable(repair.unknown) else "contradicted by fresh data"
-    )
-    lines += [f"Found first and then {why}: {one.name} at {one.at}." for one in repair.withdrawn]
+    why = why_withdrawn(repair)
+    lines += [f"Found first and withdrawn, {why}: {one.name} at {one.at}." for one in repair.withdrawn]
     lines += [_sentence(text) for text in repair.messages]
     lines.append(f"Next: {next_step(repair)}.")
     return [line for line in lines if line]
@@ -176,7 +174,9 @@ def gap_sentence(repair: Repair) -> str:
             else:
                 parts.append(f"{output} {new:.4g} {unit} on {name}")
     first, then = gaps.estimation_before.gap, gaps.estimation_after.gap
-    share = share_explained(first, then, floor=min(1.0, then.chi2_per_sample))
+    noise = repair.noise
+    sigma = {} if noise is None else {name: level for name, (level, _) in noise.sigma.items()}
+    share = share_closed(first, then, sigma, coloured=noise is not None and bool(noise.colour))
     closed = f"; {100 * share:.3g} % of the gap above the noise is closed" if repair.effects else ""
     return f"Rms gap: {', '.join(parts)}{closed}." if parts else ""
 

@@ -195,6 +195,11 @@ def test_options_reach_repair(folder, canned):
     assert result["arguments"]["alpha"] == 0.05
 
 
+def test_no_name_is_no_wish_for_the_whole_library(folder, capsys):
+    assert run(folder, "--effects", "", out="none")[0] == 2
+    assert "the library has no such effect; seen: ''" in capsys.readouterr().err
+
+
 def test_names_are_given_by_commas_or_by_repeating_the_option(folder, canned):
     given = canned()
     run(

@@ -142,57 +142,6 @@ def stub(**known):
     return SimpleNamespace(**known)
 
 
-@pytest.mark.parametrize(
-    ("withdrawn", "significant", "words"),
-    [
-        (
-            [stub(name="drag", at="load")],
-            [],
-            "drag at load explains these data best, but fresh data refuse it",
-        ),
-        ([], [0], "drag at load scores beyond chance, but no refit with it is better than none"),
-        ([], [], None),
-    ],
-)
-def test_what_is_missing_where_nothing_else_tells(monkeypatch, withdrawn, significant, words):
-    monkeypatch.setattr(module, "unknown_of", lambda _: None)
-    screened = stub(
-        significant=significant,
-        candidates=[stub(label="drag at load")],
-        pooled=lambda k: 0.001,
-        leftover=None,
-        null=stub(records=()),
-    )
-    station = stub(screened=screened)
-    found = module._unknown(station, station, (), withdrawn)
-    assert (found and found.sentence) == words
-    assert module._unknown(station, station, [stub()], withdrawn) is None
-
-
-@pytest.mark.parametrize(("turns", "said"), [(1, True), (200, False)])
-def test_a_coloured_residual_of_few_swings_is_not_called_noise(turns, said):
-    residual = np.sign(np.sin(2 * np.pi * turns * np.arange(2000) / 2000 + 0.3))
-    record = stub(name="run", residual={"y": residual})
-    noise = stub(colour={("run", "y"): object()})
-    fit = stub(fit_percent={"run": {"y": {"simulation": 80.0}}})
-    found = module._no_noise(stub(fit=fit, screened=stub(null=stub(records=(record,)), noise=noise)))
-    assert (found is not None) == said
-    assert not said or "y in run changes as slowly as if" in found.sentence
-
-
-@pytest.mark.parametrize(
-    ("explained", "coloured", "said"), [(-0.5, True, True), (68.0, True, False), (-0.5, False, False)]
-)
-def test_a_coloured_residual_that_is_most_of_the_motion_is_not_called_noise(explained, coloured, said):
-    residual = np.random.default_rng(0).standard_normal(500)
-    record = stub(name="run", residual={"y": residual})
-    noise = stub(colour={("run", "y"): object()} if coloured else {})
-    fit = stub(fit_percent={"run": {"y": {"simulation": explained}}})
-    found = module._no_noise(stub(fit=fit, screened=stub(null=stub(records=(record,)), noise=noise)))
-    assert (found is not None) == said
-    assert not said or "explains 0 % of y in run, and the rest is coloured" in found.sentence
-
-
 def test_what_was_not_tried_is_told_but_not_of_what_was_chosen():
     chosen = stub(candidate=stub(effect="drag", port="load"))
     failed = {"drag at load": "no refit of it arrives", "play at belt": "no refit of it arrives"}

@@ -11,6 +11,7 @@ from casadi_engine.discrepancy.confirmation import (
     gap,
     hold_out,
     paired_gain,
+    share_closed,
     share_explained,
 )
 
@@ -117,6 +118,17 @@ def test_the_share_of_the_gap():
     assert share_explained(before, after) == pytest.approx(0.75, abs=0.05)
     assert share_explained(after, before) == -1.0
     assert share_explained(gap([residuals(0.0, sigma=0.1, seed=3)]), before, floor=5.0) == 0.0
+
+
+def test_what_is_coloured_is_not_called_closed():
+    before, after = gap([residuals(0.2, cycles=50)]), gap([residuals(0.1, cycles=50)])
+    white = share_closed(before, after, {"omega": 0.1}, coloured=False)
+    assert white == share_explained(before, after)
+    assert share_closed(before, after, {"omega": 0.1}, coloured=True) == pytest.approx(white)
+    # innovations of half the size: three of four parts of what is left have a past that foretells them
+    rest = share_closed(before, after, {"omega": 0.05}, coloured=True)
+    left = (after.rmse["omega"] / 0.05) ** 2 - 1
+    assert rest == pytest.approx(1 - left / ((before.rmse["omega"] / 0.05) ** 2 - 1))
 
 
 def test_the_last_cycles_are_held_out():

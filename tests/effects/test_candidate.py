@@ -283,6 +283,7 @@ def test_the_library_by_name():
         "constant_torque",
         "cubic_stiffness", "backlash", "misfire", "cylinder_imbalance", "load_step", "sensor_offset", "sensor_delay",
         "sensor_gain",
+        "input_gain",
         "transfer",
         "overflow",
         "wrong_value",

@@ -1,4 +1,4 @@
-"""A sensor of a wrong gain: its law, where it is an offset, and the units that a gain tells."""
+"""A sensor or an input of a wrong gain: its law, where it is an offset, and the units that a gain tells."""
 
 import math
 
@@ -26,8 +26,8 @@ def joint(*, known=True):
     return b.model()
 
 
-def measured(model, *, angle=1.0, speed=1.0, seed=0):
-    """A record of other parameters, each output times a factor, with noise of half a percent."""
+def measured(model, *, angle=1.0, speed=1.0, torque_shown=1.0, seed=0):
+    """A record of other parameters, each channel times a factor, with noise of half a percent of the outputs."""
     rng, t = np.random.default_rng(seed), 0.01 * np.arange(1200)
     torque = 3 * np.repeat(rng.normal(size=40), 30)
     units = {"T": "N m", "angle": "rad", "speed": "rad/s"}
@@ -39,7 +39,7 @@ def measured(model, *, angle=1.0, speed=1.0, seed=0):
         name: factor * (made[name].values + 0.005 * np.std(made[name].values) * rng.normal(size=len(t)))
         for name, factor in (("angle", angle), ("speed", speed))
     }
-    return ce.Experiment.from_arrays("run", time=t, units=units, T=torque, **shown)
+    return ce.Experiment.from_arrays("run", time=t, units=units, T=torque_shown * torque, **shown)
 
 
 def test_a_gain_multiplies_the_output_alone():
@@ -59,6 +59,40 @@ def test_a_gain_of_what_hardly_varies_is_an_offset(mean, idle):
             return (mean + math.sqrt(2) * np.sin(np.linspace(0, 20 * np.pi, 2001)), np.array([np.nan]))
 
     assert (ce.effects.SensorGain().idle(Port()) != "") == idle
+
+
+def test_a_gain_multiplies_the_input_wherever_it_stands():
+    model = joint()
+    made = model.with_effect(ce.effects.InputGain(), at="input_T", values={"gain": 0.2})
+    rates = [ca.Function("rates", [m.x, m.u, m.t, m.p], [m.closed_ode]) for m in (model, made)]
+    plain = rates[0]([0.3, 5.0], 1.2, 0.0, model.parameter_vector()).full()
+    np.testing.assert_allclose(rates[1]([0.3, 5.0], 1.0, 0.0, made.parameter_vector()).full(), plain)
+
+
+def test_a_crank_angle_has_no_gain():
+    class Port:
+        name = "input_theta"
+
+    assert "counted in turns" in ce.effects.InputGain().idle(Port())
+
+
+def test_an_input_that_acts_more_than_it_says_is_told_from_sensors_and_not_from_the_inertia():
+    model = joint()
+    found = ce.repair(model, measured(model, torque_shown=1 / 1.15, angle=1.0), progress=False)
+    (one,) = found.effects
+    assert found.confirmed
+    assert {(m.name, m.at) for m in one.members} == {
+        ("input_gain", "input_T"),
+        ("wrong_value", "parameter_J"),
+    }
+
+
+def test_the_units_of_an_input_are_told_by_its_gain():
+    model = joint()
+    found = ce.repair(
+        model, measured(model, torque_shown=1000.0), effects=[ce.effects.InputGain()], progress=False
+    )
+    assert "as numbers in N mm labelled N m would be" in " ".join(str(found).split())
 
 
 def test_a_gain_is_idle_nowhere_before_there_is_a_record():

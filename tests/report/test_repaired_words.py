@@ -119,7 +119,7 @@ def test_more_than_the_effects_explain_is_said(repaired, unnamed):
         "The residuals still hold more: a torque at the coupling that depends on its twist and looks cubic."
         in lines
     )
-    assert "Found first and then contradicted by fresh data: coulomb_friction at coupling." in lines
+    assert "Found first and withdrawn, contradicted by fresh data: coulomb_friction at coupling." in lines
     assert "A note." in lines
     assert next_step(changed).startswith("look at the figures of the residuals after the repair")
 
@@ -267,3 +267,24 @@ def test_fresh_data_that_were_not_judged_are_not_asked_for_again(repaired):
     words = "it was not judged on the fresh data: looking for its initial states there had cost too much"
     changed = replace(repaired, confirmed=None, messages=(words,))
     assert next_step(changed).startswith("give it more time, budget=..., or shorter fresh records")
+
+
+@pytest.mark.parametrize(
+    ("before", "coloured", "confirmed"), [(0.2, True, None), (0.2, False, True), (1.0, True, True)]
+)
+def test_what_is_closed_confirms_nothing_where_more_is_left_that_may_be_noise_or_not(
+    repaired, before, coloured, confirmed
+):
+    gaps, colour = repaired.gaps, {"fresh/omega": 3} if coloured else {}
+    sides = [
+        replace(
+            gaps.estimation_after, gap=replace(gaps.estimation_after.gap, chi2_per_sample=chi2, rmse=rmse)
+        )
+        for chi2, rmse in ((9.0, {"omega": before}), (1.0, {"omega": 0.17}))
+    ]
+    own = replace(gaps.estimation_after, gap=sides[1].gap)
+    noise = replace(repaired.noise, scatter={}, colour=colour, sigma={"omega": (0.1, True)})
+    gaps = replace(gaps, estimation_after=own, validation_before=sides[0], validation_after=sides[1])
+    found = held_to_fresh_data(replace(repaired, confirmed=True, noise=noise, gaps=gaps))
+    assert found.confirmed is confirmed
+    assert ("what is left of the fresh data is coloured" in " ".join(found.messages)) == (confirmed is None)

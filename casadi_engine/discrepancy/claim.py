@@ -1,0 +1,129 @@
+"""What a repair claims: the effects it names, and what is missing beside them or in their place."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from casadi_engine.discrepancy.certificate import unknown_of
+from casadi_engine.discrepancy.confirmation import share_closed
+from casadi_engine.discrepancy.fresh import gap_of
+from casadi_engine.discrepancy.fresh_choice import SEEN, Confirmation
+from casadi_engine.discrepancy.repaired import FoundEffect, Unknown
+from casadi_engine.discrepancy.selection import effective_samples
+from casadi_engine.discrepancy.station import Station
+
+# Independent samples that a coloured residual has to be worth to be called noise, and per cent of an output's motion
+# that the model has to explain beside it.
+_SWINGS, _MOST = 6.0, 50.0
+_NOT_NOISE = "no noise of that kind can be told from a missing effect"
+# Share of the gap's squares above the noise that effects have to close where what they leave is no noise.
+_HALF = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Claim:
+    """What is said: the structures that fresh data kept, the last of them, the effects found and those withdrawn, and
+    what is missing beside the found ones, or at all."""
+
+    proof: Confirmation
+    last: Station
+    found: tuple[FoundEffect, ...]
+    withdrawn: tuple[FoundEffect, ...]
+    unknown: Unknown | None
+
+    def withdrawn_for(self, unknown: Unknown | None, null: Station) -> Claim:
+        """Without any effect: something else is missing."""
+        proof = replace(self.proof, kept=self.proof.kept[:1], after=self.proof.before)
+        return Claim(proof, null, (), (*self.found, *self.withdrawn), unknown)
+
+
+def reason_to_withdraw(claim: Claim, null: Station, confirmed: bool) -> Unknown | None:
+    """Why the effects found are no answer: they close next to nothing, or less than what they leave, which is no noise;
+    None where they are one."""
+    if not confirmed and not _visible(claim.found):
+        return _too_small(claim.found)
+    if claim.unknown is None or not claim.unknown.tests:
+        return None
+    noise = claim.last.screened.noise
+    first, then = (gap_of([one.screened.null], noise) for one in (null, claim.last))
+    if share_closed(first, then, noise.sigma, coloured=True) >= _HALF:
+        return None
+    names = " and ".join(f"{one.name} at {one.at}" for one in claim.found)
+    words = f"{names} explains the gap best and closes less of it than is left, which is no noise"
+    return replace(claim.unknown, sentence=f"{claim.unknown.sentence}; {words}")
+
+
+def missing_beside(
+    last: Station,
+    null: Station,
+    found: Sequence[FoundEffect],
+    withdrawn: Sequence[FoundEffect],
+    *,
+    cut: bool = False,
+) -> Unknown | None:
+    """What is missing beside the effects found; cut : the search ended before all were refitted."""
+    unknown = unknown_of(last.screened)
+    if unknown is not None or found:
+        return unknown
+    if withdrawn:
+        words = f"{withdrawn[0].name} at {withdrawn[0].at} explains these data best, but fresh data refuse it"
+        return Unknown(words, {})
+    screened = null.screened
+    if screened.significant:
+        best = screened.significant[0]
+        label = screened.candidates[best].label
+        words = f"{label} scores beyond chance, but no refit with it is better than none"
+        words = f"{label} scores beyond chance; the search ended before refits could tell" if cut else words
+        return Unknown(words, {label: screened.pooled(best)})
+    return _no_noise(null)
+
+
+def _no_noise(null: Station) -> Unknown | None:
+    """A coloured residual that swings a few times in its whole record, or is most of what was measured, may be called
+    no noise."""
+    screened = null.screened
+    for record in screened.null.records:
+        for output, e in record.residual.items():
+            swings = effective_samples(e)
+            if (record.name, output) in screened.noise.colour and swings < _SWINGS:
+                words = (
+                    f"what the model leaves of {output} in {record.name} changes as slowly as if the record held "
+                    f"{swings:.0f} independent samples: {_NOT_NOISE}"
+                )
+                return Unknown(words, {})
+            share = null.fit.fit_percent[record.name][output]["simulation"]
+            if (record.name, output) in screened.noise.colour and share is not None and share < _MOST:
+                words = f"the model explains {max(share, 0.0):.0f} % of {output} in {record.name}, and the rest is"
+                return Unknown(f"{words} coloured: {_NOT_NOISE}", {})
+    return None
+
+
+def _visible(found: Sequence[FoundEffect]) -> bool:
+    """True if the effects together close a part of the gap that a person would see."""
+    left = math.prod(1 - min(max(one.share_explained, 0.0), 1.0) for one in found)
+    return 1 - left >= 1 - (1 - SEEN) ** 2
+
+
+def _too_small(found: Sequence[FoundEffect]) -> Unknown:
+    """What is said of effects that are beyond chance and close next to nothing of the gap."""
+    names = " and ".join(f"{one.name} at {one.at}" for one in found)
+    words = (
+        f"{names} is beyond chance, but closes next to nothing of the gap, and fresh data do not confirm it"
+    )
+    return Unknown(words, {one.key: one.p_value for one in found})
+
+
+def at_own_port(null: Station, unknown: Unknown | None) -> bool:
+    """True if what is missing is a law at a port of the user's own kind, where the library has no effects."""
+    ports = null.fit.model.ports
+    return unknown is not None and unknown.port in ports.names and ports[str(unknown.port)].is_own
+
+
+def behind_a_sensor(null: Station, station: Station) -> Unknown:
+    """Something is missing, and what describes it best is an error of a sensor, beside which nothing was tested."""
+    one = station.effects[-1]
+    words = f"{one.label} describes the gap best, but no physical effect could be tested against it"
+    assert station.lead is not None
+    return Unknown(words, {one.label: null.screened.pooled(station.lead)})

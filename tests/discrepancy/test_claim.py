@@ -1,0 +1,101 @@
+"""What a repair claims: what is missing beside its effects, and when these are no answer."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from casadi_engine.discrepancy import claim as module
+from casadi_engine.discrepancy.claim import Claim, reason_to_withdraw
+from casadi_engine.discrepancy.confirmation import Gap
+from casadi_engine.discrepancy.repaired import Unknown
+
+
+def stub(**known):
+    """An effect, a station or a screen with what is read of it."""
+    return SimpleNamespace(**known)
+
+
+@pytest.mark.parametrize(
+    ("withdrawn", "significant", "words"),
+    [
+        (
+            [stub(name="drag", at="load")],
+            [],
+            "drag at load explains these data best, but fresh data refuse it",
+        ),
+        ([], [0], "drag at load scores beyond chance, but no refit with it is better than none"),
+        ([], [], None),
+    ],
+)
+def test_what_is_missing_where_nothing_else_tells(monkeypatch, withdrawn, significant, words):
+    monkeypatch.setattr(module, "unknown_of", lambda _: None)
+    screened = stub(
+        significant=significant,
+        candidates=[stub(label="drag at load")],
+        pooled=lambda k: 0.001,
+        leftover=None,
+        null=stub(records=()),
+    )
+    station = stub(screened=screened)
+    found = module.missing_beside(station, station, (), withdrawn)
+    assert (found and found.sentence) == words
+    assert module.missing_beside(station, station, [stub()], withdrawn) is None
+
+
+@pytest.mark.parametrize(("turns", "said"), [(1, True), (200, False)])
+def test_a_coloured_residual_of_few_swings_is_not_called_noise(turns, said):
+    residual = np.sign(np.sin(2 * np.pi * turns * np.arange(2000) / 2000 + 0.3))
+    record = stub(name="run", residual={"y": residual})
+    noise = stub(colour={("run", "y"): object()})
+    fit = stub(fit_percent={"run": {"y": {"simulation": 80.0}}})
+    found = module._no_noise(stub(fit=fit, screened=stub(null=stub(records=(record,)), noise=noise)))
+    assert (found is not None) == said
+    assert not said or "y in run changes as slowly as if" in found.sentence
+
+
+@pytest.mark.parametrize(
+    ("explained", "coloured", "said"), [(-0.5, True, True), (68.0, True, False), (-0.5, False, False)]
+)
+def test_a_coloured_residual_that_is_most_of_the_motion_is_not_called_noise(explained, coloured, said):
+    residual = np.random.default_rng(0).standard_normal(500)
+    record = stub(name="run", residual={"y": residual})
+    noise = stub(colour={("run", "y"): object()} if coloured else {})
+    fit = stub(fit_percent={"run": {"y": {"simulation": explained}}})
+    found = module._no_noise(stub(fit=fit, screened=stub(null=stub(records=(record,)), noise=noise)))
+    assert (found is not None) == said
+    assert not said or "explains 0 % of y in run, and the rest is coloured" in found.sentence
+
+
+def claimed(monkeypatch, *, before, after, tests):
+    """A drag that lowers the rms gap of y from ``before`` to ``after`` standard deviations of the noise."""
+    gaps = {"null": Gap(1.0, {"y": before}, {"y": 0.0}, 100), "last": Gap(1.0, {"y": after}, {"y": 0.0}, 100)}
+    monkeypatch.setattr(module, "gap_of", lambda nulls, noise: gaps[nulls[0]])
+    noise = stub(sigma={"y": 1.0}, colour={})
+    null, last = (stub(screened=stub(null=name, noise=noise)) for name in ("null", "last"))
+    drag = stub(name="drag", at="load", key="load.drag", share_explained=1.0, p_value=0.0)
+    unknown = None if tests is None else Unknown("the residual has a line", tests)
+    return Claim(stub(kept=(null, last), before="before", after="after"), last, (drag,), (), unknown), null
+
+
+@pytest.mark.parametrize(
+    ("after", "tests", "withdrawn"),
+    [(2.9, {"line": 1e-9}, True), (1.5, {"line": 1e-9}, False), (2.9, None, False), (2.9, {}, False)],
+)
+def test_an_effect_that_closes_less_than_it_leaves_is_no_answer_where_that_is_no_noise(
+    monkeypatch, after, tests, withdrawn
+):
+    claim, null = claimed(monkeypatch, before=3.0, after=after, tests=tests)
+    found = reason_to_withdraw(claim, null, True)
+    assert (found is not None) == withdrawn
+    if withdrawn:
+        assert "drag at load explains the gap best and closes less of it than is left" in found.sentence
+        assert found.tests == tests
+
+
+def test_what_is_withdrawn_leaves_the_model_without_effects(monkeypatch):
+    monkeypatch.setattr(module, "replace", lambda proof, **new: stub(**(vars(proof) | new)))
+    claim, null = claimed(monkeypatch, before=3.0, after=2.9, tests={})
+    found = claim.withdrawn_for(Unknown("why", {}), null)
+    assert (found.last, found.found, [one.key for one in found.withdrawn]) == (null, (), ["load.drag"])
+    assert (found.proof.kept, found.proof.after, found.unknown.sentence) == ((null,), "before", "why")
