@@ -19,6 +19,7 @@ from casadi_engine.discrepancy.checked_errors import with_checked_errors
 from casadi_engine.discrepancy.choice import TIME_UP, Choice
 from casadi_engine.discrepancy.fresh import Portions, portions
 from casadi_engine.discrepancy.input_hold import other_hold
+from casadi_engine.discrepancy.lost_fit import found_again, is_lost
 from casadi_engine.discrepancy.lower_rate import at_lower_rate
 from casadi_engine.discrepancy.noise_choice import ColourChoice, check_choice
 from casadi_engine.discrepancy.null_model import refuse_jumps
@@ -288,21 +289,19 @@ class _Job:
         """The fit without effects, the parameters that later fits start from, and the work of a start."""
         self.tell(f"fit without effects, {self.several['starts']} starts")
         options: dict[str, Any] = {"noise": self.noise, "progress": False, **self.options}
+        given: dict[str, Any] = {"model": self.model, "data": self.portion.data, "parameters": self.parameters}
+        given |= {"jobs": jobs, **self.several, **options}
         with Deadline(best=True) as own:
-            fit = estimate(
-                self.model,
-                self.portion.data,
-                parameters=self.parameters,
-                jobs=jobs,
-                **self.several,
-                **options,
-            )
+            fit = estimate(**given)
             if "one more step" in fit.status:  # as its message tells a person to
                 again = estimate(
                     self.model, self.portion.data, parameters=self.parameters, warm=fit, **options
                 )
                 fit = again if again.converged else fit
         self.null_fit = fit
+        if is_lost(fit):
+            self.tell("fit without effects by predictions, as the simulation does not follow the data")
+            self.null_fit = fit = found_again(fit, own.done, given)
         fit, pars = settle_scatter(fit, self.parameters, noise=self.noise, options=self.options)
         self.null_fit = fit
         pars = with_widths(pars, widths_of(fit, pars))

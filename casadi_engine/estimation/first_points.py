@@ -75,19 +75,36 @@ class FirstPoints(LaidProblem):
         return self._first[1]
 
     def _simulated(self, x: Array) -> Array | None:
-        """The point with the nodes of one run from its first states; None where no nodes change.
+        """The point with the nodes of one run of each record; None where no nodes change.
 
-        Measured outputs say little of the states of a model without a linear core.
+        Measured outputs say little of the states of a model without a linear core. A run begins at the first node, or
+        where all states rest that no output shows, whichever comes nearer to the data: over one interval an unseen
+        state may seem to be far off.
         """
         found, nv = x.copy(), self.problem.nv
-        for record, lay in zip(self.records, self.problem.layouts, strict=True):
-            if isinstance(record.propagator, RungeKuttaPropagator) and lay.m > 1:
-                try:
-                    nodes = joined_nodes(record, x[:nv], lay.take(x))
-                except FloatingPointError:
-                    return None
-                found[lay.at : lay.at + nodes.size] = nodes.ravel()
+        z = self.coordinates.values(x[:nv])
+        for record, lay, bounds in zip(self.records, self.problem.layouts, self._initial, strict=True):
+            if record.linear or lay.m == 1:
+                continue
+            near = lay.take(x)
+            low, high, given = (part / record.scale for part in bounds)
+            first = nodes_from_measurement(record, self.pmap.unpack(z, record.experiment.name))[0]
+            resting = near.copy()
+            resting[0] = np.clip(np.where(np.isfinite(given), given, first), low, high)
+            runs = [run for run in (self._run(record, x[:nv], nodes) for nodes in (near, resting)) if run]
+            if not runs:
+                return None
+            found[lay.at : lay.at + near.size] = min(runs, key=lambda run: run[0])[1].ravel()
         return None if np.array_equal(found, x) else found
+
+    def _run(self, record: RecordTerm, v: Array, near: Array) -> tuple[float, Array] | None:
+        """Chi-squared and nodes (M, n) of the run from the first of nodes near it; None where it cannot be made."""
+        try:
+            nodes = joined_nodes(record, v, near)
+            misfit = float(np.square(record.evaluate(v, nodes).r).sum())
+        except FloatingPointError:
+            return None
+        return (misfit, nodes) if np.isfinite(misfit) else None
 
     def _warm_nodes(self, record: RecordTerm, v: Array) -> Array | None:
         states = (

@@ -1,0 +1,50 @@
+"""The model without effects where its fit is lost: the starts nearby lead to no simulation that follows the data.
+
+What a wrong optimum leaves looks like missing physics, of any kind. Where a good part of an output's motion is left,
+the model is fitted to predictions over short pieces first, from many starts, which follow the measurement whatever the
+parameters are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from casadi_engine.deadline import Deadline, TimeUp
+from casadi_engine.estimation import Fit, estimate
+
+# Share of an output's motion, in per cent, that a simulation has to follow; a wrong resonance follows less.
+_FOLLOWED = 70.0
+# What the predictions may cost, in multiples of the work of the fit before.
+_MORE = 20.0
+
+
+def is_lost(fit: Fit) -> bool:
+    """True if the simulation leaves a good part of some output's motion."""
+    shares = [own["simulation"] for outputs in fit.fit_percent.values() for own in outputs.values()]
+    return any(share is not None and share < _FOLLOWED for share in shares)
+
+
+def found_again(fit: Fit, work: float, given: Mapping[str, Any]) -> Fit:
+    """The fit by predictions, if that follows the data better; else the fit.
+
+    work : of the fit, in units of ``Deadline``; given : what ``estimate`` was given for it
+    """
+    try:
+        with Deadline(work=_MORE * work, best=True):
+            other = estimate(**{**given, "approach": "prediction", "starts": 1, "neighbours": 0})
+    except TimeUp:
+        return fit
+    better = other.converged and likelihood(other) > likelihood(fit)
+    return other if better else fit
+
+
+def likelihood(fit: Fit) -> float:
+    """The log likelihood of a simulation but for a constant, with the levels of the noise that it leaves."""
+    found = 0.0
+    for traces in fit.traces.values():
+        for trace in traces.values():
+            e = trace.residual[trace.residual == trace.residual]
+            found -= 0.5 * len(e) * math.log(max(float(e @ e) / max(len(e), 1), 1e-300))
+    return found
