@@ -289,7 +289,11 @@ class _Job:
         """The fit without effects, the parameters that later fits start from, and the work of a start."""
         self.tell(f"fit without effects, {self.several['starts']} starts")
         options: dict[str, Any] = {"noise": self.noise, "progress": False, **self.options}
-        given: dict[str, Any] = {"model": self.model, "data": self.portion.data, "parameters": self.parameters}
+        given: dict[str, Any] = {
+            "model": self.model,
+            "data": self.portion.data,
+            "parameters": self.parameters,
+        }
         given |= {"jobs": jobs, **self.several, **options}
         with Deadline(best=True) as own:
             fit = estimate(**given)
