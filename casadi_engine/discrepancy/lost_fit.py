@@ -14,16 +14,8 @@ from typing import Any
 from casadi_engine.deadline import Deadline, TimeUp
 from casadi_engine.estimation import Fit, estimate
 
-# Share of an output's motion, in per cent, that a simulation has to follow; a wrong resonance follows less.
-_FOLLOWED = 70.0
 # What the predictions may cost, in multiples of the work of the fit before.
 _MORE = 20.0
-
-
-def is_lost(fit: Fit) -> bool:
-    """True if the simulation leaves a good part of some output's motion."""
-    shares = [own["simulation"] for outputs in fit.fit_percent.values() for own in outputs.values()]
-    return any(share is not None and share < _FOLLOWED for share in shares)
 
 
 def found_again(fit: Fit, work: float, given: Mapping[str, Any]) -> Fit:

@@ -19,7 +19,7 @@ from casadi_engine.discrepancy.checked_errors import with_checked_errors
 from casadi_engine.discrepancy.choice import TIME_UP, Choice
 from casadi_engine.discrepancy.fresh import Portions, portions
 from casadi_engine.discrepancy.input_hold import other_hold
-from casadi_engine.discrepancy.lost_fit import found_again, is_lost
+from casadi_engine.discrepancy.lost_fit import found_again
 from casadi_engine.discrepancy.lower_rate import at_lower_rate
 from casadi_engine.discrepancy.noise_choice import ColourChoice, check_choice
 from casadi_engine.discrepancy.null_model import refuse_jumps
@@ -36,6 +36,7 @@ from casadi_engine.errors import EstimationError, ExperimentError
 from casadi_engine.estimation import Fit, estimate
 from casadi_engine.estimation.corner_widths import ROUNDED, widths_of, with_widths
 from casadi_engine.estimation.estimate import _own, _records
+from casadi_engine.estimation.followed import not_followed
 from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.options import as_number, whole
 from casadi_engine.estimation.parallel import checked_jobs
@@ -303,7 +304,7 @@ class _Job:
                 )
                 fit = again if again.converged else fit
         self.null_fit = fit
-        if is_lost(fit):
+        if not_followed(fit):
             self.tell("fit without effects by predictions, as the simulation does not follow the data")
             self.null_fit = fit = found_again(fit, own.done, given)
         fit, pars = settle_scatter(fit, self.parameters, noise=self.noise, options=self.options)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casadi_engine.estimation.fit import Estimate, Fit
+from casadi_engine.estimation.followed import not_followed
 from casadi_engine.estimation.gain_table import gain_rows, predictor_words
 
 if TYPE_CHECKING:
@@ -370,6 +371,13 @@ def next_steps(fit: Fit) -> list[str]:
             'try other starts: ce.estimate(model, data, approach="prediction"), starts=8, or bounds closer to what '
             "can be"
         )
+    for key, share in not_followed(fit).items() if fit.options.get("approach") == "direct" else ():
+        if any(words.startswith(f"the residual of {key} is not white") for words in fit.messages):
+            steps.append(
+                f"the simulation follows {max(share, 0.0):.0f} % of {key}: look for a better optimum, "
+                'ce.estimate(model, data, approach="prediction")'
+            )
+            break
     steps += list(dict.fromkeys(_cure(fit, direction.weights) for direction in fit.undetermined))
     for name, estimate in fit.estimates.items():
         if estimate.at_bound and name in fit.free:

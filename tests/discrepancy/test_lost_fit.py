@@ -9,7 +9,8 @@ from scipy.integrate import solve_ivp
 import casadi_engine as ce
 from casadi_engine.deadline import TimeUp
 from casadi_engine.discrepancy import lost_fit as module
-from casadi_engine.discrepancy.lost_fit import found_again, is_lost, likelihood
+from casadi_engine.discrepancy.lost_fit import found_again, likelihood
+from casadi_engine.estimation.followed import not_followed
 
 
 def fit(share=50.0, size=1.0, *, converged=True):
@@ -24,7 +25,7 @@ def fit(share=50.0, size=1.0, *, converged=True):
 
 @pytest.mark.parametrize(("share", "lost"), [(69.0, True), (71.0, False), (-3.0, True)])
 def test_a_fit_that_leaves_a_third_of_an_output_is_lost(share, lost):
-    assert is_lost(fit(share)) == lost
+    assert not_followed(fit(share)) == ({"run/y": share} if lost else {})
 
 
 def test_the_likelihood_is_that_of_the_noise_that_is_left():

@@ -118,6 +118,25 @@ def test_next_steps(factory, changes, step):
     assert step in next_steps(factory.fit(**changes))[0]
 
 
+@pytest.mark.parametrize(
+    ("share", "approach", "white", "said"),
+    [(51.0, "direct", False, True), (51.0, "prediction", False, False), (51.0, "direct", True, False),
+     (80.0, "direct", False, False), (-3.0, "direct", False, True)],
+)  # fmt: skip
+def test_a_simulation_that_does_not_follow_the_data_asks_for_another_optimum(
+    factory, share, approach, white, said
+):
+    fit = factory.fit(
+        fit_percent={"run": {"omega": {"simulation": share, "prediction": None}}},
+        options={"approach": approach},
+        messages=() if white else ("the residual of run/omega is not white (neighbours correlate by 0.99)",),
+    )
+    first = next_steps(fit)[0]
+    assert first.startswith("the simulation follows") == said
+    assert not said or f"follows {max(share, 0):.0f} % of run/omega" in first
+    assert not said or first.endswith('ce.estimate(model, data, approach="prediction")')
+
+
 def test_next_step_of_a_sound_fit(factory):
     estimates = {"J_eng": Estimate(0.39, 0.01, "kg m2")}
     fit = factory.fit(estimates=estimates)
