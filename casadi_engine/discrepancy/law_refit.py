@@ -18,7 +18,16 @@ import casadi as ca
 import numpy as np
 
 from casadi_engine.deadline import Deadline, TimeUp, ask
-from casadi_engine.discrepancy.evidence import Digest, Levels, Prior, digest, evidence, foretold, levels_left
+from casadi_engine.discrepancy.evidence import (
+    FACTOR,
+    Digest,
+    Levels,
+    Prior,
+    digest,
+    evidence,
+    foretold,
+    levels_left,
+)
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.path import FAILURES, null_of_refit
@@ -83,19 +92,36 @@ def refitted_law(refits: Refits, tried: Tried, further: float) -> UnknownLaw | N
     """
     none = refits.pool[frozenset()]
     setups = [one for port in refits.refitter.model.ports for one in _setups(refits, none, port)]
-    begun = [one for one in (_begun(refits, none, setup) for setup in setups) if one is not None]
-    least = min((one.found.cost for one in begun), default=math.inf)
+    begun = [(setup, _begun(refits, none, setup.model, setup.parameters)) for setup in setups]
+    least = min((one.found.cost for _, one in begun if one is not None), default=math.inf)
+    most = min(_NEAR * least, _chance(refits, tried, len(setups)))
     found = []
-    for one in begun:
-        if one.found.cost > _NEAR * least:
+    for setup, one in begun:
+        if one is None or one.found.cost > most:
             continue
-        made = _followed(refits, none, tried, one)
+        made = _followed(refits, none, tried, setup, one)
         found += [] if made is None else [made]
     if not found:
         return None
     best = max(found, key=lambda one: one.log)
     price = math.log(len(setups)) - (len(tried.effects) - 1) * max(further, 0.0)
     return replace(best, log=best.log - price)
+
+
+def _chance(refits: Refits, tried: Tried, many: int) -> float:
+    """Chi-squared over the short windows below which a function leaves less than chance does of what the structure
+    itself leaves there: a law that moves nothing over these is near enough to be seen along the simulation.
+
+    many : functions that are looked at
+    """
+    model = refits.refitter.extended(tried.effects)
+    parameters = refits.refitter.parameters_of(model, tried.effects).unconstrained()
+    plain = _begun(refits, tried, model, parameters)
+    if plain is None:
+        return math.inf
+    memory = max(refits.levels.memory.values(), default=1.0)  # samples that are worth one independent one
+    gained = (_TERMS + 2 * math.log(FACTOR * many)) * memory
+    return plain.found.cost * math.exp(-gained / max(plain.problem.count, 1))
 
 
 def _setups(refits: Refits, tried: Tried, port: Port) -> list[_Setup]:
@@ -172,23 +198,22 @@ def _along(paths: Sequence[NullPath], expression: ca.SX) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Begun:
-    """A function that was refitted over short windows."""
+    """A model that was refitted over short windows."""
 
-    setup: _Setup
     problem: RefitProblem
     found: Refit
 
 
-def _begun(refits: Refits, tried: Tried, setup: _Setup) -> _Begun | None:
-    """A function refitted over windows so short that the measurement leads, whatever the law; None where that fails."""
+def _begun(refits: Refits, tried: Tried, model: Model, parameters: Parameters) -> _Begun | None:
+    """A model refitted over windows so short that the measurement leads, whatever the law; None where that fails."""
     ask()
     refitter = refits.refitter
     try:
         with np.errstate(all="ignore"):
             problem = RefitProblem(
-                setup.model,
+                model,
                 refitter.data,
-                setup.parameters,
+                parameters,
                 levels=refits.path.levels,
                 interval=refitter.interval,
             )
@@ -200,14 +225,13 @@ def _begun(refits: Refits, tried: Tried, setup: _Setup) -> _Begun | None:
     except TimeUp:
         ask()  # all of the time, or the work that it may cost
         return None
-    return _Begun(setup, problem, found) if found.initial and math.isfinite(found.cost) else None
+    return _Begun(problem, found) if found.initial and math.isfinite(found.cost) else None
 
 
-def _followed(refits: Refits, none: Tried, tried: Tried, one: _Begun) -> UnknownLaw | None:
+def _followed(refits: Refits, none: Tried, tried: Tried, setup: _Setup, one: _Begun) -> UnknownLaw | None:
     """A function in the place of a structure's effects, its evidence averaged over its size, after windows that grow to
     the whole record; None where it does not arrive there."""
     ask()
-    setup = one.setup
     try:
         with np.errstate(all="ignore"):
             longer = _horizons(one.problem)[_SHORT:] or [None]
