@@ -38,6 +38,7 @@ from casadi_engine.estimation.corner_widths import ROUNDED, widths_of, with_widt
 from casadi_engine.estimation.estimate import _own, _records
 from casadi_engine.estimation.followed import not_followed
 from casadi_engine.estimation.interrupts import Interrupts
+from casadi_engine.estimation.ipopt import OUT_OF_ITERATIONS
 from casadi_engine.estimation.options import as_number, whole
 from casadi_engine.estimation.parallel import checked_jobs
 from casadi_engine.experiment import Experiment
@@ -51,6 +52,9 @@ _STARTS, _MOST = 4, 4
 # Behind a budget or a Ctrl-C an answer is made of what was found, within this share of the budget or so many seconds;
 # share of that time up to which the fit without effects and its scores may last, without which there is no answer.
 _SPARE, _LEAST_SPARE, _FIRST = 0.1, 2.0, 0.5
+# Words of a fit that goes on from where it ended, and how many times as many iterations it may take: valleys may be
+# nearly flat.
+_GOES_ON, _FURTHER = ("one more step", OUT_OF_ITERATIONS), 5
 _JUMPED = (
     JUMPED + "; here tanh stands in place of their jumps, as sharp as the motion asks for "
     "({}): the parameters of repair.fit belong to these equations"
@@ -298,10 +302,9 @@ class _Job:
         given |= {"jobs": jobs, **self.several, **options}
         with Deadline(best=True) as own:
             fit = estimate(**given)
-            if "one more step" in fit.status:  # as its message tells a person to
-                again = estimate(
-                    self.model, self.portion.data, parameters=self.parameters, warm=fit, **options
-                )
+            if any(words in fit.status for words in _GOES_ON):  # as its message tells a person to
+                more = options | {"max_iterations": _FURTHER * options["max_iterations"]}
+                again = estimate(self.model, self.portion.data, parameters=self.parameters, warm=fit, **more)
                 fit = again if again.converged else fit
         self.null_fit = fit
         if not_followed(fit):

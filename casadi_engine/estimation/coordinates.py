@@ -25,6 +25,8 @@ class Coordinates:
 
     def __init__(self, pmap: ParameterMap, felt: Array | None = None) -> None:
         felt = np.full(len(pmap.free), np.nan) if felt is None else felt
+        # no size is larger than all that the bounds allow: IPOPT breaks on bounds that lie rounding apart
+        felt = np.where(pmap.upper > pmap.lower, np.minimum(felt, pmap.upper - pmap.lower), felt)
         self.scale = np.where(np.isnan(felt), pmap.scale, felt)
         self.log = (pmap.lower > 0) & (pmap.start > 0) & np.isnan(felt)
         self.symbol = ca.SX.sym("v", len(pmap.free))
