@@ -11,8 +11,9 @@ if TYPE_CHECKING:
     from casadi_engine.discrepancy.refit import Addition
     from casadi_engine.model import Model
 
-# Gain by which a sensor may be wrong that shows its own unit; how near to a ratio of units a larger one has to be.
-_WRONG, _NEAR = 0.5, 0.05
+# Gain by which a sensor may be wrong that shows its own unit; factor by which a stated value may be; how near to a ratio
+# of units a larger one has to be.
+_WRONG, _STATED, _NEAR = 0.5, 5.0, 0.05
 
 
 def exchanges(unit: str) -> Iterator[tuple[str, str, float]]:
@@ -30,12 +31,16 @@ def exchanges(unit: str) -> Iterator[tuple[str, str, float]]:
 
 
 def impossible_gain(effects: Sequence[Addition], values: Mapping[str, float], model: Model) -> bool:
-    """True if a sensor would show half as much too much, or more, and that is no ratio of units."""
+    """True if a sensor would show half as much too much, or more, or a stated value be of the other sign or wrong by a
+    factor of five, and that is no ratio of units."""
     for one in effects:
-        if one.candidate.effect != "sensor_gain" or abs(values.get(one.amplitude, 0.0)) <= _WRONG:
+        factor, at = 1 + values.get(one.amplitude, 0.0), one.candidate.port
+        if one.candidate.effect == "sensor_gain" and abs(factor - 1) > _WRONG:
+            units = [out.unit for out in model.outputs if at == f"sensor_{out.name}"]
+        elif one.amplitude.endswith(".wrong_value.share") and not 1 / _STATED <= factor <= _STATED:
+            units = [model.parameters()[at.removeprefix("parameter_")].unit]
+        else:
             continue
-        factor = 1 + values[one.amplitude]
-        units = [out.unit for out in model.outputs if one.candidate.port == f"sensor_{out.name}"]
         if not any(abs(factor / share - 1) <= _NEAR for unit in units for *_, share in exchanges(unit)):
             return True
     return False

@@ -36,3 +36,17 @@ def test_a_large_gain_is_a_ratio_of_units_or_none(gain, impossible):
 
 def test_other_effects_may_be_of_any_size():
     assert not shown(82.8, effect="sensor_offset")
+
+
+@pytest.mark.parametrize(
+    ("share", "impossible"),
+    [(-1.4, True), (-0.7, False), (3.5, False), (7.9, True), (-0.9, True), (999.0, False)],
+)
+def test_a_stated_value_keeps_its_sign_and_its_size_unless_its_unit_is_another(share, impossible):
+    b = ce.Blueprint("spin")
+    w, torque = b.state("w", unit="rad/s"), b.parameter("torque", 3.0, unit="N m", vary=False)
+    b.ode("w", torque - w)
+    b.output("w", w, unit="rad/s")
+    candidate = SimpleNamespace(effect="wrong_value", port="parameter_torque")
+    one = SimpleNamespace(candidate=candidate, amplitude="parameter_torque.wrong_value.share")
+    assert impossible_gain([one], {one.amplitude: share}, b.model()) is impossible
