@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from casadi_engine.discrepancy.refit import Addition
     from casadi_engine.model import Model
 
-# Gain by which a sensor may be wrong that shows its own unit; factor by which a stated value may be; how near to a ratio
-# of units a larger one has to be.
+# Gain by which a sensor may be wrong that shows its own unit; factor by which a stated value may be; how near to a
+# ratio of units a larger one has to be.
 _WRONG, _STATED, _NEAR = 0.5, 5.0, 0.05
 
 
