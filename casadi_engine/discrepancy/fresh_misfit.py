@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 # The gap on fresh data is larger by at least this factor, and chance would do as much less often than this. Samples of
 # coloured noise count less by a memory that is generous.
 _LARGER, _SURE, MEMORY = 1.5, 1e-4, 20.0
+# Share of what is beyond the noise there that errors of the parameters have to explain, to be said to do so.
+_EXPLAINED = 0.5
 # Share of the gap's squares above the noise that is closed where its root mean square is halved.
 HALF = 0.75
 # The test by which something is missing that the fresh data alone show.
@@ -65,7 +67,8 @@ def fresh_doubt(repair: Repair) -> str | None:
     if repair.verdict in (None, "unnamed") or repair.noise is None or repair.noise.scatter:
         return None
     found = after.gap.chi2_per_sample
-    if not _beyond(repair, found) or after.within_errors >= found:
+    excess = found - gaps.estimation_after.gap.chi2_per_sample
+    if not _beyond(repair, found) or found - after.within_errors < _EXPLAINED * excess:
         return None
     return (
         f"on the fresh data chi2/N is {found:.3g}, and {after.within_errors:.3g} within the errors of the parameters: "
@@ -98,8 +101,34 @@ def held_to_fresh_data(repair: Repair) -> Repair:
 
     Where nothing was found, and that is no louder noise, something is missing. What was found is not confirmed where
     more of the gap is left there than the effects closed, as a person sees it, by its root mean square: a gain alone
-    confirms nothing then, whether or not errors of the parameters would explain what is left.
+    confirms nothing then, whether or not errors of the parameters would explain what is left. Errors of sensors alone
+    are named only where fresh data confirm them: an offset or a delay bends to what any missing law does to one record.
     """
+    held = _held(repair)
+    at = [repair.model.ports[one.at].kind for one in held.effects]
+    judged = held.gaps is not None and held.gaps.validation_after is not None
+    if held.confirmed or not judged or set(at) != {"sensor"}:
+        return held
+    gaps, null = held.gaps, held.null_fit
+    assert gaps is not None  # as it was judged
+    names = " and ".join(f"{one.name} at {one.at}" for one in held.effects)
+    words = f"{names} describes the gap best, but fresh data do not confirm that a sensor is at fault"
+    return replace(
+        held,
+        verdict="unnamed",
+        confirmed=None,
+        fit=null,
+        effects=(),
+        withdrawn=(*held.effects, *held.withdrawn),
+        unknown=held.unknown or Unknown(words, {one.key: one.p_value for one in held.effects}),
+        gaps=replace(gaps, estimation_after=gaps.estimation_before, validation_after=gaps.validation_before),
+        equation=None,
+        next_experiment=None,
+    )
+
+
+def _held(repair: Repair) -> Repair:
+    """The same, whatever the effects are."""
     misfit = fresh_misfit(repair)
     if misfit is None:
         doubt = fresh_doubt(repair) or _coloured_doubt(repair)

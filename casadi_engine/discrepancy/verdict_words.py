@@ -44,6 +44,8 @@ def headline(repair: Repair) -> str:
     )
     if repair.unknown and repair.unknown.odds is not None:
         doubt += f", or {'rather ' if more_probable(repair.unknown) else ''}a law that the library lacks"
+    elif repair.unknown:
+        doubt += ", and more that no effect of the library names"
     tried = " (of what was tried)" if repair.stopped or "left out" in repair.options else ""
     return f"{_named(repair)}{tried}{doubt}, {sure[repair.confirmed]}{_on_fresh(repair)}"
 

@@ -74,37 +74,30 @@ class FirstPoints(LaidProblem):
             self._first = (z, self._start(z, first=True))
         return self._first[1]
 
-    def _simulated(self, x: Array) -> Array | None:
+    def _simulated(self, x: Array, *, resting: bool = False) -> Array | None:
         """The point with the nodes of one run of each record; None where no nodes change.
 
-        Measured outputs say little of the states of a model without a linear core. A run begins at the first node, or
-        where all states rest that no output shows, whichever comes nearer to the data: over one interval an unseen
-        state may seem to be far off.
+        Measured outputs say little of the states of a model without a linear core. resting : a run may also begin where
+        all states rest that no output shows, whichever comes nearer to the data, for all models that bend: over one
+        interval an unseen state may seem to be far off
         """
         found, nv = x.copy(), self.problem.nv
         z = self.coordinates.values(x[:nv])
         for record, lay, bounds in zip(self.records, self.problem.layouts, self._initial, strict=True):
-            if record.linear or lay.m == 1:
+            bends = isinstance(record.propagator, RungeKuttaPropagator) or (resting and not record.linear)
+            if not bends or lay.m == 1:
                 continue
-            near = lay.take(x)
-            low, high, given = (part / record.scale for part in bounds)
-            first = nodes_from_measurement(record, self.pmap.unpack(z, record.experiment.name))[0]
-            resting = near.copy()
-            resting[0] = np.clip(np.where(np.isfinite(given), given, first), low, high)
-            runs = [run for run in (self._run(record, x[:nv], nodes) for nodes in (near, resting)) if run]
-            if not runs:
+            begins = [lay.take(x)]
+            if resting:
+                low, high, given = (part / record.scale for part in bounds)
+                first = nodes_from_measurement(record, self.pmap.unpack(z, record.experiment.name))[0]
+                first = np.clip(np.where(np.isfinite(given), given, first), low, high)
+                begins.append(np.concatenate([first[None], begins[0][1:]]))
+            best = _nearest_run(record, x[:nv], begins)
+            if best is None:
                 return None
-            found[lay.at : lay.at + near.size] = min(runs, key=lambda run: run[0])[1].ravel()
+            found[lay.at : lay.at + best.size] = best.ravel()
         return None if np.array_equal(found, x) else found
-
-    def _run(self, record: RecordTerm, v: Array, near: Array) -> tuple[float, Array] | None:
-        """Chi-squared and nodes (M, n) of the run from the first of nodes near it; None where it cannot be made."""
-        try:
-            nodes = joined_nodes(record, v, near)
-            misfit = float(np.square(record.evaluate(v, nodes).r).sum())
-        except FloatingPointError:
-            return None
-        return (misfit, nodes) if np.isfinite(misfit) else None
 
     def _warm_nodes(self, record: RecordTerm, v: Array) -> Array | None:
         states = (
@@ -183,3 +176,17 @@ class FirstPoints(LaidProblem):
         )
         found = np.clip(self.coordinates.values(v), self.pmap.lower, self.pmap.upper)
         return found if np.isfinite(found).all() else z
+
+
+def _nearest_run(record: RecordTerm, v: Array, begins: list[Array]) -> Array | None:
+    """Nodes (M, n) of the run from the first of nodes near it, of several the one nearest to the data; None where none
+    can be made."""
+    runs: list[tuple[float, Array]] = []
+    for near in begins:
+        try:
+            nodes = joined_nodes(record, v, near)
+            misfit = float(np.square(record.evaluate(v, nodes).r).sum()) if len(begins) > 1 else 0.0
+        except FloatingPointError:
+            continue
+        runs += [(misfit, nodes)] if np.isfinite(misfit) else []
+    return min(runs, key=lambda run: run[0])[1] if runs else None

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from casadi_engine.deadline import TimeUp, late, lifted
 from casadi_engine.estimation.coordinates import Coordinates
 from casadi_engine.estimation.first_points import FirstPoints
+from casadi_engine.estimation.followed import FOLLOWED
 from casadi_engine.estimation.integration import alike, shorten_steps
 from casadi_engine.estimation.ipopt import OUT_OF_ITERATIONS, Solution, Solver
 from casadi_engine.estimation.scales import felt_scale, state_factors
@@ -197,7 +198,9 @@ class Search(FirstPoints):
     def _solved(self, x: Array, *, exact: bool) -> Solution:
         """The solution from ``x``; from the simulation at the start instead where that explains the data better."""
         solution = self.solver.solve(x, self.lower, self.upper, exact=exact)
-        simulated = None if solution.status == "interrupted" else self._simulated(x)
+        if solution.status == "interrupted":
+            return solution
+        simulated = self._simulated(x, resting=self._followed(solution.x) < FOLLOWED)
         if simulated is None or not self._lower(simulated, solution.x):
             return solution
         other = self.solver.solve(simulated, self.lower, self.upper)
@@ -323,10 +326,18 @@ class Search(FirstPoints):
             return False
         iteration += self._before
         chi2 = 2 * objective
+        return bool(self._progress(iteration, chi2 * self.problem.samples, self._share(chi2)))
+
+    def _share(self, chi2: float) -> float:
+        """Per cent of the outputs' motion that is followed at a chi-squared per sample."""
         if self._fraction is None:
             self._fraction = self.levels.variation()
-        fit_percent = 100 * (1 - np.sqrt(max(chi2, 0.0) / self._fraction))
-        return bool(self._progress(iteration, chi2 * self.problem.samples, float(fit_percent)))
+        return float(100 * (1 - np.sqrt(max(chi2, 0.0) / self._fraction)))
+
+    def _followed(self, x: Array) -> float:
+        """Per cent of the outputs' motion that a point (size,) follows."""
+        objective = self._objective(x)
+        return self._share(2 * objective) if np.isfinite(objective) else -math.inf
 
     def watch(self, iteration: int, objective: float) -> bool:
         """Show a point of a search that is not the solver's; True if the user ends it."""

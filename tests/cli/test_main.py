@@ -7,6 +7,8 @@ import os
 import signal
 import subprocess
 import sys
+import tomllib
+from pathlib import Path
 
 import pytest
 
@@ -215,3 +217,14 @@ def test_the_command_takes_one_blas_thread_unless_told_otherwise(set_by_user, mo
     monkeypatch.setattr("casadi_engine.cli.main", lambda: 0)
     assert casadi_engine_start.main() == 0
     assert [os.environ[name] for name in names] == [set_by_user or "1", "1", "1"]
+
+
+def test_the_version_stands_in_one_place():
+    """It was 0.10.0 in the results of eight releases: pyproject.toml had another one."""
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))
+    assert "version" in project["project"]["dynamic"]
+    assert project["tool"]["setuptools"]["dynamic"]["version"] == {"attr": "casadi_engine.__version__"}
+    changes = (Path(__file__).parents[2] / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert next(line for line in changes.splitlines() if line.startswith("## ")).startswith(
+        f"## {__version__} ("
+    )

@@ -8,6 +8,14 @@ import pytest
 from casadi_engine.estimation.interrupts import Interrupts
 
 
+@pytest.fixture(autouse=True)
+def as_at_a_prompt():
+    """Python's own handler, whatever was there: a shell's background jobs ignore the signal."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def press():
     os.kill(os.getpid(), signal.SIGINT)
 

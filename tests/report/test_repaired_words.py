@@ -6,7 +6,7 @@ import pytest
 
 from casadi_engine.discrepancy.confirmation import PairedGain
 from casadi_engine.discrepancy.fresh_misfit import fresh_misfit, held_to_fresh_data
-from casadi_engine.discrepancy.repaired import Member, NextExperiment
+from casadi_engine.discrepancy.repaired import Member, NextExperiment, Unknown
 from casadi_engine.discrepancy.verdict_words import headline, next_step
 from casadi_engine.estimation.fit import Estimate
 from casadi_engine.report.repaired_words import (
@@ -288,3 +288,39 @@ def test_what_is_closed_confirms_nothing_where_more_is_left_that_may_be_noise_or
     found = held_to_fresh_data(replace(repaired, confirmed=True, noise=noise, gaps=gaps))
     assert found.confirmed is confirmed
     assert ("what is left of the fresh data is coloured" in " ".join(found.messages)) == (confirmed is None)
+
+
+def test_what_is_still_unexplained_stands_in_the_headline(repaired):
+    more = replace(
+        repaired, unknown=Unknown("the residual of omega in run is not white", {"run/omega": 1e-9})
+    )
+    assert ", and more that no effect of the library names, confirmed on fresh data" in headline(more)
+    assert "and more that" not in headline(replace(repaired, unknown=None))
+
+
+@pytest.mark.parametrize(("at", "confirmed", "named"), [
+    ("sensor_omega", True, True), ("sensor_omega", False, False), ("coupling", False, True)
+])  # fmt: skip
+def test_errors_of_sensors_are_named_where_fresh_data_confirm_them(repaired, at, confirmed, named):
+    one = replace(
+        repaired.effects[0], at=at, name="sensor_offset" if at != "coupling" else "coulomb_friction"
+    )
+    found = held_to_fresh_data(replace(repaired, effects=(one,), confirmed=confirmed, unknown=None))
+    assert (found.verdict == repaired.verdict) == named
+    if not named:
+        assert (found.verdict, found.effects, found.withdrawn) == ("unnamed", (), (one,))
+        assert found.fit is repaired.null_fit
+        assert found.gaps.validation_after is repaired.gaps.validation_before
+        assert "fresh data do not confirm that a sensor is at fault" in found.unknown.sentence
+
+
+def test_errors_of_the_parameters_that_explain_little_are_not_blamed(white):
+    gaps = white.gaps
+    own = replace(
+        gaps.estimation_after, gap=replace(gaps.estimation_after.gap, chi2_per_sample=0.93, samples=400)
+    )
+    wide = replace(own.gap, chi2_per_sample=1.43, samples=400)
+    for within, said in ((1.39, False), (1.0, True)):
+        fresh = replace(own, gap=wide, within_errors=within, parameters_p=0.2)
+        changed = replace(white, gaps=replace(gaps, estimation_after=own, validation_after=fresh))
+        assert ("within the errors of its parameters" in headline(changed)) == said
