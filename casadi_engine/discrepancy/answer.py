@@ -34,7 +34,7 @@ from casadi_engine.discrepancy.fresh import (
     Portions,
     side,
 )
-from casadi_engine.discrepancy.fresh_choice import Confirmation, FreshChoice
+from casadi_engine.discrepancy.fresh_choice import NO_RUN, Confirmation, FreshChoice
 from casadi_engine.discrepancy.fresh_misfit import held_to_fresh_data
 from casadi_engine.discrepancy.latent_torque import LatentTorque, latent_torques
 from casadi_engine.discrepancy.law_refit import refitted_law
@@ -95,6 +95,8 @@ class Answer:
         proof, last = self._honest(proof)
         claim = self._held_to_laws(self._claimed(proof, last), null)
         found, last, proof = claim.found, claim.last, claim.proof
+        if not found:  # there is no repaired model
+            self.messages = [words for words in self.messages if words != NO_RUN]
         verdict = _verdict(found, claim.unknown)
         self._say(null, last, proof)
         blank = Repair(

@@ -15,7 +15,7 @@ from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.estimation import Fit
 
-_NO_RUN = "the repaired model cannot be simulated on the fresh data, which neither confirms nor refuses it"
+NO_RUN = "the repaired model cannot be simulated on the fresh data, which neither confirms nor refuses it"
 _UNSETTLED = (
     "its initial states on the fresh data had not settled, so that these neither confirm nor refuse it"
 )
@@ -98,8 +98,8 @@ class FreshChoice:
                 return self._kept(stations, first, before, judged, after)
             self.messages.append(f"{search.pool[key].label}: {judged.why}")
         if blind is not None:
-            self.messages += [] if self._costly else [_NO_RUN]
-            return self._kept(blind, first or blind, before, Judgement(None, None, False, _NO_RUN))
+            self.messages += [] if self._costly else [NO_RUN]
+            return self._kept(blind, first or blind, before, Judgement(None, None, False, NO_RUN))
         return self._kept([null], first or [null], before)
 
     @staticmethod
@@ -149,7 +149,7 @@ class FreshChoice:
         last, base = stations[-1], stations[-2]
         after = self._on_fresh(last)
         if after is None:
-            return Judgement(None, None, False, _NO_RUN), None
+            return Judgement(None, None, False, NO_RUN), None
         if base.effects:
             part = self._on_fresh(base)
             judged = self._judged(part, after, last)
@@ -159,7 +159,7 @@ class FreshChoice:
 
     def _judged(self, old: Pairs | None, new: Pairs | None, here: Station) -> Judgement:
         if not old or not new:
-            return Judgement(None, None, False, _NO_RUN)
+            return Judgement(None, None, False, NO_RUN)
         event = here.effects[-1].placed and self.portion.source == "records"
         noise = here.screened.noise
         judged = judge([n for _, n in old], [n for _, n in new], noise)

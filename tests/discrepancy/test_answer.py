@@ -89,7 +89,7 @@ def test_fresh_data_that_the_repaired_model_cannot_be_simulated_on_judge_nothing
     assert found.confirmed is None
     assert found.gaps.validation_before is not None
     assert found.gaps.validation_after is None
-    assert fresh_choice._NO_RUN in found.messages
+    assert fresh_choice.NO_RUN in found.messages
     assert "neither confirms nor refuses" in str(found)
 
 
