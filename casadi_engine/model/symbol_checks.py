@@ -11,6 +11,12 @@ from casadi_engine.errors import ModelError
 from casadi_engine.model.declarations import Port, Variable
 from casadi_engine.model.model import Model
 
+_MOVED = "move the term: channels enter by drives, nonlinear torques by laws of ports"
+_SHOWN = (
+    "show what the port moves in its place: of an accelerometer the speed, its samples added up over time, or a state "
+    "that follows the acceleration with a short lag (d(acc)/dt = (force - m*acc)/(m*lag), the port in the force)"
+)
+
 
 def check_symbols(model: Model) -> None:
     """Every symbol of every expression must be declared, and allowed where it is used."""
@@ -48,7 +54,7 @@ def check_symbols(model: Model) -> None:
             f"{what} {items[row].name} uses a symbol that may not be used there",
             seen=f"{symbol.name()} (one of the {group})",
             allowed=", ".join(allowed),
-            cure="move the term: channels enter by drives, nonlinear torques by laws of ports",
+            cure=_SHOWN if (what, group) == ("the output", "slots") else _MOVED,
         )
 
 
