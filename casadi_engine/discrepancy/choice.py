@@ -20,6 +20,7 @@ from casadi_engine.deadline import Deadline, TimeUp, ask, late
 from casadi_engine.discrepancy.additions import AGAIN, TIME_UP, Additions, instead
 from casadi_engine.discrepancy.assumed_pressure import settle_scatter
 from casadi_engine.discrepancy.coloured_errors import coloured_errors
+from casadi_engine.discrepancy.exchanged_units import impossible_gain
 from casadi_engine.discrepancy.families import BEYOND, chosen_of, families_of
 from casadi_engine.discrepancy.membership import class_of, ordered, reached, simpler
 from casadi_engine.discrepancy.noise_model import estimated_noise
@@ -399,6 +400,8 @@ class Choice:
             fit = self._timed("fit", lambda: self.refitter(self.null_fit, tried.effects, start=start))
             if fit is None or not fit.converged:
                 return None
+            if impossible_gain(tried.effects, fit.values, self.refitter.model):
+                return None  # it was none where the refit ended
             # before, the scatter of assumed pressures had to stand for the effect
             own, options = self.refitter.noise, self.refitter.options
             fit, _ = self._timed(
