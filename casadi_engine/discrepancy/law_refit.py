@@ -92,6 +92,8 @@ def refitted_law(refits: Refits, tried: Tried, further: float) -> UnknownLaw | N
     """
     none = refits.pool[frozenset()]
     setups = [one for port in refits.refitter.model.ports for one in _setups(refits, none, port)]
+    if not setups:
+        return None
     begun = [(setup, _begun(refits, none, setup.model, setup.parameters)) for setup in setups]
     least = min((one.found.cost for _, one in begun if one is not None), default=math.inf)
     most = min(_NEAR * least, _chance(refits, tried, len(setups)))

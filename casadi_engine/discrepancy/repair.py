@@ -52,9 +52,9 @@ _STARTS, _MOST = 4, 4
 # Behind a budget or a Ctrl-C an answer is made of what was found, within this share of the budget or so many seconds;
 # share of that time up to which the fit without effects and its scores may last, without which there is no answer.
 _SPARE, _LEAST_SPARE, _FIRST = 0.1, 2.0, 0.5
-# Words of a fit that goes on from where it ended, and how many times as many iterations it may take: valleys may be
-# nearly flat.
-_GOES_ON, _FURTHER = ("one more step", OUT_OF_ITERATIONS), 5
+# Iterations of the fit without effects by default, and how many times as many it takes where these run out: a valley
+# may be nearly flat.
+_ITERATIONS, _FURTHER = 200, 5
 _JUMPED = (
     JUMPED + "; here tanh stands in place of their jumps, as sharp as the motion asks for "
     "({}): the parameters of repair.fit belong to these equations"
@@ -85,7 +85,7 @@ def repair(
     interval: Any = "auto",
     initial: Any = None,
     method: str = "exact",
-    max_iterations: int = 200,
+    max_iterations: int = _ITERATIONS,
     progress: Any = None,
 ) -> Repair:
     """Find the physical effects that a model lacks, name them, refit with them, and test them on fresh data.
@@ -302,7 +302,8 @@ class _Job:
         given |= {"jobs": jobs, **self.several, **options}
         with Deadline(best=True) as own:
             fit = estimate(**given)
-            if any(words in fit.status for words in _GOES_ON):  # as its message tells a person to
+            # as its message tells a person to, who may have wanted no more than so many
+            if "one more step" in fit.status or (fit.status == OUT_OF_ITERATIONS and self.patient):
                 more = options | {"max_iterations": _FURTHER * options["max_iterations"]}
                 again = estimate(self.model, self.portion.data, parameters=self.parameters, warm=fit, **more)
                 fit = again if again.converged else fit
@@ -315,6 +316,11 @@ class _Job:
         pars = with_widths(pars, widths_of(fit, pars))
         self.timing["null fit"] = time.perf_counter() - self.begun
         return fit, pars, own.done / self.several["starts"]
+
+    @property
+    def patient(self) -> bool:
+        """True unless fewer iterations were asked for than there are by default."""
+        return int(self.options["max_iterations"]) >= _ITERATIONS
 
     @property
     def _by(self) -> str:
