@@ -10,6 +10,7 @@ from casadi_engine.discrepancy.certificate import unknown_of
 from casadi_engine.discrepancy.confirmation import share_closed
 from casadi_engine.discrepancy.fresh import gap_of
 from casadi_engine.discrepancy.fresh_choice import SEEN, Confirmation
+from casadi_engine.discrepancy.fresh_misfit import HALF
 from casadi_engine.discrepancy.repaired import FoundEffect, Unknown
 from casadi_engine.discrepancy.selection import effective_samples
 from casadi_engine.discrepancy.station import Station
@@ -18,8 +19,6 @@ from casadi_engine.discrepancy.station import Station
 # that the model has to explain beside it.
 _SWINGS, _MOST = 6.0, 50.0
 _NOT_NOISE = "no noise of that kind can be told from a missing effect"
-# Share of the gap's squares above the noise that effects have to close where what they leave is no noise.
-_HALF = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +47,7 @@ def reason_to_withdraw(claim: Claim, null: Station, confirmed: bool) -> Unknown 
         return None
     noise = claim.last.screened.noise
     first, then = (gap_of([one.screened.null], noise) for one in (null, claim.last))
-    if share_closed(first, then, noise.sigma, coloured=True) >= _HALF:
+    if share_closed(first, then, noise.sigma, coloured=True) >= HALF:
         return None
     names = " and ".join(f"{one.name} at {one.at}" for one in claim.found)
     words = f"{names} explains the gap best and closes less of it than is left, which is no noise"

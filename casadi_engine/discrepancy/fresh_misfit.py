@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 _LARGER, _SURE, MEMORY = 1.5, 1e-4, 20.0
 # Share of what is beyond the noise there that errors of the parameters have to explain, to be said to do so.
 _EXPLAINED = 0.5
-# Share of the gap's squares above the noise that is closed where its root mean square is halved.
-HALF = 0.75
+# Share of the gap's squares above the noise that effects have to close where what they leave is no white noise.
+HALF = 0.5
 # The test by which something is missing that the fresh data alone show.
 FRESH = "fresh data"
 
@@ -102,12 +102,12 @@ def held_to_fresh_data(repair: Repair) -> Repair:
     Where nothing was found, and that is no louder noise, something is missing. What was found is not confirmed where
     more of the gap is left there than the effects closed, as a person sees it, by its root mean square: a gain alone
     confirms nothing then, whether or not errors of the parameters would explain what is left. Errors of sensors alone
-    are named only where fresh data confirm them: an offset or a delay bends to what any missing law does to one record.
+    are not named where fresh data do not confirm them: an offset or a delay bends to what any missing law does to one record.
     """
     held = _held(repair)
     at = [repair.model.ports[one.at].kind for one in held.effects]
     judged = held.gaps is not None and held.gaps.validation_after is not None
-    if held.confirmed or not judged or set(at) != {"sensor"}:
+    if held.confirmed is not False or not judged or set(at) != {"sensor"}:
         return held
     gaps, null = held.gaps, held.null_fit
     assert gaps is not None  # as it was judged
