@@ -102,7 +102,8 @@ def held_to_fresh_data(repair: Repair) -> Repair:
     Where nothing was found, and that is no louder noise, something is missing. What was found is not confirmed where
     more of the gap is left there than the effects closed, as a person sees it, by its root mean square: a gain alone
     confirms nothing then, whether or not errors of the parameters would explain what is left. Errors of sensors alone
-    are not named where fresh data do not confirm them: an offset or a delay bends to what any missing law does to one record.
+    are not named where fresh data do not confirm them: an offset or a delay bends to what any missing law does to one
+    record.
     """
     held = _held(repair)
     at = [repair.model.ports[one.at].kind for one in held.effects]
