@@ -11,7 +11,10 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from casadi_engine.deadline import Deadline, TimeUp
+from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation import Fit, estimate
 
 # What the predictions may cost, in multiples of the work of the fit before.
@@ -26,7 +29,7 @@ def found_again(fit: Fit, work: float, given: Mapping[str, Any]) -> Fit:
     try:
         with Deadline(work=_MORE * work, best=True):
             other = estimate(**{**given, "approach": "prediction", "starts": 1, "neighbours": 0})
-    except TimeUp:
+    except (TimeUp, CasadiEngineError, FloatingPointError):  # there is a fit
         return fit
     better = other.converged and likelihood(other) > likelihood(fit)
     return other if better else fit
@@ -37,6 +40,6 @@ def likelihood(fit: Fit) -> float:
     found = 0.0
     for traces in fit.traces.values():
         for trace in traces.values():
-            e = trace.residual[trace.residual == trace.residual]
+            e = trace.residual[np.isfinite(trace.residual)]
             found -= 0.5 * len(e) * math.log(max(float(e @ e) / max(len(e), 1), 1e-300))
     return found

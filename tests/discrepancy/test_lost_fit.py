@@ -10,6 +10,7 @@ import casadi_engine as ce
 from casadi_engine.deadline import TimeUp
 from casadi_engine.discrepancy import lost_fit as module
 from casadi_engine.discrepancy.lost_fit import found_again, likelihood
+from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.followed import not_followed
 
 
@@ -43,11 +44,12 @@ def test_what_follows_the_data_better_is_taken(monkeypatch, size, converged, tak
     assert given == {"model": "model", "starts": 1, "neighbours": 0, "seed": 3, "approach": "prediction"}
 
 
-def test_a_search_whose_work_is_over_changes_nothing(monkeypatch):
-    def late(**_):
-        raise TimeUp
+@pytest.mark.parametrize("fault", [TimeUp, EstimationError, FloatingPointError])
+def test_a_search_that_leads_nowhere_changes_nothing(monkeypatch, fault):
+    def fails(**_):
+        raise fault("no start") if fault is not TimeUp else fault
 
-    monkeypatch.setattr(module, "estimate", late)
+    monkeypatch.setattr(module, "estimate", fails)
     first = fit()
     assert found_again(first, 1e4, {}) is first
 
