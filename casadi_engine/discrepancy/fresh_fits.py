@@ -13,6 +13,7 @@ import numpy as np
 
 from casadi_engine.deadline import TimeUp, unmetered
 from casadi_engine.discrepancy.assumed_pressure import SCATTER, is_carried, with_priors
+from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.events import place_of_event
 from casadi_engine.discrepancy.fresh import Portions
 from casadi_engine.discrepancy.library_candidates import library_candidates
@@ -22,7 +23,9 @@ from casadi_engine.discrepancy.null_model import FOUR_STROKE, NullModel, null_at
 from casadi_engine.discrepancy.path import first_states_on
 from casadi_engine.discrepancy.refit import Addition, Refitter
 from casadi_engine.discrepancy.start import Start
+from casadi_engine.effects import Effect
 from casadi_engine.effects.candidate import cycles_of
+from casadi_engine.effects.protocol import Attachment, moves
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation import Fit, estimate
 from casadi_engine.experiment import Experiment
@@ -39,6 +42,8 @@ _POOR = 1.1
 _LOST, _MOST = 20, 60
 # The status of a simulation whose first states had not settled.
 _UNSETTLED = "not converged: its initial states had not settled"
+# An effect that was found, or that the user's model has.
+Event = Addition | Attachment
 # Name of a parameter -> its start, least and largest value.
 Places = Mapping[str, tuple[float, float, float]]
 
@@ -48,7 +53,7 @@ def held_fit(
     record: Experiment,
     *,
     noise: NoiseModel,
-    idle: Sequence[Addition] = (),
+    idle: Sequence[Event] = (),
     model: Model | None = None,
     places: Places | None = None,
 ) -> Fit:
@@ -130,7 +135,7 @@ def _chance(found: Fit) -> float:
 
 
 def _held_parameters(
-    fit: Fit, record: Experiment, idle: Sequence[Addition], model: Model, places: Places
+    fit: Fit, record: Experiment, idle: Sequence[Event], model: Model, places: Places
 ) -> Parameters:
     """The set for ``held_fit``: what assumed pressures carry is free again, for other cycles burn otherwise."""
     held, fresh = parameters_for(fit, record.name), model.parameters()
@@ -184,7 +189,7 @@ def fresh_sides(
     Events of one record do not act in other ones, unless in cycles that are found there. Those that last to the end of
     the data searched go on in the cycles held out; of a single cycle at the end nobody knows, so that it stops or goes
     on, whichever fits. An event may happen in fresh records too, at a time that is found there, as its amplitude is
-    where every record has its own.
+    where every record has its own; one that the user's model has happens there at its time, at another one, or not.
     """
     found = []
     for record in portion.fresh:
@@ -208,12 +213,14 @@ def _with_events(
     held: Fit, refitter: Refitter,
 ) -> list[Fit]:  # fmt: skip
     """Fits in which events with a time in every record do not go on in the cycles held out, or events happen in fresh
-    records at a time, or in cycles, that one step finds.
+    records at a time, or in cycles, that one step finds, those of the user's own model too.
 
     idle : effects that do not act in ``held``
     """
     moving = [one for one in effects if one.moves]
-    events = [*moving, *(one for one in idle if one.recurs)]
+    known = record.name in {one.name for one in fit.data}
+    declared = [] if known else [one for one in refitter.model.effects if moves(one.effect)]
+    events: list[Event] = [*declared, *moving, *(one for one in idle if one.recurs)]
     if not events:
         return []
     if moving and not any(one in idle for one in moving):
@@ -223,44 +230,62 @@ def _with_events(
     null = _without_events(held, effects, events, record, refitter)
     places: dict[str, tuple[float, float, float]] = {}
     again: dict[Addition, Addition] = {}  # event -> the same in other cycles
+    gone = [one for one in idle if not one.moves]
     for one in events:
-        made = library_candidates(null, (record,), (one.candidate.source.effect,))
-        own_ones = [c for c in made if c.key == one.candidate.key]
-        step = one_step(null, own_ones, noise.sigma) if own_ones else None
-        best = None if step is None else place_of_event(step, fit.values.get(one.amplitude))
-        if best is None:
-            if one.moves:
-                return []
+        found = _placed(one, null, record, noise, fit)
+        if found is None:
+            gone.append(one)
             continue
-        number, size = best
-        if one.moves:
-            places |= {
-                f"{one.key}.{n}": (value, *record.span) for n, value in own_ones[number].nuisance.items()
-            }
+        candidate, size = found
+        if isinstance(one, Addition) and one.recurs:
+            again[one] = replace(one, candidate=candidate)
+            gone.remove(one)
         else:
-            again[one] = replace(one, candidate=own_ones[number])
+            places |= {f"{one.key}.{n}": (value, *record.span) for n, value in candidate.nuisance.items()}
         if one.amplitude not in fit.values:  # it varies by record
-            low, high = one.bounds.min, one.bounds.max
-            places[one.amplitude] = (min(max(size, low), high), low, high)
-    if not places and not again:
+            bounds = _effect_of(one).amplitude
+            places[one.amplitude] = (min(max(size, bounds.min), bounds.max), bounds.min, bounds.max)
+    if not places and not again and not declared:
         return []
-    rest = [one for one in idle if one not in moving and one not in again]
     model = refitter.extended([again.get(one, one) for one in effects]) if again else None
-    return [held_fit(fit, record, noise=noise, idle=rest, model=model, places=places)]
+    return [held_fit(fit, record, noise=noise, idle=gone, model=model, places=places)]
+
+
+def _effect_of(one: Event) -> Effect:
+    """The effect of an event that was found, or that the user's model has."""
+    made: Effect = one.candidate.source.effect if isinstance(one, Addition) else one.effect
+    return made
+
+
+def _placed(
+    one: Event, null: NullModel, record: Experiment, noise: NoiseModel, fit: Fit
+) -> tuple[Candidate, float] | None:
+    """Where an event happens in a fresh record by one step, and its amplitude; None where it explains nothing."""
+    made = library_candidates(null, (record,), (_effect_of(one),), again=True)
+    port = one.candidate.port if isinstance(one, Addition) else one.at
+    own = [candidate for candidate in made if candidate.port == port]
+    step = one_step(null, own, noise.sigma) if own else None
+    best = None if step is None else place_of_event(step, fit.values.get(one.amplitude))
+    return None if best is None else (own[best[0]], best[1])
 
 
 def _without_events(
-    held: Fit, effects: Sequence[Addition], events: Sequence[Addition], record: Experiment, refitter: Refitter
+    held: Fit, effects: Sequence[Addition], events: Sequence[Event], record: Experiment, refitter: Refitter
 ) -> NullModel:
     """A fit's simulation of a record without the events, to score them along."""
     plain = refitter.extended([one for one in effects if one not in events])
     parameters = plain.parameters()
+    values = held.values_for(record.name)
+    for one in events:
+        if isinstance(one, Attachment):
+            values |= {one.amplitude: 0.0}
+            for name in (one.amplitude, *(f"{one.key}.{n}" for n in one.effect.nuisance)):
+                parameters.fix(name)
     for name, own in parameters.items():
-        value = held.values[name]
-        own.set(value, min=min(own.min, value), max=max(own.max, value))
+        own.set(values[name], min=min(own.min, values[name]), max=max(own.max, values[name]))
     free = [name for name, own in parameters.items() if own.vary]
     first = np.array([held.initial[record.name][state.name].value for state in plain.states])
-    z = np.array([held.values[name] for name in free])
+    z = np.array([values[name] for name in free])
     return null_at(plain, (record,), parameters, z, {record.name: first})
 
 

@@ -26,12 +26,14 @@ def library_candidates(
     effects: Sequence[Effect],
     skipped: list[NotApplicable] | None = None,
     known: Known | None = None,
+    *,
+    again: bool = False,
 ) -> list[Candidate]:
     """Every effect at every port that it can attach to, over its grids, linearised at the null parameters.
 
     An effect that sits at a time or in cycles is a candidate of one record each; any other acts in all records alike,
     with the constants that each record gives. Effects at several cylinders form a group.
-    skipped, known : as in ``candidates``
+    skipped, known, again : as in ``candidates``
     Raises EffectError for an effect that does not follow the protocol.
     """
     found: dict[tuple[Any, ...], Candidate] = {}
@@ -50,6 +52,7 @@ def library_candidates(
             skipped=skipped,
             known=known,
             free=free,
+            again=again,
         )
         for number, made in enumerate(every):
             placed = any(grid.over in ("time", "cycle") for grid in made.effect.nuisance.values())

@@ -18,6 +18,7 @@ from casadi_engine.discrepancy.noise_choice import NoiseChoice, scatter_of
 from casadi_engine.discrepancy.null_model import null_model
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.effects import Effect
+from casadi_engine.effects.protocol import moves
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation import Estimate, Fit, estimate
 from casadi_engine.estimation.corner_widths import courses, paths_of
@@ -100,8 +101,7 @@ class Addition:
     @property
     def moves(self) -> bool:
         """True for an event that may happen at another time in another record."""
-        grids = self.candidate.source.effect.nuisance.values()
-        return bool(grids) and all(grid.over == "time" and not grid.whole for grid in grids)
+        return moves(self.candidate.source.effect)
 
     @property
     def recurs(self) -> bool:

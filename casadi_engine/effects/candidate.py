@@ -184,6 +184,7 @@ def candidates(
     skipped: list[NotApplicable] | None = None,
     known: Known | None = None,
     free: Collection[str] | None = None,
+    again: bool = False,
 ) -> tuple[Candidate, ...]:
     """Return all candidates of effects at all ports of a model, over the grids of their nuisance parameters.
 
@@ -195,12 +196,13 @@ def candidates(
     known : what earlier calls have read, to be used again; this call adds to it
     free : names of the parameters that are estimated or tied, which have no fixed value that could be wrong; None takes
     those of `parameters`, and of the declarations where it is no Parameters
-    Effects that the model has already at a port are left out there, and ports that lack a signal which the law reads.
+    again : True for effects that the model has already at a port too, as it has them a second time: an event that
+    happens elsewhere. Else they are left out there. Ports that lack a signal which the law reads are left out always.
     """
     record = arriving(model, record)
     vector = model.parameter_vector(parameters)
     numbers = dict(zip(model.parameter_names, (float(value) for value in vector), strict=True))
-    there = {(one.at, one.effect.name) for one in model.effects}
+    there = set() if again else {(one.at, one.effect.name) for one in model.effects}
     free = _not_fixed(model, parameters) if free is None else free
     found: list[Candidate] = []
     for effect in effects:
@@ -210,7 +212,9 @@ def candidates(
                 continue
             try:
                 view = PortView(model, port, courses, effect=effect.name, free=free)
-                made, words = _at_port(model, effect, port, view, record, numbers, sharp, known)
+                made, words = _at_port(
+                    model, effect, port, view, record, numbers, sharp, known, again
+                )
             except EffectError as fault:
                 if skipped is None:
                     raise
@@ -251,6 +255,7 @@ def _at_port(
     numbers: Mapping[str, float],
     sharp: bool,
     known: Known | None,
+    again: bool,
 ) -> tuple[list[Candidate], str]:
     """The candidates of one effect at one port, or why there are none; EffectError where a method of it fails."""
     try:
@@ -279,7 +284,7 @@ def _at_port(
     if known is None or not _is_value(sharper):
         known = {}
     if law not in known:
-        known[law] = read_terms(model, sharper, port, places, sharp=sharp)
+        known[law] = read_terms(model, sharper, port, places, sharp=sharp, again=again)
     if len(sizes) == 1 and not sharp and _is_flat(known[law][0]):
         sizes = _secants(own.amplitude)
     key = (model, *law, sizes)

@@ -317,6 +317,12 @@ class Attachment:
         return f"{self.key}.{self.effect.amplitude.name}"
 
 
+def moves(effect: Any) -> bool:
+    """True for an event that may happen at another time in another record."""
+    grids = effect.nuisance.values()
+    return bool(grids) and all(grid.over == "time" and not grid.whole for grid in grids)
+
+
 def check_effect(effect: Any) -> None:
     """Raise EffectError unless `effect` follows the protocol."""
     if isinstance(effect, type):
