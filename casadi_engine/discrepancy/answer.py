@@ -35,6 +35,7 @@ from casadi_engine.discrepancy.fresh import (
     side,
 )
 from casadi_engine.discrepancy.fresh_choice import NO_RUN, Confirmation, FreshChoice
+from casadi_engine.discrepancy.fresh_fits import events_told
 from casadi_engine.discrepancy.fresh_misfit import held_to_fresh_data
 from casadi_engine.discrepancy.latent_torque import LatentTorque, latent_torques
 from casadi_engine.discrepancy.law_refit import refitted_law
@@ -251,7 +252,7 @@ class Answer:
 
     def _say(self, null: Station, last: Station, proof: Confirmation) -> None:
         self.messages += [*last.screened.choice.messages, *_without_answer(self.search), *_elsewhere(last)]
-        self.messages += _so_far(self.search)
+        self.messages += [*_so_far(self.search), *events_told(proof.after or proof.before, last.fit)]
         own = {
             record.name: {int(c) for n in record.cycle.values() for c in n}
             for record in null.screened.null.records

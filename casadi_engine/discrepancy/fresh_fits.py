@@ -251,6 +251,24 @@ def _with_events(
     return [held_fit(fit, record, noise=noise, idle=gone, model=model, places=places)]
 
 
+def events_told(sides: Sequence[tuple[Fit, NullModel]], fit: Fit) -> list[str]:
+    """In words: where events that may move happened in fresh records, by fits with their parameters held."""
+    said = []
+    for held, _ in sides:
+        (record,) = held.data
+        for one in held.model.effects:
+            if not moves(one.effect) or record.name in {own.name for own in fit.data}:
+                continue
+            free = [name for name in held.free if name.partition("@")[0].startswith(f"{one.key}.")]
+            times = [name for name in free if name.partition("@")[0] != one.amplitude]
+            if times:
+                words = ", ".join(f"{held.values[name]:.4g} s" for name in times)
+                said.append(f"{one.key} was found in {record.name} too, at {words}")
+            elif held.values_for(record.name)[one.amplitude] == 0:
+                said.append(f"{one.key} does not happen in {record.name}")
+    return said
+
+
 def _effect_of(one: Event) -> Effect:
     """The effect of an event that was found, or that the user's model has."""
     made: Effect = one.candidate.source.effect if isinstance(one, Addition) else one.effect
