@@ -47,7 +47,7 @@ def test_a_declared_event_has_a_time_of_its_own_in_fresh_records(own):
         assert said == ["engine.load_step does not happen in b"]
     else:
         assert said[0].startswith("engine.load_step was found in b too, at 3.3")
-    assert found.gaps.validation_before.chi2_per_sample < 1.2
+    assert found.gaps.validation_before.gap.chi2_per_sample < 1.2
 
 
 def test_what_is_missing_is_not_taken_for_an_event():
