@@ -225,12 +225,11 @@ def _with_events(
         return []
     if moving and not any(one in idle for one in moving):
         # they go on from the records searched, or have never come
-        gone = [*idle, *moving]
-        return [held_fit(fit, record, noise=noise, idle=gone)]
+        return [held_fit(fit, record, noise=noise, idle=[*idle, *moving])]
     null = _without_events(held, effects, events, record, refitter)
     places: dict[str, tuple[float, float, float]] = {}
     again: dict[Addition, Addition] = {}  # event -> the same in other cycles
-    gone = [one for one in idle if not one.moves]
+    gone: list[Event] = [one for one in idle if not one.moves]
     for one in events:
         found = _placed(one, null, record, noise, fit)
         if found is None:

@@ -42,6 +42,8 @@ from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 
 FAILURES = (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError)
 _AT_BOUND = 1e-8
+# Standard errors by which refits may be off where structures are compared: chi-squared is by a hundredth then.
+_FELT = 0.1
 # Steps over one horizon: a model that explains the data takes ten, one that does not has not arrived after a hundred.
 _STEPS = 20
 # Corners are sharpened at most so often; steps of the integration of all records, if all samples asked for as many as
@@ -90,6 +92,8 @@ class Path:
         # chi-squared by which corners that are sharper still may change the best fit; nan where it is not known
         self.felt = math.nan
         self._least: dict[int, float] = {}  # the least work that a refit of a structure took
+        # structure and share -> where refits of it arrived there, and in the end
+        self._ways: dict[tuple[Any, ...], list[tuple[Arrived, Arrived]]] = {}
         self._work: list[float] = []  # expected of the first refit, and that of the refits so far
 
     def from_point(self, effects: Sequence[Addition], start: Start | Arrived | None) -> Arrived | None:
@@ -106,20 +110,34 @@ class Path:
         first = (None,) if self.linear and start is not None and start.initial else None
         refitter, own = self.refitter, self.refitter.share
         least: Arrived | None = None
-        lost = False
+        lost, passed = False, {}
         if self.cornered(effects[-1:]):
             try:
                 for level in range(_WIDER, 0, -1):
                     refitter.share = own * SHARPER_BY**level
                     there = self._ended(effects, least or start, (None,) if least else first)
                     lost = there is None or (least is not None and there.cost > _LOST * least.cost)
-                    if lost:
+                    if lost or there is None:
                         break
-                    least = there
+                    least, key = there, (form_of(effects), own, refitter.share)
+                    known = next((end for one, end in self._ways.get(key, ()) if _met(one, there)), None)
+                    if known is not None:
+                        return known
+                    passed[key] = there
             finally:
                 refitter.share = own
         if least is None:
             return self._ended(effects, start, first)
+        found = self._sharp_end(effects, start, least, first, lost)
+        if found is not None:
+            for key, there in passed.items():
+                self._ways.setdefault(key, []).append((there, found))
+        return found
+
+    def _sharp_end(
+        self, effects: Sequence[Addition], start: Start | None, least: Arrived, first: Any, lost: bool
+    ) -> Arrived | None:
+        """Where a refit ends that went through wide corners; lost : sharper ones followed the last of them in vain"""
         found = None if lost else self._ended(effects, least, (None,))
         if found is None or found.cost > _LOST * least.cost:
             plain = self._ended(effects, start, first)
@@ -183,6 +201,7 @@ class Path:
     def relevel(self, levels: Mapping[str, float]) -> None:
         """Weigh all further refits by other levels."""
         self.levels = dict(levels)
+        self._ways.clear()
         for model, _, problem in self._made.values():
             for record in problem.records:
                 record.set_sigma(np.array([levels[out.name] for out in model.outputs]))
@@ -307,11 +326,25 @@ class Path:
             model = refitter.extended(effects)
             pars = refitter.parameters_of(model, effects).unconstrained()
             interval = refitter.interval
-            problem = RefitProblem(model, refitter.data, pars, levels=self.levels, interval=interval)
+            problem = RefitProblem(
+                model, refitter.data, pars, levels=self.levels, interval=interval, felt=_FELT
+            )
             if refitter.in_places:
                 problem.step_in_places()
             self._made[key] = model, pars, problem
         return self._made[key]
+
+
+def _met(one: Arrived, other: Arrived) -> bool:
+    """True if two refits of a structure arrived at the same optimum, as far as refits tell: they go on as one."""
+    count = sum(len(e) for record in one.refit.records.values() for e in record.residual.values())
+    apart = abs(one.cost - other.cost) / max(1.0, one.cost / max(count, 1))
+    return one.settled and other.settled and apart <= 2 * _FELT**2
+
+
+def form_of(effects: Sequence[Addition]) -> frozenset[tuple[str, str, bool]]:
+    """Effects and ports, and which events have one amplitude for all records."""
+    return frozenset((*one.candidate.key, one.shared) for one in effects)
 
 
 def _begun(

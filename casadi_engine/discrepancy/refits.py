@@ -26,7 +26,7 @@ from casadi_engine.discrepancy.linearised import OneStep
 from casadi_engine.discrepancy.noise_choice import scatter_of
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
-from casadi_engine.discrepancy.path import FAILURES, Arrived, Path
+from casadi_engine.discrepancy.path import FAILURES, Arrived, Path, form_of
 from casadi_engine.discrepancy.priors import priors_of
 from casadi_engine.discrepancy.refit import Addition, Refitter
 from casadi_engine.discrepancy.start import Start
@@ -105,11 +105,6 @@ class Tried:
             return size
         drop = math.sqrt(max(without.evidence.cost - self.evidence.cost, 0.0))
         return drop if drop > _ELSEWHERE * size else size
-
-
-def form_of(effects: Sequence[Addition]) -> frozenset[tuple[str, str, bool]]:
-    """Effects and ports, and which events have one amplitude for all records."""
-    return frozenset((*one.candidate.key, one.shared) for one in effects)
 
 
 def key_of(effects: Sequence[Addition]) -> Key:

@@ -79,24 +79,25 @@ def shift_of(record: RecordTerm, found: SignedError) -> float:
 
 
 def shorten_steps(
-    records: Sequence[RecordTerm], v: Array, nodes: Sequence[Array], misfit: float = 1.0
+    records: Sequence[RecordTerm], v: Array, nodes: Sequence[Array], misfit: float = 1.0, shift: float = SHIFT
 ) -> bool:
     """Give shorter steps to records whose integration moves the estimates; True if any has them now.
 
+    shift : standard errors by which it may move them
     misfit : chi-squared per sample; where it is above 1 the residuals are no noise of the levels by which records are
     weighed, and what is left of a wrong model tells the estimates so much less
     """
     errors = signed_errors(records, v, nodes)
-    limit, changed = SHIFT * np.sqrt(max(misfit, 1.0) / len(records)), False
+    limit, changed = shift * np.sqrt(max(misfit, 1.0) / len(records)), False
     for record, found in zip(records, errors, strict=True):
         if found is None or record.limited:
             continue
-        shift = shift_of(record, found)
+        moved = shift_of(record, found)
         largest = float(np.abs(found.off).max(initial=0.0))
-        if shift <= limit or largest <= _NEGLIGIBLE * float(np.abs(found.size).max(initial=0.0)):
+        if moved <= limit or largest <= _NEGLIGIBLE * float(np.abs(found.size).max(initial=0.0)):
             continue
         assert isinstance(record.propagator, Stepped)
-        finer = shortened(record.propagator, found, min(4 * shift / limit, 1e8))
+        finer = shortened(record.propagator, found, min(4 * moved / limit, 1e8))
         if finer is not None:
             record.propagator = finer
         elif not record.step_in_places():

@@ -31,8 +31,9 @@ from casadi_engine.simulation.shared_core import Cores
 
 Array = NDArray[np.float64]
 
-# A next step that promises less of half chi-squared ends the search; over a window, a share of it or half of one.
-_FALL, _SHARE, _HALF = 5e-5, 1e-3, 0.5
+# Standard errors by which the end of a search may be off its optimum: a next step that promises less of chi-squared
+# than their square ends it. Over a window a share of chi-squared, or half of one.
+EXACT, _SHARE, _HALF = 0.01, 1e-3, 0.5
 # Longest step of a logarithm, or of a number in units of its size; a number that starts at 0 has none.
 _LONGEST = 1.5
 # Gaps that count as none, by their effect on chi-squared as a share of that fall, and how often they are closed.
@@ -47,7 +48,10 @@ _GROWTH = 8
 
 
 class RefitProblem:
-    """What refits of one model have in common; arguments as those of ``refit``."""
+    """What refits of one model have in common; arguments as those of ``refit``.
+
+    felt : standard errors by which their ends may be off; twice as much by the integration
+    """
 
     def __init__(
         self,
@@ -57,8 +61,9 @@ class RefitProblem:
         *,
         levels: Mapping[str, float],
         interval: Any = "auto",
+        felt: float = EXACT,
     ) -> None:
-        self.model = model
+        self.model, self.felt = model, felt
         names = tuple(record.name for record in records)
         self.pmap: ParameterMap = compile(parameters, model.parameter_names, names)
         sigma = np.array([_level(levels, output.name) for output in model.outputs])
@@ -134,7 +139,9 @@ class RefitProblem:
         for _ in range(_SHORTENED):
             try:
                 misfit = 2 * place.squares.cost / max(self.count, 1)
-                if status != "converged" or not shorten_steps(self.records, place.v, place.nodes, misfit):
+                if status != "converged" or not shorten_steps(
+                    self.records, place.v, place.nodes, misfit, 2 * self.felt
+                ):
                     break
                 place, status = self._descended(ladder[-1], place.v, list(place.nodes), most, last=True)
             except TimeUp:  # what there is stays what it was
@@ -157,7 +164,7 @@ class RefitProblem:
         for _ in range(_CLOSINGS if last else 1):
             before = windows.best.squares.cost
             unit = max(1.0, 2 * before / self.count)  # of chi-squared, where the model is wrong
-            fall = _FALL * unit if last else max(_HALF, _SHARE * before)
+            fall = 0.5 * self.felt**2 * unit if last else max(_HALF, _SHARE * before)
             try:
                 found = minimise(windows, v, low, high, fall=fall, steps=most, longest=self._longest)
                 assert found is not None  # it was evaluated above

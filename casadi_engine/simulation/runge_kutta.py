@@ -41,7 +41,7 @@ _STEP = 0.25
 # And the most of it: an explicit step of order 4 grows beyond 2.8.
 _UNSTABLE = 2.5
 # Explicit steps of a cell of the grid from which implicit steps are the cheaper ones.
-_STIFF = 40
+_STIFF = 8
 # How often the steps are made shorter at one point before it counts as one that cannot be evaluated: at first, and
 # once another point could be, near which it has to be for a search to go there.
 _ATTEMPTS, _LATER = 5, 3
