@@ -17,7 +17,7 @@ from casadi_engine.deadline import TimeUp, ask, late
 from casadi_engine.discrepancy.families import chosen_of, costs_of, families_of
 from casadi_engine.discrepancy.linearised import OneStep, one_step, without_effect
 from casadi_engine.discrepancy.null_model import null_at
-from casadi_engine.discrepancy.path import FAILURES
+from casadi_engine.discrepancy.path import FAILURES, Arrived
 from casadi_engine.discrepancy.refit import Addition, addition
 from casadi_engine.discrepancy.refits import FACTOR, PART, Refits, Tried
 from casadi_engine.discrepancy.score import score
@@ -123,7 +123,7 @@ class Additions:
         if step is None:
             return rest
         if linear:
-            self.lead, self.start = step, _start_without(best, best.newest(self.here))
+            self.lead, self.start = step, start_without(best.arrived, best.newest(self.here))
         left = self._promising(best, step, rest, clearly=not linear)
         cost = costs_of(self.screened, step, self.families)
         self.left_out = {key: cost[key] for key in rest if key not in left}
@@ -199,7 +199,7 @@ class Additions:
             for one in instead(self.refits, best, last, self.screened, self.families):
                 ask()
                 self.tell(f"refit {one.label} from the parameters of {last.label}")
-                self._try(one, _start_without(best, last))
+                self._try(one, start_without(best.arrived, last))
             self._containing()
             if max(one.log for one in self._of_families()) <= best.log:
                 return
@@ -218,7 +218,7 @@ class Additions:
             alike = np.abs(self.screened.scores.correlation[self.families[limit][0], members])
             candidate = candidates[members[int(np.argmax(alike))]]
             size = next(v for n, v in simple.arrived.values.items() if n.partition("@")[0] == case.amplitude)
-            self._try(addition(candidate, size), _start_without(simple, case))
+            self._try(addition(candidate, size), start_without(simple.arrived, case))
 
     # ---- refits
 
@@ -293,7 +293,7 @@ def chance(refits: Refits, screened: Screened) -> float:
     return 2 * math.log(FACTOR * len(screened.candidates)) * memory
 
 
-def _start_without(tried: Tried, member: Addition) -> Start:
+def start_without(arrived: Arrived, member: Addition) -> Start:
     """Where a structure's refit ended, but for the parameters of a member."""
-    values = {n: v for n, v in tried.arrived.values.items() if not n.startswith(f"{member.key}.")}
-    return Start(values, tried.arrived.initial)
+    values = {n: v for n, v in arrived.values.items() if not n.startswith(f"{member.key}.")}
+    return Start(values, arrived.initial)

@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 
 from casadi_engine.deadline import Deadline, TimeUp, ask, late
-from casadi_engine.discrepancy.additions import AGAIN, TIME_UP, Additions, instead
+from casadi_engine.discrepancy.additions import AGAIN, TIME_UP, Additions, instead, start_without
 from casadi_engine.discrepancy.assumed_pressure import settle_scatter
 from casadi_engine.discrepancy.coloured_errors import coloured_errors
 from casadi_engine.discrepancy.exchanged_units import impossible_gain
@@ -26,7 +26,7 @@ from casadi_engine.discrepancy.membership import class_of, ordered, reached, sim
 from casadi_engine.discrepancy.noise_model import estimated_noise
 from casadi_engine.discrepancy.pairs import price_of, tried_in_two
 from casadi_engine.discrepancy.path import FAILURES
-from casadi_engine.discrepancy.refit import Addition, Refitter
+from casadi_engine.discrepancy.refit import Addition, Refitter, addition
 from casadi_engine.discrepancy.refits import FACTOR, Key, Refits, Tried, key_of
 from casadi_engine.discrepancy.repaired import Round
 from casadi_engine.discrepancy.screening import Screened, coloured
@@ -93,11 +93,33 @@ class Choice:
                     break
                 here = made
                 self.best = here.key
+            self._special_cases()
             self._most_probable_first()
             self._in_two()
         except TimeUp:
             if TIME_UP not in self.failed.values():
                 self.failed[f"any effect{beside}"] = TIME_UP
+
+    def _special_cases(self) -> None:
+        """Refit the most probable structures with a law's special case in its place, where that was not tried beside
+        the other effects: what the law has more may be what one of these does."""
+        now, families = self.pool[self.best], families_of(self.null.screened)
+        least = now.log - math.log(FACTOR)
+        for one in [t for t in self.pool.values() if len(t.key) == len(now.key) > 1 and t.log > least]:
+            for member in one.effects:
+                limit = (member.candidate.source.effect.limit, member.candidate.port)
+                if limit in one.key or limit not in families:
+                    continue
+                if one.key - {member.candidate.key} | {limit} in self.pool:
+                    continue
+                ask()
+                self.tell(f"{limit[0]} in place of {member.label}, in {one.label}")
+                candidate = self.null.screened.candidates[families[limit][0]]
+                size = next(v for n, v in one.arrived.values.items() if n.partition("@")[0] == member.amplitude)
+                rest = (other for other in one.effects if other is not member)
+                start = start_without(one.arrived, member)
+                self._timed("exchange", lambda: self.refits.tried((*rest, addition(candidate, size)), start))  # noqa: B023
+        self._timed("evidence", self.refits.weigh)
 
     def _most_probable_first(self) -> None:
         """Let a structure of as many effects that the last levels of the noise make more probable take the place of the
@@ -361,12 +383,12 @@ class Choice:
             for member in best.effects:
                 rest = tuple(one for one in best.effects if one is not member)
                 others = {k: v for k, v in families.items() if k not in key_of(rest)}
-                start = {n: v for n, v in best.arrived.values.items() if not n.startswith(f"{member.key}.")}
+                start = start_without(best.arrived, member)
                 for one in instead(self.refits, best, member, screened, others):
                     ask()
                     self.tell(f"exchange {member.label} for {one.label}")
-                    made += self.refits.tried((*rest, one), Start(start, best.arrived.initial))
-                made += self.refits.tried(rest, Start(start, best.arrived.initial))
+                    made += self.refits.tried((*rest, one), start)
+                made += self.refits.tried(rest, start)
             self.refits.weigh()
             ready = [one for one in made if one.beyond > BEYOND or not one.effects]
             top = max(ready, key=lambda one: one.log, default=None)
