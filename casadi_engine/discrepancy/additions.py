@@ -79,10 +79,10 @@ class Additions:
                 if found is not None and (best is None or found.arrived.cost < best.arrived.cost - _NESTED):
                     best = found
                     left = self._left(best, [k for k in order if k not in self.done]) if left else []
-            if best is not None:
+            if best is not None and self._open():
                 self._elsewhere(best)
-            self.refits.relevel(self._tried())
-            self._around()
+                self.refits.relevel(self._tried())
+                self._around()
         except TimeUp:  # the best of those that were tried
             names = [f"{key[0]} at {key[1]}" for key in left if key not in self.done]
             self.failed |= dict.fromkeys(names or [_OTHER_STARTS], TIME_UP)
@@ -153,6 +153,17 @@ class Additions:
 
     def _in_place_of(self, best: Tried) -> OneStep | None:
         return step_in_place(self.refits, best, best.newest(self.here), self.screened, self.families)
+
+    def _open(self) -> bool:
+        """True if an effect may yet be worth it: nothing is missing beside what was found where neither scores, nor one
+        step, nor any refit says so."""
+        screened, memory = self.screened, max(self.refits.levels.memory.values(), default=1.0)
+        if not self.here.effects or (screened.significant and not screened.noise.colour and memory == 1.0):
+            return True
+        self.refits.weigh()
+        promise = 0.5 * (self.at_here.none - float(self.at_here.cost.min())) / memory
+        gain = max((one.log - self.here.log for one in self._tried()), default=0.0)
+        return max(promise, gain) > math.log(FACTOR * len(self.families))
 
     # ---- other starts
 
@@ -264,6 +275,14 @@ def instead(
     order = [key for key in sorted(cost, key=lambda key: cost[key]) if cost[key] < most]
     found = [chosen_of(screened, step, families[key]) for key in order[:_EXCHANGED]]
     return [form for one in found for form in one.forms]
+
+
+def may_go(
+    refits: Refits, tried: Tried, member: Addition, screened: Screened, families: Mapping[Family, list[int]]
+) -> bool:
+    """True if a structure may well do without a member: one step without it does not clearly tell that it is worse."""
+    step = step_in_place(refits, tried, member, screened, families)
+    return step is None or step.none < rival(refits, tried.arrived.cost, step.none, screened)
 
 
 def step_in_place(

@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 
 from casadi_engine.deadline import Deadline, TimeUp, ask, late
-from casadi_engine.discrepancy.additions import AGAIN, TIME_UP, Additions, instead, start_without
+from casadi_engine.discrepancy.additions import AGAIN, TIME_UP, Additions, instead, may_go, start_without
 from casadi_engine.discrepancy.assumed_pressure import settle_scatter
 from casadi_engine.discrepancy.coloured_errors import coloured_errors
 from casadi_engine.discrepancy.exchanged_units import impossible_gain
@@ -388,7 +388,8 @@ class Choice:
                     ask()
                     self.tell(f"exchange {member.label} for {one.label}")
                     made += self.refits.tried((*rest, one), start)
-                made += self.refits.tried(rest, start)
+                if may_go(self.refits, best, member, screened, others):
+                    made += self.refits.tried(rest, start)
             self.refits.weigh()
             ready = [one for one in made if one.beyond > BEYOND or not one.effects]
             top = max(ready, key=lambda one: one.log, default=None)

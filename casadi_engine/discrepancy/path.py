@@ -428,7 +428,7 @@ def first_states_on(
 ) -> Start | None:
     """Where a refit of a record's first states ends, in windows first; None where the model fails."""
     try:
-        found = RefitProblem(model, (record,), parameters.unconstrained(), levels=levels).run()
+        found = RefitProblem(model, (record,), parameters.unconstrained(), levels=levels, felt=_FELT).run()
     except FAILURES:
         return None
     if not found.initial:

@@ -111,7 +111,7 @@ class RefitProblem:
                     self._nodes(record, v, z, initial, warm, own)
                     for record, own in zip(self.records, close, strict=True)
                 ]
-                return self._searched(v, nodes, self._counts(horizons), most, warm)
+                return self._searched(v, nodes, self._counts(horizons), most, warm, near is not None)
             except (FloatingPointError, np.linalg.LinAlgError) as fault:
                 if self.step_in_places():
                     return self.run(
@@ -126,15 +126,21 @@ class RefitProblem:
         return any(stepped)
 
     def _searched(
-        self, v: Array, nodes: list[Array], ladder: list[list[int]], most: int, warm: Refit | None
+        self, v: Array, nodes: list[Array], ladder: list[list[int]], most: int, warm: Refit | None, near: bool
     ) -> Refit:
-        """The refit over horizons of so many intervals of each record."""
+        """The refit over horizons of so many intervals of each record.
+
+        near : it begins near an optimum, so that steps are made there as short as they have to be: steps that are too
+        long for a corner make chi-squared rough, and a search would only wander over that
+        """
         states: list[Array] | None = None
         for counts in ladder[:-1]:
             place, _ = self._descended(counts, v, nodes, most, last=False)
             v, nodes = place.v, list(place.nodes)
             states = states or nodes
         self._as_fine_as(warm)
+        if near:
+            self._shortened(ladder[-1], v, nodes)
         place, status = self._descended(ladder[-1], v, nodes, most, last=True)
         for _ in range(_SHORTENED):
             try:
@@ -147,6 +153,17 @@ class RefitProblem:
             except TimeUp:  # what there is stays what it was
                 status = _TIME_UP
         return self._answer(place, states or list(place.nodes), status)
+
+    def _shortened(self, counts: list[int], v: Array, nodes: list[Array]) -> None:
+        """Give the integration steps as short as they have to be at a point."""
+        for _ in range(_SHORTENED):
+            windows = Windows(self.records, self.priors, counts, nodes)
+            if windows(v) is None:
+                return  # what is wrong is said where the search begins
+            misfit = 2 * windows.best.squares.cost / max(self.count, 1)
+            self._steps += windows.evaluations
+            if not shorten_steps(self.records, v, list(windows.best.nodes), misfit, 2 * self.felt):
+                return
 
     def _as_fine_as(self, warm: Refit | None) -> None:
         """Integrate as finely as a refit before did in the end, where the integrators are alike."""
@@ -166,7 +183,10 @@ class RefitProblem:
             unit = max(1.0, 2 * before / self.count)  # of chi-squared, where the model is wrong
             fall = 0.5 * self.felt**2 * unit if last else max(_HALF, _SHARE * before)
             try:
-                found = minimise(windows, v, low, high, fall=fall, steps=most, longest=self._longest)
+                found = minimise(
+                    windows, v, low, high, fall=fall, steps=most, longest=self._longest,
+                    anew=lambda at: windows.closed_at(at, _CLOSED * fall),  # noqa: B023
+                )  # fmt: skip
                 assert found is not None  # it was evaluated above
                 v, converged = windows.best.v, found.converged
                 if windows.evaluations > _ENOUGH * most:  # gaps that open again as often as they are closed

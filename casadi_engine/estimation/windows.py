@@ -196,6 +196,12 @@ class Windows:
         self.here = found
         return abs(found.squares.cost - here.squares.cost)
 
+    def closed_at(self, v: Array, most: float) -> Squares | None:
+        """The squares at the best point with its gaps closed, where that is v and its gaps are larger than ``most``."""
+        if not np.array_equal(v, self.best.v) or self.gaps <= most or not np.isfinite(self.closed()):
+            return None
+        return self.best.squares
+
     def _moved(self, here: Place, v: Array) -> tuple[Array, ...]:
         """The intervals' starts at v from a point near by, with the states that serve best there."""
         step = v - here.v
