@@ -252,7 +252,7 @@ class Answer:
 
     def _say(self, null: Station, last: Station, proof: Confirmation) -> None:
         self.messages += [*last.screened.choice.messages, *_without_answer(self.search), *_elsewhere(last)]
-        self.messages += [*_so_far(self.search), *events_told(proof.after or proof.before, last.fit)]
+        self.messages += [*_so_far(self.search), *events_told(proof.after or proof.before, null.fit)]
         own = {
             record.name: {int(c) for n in record.cycle.values() for c in n}
             for record in null.screened.null.records

@@ -94,6 +94,9 @@ class Choice:
                 here = made
                 self.best = here.key
             self._special_cases()
+            least = self.pool[self.best].log - math.log(FACTOR)
+            near = [t for t in self.pool.values() if len(t.key) == len(self.best) > 0 and t.log > least]
+            self._timed("refit", lambda: self.refits.exactly(near if len(near) > 1 else ()))
             self._most_probable_first()
             self._in_two()
         except TimeUp:
@@ -115,7 +118,9 @@ class Choice:
                 ask()
                 self.tell(f"{limit[0]} in place of {member.label}, in {one.label}")
                 candidate = self.null.screened.candidates[families[limit][0]]
-                size = next(v for n, v in one.arrived.values.items() if n.partition("@")[0] == member.amplitude)
+                size = next(
+                    v for n, v in one.arrived.values.items() if n.partition("@")[0] == member.amplitude
+                )
                 rest = (other for other in one.effects if other is not member)
                 start = start_without(one.arrived, member)
                 self._timed("exchange", lambda: self.refits.tried((*rest, addition(candidate, size)), start))  # noqa: B023

@@ -251,11 +251,14 @@ def _with_events(
 
 
 def events_told(sides: Sequence[tuple[Fit, NullModel]], fit: Fit) -> list[str]:
-    """In words: where events that may move happened in fresh records, by fits with their parameters held."""
+    """In words: where events of the user's own model happened in fresh records, by fits with parameters held.
+
+    fit : without further effects
+    """
     said = []
     for held, _ in sides:
         (record,) = held.data
-        for one in held.model.effects:
+        for one in fit.model.effects:
             if not moves(one.effect) or record.name in {own.name for own in fit.data}:
                 continue
             free = [name for name in held.free if name.partition("@")[0].startswith(f"{one.key}.")]

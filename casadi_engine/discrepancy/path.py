@@ -33,6 +33,7 @@ from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation.corner_widths import FACTOR as SHARPER_BY
 from casadi_engine.estimation.corner_widths import FELT
 from casadi_engine.estimation.refit_entry import Refit, RefitProblem
+from casadi_engine.estimation.refit_problem import EXACT
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
@@ -82,11 +83,12 @@ class Arrived:
 class Path:
     """Refits of one set of records at held noise levels; a model with its effects is set up once.
 
-    levels : output -> standard deviation of the noise
+    levels : output -> standard deviation of the noise; felt : standard errors by which refits may be off, but for
+    those that are asked for ``exactly``
     """
 
-    def __init__(self, refitter: Refitter, levels: Mapping[str, float]) -> None:
-        self.refitter, self.levels = refitter, dict(levels)
+    def __init__(self, refitter: Refitter, levels: Mapping[str, float], felt: float = _FELT) -> None:
+        self.refitter, self.levels, self.felt_errors = refitter, dict(levels), felt
         self._made: dict[tuple[Any, ...], tuple[Model, Parameters, RefitProblem]] = {}
         self._kept: list[Addition] = []
         # chi-squared by which corners that are sharper still may change the best fit; nan where it is not known
@@ -99,6 +101,15 @@ class Path:
     def from_point(self, effects: Sequence[Addition], start: Start | Arrived | None) -> Arrived | None:
         """The end of a refit from a point, None for the parameters' own values; None where the model fails."""
         return self._ended(effects, start, (None,))
+
+    def exactly(self, effects: Sequence[Addition], arrived: Arrived) -> Arrived | None:
+        """The end of a refit from where another one arrived, as exact as whole fits are."""
+        _, _, problem = self._problem(effects)
+        try:
+            problem.felt = EXACT
+            return self._ended(effects, arrived, (None,))
+        finally:
+            problem.felt = self.felt_errors
 
     def from_windows(self, effects: Sequence[Addition], start: Start | None = None) -> Arrived | None:
         """The end of a refit that begins in short windows, at the values of a start or the parameters' own.
@@ -120,7 +131,7 @@ class Path:
                     if lost or there is None:
                         break
                     least, key = there, (form_of(effects), own, refitter.share)
-                    known = next((end for one, end in self._ways.get(key, ()) if _met(one, there)), None)
+                    known = self._known_end(key, there)
                     if known is not None:
                         return known
                     passed[key] = there
@@ -147,6 +158,15 @@ class Path:
             direct = self._ended(effects, least, (None,))
             found = direct if found is None or (direct is not None and direct.cost < found.cost) else found
         return found
+
+    def _known_end(self, key: tuple[Any, ...], there: Arrived) -> Arrived | None:
+        """Where another refit of a structure ended that passed the same optimum as this one: they go on as one."""
+        for one, end in self._ways.get(key, ()):
+            count = sum(len(e) for record in one.refit.records.values() for e in record.residual.values())
+            apart = abs(one.cost - there.cost) / max(1.0, one.cost / max(count, 1))
+            if one.settled and there.settled and apart <= 2 * self.felt_errors**2:
+                return end
+        return None
 
     def cornered(self, effects: Sequence[Addition]) -> bool:
         """True if a law has corners whose width follows the motion."""
@@ -327,19 +347,12 @@ class Path:
             pars = refitter.parameters_of(model, effects).unconstrained()
             interval = refitter.interval
             problem = RefitProblem(
-                model, refitter.data, pars, levels=self.levels, interval=interval, felt=_FELT
+                model, refitter.data, pars, levels=self.levels, interval=interval, felt=self.felt_errors
             )
             if refitter.in_places:
                 problem.step_in_places()
             self._made[key] = model, pars, problem
         return self._made[key]
-
-
-def _met(one: Arrived, other: Arrived) -> bool:
-    """True if two refits of a structure arrived at the same optimum, as far as refits tell: they go on as one."""
-    count = sum(len(e) for record in one.refit.records.values() for e in record.residual.values())
-    apart = abs(one.cost - other.cost) / max(1.0, one.cost / max(count, 1))
-    return one.settled and other.settled and apart <= 2 * _FELT**2
 
 
 def form_of(effects: Sequence[Addition]) -> frozenset[tuple[str, str, bool]]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadi_engine.deadline import late
+from casadi_engine.deadline import ask, late
 from casadi_engine.discrepancy.compression import scatter_columns
 from casadi_engine.discrepancy.evidence import (
     FACTOR,
@@ -257,6 +257,16 @@ class Refits:
                 made = None if again is None else self._counted(one.effects, again)
                 if made is not None and made.log > one.log:
                     self.pool[one.key] = made
+
+    def exactly(self, rivals: Sequence[Tried]) -> None:
+        """Refit structures as exactly as whole fits are made: what tells one from the other is no rounding."""
+        for one in rivals:
+            ask()
+            again = self.path.exactly(one.effects, one.arrived)
+            made = None if again is None or not again.settled else self._counted(one.effects, again)
+            if made is not None:
+                self.pool[one.key] = made
+        self.weigh()
 
     def sharpened(self, best: Tried) -> bool:
         """Refit the best structure and its rivals with corners so sharp that the data do not tell them from sharper

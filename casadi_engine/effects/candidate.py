@@ -212,9 +212,7 @@ def candidates(
                 continue
             try:
                 view = PortView(model, port, courses, effect=effect.name, free=free)
-                made, words = _at_port(
-                    model, effect, port, view, record, numbers, sharp, known, again
-                )
+                made, words = _at_port(model, effect, port, view, record, numbers, sharp, known, again)
             except EffectError as fault:
                 if skipped is None:
                     raise

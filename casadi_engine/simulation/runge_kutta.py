@@ -40,8 +40,9 @@ from casadi_engine.simulation.tableau import (
 _STEP = 0.25
 # And the most of it: an explicit step of order 4 grows beyond 2.8.
 _UNSTABLE = 2.5
-# Explicit steps of a cell of the grid from which implicit steps are the cheaper ones.
-_STIFF = 8
+# Explicit steps of a cell of the grid from which implicit steps are the cheaper ones: where every cell asks for them,
+# and where some do, as at a corner, for explicit steps are alike everywhere.
+_STIFF, _SOMEWHERE = 40, 8
 # How often the steps are made shorter at one point before it counts as one that cannot be evaluated: at first, and
 # once another point could be, near which it has to be for a search to go there.
 _ATTEMPTS, _LATER = 5, 3
@@ -243,9 +244,10 @@ class RungeKuttaPropagator:
             by_x = self.slope.newton(np.ascontiguousarray(nodes.T), known, z)[1]
         matrices = by_x.reshape(self.n, self.n, plan.m).T / span[cells][:, None, None]
         fine = np.isfinite(matrices).all(axis=(1, 2))
-        rates = np.abs(np.linalg.eigvals(matrices[fine])) if fine.any() else np.zeros(1)
+        rates = np.abs(np.linalg.eigvals(matrices[fine])).max(axis=1) if fine.any() else np.zeros(1)
         wanted = np.ceil(float(rates.max(initial=0.0)) * span / _STEP - 1e-6)
-        if wanted.max() > _STIFF:
+        somewhere = np.median(rates) < 0.5 * rates.max(initial=0.0)
+        if wanted.max() > (_SOMEWHERE if somewhere else _STIFF):
             self._lay(Fineness(RADAU, np.ones(len(span), np.intp)))
         else:
             self._lay(Fineness(RUNGE_KUTTA, np.maximum(wanted, 1).astype(np.intp)))
@@ -255,7 +257,7 @@ class RungeKuttaPropagator:
         now = self._fineness
         assert now is not None  # laid by `propagate`
         counts = np.ceil(now.counts * factor).astype(np.intp)
-        if not now.scheme.implicit and counts.max() > _STIFF:
+        if not now.scheme.implicit and counts.max() > _SOMEWHERE:
             self._lay(Fineness(RADAU, np.maximum(1, now.counts // 8)))
         else:
             self._lay(replace(now, counts=counts))

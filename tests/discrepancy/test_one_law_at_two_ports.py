@@ -118,7 +118,7 @@ def test_one_port_alone_is_named_with_the_same_number(alone, repair):
     assert {row.at for row in found.scores} == {port}
     assert [one.key for one in found.effects] == [f"{port}.coulomb_friction"]
     size = found.effects[0].amplitude
-    assert size.value == pytest.approx(both.value, abs=1e-3 * both.stderr)
+    assert size.value == pytest.approx(both.value, abs=0.01 * both.stderr)  # as fits promise
 
 
 def test_the_same_law_at_another_port_is_told(alone):
