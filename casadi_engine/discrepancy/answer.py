@@ -29,6 +29,7 @@ from casadi_engine.discrepancy.claim import (
 from casadi_engine.discrepancy.coloured_errors import with_coloured_errors
 from casadi_engine.discrepancy.confirmation import PairedGain
 from casadi_engine.discrepancy.detectable import not_found
+from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.families import BEYOND
 from casadi_engine.discrepancy.fresh import (
     Portions,
@@ -154,7 +155,9 @@ class Answer:
         if rival is None or law is None:
             return claim
         claim = replace(claim, unknown=rival if law.log >= 0 or unknown is None else unknown)
-        return claim.withdrawn_for(claim.unknown, null) if law.excludes else claim
+        judged = claim.proof.judgement  # what fresh data deny is no name for the law that is more probable
+        denied = judged is not None and judged.confirmed is False and law.log >= math.log(FACTOR)
+        return claim.withdrawn_for(claim.unknown, null) if law.excludes or denied else claim
 
     def _finished(self, blank: Repair, null: Station, last: Station, proof: Confirmation) -> Repair:
         screened = null.screened

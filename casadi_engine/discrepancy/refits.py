@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -143,6 +144,8 @@ class Refits:
         self.steps: dict[Tried, tuple[tuple[object, ...], OneStep | None]] = {}
         self._fine: set[Key] = set()  # structures whose corners are as sharp as the data feel
         self._tell = tell
+        # the last one with the share of its corners, as several parts ask for the same
+        self._linear: tuple[Arrived, float, NullModel | None] | None = None
 
     def tried(self, effects: tuple[Addition, ...], start: Start | None, *, near: bool = False) -> list[Tried]:
         """The structure in the pool, after another refit of it from a start; empty where none has arrived.
@@ -367,8 +370,10 @@ class Refits:
 
     def null(self, tried: Tried) -> NullModel | None:
         """The model of a structure, linearised where its refit ended; None where that fails."""
-        try:
-            with np.errstate(all="ignore"):
-                return self.path.null_at(tried.effects, tried.arrived)
-        except FAILURES:
-            return None
+        now = tried.arrived, self.refitter.share
+        if self._linear is None or self._linear[0] is not now[0] or self._linear[1] != now[1]:
+            made: NullModel | None = None
+            with suppress(*FAILURES), np.errstate(all="ignore"):
+                made = self.path.null_at(tried.effects, tried.arrived)
+            self._linear = *now, made
+        return self._linear[2]
