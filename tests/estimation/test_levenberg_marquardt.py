@@ -112,6 +112,31 @@ def test_a_search_ends_with_its_steps_or_when_it_is_told_to():
     assert stopped.squares.cost == seen[-1]
 
 
+def test_a_value_that_was_too_low_refuses_no_steps():
+    """As one that was taken with gaps open: the first point seems to be worth nothing."""
+    start, told = np.array([3.0, -2.0]), []
+
+    def bowl(x):
+        return Squares(0.5 * float(x @ x), x, np.eye(2))
+
+    def first_too_low(x):
+        exact = bowl(x)
+        return Squares(0.0, x, np.eye(2)) if np.array_equal(x, start) else exact
+
+    def anew(x):
+        if told:
+            return None
+        told.append(x.copy())
+        return bowl(x)
+
+    stuck = minimise(first_too_low, start, -WIDE, WIDE, fall=1e-10, steps=30)
+    np.testing.assert_array_equal(stuck.x, start)
+    found = minimise(first_too_low, start, -WIDE, WIDE, fall=1e-10, steps=30, anew=anew)
+    np.testing.assert_array_equal(told, [start])
+    assert found.converged
+    np.testing.assert_allclose(found.x, 0.0, atol=1e-4)
+
+
 def test_steps_are_no_longer_than_allowed():
     points = []
 

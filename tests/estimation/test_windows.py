@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import casadi_engine.estimation.windows as windows_module
 from casadi_engine.estimation.refit_problem import RefitProblem
 from casadi_engine.estimation.windows import Windows
 
@@ -49,6 +50,19 @@ def test_the_states_at_their_best(problem, count):
     slope = np.array([residual(row) - left for row in np.eye(size)]).T
     best = 0.5 * np.sum((left - slope @ np.linalg.lstsq(slope, left)[0]) ** 2)
     assert cost == pytest.approx(best, rel=1e-7)
+
+
+def test_gaps_are_closed_at_the_best_point_alone(problem, monkeypatch):
+    monkeypatch.setattr(windows_module, "_OPEN", np.inf)  # a linear model would close them at once
+    v = problem.coordinates.of(problem.pmap.start)
+    windows = windows_of(problem, 1000)
+    windows(v)
+    open_ = windows.gaps
+    assert windows.closed_at(v + 1.0, 0.0) is None
+    assert windows.closed_at(v, 2 * open_) is None
+    assert windows.gaps == open_
+    assert windows.closed_at(v, 0.5 * open_) is windows.best.squares
+    assert windows.gaps < 1e-6 * open_
 
 
 @pytest.mark.parametrize("count", [2, 1000])

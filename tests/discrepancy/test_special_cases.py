@@ -1,0 +1,53 @@
+"""A law that contains another one is not named where that one does the same beside the other effects."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import casadi_engine as ce
+
+M, C, DRY, PUSH = 2.0, 1.5, 3.0, -4.0
+
+
+def cart():
+    b = ce.Blueprint("cart")
+    m, c = (
+        b.parameter("m", 2.5, unit="kg", min=0.5, max=10),
+        b.parameter("c", 2.0, unit="N s/m", min=0, max=20),
+    )
+    v = b.state("v", unit="m/s", scale=1.0)
+    port = b.port("cart", "inertia", {"speed": v}, unit="N")
+    b.ode("v", (b.input("F", unit="N", scale=20) - c * v + port) / m)
+    b.output("v", v, unit="m/s", scale=1.0)
+    return b.model()
+
+
+def record(name, seed):
+    """Dry friction of 3 N and a constant pull of -4 N on a cart that is driven to and fro; it never sticks for long."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0, 12, 0.02)
+    force = 20 * np.sin(1.7 * t + rng.uniform(0, 6)) + 8 * np.sin(4.3 * t + rng.uniform(0, 6))
+    run = solve_ivp(
+        lambda s, x: (np.interp(s, t, force) - C * x + PUSH - DRY * np.tanh(x / 1e-4)) / M,
+        (0, t[-1]), [1.0], t_eval=t, method="LSODA", rtol=1e-9, atol=1e-10, max_step=0.01,
+    )  # fmt: skip
+    v = run.y[0] + 0.05 * rng.standard_normal(len(t))
+    return ce.Experiment.from_arrays(name, time=t, units={"F": "N", "v": "m/s"}, F=force, v=v)
+
+
+@pytest.fixture(scope="module")
+def repair():
+    effects = ["asymmetric_friction", "coulomb_friction", "constant_torque"]
+    return ce.repair(cart(), record("a", 1), fresh=record("b", 2), effects=effects, progress=False)
+
+
+def test_the_simpler_structure_leads(repair):
+    assert {one.key for one in repair.effects} == {"cart.coulomb_friction", "cart.constant_torque"}
+    assert repair.confirmed
+
+
+def test_what_contains_it_is_in_its_class(repair):
+    (dry,) = (one for one in repair.effects if one.key == "cart.coulomb_friction")
+    assert dry.amplitude.value == pytest.approx(DRY, abs=0.1)
+    for member in dry.members:
+        assert member.name in ("coulomb_friction", "asymmetric_friction")
