@@ -14,11 +14,25 @@ from typing import Any
 import numpy as np
 
 from casadi_engine.deadline import Deadline, TimeUp
+from casadi_engine.discrepancy.linear_algebra import basis, without
+from casadi_engine.discrepancy.score import score
+from casadi_engine.discrepancy.screening import Screened
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation import Fit, estimate
 
 # What the predictions may cost, in multiples of the work of the fit before.
 _MORE = 20.0
+# Share of the squared gap that one effect explains by one step: more than is left, which no wrong optimum lets it do.
+_EXPLAINED = 0.5
+
+
+def explained(screened: Screened) -> bool:
+    """True if an effect explains most of what the fit leaves, by one step: then the fit is not lost, but lacks it."""
+    scored = screened.choice.white or screened.compressed
+    rows, own = scored.reduced().rows, scored.reduced().parameters
+    left = without(basis(rows[:, :own]), rows[:, -1:])
+    best = float(np.nanmax(score(scored).drop, initial=0.0))
+    return best > _EXPLAINED * float((left**2).sum())
 
 
 def found_again(fit: Fit, work: float, given: Mapping[str, Any]) -> Fit:

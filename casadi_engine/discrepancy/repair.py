@@ -19,7 +19,7 @@ from casadi_engine.discrepancy.checked_errors import with_checked_errors
 from casadi_engine.discrepancy.choice import TIME_UP, Choice
 from casadi_engine.discrepancy.fresh import Portions, portions
 from casadi_engine.discrepancy.input_hold import other_hold
-from casadi_engine.discrepancy.lost_fit import found_again
+from casadi_engine.discrepancy.lost_fit import explained, found_again
 from casadi_engine.discrepancy.lower_rate import at_lower_rate
 from casadi_engine.discrepancy.noise_choice import ColourChoice, check_choice
 from casadi_engine.discrepancy.null_model import refuse_jumps
@@ -164,10 +164,15 @@ def repair(
 
     laws: Known = {}
 
+    last: list[tuple[Fit, Screened]] = []  # which is asked for again
+
     def scores(fit: Fit) -> Screened:
-        return screen_in_turn(
-            fit, effects, at=at, alpha=alpha, colour=colour, scatter=scatter, seed=seed, known=laws
-        )
+        if not last or last[0][0] is not fit:
+            found = screen_in_turn(
+                fit, effects, at=at, alpha=alpha, colour=colour, scatter=scatter, seed=seed, known=laws
+            )
+            last[:] = [(fit, found)]
+        return last[0][1]
 
     with deadline, Interrupts(job.stop) as asked_to_stop:
         job.interrupts = asked_to_stop
@@ -245,7 +250,7 @@ class _Job:
         """The fit without effects, the search, the answer."""
         options = self.options
         with self.deadline.spared(_FIRST):
-            null_fit, pars, work = self._null(jobs)
+            null_fit, pars, work = self._null(jobs, scores)
             if null_fit.status == "interrupted" or not math.isfinite(null_fit.cost):
                 return self._no_answer(null_fit, alpha)
             at_fault = noise_alone(null_fit) or wild_samples(null_fit)
@@ -290,7 +295,7 @@ class _Job:
         missed = tuple(name for name, why in search.failed.items() if why == TIME_UP)
         return replace(made, stopped=self._by if missed else "", not_searched=missed)
 
-    def _null(self, jobs: int | None) -> tuple[Fit, Parameters, float]:
+    def _null(self, jobs: int | None, scores: Any) -> tuple[Fit, Parameters, float]:
         """The fit without effects, the parameters that later fits start from, and the work of a start."""
         self.tell(f"fit without effects, {self.several['starts']} starts")
         options: dict[str, Any] = {"noise": self.noise, "progress": False, **self.options}
@@ -308,7 +313,7 @@ class _Job:
                 again = estimate(self.model, self.portion.data, parameters=self.parameters, warm=fit, **more)
                 fit = again if again.converged else fit
         self.null_fit = fit
-        if not_followed(fit):
+        if not_followed(fit) and not (fit.converged and explained(scores(fit))):
             self.tell("fit without effects by predictions, as the simulation does not follow the data")
             self.null_fit = fit = found_again(fit, own.done, given)
         fit, pars = settle_scatter(fit, self.parameters, noise=self.noise, options=self.options)

@@ -51,6 +51,7 @@ class Profiles:
         beyond = 1 - LEVEL
         self.root = float(np.sqrt(f_isf(beyond, 1, freedom) if estimated else chi2_isf(beyond, 1)))
         self.seconds, self._spent, self._done = seconds, 0.0, 0
+        self._left, self._ended = 0, 0  # sides that are to be found, and those that were
 
     def intervals(self, names: list[str]) -> dict[str, tuple[float, float]]:
         """Name -> ends in the parameter's unit, bounds where there are none within; without those that were not found.
@@ -59,28 +60,32 @@ class Profiles:
         Raises LowerOptimumError.
         """
         found: dict[str, tuple[float, float]] = {}
-        if self._late(2 * len(names)):
+        self._left = 2 * len(names)
+        if self._late():
             return found
         for name in names:
             k = self.search.pmap.free.index(name)
             ends = []
             for sign in (-1.0, 1.0):
-                end = self._end(k, sign, 2 * len(names))
+                end = self._end(k, sign)
                 if end is None:
                     break
                 ends.append(self._value(k, end))
-            if self._late(2 * len(names)):
+                self._left, self._ended = self._left - 1, self._ended + 1
+            if self._late():
                 return {}
             if len(ends) == 2:
                 found[name] = (ends[0], ends[1])
         return found
 
-    def _late(self, sides: int) -> bool:
-        """True if so many sides would take too long: three refits each, as long as those so far were."""
+    def _late(self) -> bool:
+        """True if the sides that are left would take too long: as many refits each as those so far, or three, and as
+        long ones."""
         each = self._spent / self._done if self._done else self._least
-        return 3 * sides * each > self.seconds
+        refits = self._done / (self._ended + 1) if self._ended else 3.0
+        return self._spent + self._left * refits * each > self.seconds
 
-    def _end(self, k: int, sign: float, sides: int) -> float | None:
+    def _end(self, k: int, sign: float) -> float | None:
         """Where the profile of entry k reaches the threshold on one side, or its bound; None where it does not."""
         errors, search = self.errors, self.search
         size = float(np.sqrt(errors.covariance.matrix[k, k]))
@@ -91,7 +96,7 @@ class Profiles:
         for _ in range(_MOST):
             there = min(there, limit) if sign > 0 else max(there, limit)
             refit = self._refit(k, there, x)
-            if refit is None or self._late(sides):
+            if refit is None or self._late():
                 return None
             risen = float(np.sqrt(refit[1]))
             if abs(risen - self.root) < _CLOSE * self.root:

@@ -9,7 +9,8 @@ from scipy.integrate import solve_ivp
 import casadi_engine as ce
 from casadi_engine.deadline import TimeUp
 from casadi_engine.discrepancy import lost_fit as module
-from casadi_engine.discrepancy.lost_fit import found_again, likelihood
+from casadi_engine.discrepancy.lost_fit import explained, found_again, likelihood
+from casadi_engine.discrepancy.screening import screen_in_turn
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.followed import not_followed
 
@@ -87,3 +88,25 @@ def test_a_frame_of_another_resonance_is_found_again():
     found = ce.repair(b.model(), data, progress=False)
     assert found.verdict == "nothing missing"
     assert found.fit.values["k"] / found.fit.values["J"] == pytest.approx(0.354 / 0.01437, rel=0.05)
+
+
+def test_a_gap_that_one_effect_explains_is_no_lost_fit():
+    """A constant pull of most of the motion: one step explains it; a sine of no effect's is explained by none."""
+    rng = np.random.default_rng(0)
+    t = np.arange(0, 8, 0.02)
+    force = 3 * np.sin(2 * t)
+    fits = []
+    for pull in (4.0 + 0 * t, 4 * np.sin(11 * t)):
+        run = solve_ivp(
+            lambda s, x, pull=pull: (np.interp(s, t, force + pull) - 0.5 * x) / 2.0,
+            (0, t[-1]), [0.0], t_eval=t, rtol=1e-8, atol=1e-10, max_step=0.02,
+        )  # fmt: skip
+        speed = run.y[0] + 0.01 * rng.standard_normal(len(t))
+        units = {"T": "N m", "omega": "rad/s"}
+        data = ce.Experiment.from_arrays("r", time=t, units=units, T=force, omega=speed)
+        pars = ce.one_inertia().parameters()
+        for name, value in {"J_eng": 2.0, "C_eng": 0.5}.items():
+            pars.fix(name, value)
+        fits.append(ce.estimate(ce.one_inertia(), data, parameters=pars, progress=False))
+    found = [explained(screen_in_turn(fit, ["constant_torque", "quadratic_drag"])) for fit in fits]
+    assert found == [True, False]
