@@ -13,7 +13,9 @@ if TYPE_CHECKING:
 
 # Gain by which a sensor may be wrong that shows its own unit; factor by which a stated value may be; how near to a
 # ratio of units a larger one has to be.
-_WRONG, _STATED, _NEAR = 0.5, 5.0, 0.05
+WRONG, _STATED, _NEAR = 0.5, 5.0, 0.05
+# Factors of a sensor whose sign is turned, or of whose encoder twice or four times the edges are counted.
+_MISREAD = (-1.0, 2.0, 4.0)
 
 
 def exchanges(unit: str) -> Iterator[tuple[str, str, float]]:
@@ -32,15 +34,17 @@ def exchanges(unit: str) -> Iterator[tuple[str, str, float]]:
 
 def impossible_gain(effects: Sequence[Addition], values: Mapping[str, float], model: Model) -> bool:
     """True if a sensor would show half as much too much, or more, or a stated value be of the other sign or wrong by a
-    factor of five, and that is no ratio of units."""
+    factor of five, and that is no ratio of units, nor what a sensor shows that is read wrong."""
     for one in effects:
+        allowed: tuple[float, ...] = ()
         factor, at = 1 + values.get(one.amplitude, 0.0), one.candidate.port
-        if one.candidate.effect == "sensor_gain" and abs(factor - 1) > _WRONG:
-            units = [out.unit for out in model.outputs if at == f"sensor_{out.name}"]
+        if one.candidate.effect == "sensor_gain" and abs(factor - 1) > WRONG:
+            units, allowed = [out.unit for out in model.outputs if at == f"sensor_{out.name}"], _MISREAD
         elif one.amplitude.endswith(".wrong_value.share") and not 1 / _STATED <= factor <= _STATED:
             units = [model.parameters()[at.removeprefix("parameter_")].unit]
         else:
             continue
-        if not any(abs(factor / share - 1) <= _NEAR for unit in units for *_, share in exchanges(unit)):
+        ratios = [share for unit in units for *_, share in exchanges(unit)]
+        if not any(abs(factor / share - 1) <= _NEAR for share in (*ratios, *allowed)):
             return True
     return False

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from casadi_engine.discrepancy.evidence import Prior
+from casadi_engine.discrepancy.exchanged_units import WRONG
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.refit import Addition
 from casadi_engine.parameters import Parameters
@@ -49,6 +50,10 @@ def _amplitude(null: NullModel, k: int, one: Addition) -> float:
     value = abs(float(null.values[k]))
     if kind == "parameter" and one.bounds.unit == "1":
         return STATED
+    if kind in ("sensor", "input") and one.bounds.name == "gain" and value > WRONG:
+        return (
+            value  # no calibration, but units that were exchanged or edges counted twice, at either end alike
+        )
     share = SENSOR if kind == "sensor" else PHYSICAL
     step = float(np.linalg.norm(null.turn[k]))
     direction = int(np.argmax(np.abs(null.turn[k])))

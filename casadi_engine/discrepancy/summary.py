@@ -222,7 +222,10 @@ def _equation(repair: Repair) -> list[str]:
 
 
 def _not_found(repair: Repair) -> list[str]:
-    """Sizes that would have been found; what these data say little of stands behind, in words."""
+    """Sizes that would have been found; what these data say little of stands behind, in words. None along a model that
+    lacks what was not named."""
+    if repair.verdict == "unnamed":
+        return []
     told = [one for one in repair.not_found if one.excluded and not one.twin]
     alike = [one for one in repair.not_found if one.excluded and one.twin]
     beyond = [one for one in repair.not_found if one.testable and not one.excluded]

@@ -116,6 +116,8 @@ def next_step(repair: Repair) -> str:
     if repair.verdict == "nothing missing":
         if is_blind(repair):
             return "give the model its ports as said above, and repair again: no physical effect was tested"
+        if not any(one.excluded for one in repair.not_found):
+            return "record more before you rely on it: these data exclude no effect of any size"
         listed = "use the model; larger effects than those listed are excluded"
         return f"{listed}, others are not" if may_hide(repair) else listed
     if repair.verdict == "unnamed":

@@ -312,6 +312,8 @@ def _not_found(result: Repair) -> Section:
     left_out = [(one.effect, one.at or "-", one.why) for one in result.not_applicable]
     made += [table(("not applicable: effect", "port", "why"), left_out)] if left_out else []
     line = "Not found is not absent: an effect below its smallest detectable size may well be there."
+    if result.verdict == "unnamed":
+        line = "The model lacks what was not named: sizes along it are a guide, and exclude nothing."
     split = result.next_experiment
     lines = [line] if rows else ["Every effect that was looked for was found, or nothing was looked for."]
     if split is not None:

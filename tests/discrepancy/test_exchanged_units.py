@@ -2,7 +2,9 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.discrepancy.exchanged_units import exchanges, impossible_gain
@@ -28,7 +30,19 @@ def test_the_units_of_a_channel_are_exchanged_both_ways():
 
 @pytest.mark.parametrize(
     ("gain", "impossible"),
-    [(0.05, False), (-0.4, False), (0.6, True), (82.8, True), (8.55, False), (-0.895, False), (-1.7, True)],
+    [
+        (0.05, False),
+        (-0.4, False),
+        (0.6, True),
+        (82.8, True),
+        (8.55, False),
+        (-0.895, False),
+        (-1.7, True),
+        (1.0, False),
+        (3.0, False),
+        (-2.0, False),
+        (2.0, True),
+    ],
 )
 def test_a_large_gain_is_a_ratio_of_units_or_none(gain, impossible):
     assert shown(gain) is impossible
@@ -50,3 +64,32 @@ def test_a_stated_value_keeps_its_sign_and_its_size_unless_its_unit_is_another(s
     candidate = SimpleNamespace(effect="wrong_value", port="parameter_torque")
     one = SimpleNamespace(candidate=candidate, amplitude="parameter_torque.wrong_value.share")
     assert impossible_gain([one], {one.amplitude: share}, b.model()) is impossible
+
+
+def test_exchanged_units_of_a_sensor_are_in_a_class_with_the_gain_of_an_input_that_does_the_same():
+    """A speed in km/h given as m/s, the mass known: the force may as well be so much larger."""
+    rng = np.random.default_rng(0)
+    t = np.arange(0, 12, 0.03)
+    force = 5 * np.sin(0.9 * t) + 3 * np.sin(2.3 * t + 1)
+    run = solve_ivp(
+        lambda s, v: (np.interp(s, t, force) - 1.3 * v) / 2,
+        (0, t[-1]),
+        [0],
+        t_eval=t,
+        rtol=1e-8,
+        max_step=0.02,
+    )
+    speed = 3.6 * (run.y[0] + 0.03 * rng.standard_normal(len(t)))
+    data = ce.Experiment.from_arrays("a", time=t, units={"F": "N", "v": "m/s"}, F=force, v=speed)
+    b = ce.Blueprint("cart")
+    m, d = b.parameter("m", 2.0, unit="kg", vary=False), b.parameter("d", 1.0, unit="N s/m", min=0, max=20)
+    v = b.state("v", unit="m/s", scale=1.0)
+    port = b.port("cart", "inertia", {"speed": v}, unit="N")
+    b.ode("v", (b.input("F", unit="N", scale=5) - d * v + port) / m)
+    b.output("v", v, unit="m/s", scale=1.0)
+    found = ce.repair(
+        b.model(), data, effects=["sensor_gain", "input_gain", "quadratic_drag"], progress=False
+    )
+    (one,) = found.effects
+    assert {member.name for member in one.members} == {"sensor_gain", "input_gain"}
+    assert one.amplitude.value == pytest.approx(2.6, abs=0.05)
