@@ -1,4 +1,4 @@
-"""Standard errors of a fit whose noise is coloured: those of white noise are too small, or too large.
+"""Standard errors of a fit whose noise is coloured, or larger than stated: those of white noise are too small.
 
 A fit weighs all samples alike. With J the slopes of the outputs, sigma their level in the fit and V the covariance of
 the noise, its estimates scatter by A^-1 B A^-1, A = J'J/sigma^2 and B = J'VJ/sigma^4, priors in both.
@@ -25,11 +25,15 @@ _TOO_SMALL = "and the standard errors are too small"
 
 
 def with_coloured_errors(fit: Fit, null: NullModel, noise: NoiseModel) -> tuple[Fit, str]:
-    """The fit with errors that count with the noise's colour, and what to say of it; none smaller than before.
+    """The fit with errors that count with the noise's colour, and with its level where a smaller one was stated, and
+    what to say of it; none smaller than before.
 
     null : the model linearised at this fit; noise : as it was estimated beside it
     """
-    if not noise.colour or null.parameters != fit.free:
+    louder = any(
+        noise.sigma.get(n, 0.0) > (1 + _SEEN) * level for n, (level, own) in fit.noise.items() if not own
+    )
+    if not (noise.colour or louder) or null.parameters != fit.free:
         return fit, ""
     of_parameters, of_starts = _ratios({name: level for name, (level, _) in fit.noise.items()}, null, noise)
     ratio = dict(zip(fit.free, of_parameters.tolist(), strict=True))
@@ -52,9 +56,12 @@ def with_coloured_errors(fit: Fit, null: NullModel, noise: NoiseModel) -> tuple[
         covariance=fit.covariance * np.outer(scale, scale),
         errors=errors,
     )
+    if not noise.colour:
+        return told, f"{_LOUDER}: they are up to {most:.2g} times those of the level that was stated"
     return with_colour_told(told), f"{_TOLD}: they are up to {most:.2g} times those of white noise"
 
 
+_LOUDER = "the standard errors count with the noise that is left"
 _TOLD = "the standard errors count with the colour of the noise"
 
 

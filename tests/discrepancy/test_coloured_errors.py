@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
 import casadi_engine as ce
@@ -89,3 +90,28 @@ def test_they_cover_the_truth():
     white, coloured = np.mean(np.array(own) < 1.96, axis=0)
     assert white < 0.65
     assert 0.88 < coloured <= 1
+
+
+def test_noise_that_is_larger_than_stated_widens_the_errors_of_a_repair():
+    """Stated ten times too small: the errors of what is found are those that an estimated level gives."""
+    rng = np.random.default_rng(1)
+    t = np.arange(0, 12, 0.03)
+    force = 5 * np.sin(0.9 * t) + 3 * np.sin(2.3 * t + 1)
+    run = solve_ivp(
+        lambda s, v: (np.interp(s, t, force) - 0.5 * v - 1.0 * np.tanh(v / 1e-4)) / 2.0,
+        (0, t[-1]), [1.0], t_eval=t, method="LSODA", rtol=1e-8, max_step=0.01,
+    )  # fmt: skip
+    speed = run.y[0] + 0.03 * rng.standard_normal(len(t))
+    data = ce.Experiment.from_arrays("a", time=t, units={"T": "N m", "omega": "rad/s"}, T=force, omega=speed)
+    found = [
+        ce.repair(ce.one_inertia(), data, effects=["coulomb_friction"], noise=noise, progress=False)
+        for noise in (None, ce.Noise(omega=0.003))
+    ]
+    free, stated = (one.effects[0].amplitude for one in found)
+    assert stated.value == pytest.approx(free.value, abs=0.2 * free.stderr)
+    low, high = stated.interval or (stated.value - 2 * stated.stderr, stated.value + 2 * stated.stderr)
+    assert high - low == pytest.approx(4 * free.stderr, rel=0.3)
+    assert any(
+        words.startswith("the standard errors count with the noise that is left")
+        for words in found[1].messages
+    )
