@@ -45,8 +45,11 @@ def reason_to_withdraw(claim: Claim, null: Station, confirmed: bool) -> Unknown 
         return _too_small(claim.found)
     if claim.unknown is None or not claim.unknown.tests:
         return None
-    noise = claim.last.screened.noise
-    first, then = (gap_of([one.screened.null], noise) for one in (null, claim.last))
+    noise, proof = claim.last.screened.noise, claim.proof
+    sides = [[null.screened.null], [claim.last.screened.null]]
+    if confirmed and proof.before and proof.after:  # which show more of it, or as much
+        sides = [[one for _, one in pairs] for pairs in (proof.before, proof.after)]
+    first, then = (gap_of(one, noise) for one in sides)
     if share_closed(first, then, noise.sigma, coloured=True) >= HALF:
         return None
     names = " and ".join(f"{one.name} at {one.at}" for one in claim.found)

@@ -109,7 +109,7 @@ def next_step(repair: Repair) -> str:
         )
     if repair.next_experiment is not None:
         return _to_split(repair.next_experiment)
-    if fresh_misfit(repair) is not None or _in_fresh_alone(repair):
+    if fresh_misfit(repair) is not None or _in_fresh_alone(repair) or _more_in_fresh(repair):
         return "look for what is missing in the fresh records: give them as data of the search"
     if repair.verdict == "nothing missing" and fresh_doubt(repair) is not None:
         return "record more before you use the model, or give the fresh records as data too: its parameters are vague"
@@ -134,6 +134,15 @@ def next_step(repair: Repair) -> str:
     if repair.confirmed is False:
         return "test it on more fresh data before you use it: those that were given do not confirm it"
     return "go on with repair.fit, the repaired model: print(repair.fit)"
+
+
+def _more_in_fresh(repair: Repair) -> bool:
+    """True where nothing is named and the fresh records show twice as much of the gap, by its root mean square."""
+    gaps = repair.gaps
+    if repair.verdict != "unnamed" or gaps is None or gaps.validation_after is None:
+        return False
+    own, fresh = gaps.estimation_after.gap, gaps.validation_after.gap
+    return fresh.chi2_per_sample > 4 * max(own.chi2_per_sample, 1.0)
 
 
 def _to_split(made: NextExperiment) -> str:

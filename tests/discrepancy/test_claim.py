@@ -67,15 +67,18 @@ def test_a_coloured_residual_that_is_most_of_the_motion_is_not_called_noise(expl
     assert not said or "explains 0 % of y in run, and the rest is coloured" in found.sentence
 
 
-def claimed(monkeypatch, *, before, after, tests):
-    """A drag that lowers the rms gap of y from ``before`` to ``after`` standard deviations of the noise."""
-    gaps = {"null": Gap(1.0, {"y": before}, {"y": 0.0}, 100), "last": Gap(1.0, {"y": after}, {"y": 0.0}, 100)}
+def claimed(monkeypatch, *, before, after, tests, fresh=None):
+    """A drag that lowers the rms gap of y from ``before`` to ``after`` standard deviations of the noise; fresh : the same
+    two of fresh data, None for those of the search"""
+    sides = {"null": before, "last": after} | dict(zip(("old", "new"), fresh or (before, after), strict=True))
+    gaps = {name: Gap(1.0, {"y": size}, {"y": 0.0}, 100) for name, size in sides.items()}
     monkeypatch.setattr(module, "gap_of", lambda nulls, noise: gaps[nulls[0]])
     noise = stub(sigma={"y": 1.0}, colour={})
     null, last = (stub(screened=stub(null=name, noise=noise)) for name in ("null", "last"))
     drag = stub(name="drag", at="load", key="load.drag", share_explained=1.0, p_value=0.0)
     unknown = None if tests is None else Unknown("the residual has a line", tests)
-    return Claim(stub(kept=(null, last), before="before", after="after"), last, (drag,), (), unknown), null
+    proof = stub(kept=(null, last), before=[(None, "old")], after=[(None, "new")])
+    return Claim(proof, last, (drag,), (), unknown), null
 
 
 @pytest.mark.parametrize(
@@ -91,6 +94,17 @@ def test_an_effect_that_closes_less_than_it_leaves_is_no_answer_where_that_is_no
     if withdrawn:
         assert "drag at load explains the gap best and closes less of it than is left" in found.sentence
         assert found.tests == tests
+
+
+@pytest.mark.parametrize(
+    ("fresh", "confirmed", "withdrawn"),
+    [((20.0, 3.0), True, False), ((20.0, 3.0), False, True), ((20.0, 19.0), True, True)],
+)
+def test_fresh_data_that_confirm_tell_how_much_is_closed(monkeypatch, fresh, confirmed, withdrawn):
+    """A record in which an effect hardly shows leaves a line of a sensor's rounding; the fresh one shows the effect."""
+    claim, null = claimed(monkeypatch, before=3.0, after=2.9, tests={"line": 1e-4}, fresh=fresh)
+    monkeypatch.setattr(module, "_visible", lambda _: True)
+    assert (reason_to_withdraw(claim, null, confirmed) is not None) == withdrawn
 
 
 def test_what_is_withdrawn_leaves_the_model_without_effects(monkeypatch):
