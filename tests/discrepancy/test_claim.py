@@ -68,8 +68,10 @@ def test_a_coloured_residual_that_is_most_of_the_motion_is_not_called_noise(expl
 
 
 def claimed(monkeypatch, *, before, after, tests, fresh=None):
-    """A drag that lowers the rms gap of y from ``before`` to ``after`` standard deviations of the noise; fresh : the same
-    two of fresh data, None for those of the search"""
+    """A drag that lowers the rms gap of y from ``before`` to ``after`` standard deviations of the noise.
+
+    fresh : the same two of fresh data, None for those of the search
+    """
     sides = {"null": before, "last": after} | dict(zip(("old", "new"), fresh or (before, after), strict=True))
     gaps = {name: Gap(1.0, {"y": size}, {"y": 0.0}, 100) for name, size in sides.items()}
     monkeypatch.setattr(module, "gap_of", lambda nulls, noise: gaps[nulls[0]])
@@ -112,4 +114,8 @@ def test_what_is_withdrawn_leaves_the_model_without_effects(monkeypatch):
     claim, null = claimed(monkeypatch, before=3.0, after=2.9, tests={})
     found = claim.withdrawn_for(Unknown("why", {}), null)
     assert (found.last, found.found, [one.key for one in found.withdrawn]) == (null, (), ["load.drag"])
-    assert (found.proof.kept, found.proof.after, found.unknown.sentence) == ((null,), "before", "why")
+    assert (found.proof.kept, found.proof.after, found.unknown.sentence) == (
+        (null,),
+        claim.proof.before,
+        "why",
+    )
