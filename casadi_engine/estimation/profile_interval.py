@@ -51,36 +51,33 @@ class Profiles:
         beyond = 1 - LEVEL
         self.root = float(np.sqrt(f_isf(beyond, 1, freedom) if estimated else chi2_isf(beyond, 1)))
         self.seconds, self._spent, self._done = seconds, 0.0, 0
-        self._left, self._ended = 0, 0  # sides that are to be found, and those that were
+        self._left, self._ended = 0, 0  # sides of a parameter that are to be found, and of all that were
 
     def intervals(self, names: list[str]) -> dict[str, tuple[float, float]]:
         """Name -> ends in the parameter's unit, bounds where there are none within; without those that were not found.
 
-        None at all where they would take too long.
+        What effects bring comes first; no further ones are looked for once the next would take too long.
         Raises LowerOptimumError.
         """
         found: dict[str, tuple[float, float]] = {}
-        self._left = 2 * len(names)
-        if self._late():
-            return found
-        for name in names:
+        for name in sorted(names, key=lambda name: "." not in name):
             k = self.search.pmap.free.index(name)
             ends = []
-            for sign in (-1.0, 1.0):
-                end = self._end(k, sign)
+            for self._left in (2, 1):
+                if self._late():
+                    return found
+                end = self._end(k, -1.0 if self._left == 2 else 1.0)
                 if end is None:
                     break
                 ends.append(self._value(k, end))
-                self._left, self._ended = self._left - 1, self._ended + 1
-            if self._late():
-                return {}
+                self._ended += 1
             if len(ends) == 2:
                 found[name] = (ends[0], ends[1])
         return found
 
     def _late(self) -> bool:
-        """True if the sides that are left would take too long: as many refits each as those so far, or three, and as
-        long ones."""
+        """True if the sides of a parameter that are left would take too long: as many refits each as those so far, or
+        three, and as long ones."""
         each = self._spent / self._done if self._done else self._least
         refits = self._done / (self._ended + 1) if self._ended else 3.0
         return self._spent + self._left * refits * each > self.seconds
