@@ -79,9 +79,9 @@ def test_the_plausible_size_is_that_which_moves_an_output_by_its_variation():
     assert scales["constant_torque"] == pytest.approx(0.8 * varied, rel=0.1)
 
 
-def printed(some):
+def printed(some, said="nothing missing"):
     class Found:
-        not_found = tuple(some)
+        not_found, verdict = tuple(some), said
 
     return " ".join(" ".join(_not_found(Found())).split())
 
@@ -92,6 +92,7 @@ def test_the_screen_says_it_in_words():
     assert "quadratic_drag at rotor 0.0" in text
     assert "coulomb_friction at rotor not told from constant_torque at rotor (one of the two from" in text
     assert "and 1 more that have such a rival" in text
+    assert printed(found.values(), "unnamed") == ""  # along a model that lacks what is not named
     drag = replace(
         found["quadratic_drag"], note="it would have to move an output by 3 times what that varies by"
     )
