@@ -238,9 +238,8 @@ def likeness_words(course: Course) -> str:
     if course.family.order:
         return ""
     shape, like = next(iter(course.looks_like.items()), ("", 0.0))
-    return (
-        f" and looks {shape}" if like > _LIKE and shape != "linear" else ""
-    )  # the model has lines of its own
+    # the model has lines of its own
+    return f" and looks {shape}" if like > _LIKE and shape != "linear" else ""
 
 
 def equation_of(model: Model, base: Model) -> Equation:

@@ -43,7 +43,8 @@ from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 
 FAILURES = (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError)
 _AT_BOUND = 1e-8
-# Standard errors by which refits may be off where structures are compared: chi-squared is by a hundredth then.
+# Standard errors by which the search for an optimum may end off it where structures are compared, a hundredth of
+# chi-squared; twice as much by the integration, which moves the log of the odds of two structures by a few tenths.
 _FELT = 0.1
 # Steps over one horizon: a model that explains the data takes ten, one that does not has not arrived after a hundred.
 _STEPS = 20

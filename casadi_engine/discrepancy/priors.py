@@ -51,9 +51,8 @@ def _amplitude(null: NullModel, k: int, one: Addition) -> float:
     if kind == "parameter" and one.bounds.unit == "1":
         return STATED
     if kind in ("sensor", "input") and one.bounds.name == "gain" and value > WRONG:
-        return (
-            value  # no calibration, but units that were exchanged or edges counted twice, at either end alike
-        )
+        # no calibration, but units that were exchanged or edges counted twice, at either end alike
+        return value
     share = SENSOR if kind == "sensor" else PHYSICAL
     step = float(np.linalg.norm(null.turn[k]))
     direction = int(np.argmax(np.abs(null.turn[k])))
