@@ -208,7 +208,7 @@ class Answer:
         """The last model with errors that count with the colour of its noise."""
         last = proof.kept[-1]
         screened = last.screened
-        fit, words = with_coloured_errors(last.fit, screened.null, screened.noise)
+        fit, words = with_coloured_errors(last.fit, screened.null, screened.noise, screened.choice.rounded)
         if not words:
             return proof, last
         self.messages.append(words)

@@ -68,6 +68,7 @@ class Choice:
         first = self._timed("score", lambda: self._screened(null_fit))
         self._stations[frozenset()] = Station(null_fit, (), first)
         self.refits = Refits(self.refitter, null_fit, first.noise, cylinders=self.cylinders, tell=self.tell)
+        self.refits.rounded.update(first.choice.rounded)
         here = self.refits.none(null_fit)
         with self.deadline.spared(-_KEPT):  # time for what judges the answer
             self._rounds(here)
@@ -436,6 +437,7 @@ class Choice:
                 "fit", lambda: settle_scatter(fit, fit.parameters, noise=own, options=options)
             )
             screened = self._timed("score", lambda: self._screened(fit))
+            self.refits.rounded.update(screened.choice.rounded)
             self._stations[tried.key] = Station(fit, tried.effects, screened)
         return self._stations[tried.key]
 

@@ -7,7 +7,7 @@ Source: White, Econometrica 48 (1980) 817; with autoregressions, Newey & West (1
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -24,14 +24,18 @@ _SEEN = 0.1
 _TOO_SMALL = "and the standard errors are too small"
 
 
-def with_coloured_errors(fit: Fit, null: NullModel, noise: NoiseModel) -> tuple[Fit, str]:
-    """The fit with errors that count with the noise's colour, and with its level where a smaller one was stated, and
-    what to say of it; none smaller than before.
+def with_coloured_errors(
+    fit: Fit, null: NullModel, noise: NoiseModel, rounded: Collection[str] = ()
+) -> tuple[Fit, str]:
+    """The fit with errors that count with the noise's colour, and with its level where a smaller one was stated or a
+    sensor's steps ask for a larger one, and what to say of it; none smaller than before.
 
-    null : the model linearised at this fit; noise : as it was estimated beside it
+    null : the model linearised at this fit; noise : as it was estimated beside it; rounded : outputs with such steps
     """
     louder = any(
-        noise.sigma.get(n, 0.0) > (1 + _SEEN) * level for n, (level, own) in fit.noise.items() if not own
+        noise.sigma.get(n, 0.0) > (1 + _SEEN) * level
+        for n, (level, own) in fit.noise.items()
+        if not own or n in rounded
     )
     if not (noise.colour or louder) or null.parameters != fit.free:
         return fit, ""
@@ -57,7 +61,8 @@ def with_coloured_errors(fit: Fit, null: NullModel, noise: NoiseModel) -> tuple[
         errors=errors,
     )
     if not noise.colour:
-        return told, f"{_LOUDER}: they are up to {most:.2g} times those of the level that was stated"
+        which = "the rounded residual" if rounded else "the level that was stated"
+        return told, f"{_LOUDER}: they are up to {most:.2g} times those of {which}"
     return with_colour_told(told), f"{_TOLD}: they are up to {most:.2g} times those of white noise"
 
 

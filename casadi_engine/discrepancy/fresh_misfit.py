@@ -19,6 +19,7 @@ _LARGER, _SURE, MEMORY = 1.5, 1e-4, 20.0
 _EXPLAINED = 0.5
 # Share of the gap's squares above the noise that effects have to close where what they leave is no white noise.
 HALF = 0.5
+_TINY = 1e-300
 # The test by which something is missing that the fresh data alone show.
 FRESH = "fresh data"
 
@@ -82,7 +83,8 @@ def _beyond(repair: Repair, found: float) -> bool:
     if gaps is None or gaps.validation_after is None or noise is None:
         return False
     own = gaps.estimation_after.gap
-    memory = MEMORY if noise.colour else 1.0
+    # where rounding counts as a larger noise, the residual is worth fewer samples by as much
+    memory = max(MEMORY if noise.colour else 1.0, 1 / max(own.chi2_per_sample, _TINY))
     fresh, known = (max(gap.samples / memory, 1.0) for gap in (gaps.validation_after.gap, own))
     ratio = found / own.chi2_per_sample if own.chi2_per_sample > 0 else 0.0
     return ratio > _LARGER and f_sf(ratio, fresh, known) < _SURE

@@ -244,8 +244,7 @@ def _followed(refits: Refits, none: Tried, tried: Tried, setup: _Setup, one: _Be
             null = null_of_refit(setup.model, setup.parameters, one.problem, found, refits.path.levels)
             if not _takes_the_colour(refits.path.residuals(tried.effects, tried.arrived), null):
                 return None
-            known = {name: s for name, (s, own) in refits.null_fit.noise.items() if not own}
-            levels = levels_left(null, known, refits.levels.scatter, None)
+            levels = levels_left(null, refits.known, refits.levels.scatter, None)
             made = _counted(null, setup)
             logs = [evidence(of_size(made, setup.terms, share), levels).log for share in SIZES]
             log = float(np.logaddexp.reduce(logs)) - math.log(len(SIZES))

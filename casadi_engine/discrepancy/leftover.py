@@ -22,6 +22,7 @@ from casadi_engine.discrepancy.random_families import (
     family_course,
     family_row,
 )
+from casadi_engine.discrepancy.rounding import beyond_rounding
 from casadi_engine.discrepancy.score import Scores, score
 from casadi_engine.discrepancy.spectral_line import strongest_line
 
@@ -117,17 +118,28 @@ def _residual_tests(screened: Screened) -> tuple[dict[str, float], dict[str, flo
                 held = np.concatenate([held, random[record.name][output]], axis=1)
             e = left[record.name][output]
             larger = (record.name, output) in choice.larger
-            p = (
-                white_p(record, output, e, held)
-                if larger
-                else innovation_p(record, output, e, held, choice.noise)
-            )
+
+            def white(e, record=record, output=output, held=held, larger=larger):  # type: ignore[no-untyped-def]
+                if larger:
+                    return white_p(record, output, e, held)
+                return innovation_p(record, output, e, held, choice.noise)
+
+            def line(e, record=record, output=output):  # type: ignore[no-untyped-def]
+                found = _line(record, output, e)
+                return None if found is None else found[1]
+
+            def known(p, test, record=record, output=output):  # type: ignore[no-untyped-def]
+                # one that is no alarm is left as it is
+                alarm = p < screened.alpha - screened.share
+                return beyond_rounding(record, output, test, screened.seed)(p) if alarm else p
+
+            p = white(e)
             if p is not None:
-                tests[f"{record.name}/{output}/whiteness"] = p
+                tests[f"{record.name}/{output}/whiteness"] = known(p, white)
             found = _line(record, output, e)
             if found is not None:
                 name, chance, power = found
-                tests[name] = chance
+                tests[name] = known(chance, line)
                 lines[name] = power / choice.noise.sigma[output] ** 2
     return tests, lines
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -18,6 +18,7 @@ from casadi_engine.discrepancy.compression import Compressed, compress, scatter_
 from casadi_engine.discrepancy.linear_algebra import Array, basis
 from casadi_engine.discrepancy.noise_model import NoiseModel, estimated_noise, left_over
 from casadi_engine.discrepancy.null_model import Index, NullModel, above_rounding
+from casadi_engine.discrepancy.rounding import rounded, rounded_levels
 from casadi_engine.discrepancy.score import score
 from casadi_engine.discrepancy.wander import spectrum, wander_of
 from casadi_engine.distributions import chi2_sf
@@ -38,6 +39,10 @@ _SURE, _COLOURED_P = 1e-4, 0.01
 _WANDER = 4.0
 # A coloured residual is larger than a stated noise by so many standard errors; it is that of at least so many swings.
 _LARGER, _SWINGS = 4.0, 20
+_ROUNDED = (
+    "{} reads in steps, and little noise hides what rounding does: it comes back with the motion, so that samples "
+    "are not independent; the noise counts as larger, by as much as rounding scores by itself"
+)
 _COLOURED = "the residual is coloured: the score tests count with an autoregression of the noise"
 
 
@@ -50,6 +55,7 @@ class NoiseChoice:
     larger : (record, output) of a coloured residual that is larger than the noise that was stated; stated : that noise,
     if there is such a residual
     waits : the residual is coloured and white noise counts for now, until a refit has shown what colours it
+    rounded : output -> level that counts where a sensor's steps are most of its noise; see ``rounding``
     """
 
     noise: NoiseModel
@@ -61,6 +67,7 @@ class NoiseChoice:
     stated: NoiseModel | None = None
     waits: bool = False
     white: Compressed | None = None
+    rounded: Mapping[str, float] = field(default_factory=dict)
 
 
 def scatter_of(
@@ -111,19 +118,24 @@ def choose_noise(
     noise, messages = _white_noise(null, columns, white, levels, random)
     noise = replace(noise, sigma=above_rounding(null, noise.sigma))
     _check_levels(noise.sigma)
+    steps = {} if scatter else rounded_levels(null, columns, noise.sigma)
+    noise = replace(noise, sigma={**noise.sigma, **steps})
+    messages += tuple(_ROUNDED.format(name) for name in steps)
     white = white.relevelled(noise, scatter)
     if colour is False or (colour == "auto" and is_white(null, noise, beside(null, columns, ()), random)):
-        return NoiseChoice(noise, scatter, cylinders, messages, white, white=white)
+        return NoiseChoice(noise, scatter, cylinders, messages, white, white=white, rounded=steps)
     if wait and colour == "auto" and not scatter:
-        return NoiseChoice(noise, scatter, cylinders, messages, white, waits=True, white=white)
+        return NoiseChoice(noise, scatter, cylinders, messages, white, waits=True, white=white, rounded=steps)
     found, held = coloured_noise(null, candidates, columns, white, scatter=scatter, random=random)
     left = beside(null, columns, held)
     if colour == "auto" and (not found.colour or is_white(null, noise, left, random)):
-        return NoiseChoice(noise, scatter, cylinders, messages, white, white=white)
+        return NoiseChoice(noise, scatter, cylinders, messages, white, white=white, rounded=steps)
     known = {name: sigma for name, (sigma, estimated) in levels.items() if not estimated}
     larger = _too_large(null, found, known)
     stated = NoiseModel({**found.sigma, **known}) if larger else None
-    return NoiseChoice(found, scatter, cylinders, (_COLOURED,), None, larger, stated, white=white)
+    return NoiseChoice(
+        found, scatter, cylinders, (_COLOURED,), None, larger, stated, white=white, rounded=steps
+    )
 
 
 def check_choice(model: Model, cylinders: Any, colour: Any) -> None:
@@ -208,12 +220,16 @@ def _explained(null: NullModel, white: Compressed, columns: Columns) -> dict[str
 
 
 def is_white(null: NullModel, noise: NoiseModel, explained: Columns, random: Columns | None) -> bool:
-    """True if the residual that the columns and the scatter leave is white, in all outputs of all records."""
+    """True if the residual that the columns and the scatter leave is white, in all outputs of all records; of one that
+    is rounding it is known what it is."""
     left = left_over(null, noise, explained, random)
     tests = 0
     smallest = 1.0
     for record in null.records:
         for output in record.outputs:
+            if rounded(record, output) is not None:
+                tests += 1
+                continue
             held = explained[record.name][output]
             if random is not None:
                 held = np.concatenate([held, random[record.name][output]], axis=1)

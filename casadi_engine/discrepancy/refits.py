@@ -137,6 +137,7 @@ class Refits:
             None  # share and pool before corners were sharpened
         )
         self._blunt = False
+        self.rounded: dict[str, float] = {}  # see ``rounding``
         self.improved: set[Key] = (
             set()
         )  # structures of which a better optimum was found since this was last asked
@@ -186,6 +187,11 @@ class Refits:
         scatter = scatter_of(null, self.refitter.data, self.cylinders) if self.cylinders is not None else ()
         return {r.name: scatter_columns(r, scatter) for r in null.records} if scatter else None
 
+    @property
+    def known(self) -> dict[str, float]:
+        """The levels below which no model's noise is: those that were stated, and of rounding."""
+        return {name: s for name, (s, own) in self.null_fit.noise.items() if not own} | self.rounded
+
     def weigh(self) -> None:
         """Count every structure's evidence with the noise that the most probable one leaves.
 
@@ -218,10 +224,9 @@ class Refits:
 
     def _left_by(self, tried: Tried) -> tuple[NullModel, Levels]:
         """The residuals of a structure, and the noise that it leaves."""
-        known = {name: s for name, (s, own) in self.null_fit.noise.items() if not own}
         with np.errstate(all="ignore"):
             null = self.path.residuals(tried.effects, tried.arrived)
-            return null, levels_left(null, known, self.levels.scatter, self.random(null))
+            return null, levels_left(null, self.known, self.levels.scatter, self.random(null))
 
     def _excused(self, tried: Tried, closer: Tried) -> bool:
         """True if a structure is the more probable one only as its gap counts as coloured noise: each one held against

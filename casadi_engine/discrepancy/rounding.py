@@ -1,0 +1,118 @@
+"""What the steps of a sensor do to the tests of its residual.
+
+Rounding is no noise: the signal determines it, and where the signal comes back, so does what rounding leaves. Then the
+residual of a right model has lines in its spectrum and is not white. How clear that is by rounding alone is found by
+rounding the model's own prediction, moved within the errors of what was fitted, with the noise that is left beside it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from casadi_engine.discrepancy.linear_algebra import Array, basis, without
+from casadi_engine.discrepancy.null_model import NullModel, RecordNull
+from casadi_engine.discrepancy.score import TESTABLE
+
+# Values that differ by less than this share of the largest gap between two are one; gaps are multiples of a step within
+# this share of it; so many values have to be there.
+_SAME, _NEAR, _FEWEST = 1e-3, 0.02, 3
+# Noise beside the rounding, in steps, from which on it hides what rounding does: the first harmonic of the mean error
+# falls as exp(-2 (pi s)^2), to 0.7 % here (Widrow & Kollar, Quantization Noise, 2008).
+_HIDDEN = 0.5
+# Draws of rounding: of scores, and of tests that take longer.
+_DRAWS, _FEW = 60, 20
+_TINY = 1e-300
+# Ratio of squared scores that draws of white noise in place of rounding do not reach.
+_WORSE = 1.25
+
+
+def step_of(measured: Array) -> float | None:
+    """The step of which all measured values (N,) are multiples, but for one offset; None where there is none."""
+    values = np.unique(measured)
+    if len(values) < _FEWEST:
+        return None
+    gaps = np.diff(values)
+    gaps = gaps[gaps > _SAME * gaps.max()]
+    step = float(gaps.min())
+    turns = gaps / step
+    return step if np.abs(turns - np.round(turns)).max() < _NEAR else None
+
+
+@dataclass(frozen=True, eq=False)
+class Rounded:
+    """An output that reads in steps with little noise beside them.
+
+    measured, residual : (N,); frame : (N, r) basis of what was fitted; step, scatter : of the sensor, and of the noise
+    """
+
+    measured: Array
+    residual: Array
+    frame: Array
+    step: float
+    scatter: float
+
+    def draws(self, count: int, seed: int) -> tuple[Array, Array]:
+        """(N, count) residuals by rounding and this noise alone, and white noise of the same level."""
+        draw = np.random.default_rng(seed)
+        level = math.sqrt(self.scatter**2 + self.step**2 / 12)
+        moved = (self.measured - self.residual)[:, None]
+        moved = moved + level * (self.frame @ draw.standard_normal((self.frame.shape[1], count)))
+        moved = moved + self.scatter * draw.standard_normal(moved.shape)
+        read = self.measured[0] + self.step * np.round((moved - self.measured[0]) / self.step)
+        white = level * draw.standard_normal(moved.shape)
+        return read - moved, white
+
+
+def rounded(record: RecordNull, output: str) -> Rounded | None:
+    """How an output is rounded, where that is most of its noise; None elsewhere."""
+    measured, e = record.path.grid.measured[output].values, record.residual[output]
+    step = step_of(measured)
+    rest = math.inf if step is None else float(e @ e) / len(e) - step**2 / 12
+    if step is None or rest > (_HIDDEN * step) ** 2:
+        return None
+    return Rounded(measured, e, basis(record.slopes[output]), step, math.sqrt(max(rest, 0.0)))
+
+
+def rounded_levels(
+    null: NullModel, columns: Mapping[str, Mapping[str, Array]], sigma: Mapping[str, float], seed: int = 0
+) -> dict[str, float]:
+    """Output -> level of the white noise by which candidates would score as high as by rounding alone; for the outputs
+    whose noise is rounding, and that are worse than white noise.
+
+    columns : record -> output -> (N, k) of the candidates. The largest of their squared scores, and of the fitted
+    directions, by rounding alone is held against the largest by white noise of the same level.
+    """
+    found: dict[str, float] = {}
+    for record in null.records:
+        for output in record.outputs:
+            one = rounded(record, output)
+            if one is None:
+                continue
+            tested = columns[record.name][output]
+            left = without(one.frame, tested)
+            size = np.linalg.norm(left, axis=0)
+            good = size > TESTABLE * np.linalg.norm(tested, axis=0)
+            left = np.column_stack([one.frame, left[:, good] / size[good]])
+            steps, white = (float(((left.T @ e) ** 2).max(axis=0).mean()) for e in one.draws(_DRAWS, seed))
+            found[output] = max(found.get(output, 1.0), steps / max(white, _TINY))
+    return {name: sigma[name] * math.sqrt(more) for name, more in found.items() if more > _WORSE}
+
+
+def beyond_rounding(
+    record: RecordNull, output: str, test: Callable[[Array], float | None], seed: int = 0
+) -> Callable[[float], float]:
+    """What makes the p-value of a test of a residual (N,) that of one which knows the sensor's steps.
+
+    Minus the logarithm of a p-value is 1 on average where only noise is tested. Where rounding alone makes it larger,
+    p is taken to the power of one over that average.
+    """
+    one = rounded(record, output)
+    if one is None:
+        return lambda p: p
+    found = [test(np.ascontiguousarray(e)) for e in without(one.frame, one.draws(_FEW, seed)[0]).T]
+    mean = max(1.0, sum(0.0 if p is None else -math.log(max(p, _TINY)) for p in found) / _FEW)
+    return lambda p: max(p, _TINY) ** (1 / mean)
