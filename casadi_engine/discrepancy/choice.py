@@ -24,7 +24,7 @@ from casadi_engine.discrepancy.exchanged_units import impossible_gain
 from casadi_engine.discrepancy.families import BEYOND, chosen_of, families_of
 from casadi_engine.discrepancy.membership import class_of, ordered, reached, simpler
 from casadi_engine.discrepancy.noise_model import estimated_noise
-from casadi_engine.discrepancy.pairs import price_of, tried_in_two
+from casadi_engine.discrepancy.pairs import price_of, tried_in_two, with_one_more
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.refit import Addition, Refitter, addition
 from casadi_engine.discrepancy.refits import FACTOR, Key, Refits, Tried, key_of
@@ -253,8 +253,12 @@ class Choice:
                 self._told(here, tried, None)
                 return None
             if self._weak(best):
+                more = self._timed("refit", lambda: self._with_one_more(best))  # noqa: B023
                 best.failed = True
-                continue
+                if more is None:
+                    continue
+                tried.append(more)
+                best = more
             best = self._timed("exchange", lambda: self._exchanged(best, here))  # noqa: B023
             self._timed("exchange", lambda: self._again_without(best, here))  # noqa: B023
             here = self.pool[here.key]
@@ -333,6 +337,21 @@ class Choice:
             if size > 0 and found * plain < BEYOND * size:
                 return True
         return False
+
+    def _with_one_more(self, one: Tried) -> Tried | None:
+        """A structure that is no finding beside the colour it leaves, with the effect that takes this colour away; None
+        where there is none. Of two that are missing, the one that is added first leaves what the other does."""
+        if len(one.effects) >= self.most or late():
+            return None
+        screened = self._stations[frozenset()].screened
+        families = families_of(screened)
+        others = {key: own for key, own in families.items() if key not in one.key}
+        chosen = partial(chosen_of, screened)
+        made = with_one_more(self.refits, one, screened, others, chosen, self.tell, self.price)
+        self.refits.weigh()
+        ready = [t for t in made if t.beyond > BEYOND and t.log > one.log + self.price]
+        best = max(ready, key=lambda t: t.log, default=None)
+        return None if best is None or self._weak(best) else best
 
     def _added(self, here: Tried, station: Station) -> list[Tried]:
         made = Additions(self.refits, here, station, self.failed, self.tell)

@@ -41,7 +41,6 @@ def tried_in_two(
 
     chosen : the addition of a family that one step asks for
     """
-    memory = max(refits.levels.memory.values(), default=1.0)
     made: list[Tried] = []
     for member in now.effects:
         rest = now.key - {member.candidate.key}
@@ -50,21 +49,41 @@ def tried_in_two(
             if len(t.key) == len(now.key) and rest < t.key and t.log <= now.log - math.log(FACTOR)
         ]  # fmt: skip
         for one in sorted(alike, key=lambda t: -t.log)[:_RIVALS]:
-            ask()
-            null = refits.null(one)
-            step = None if null is None else one_step(null, screened.candidates, refits.path.levels)
-            if step is None:
-                continue
-            others = [key for key in families if key not in one.key | now.key]
-            cost = {key: by_one_step(screened.candidates, step, list(families[key])).cost for key in others}
+            others = {key: own for key, own in families.items() if key not in one.key | now.key}
             missing = now.log - math.log(FACTOR) + price_of(families) - one.log
-            for key in sorted(cost, key=lambda k: cost[k])[:_SECONDS]:
-                if step.none - cost[key] < 2 * memory * missing:
-                    break
-                ask()
-                second = chosen(step, families[key])
-                tell(f"refit {one.label} with {second.label} in place of {member.label}")
-                both, start = (*one.effects, second), Start(one.arrived.values, one.arrived.initial)
-                # the optimum with one of them is near; short windows may lead away where few outputs are measured
-                made += refits.tried(both, start, near=True) or refits.tried(both, start)
+            place = f" in place of {member.label}"
+            made += with_one_more(refits, one, screened, others, chosen, lambda s: tell(s + place), missing)  # noqa: B023
+    return made
+
+
+def with_one_more(
+    refits: Refits,
+    one: Tried,
+    screened: Screened,
+    others: Families,
+    chosen: Callable[[OneStep, Sequence[int]], Addition],
+    tell: Callable[[str], None],
+    missing: float,
+) -> list[Tried]:
+    """A structure with one more effect, refitted with each of those that explain most by one step; the pool holds them.
+
+    others : effects that may be added; missing : what one has to gain in log probability by one step
+    """
+    memory = max(refits.levels.memory.values(), default=1.0)
+    made: list[Tried] = []
+    ask()
+    null = refits.null(one)
+    step = None if null is None else one_step(null, screened.candidates, refits.path.levels)
+    if step is None:
+        return made
+    cost = {key: by_one_step(screened.candidates, step, list(own)).cost for key, own in others.items()}
+    for key in sorted(cost, key=lambda k: cost[k])[:_SECONDS]:
+        if step.none - cost[key] < 2 * memory * missing:
+            break
+        ask()
+        second = chosen(step, others[key])
+        tell(f"refit {one.label} with {second.label}")
+        both, start = (*one.effects, second), Start(one.arrived.values, one.arrived.initial)
+        # the optimum with one of them is near; short windows may lead away where few outputs are measured
+        made += refits.tried(both, start, near=True) or refits.tried(both, start)
     return made

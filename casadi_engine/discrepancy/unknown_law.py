@@ -61,7 +61,9 @@ class UnknownLaw:
 
 
 def several_at(tried: Tried, port: str) -> bool:
-    """True for a structure of several effects, all of them at one port."""
+    """True for a structure of several effects, all of them at one port; and for one of events."""
+    if tried.effects and all(one.placed for one in tried.effects):  # what happens once may follow any course
+        return True
     return len(tried.effects) > 1 and all(one.candidate.port == port for one in tried.effects)
 
 
