@@ -242,9 +242,8 @@ class Choice:
             gain = -math.inf if best is None else best.log - here.log
             if best is not None and not here.effects:
                 gain = _together(best, tried) - here.log
-            calibrated = (
-                bool(screened.significant) and not screened.noise.colour and not self.refits.levels.memory
-            )
+            white = not (screened.noise.colour or self.refits.levels.memory or screened.choice.rounded)
+            calibrated = bool(screened.significant) and white
             # that anything is missing is told by all together; one more effect has to show it alone
             price = math.log(max(known, 1)) if here.effects else self.price
             sure = calibrated or gain > math.log(FACTOR) + price

@@ -39,8 +39,8 @@ class Claim:
 
 
 def reason_to_withdraw(claim: Claim, null: Station, confirmed: bool) -> Unknown | None:
-    """Why the effects found are no answer: they close next to nothing, or less than what they leave, which is no noise;
-    None where they are one."""
+    """Why the effects found are no answer: they close next to nothing, or less than what they leave, which is no noise,
+    or are errors of sensors and leave more than noise; None where they are one."""
     if not confirmed and not _visible(claim.found):
         return _too_small(claim.found)
     if claim.unknown is None or not claim.unknown.tests:
@@ -50,10 +50,14 @@ def reason_to_withdraw(claim: Claim, null: Station, confirmed: bool) -> Unknown 
     if confirmed and proof.before and proof.after:  # which show more of it, or as much
         sides = [[one for _, one in pairs] for pairs in (proof.before, proof.after)]
     first, then = (gap_of(one, noise) for one in sides)
-    if share_closed(first, then, noise.sigma, coloured=True) >= HALF:
+    # an offset or a delay bends to what any missing law does: it is all that is wrong, or none of it
+    ports = null.fit.model.ports
+    least = 1 - SEEN if all(ports[one.at].kind == "sensor" for one in claim.found) else HALF
+    if share_closed(first, then, noise.sigma, coloured=True) >= least:
         return None
     names = " and ".join(f"{one.name} at {one.at}" for one in claim.found)
-    words = f"{names} explains the gap best and closes less of it than is left, which is no noise"
+    more = "less of it than is left" if least == HALF else "not all of it"
+    words = f"{names} explains the gap best and closes {more}, which is no noise"
     return replace(claim.unknown, sentence=f"{claim.unknown.sentence}; {words}")
 
 

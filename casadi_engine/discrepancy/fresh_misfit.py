@@ -104,13 +104,14 @@ def held_to_fresh_data(repair: Repair) -> Repair:
     Where nothing was found, and that is no louder noise, something is missing. What was found is not confirmed where
     more of the gap is left there than the effects closed, as a person sees it, by its root mean square: a gain alone
     confirms nothing then, whether or not errors of the parameters would explain what is left. Errors of sensors alone
-    are not named where fresh data do not confirm them: an offset or a delay bends to what any missing law does to one
-    record.
+    are not named where fresh data do not confirm them, or do not fit with them: an offset or a delay bends to what any
+    missing law does to one record.
     """
     held = _held(repair)
     at = [repair.model.ports[one.at].kind for one in held.effects]
     judged = held.gaps is not None and held.gaps.validation_after is not None
-    if held.confirmed is not False or not judged or set(at) != {"sensor"}:
+    fits = held.confirmed is not False and fresh_misfit(repair) is None
+    if fits or not judged or set(at) != {"sensor"}:
         return held
     gaps, null = held.gaps, held.null_fit
     assert gaps is not None  # as it was judged
