@@ -50,13 +50,16 @@ def reason_to_withdraw(claim: Claim, null: Station, confirmed: bool) -> Unknown 
     if confirmed and proof.before and proof.after:  # which show more of it, or as much
         sides = [[one for _, one in pairs] for pairs in (proof.before, proof.after)]
     first, then = (gap_of(one, noise) for one in sides)
+    closed = share_closed(first, then, noise.sigma, coloured=True)
+    if closed >= 1 - SEEN:
+        return None
     # an offset or a delay bends to what any missing law does: it is all that is wrong, or none of it
     ports = null.fit.model.ports
-    least = 1 - SEEN if all(ports[one.at].kind == "sensor" for one in claim.found) else HALF
-    if share_closed(first, then, noise.sigma, coloured=True) >= least:
+    sensors = all(ports[one.at].kind == "sensor" for one in claim.found)
+    if closed >= HALF and not sensors:
         return None
     names = " and ".join(f"{one.name} at {one.at}" for one in claim.found)
-    more = "less of it than is left" if least == HALF else "not all of it"
+    more = "not all of it" if closed >= HALF else "less of it than is left"
     words = f"{names} explains the gap best and closes {more}, which is no noise"
     return replace(claim.unknown, sentence=f"{claim.unknown.sentence}; {words}")
 

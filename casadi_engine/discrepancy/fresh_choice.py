@@ -10,6 +10,7 @@ from casadi_engine.deadline import Deadline, TimeUp, late
 from casadi_engine.discrepancy.choice import TIME_UP, Choice
 from casadi_engine.discrepancy.fresh import Judgement, Portions, gap_of, judge
 from casadi_engine.discrepancy.fresh_fits import fresh_sides
+from casadi_engine.discrepancy.fresh_weights import FreshWeights
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.station import Station
@@ -52,6 +53,7 @@ class FreshChoice:
     messages: list[str]
     work: float = math.inf
     _costly: bool = field(default=False, init=False)
+    _known: dict[Fit, Pairs | None] = field(default_factory=dict, init=False)
 
     def run(self) -> Confirmation:
         """The first structure, in order of evidence, that fresh data do not refuse; unjudged once the time is over."""
@@ -74,6 +76,8 @@ class FreshChoice:
         before = self._on_fresh(null) if self.portion.fresh else None
         if self.portion.fresh and before is None and not self._costly:
             self.messages.append("the model without effects cannot be simulated on the fresh data")
+        if self.portion.fresh and not null.screened.choice.scatter:
+            FreshWeights(search, self._on_fresh, self.messages).run(sure=self._confirms(before))
         first: list[Station] | None = None
         blind: list[Station] | None = None  # the first one of which fresh data can say nothing
         for key in search.ranked():
@@ -102,6 +106,13 @@ class FreshChoice:
             return self._kept(blind, first or blind, before, Judgement(None, None, False, NO_RUN))
         return self._kept([null], first or [null], before)
 
+    def _confirms(self, before: Pairs | None) -> bool:
+        """True if fresh data confirm the chosen structure."""
+        stations = self.search.way(self.search.best)
+        if before is None or stations is None or len(stations) == 1:
+            return False
+        return bool(self._of_structure(stations, before)[0].confirmed)
+
     @staticmethod
     def _kept(
         stations: list[Station],
@@ -119,6 +130,12 @@ class FreshChoice:
         )
 
     def _on_fresh(self, station: Station) -> Pairs | None:
+        """A station on the fresh data; None where it cannot be simulated there, or at too high a cost."""
+        if station.fit not in self._known:
+            self._known[station.fit] = self._found_on_fresh(station)
+        return self._known[station.fit]
+
+    def _found_on_fresh(self, station: Station) -> Pairs | None:
         self.tell("fresh data")
         noise = station.screened.noise
         try:

@@ -7,7 +7,7 @@ residual tests of fresh data take it away first, so that their false-alarm rate 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -54,6 +54,47 @@ def within_errors(fit: Fit, null: NullModel, residuals: Sequence[Residuals]) -> 
     null : made by ``doubted``; residuals : its residuals with their levels, colour and all
     """
     levels = {(one.record, one.output): one.sigma for one in residuals}
+    residual, slopes = _whitened(null, levels)
+    rows, offset = _prior(fit, null)
+    padded = np.zeros((len(rows), slopes.shape[1]))
+    padded[:, : null.turn.shape[1]] = rows
+    return PriorSplit.of(residual, slopes, padded, offset)
+
+
+def log_foretold(
+    fit: Fit, null: NullModel, levels: Mapping[str, float], louder: Mapping[str, float]
+) -> float:
+    """Log probability of fresh data by a fit, but for what all models have in common: its parameters move within their
+    errors, and what the fit does not know (first states, when an event happens there) is known beforehand as well as
+    one sample tells it.
+
+    null : made by ``doubted``; levels : output -> standard deviation of the noise; louder : output -> factor by which
+    it is larger there
+    """
+    there = {(r.name, o): levels[o] * louder[o] for r in null.records for o in r.outputs}
+    residual, slopes = _whitened(null, there)
+    rows, offset = _prior(fit, null)
+    # errors by the level of the fit, which may be smaller
+    known = [levels[name] / level for name, (level, _) in fit.noise.items() if name in levels]
+    wider = max([1.0, *known])
+    prior = np.zeros((len(rows) + slopes.shape[1], slopes.shape[1]))
+    prior[: len(rows), : null.turn.shape[1]] = rows / wider
+    prior[len(rows) :] = np.diag(np.linalg.norm(slopes, axis=0) / np.sqrt(len(residual)))
+    acts = np.linalg.norm(prior, axis=0) > 0
+    target = np.concatenate([residual, -offset / wider, np.zeros(slopes.shape[1])])
+    size = np.linalg.norm(prior[:, acts], axis=0)
+    prior, both = prior[:, acts] / size, np.vstack([slopes, prior])[:, acts] / size
+    frame, root = np.linalg.qr(both)
+    left = target - frame @ (frame.T @ target)
+    spread = np.log(np.abs(np.diag(root))) - np.log(np.abs(np.diag(np.linalg.qr(prior, mode="r"))))
+    return float(-0.5 * left @ left - spread.sum())
+
+
+def _whitened(null: NullModel, levels: Mapping[tuple[str, str], float]) -> tuple[Array, Array]:
+    """Residual (N,) in standard deviations, and its slopes (N, p) in parameters and all records' first states.
+
+    levels : (record, output) -> standard deviation
+    """
     residual, blocks = [], []
     size = null.turn.shape[1]
     wide = size + sum(len(record.starts) for record in null.records)
@@ -67,10 +108,7 @@ def within_errors(fit: Fit, null: NullModel, residuals: Sequence[Residuals]) -> 
             residual.append(e / level)
             blocks.append(block / level)
         at += len(record.starts)
-    rows, offset = _prior(fit, null)
-    padded = np.zeros((len(rows), wide))
-    padded[:, :size] = rows
-    return PriorSplit.of(np.concatenate(residual), np.concatenate(blocks), padded, offset)
+    return np.concatenate(residual), np.concatenate(blocks)
 
 
 def _prior(fit: Fit, null: NullModel) -> tuple[Array, Array]:

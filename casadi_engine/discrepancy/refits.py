@@ -55,7 +55,8 @@ Key = frozenset[tuple[str, str]]
 class Tried:
     """A structure that was refitted: its effects, where that ended, and its evidence with the noise of all.
 
-    pool : all structures at the time it is asked; failed : its whole fit did not converge
+    pool : all structures at the time it is asked; failed : its whole fit did not converge; fresh : log probability of
+    fresh data beside that by the structure which foretells them best, where they were asked
     """
 
     effects: tuple[Addition, ...]
@@ -64,6 +65,7 @@ class Tried:
     evidence: Evidence
     pool: Callable[[], dict[Key, Tried]]
     failed: bool = False
+    fresh: float = 0.0
 
     @property
     def key(self) -> Key:
@@ -86,8 +88,8 @@ class Tried:
 
     @property
     def log(self) -> float:
-        """The log evidence."""
-        return -math.inf if self.failed else self.evidence.log
+        """The log evidence, of fresh data too where they were asked."""
+        return -math.inf if self.failed else self.evidence.log + self.fresh
 
     @property
     def beyond(self) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -18,6 +18,7 @@ from casadi_engine.discrepancy.assumed_pressure import carry, remarks, settle_sc
 from casadi_engine.discrepancy.checked_errors import with_checked_errors
 from casadi_engine.discrepancy.choice import TIME_UP, Choice
 from casadi_engine.discrepancy.fresh import Portions, portions
+from casadi_engine.discrepancy.fresh_misfit import FRESH
 from casadi_engine.discrepancy.input_hold import other_hold
 from casadi_engine.discrepancy.lost_fit import explained, found_again
 from casadi_engine.discrepancy.lower_rate import at_lower_rate
@@ -58,6 +59,10 @@ _ITERATIONS, _FURTHER = 200, 5
 _JUMPED = (
     JUMPED + "; here tanh stands in place of their jumps, as sharp as the motion asks for "
     "({}): the parameters of repair.fit belong to these equations"
+)
+_EXCHANGED = (
+    "The records of the search show nothing that is missing, but the fresh ones do: effects were looked for in these, "
+    "and confirmed on the others"
 )
 _LOWER = "the time was up before the whole data were fitted: all values are those of records of a lower rate"
 
@@ -219,11 +224,33 @@ class _Job:
         jobs: int | None,
         given: tuple[Model, Parameters],
     ) -> Repair:
-        """The answer; that for another hold of the inputs where this is what the records ask for.
+        """The answer; that for another hold of the inputs where this is what the records ask for, and of the search in
+        the fresh records where these alone show that something is missing.
 
         given : model and parameters as they were given, before jumps were rounded
         """
         how: dict[str, Any] = {"alpha": alpha, "most": most, "scatter": scatter, "jobs": jobs}
+        found = self._of_these(scores, how, given)
+        alone = found.unknown is not None and FRESH in found.unknown.tests
+        if not alone or self.portion.source != "records" or found.stopped:
+            return found
+        if self.deadline.left < time.perf_counter() - self.begun:
+            return found
+        self.tell("the search in the fresh records, which alone show that something is missing")
+        kept = self.portion, self.options, dict(self.timing)
+        self.portion = replace(self.portion, data=self.portion.fresh, fresh=self.portion.data)
+        self.options = {**self.options, "initial": None}  # those that were given are of the other records
+        try:
+            other = self._of_these(scores, how, given)
+        except (TimeUp, EstimationError):
+            other = found
+        if other.verdict in ("named", "class"):
+            return replace(other, options={**other.options, "exchanged": _EXCHANGED})
+        self.portion, self.options, self.timing = kept
+        return found
+
+    def _of_these(self, scores: Any, how: Mapping[str, Any], given: tuple[Model, Parameters]) -> Repair:
+        """The answer of the records as they are divided."""
         found = self._answered(scores, **how)
         if self.model.corners and found.verdict == "nothing missing":
             with suppress(TimeUp):

@@ -29,7 +29,7 @@ _SURE, _WITHIN = 0.02, 3.0
 
 def first_words(repair: Repair) -> list[str]:
     """What has to be known before the verdict is read: where nothing physical was tested, and what was not tried."""
-    said = [str(repair.options[key]) for key in ("hold", "left out") if key in repair.options]
+    said = [str(repair.options[key]) for key in ("exchanged", "hold", "left out") if key in repair.options]
     said += _of_internal_ports(repair.null_fit.model)
     if is_blind(repair) and _only_internal(repair.null_fit.model):
         said.append("Besides, wrong fixed parameters and sensor errors alone were tested")

@@ -67,7 +67,7 @@ def test_a_coloured_residual_that_is_most_of_the_motion_is_not_called_noise(expl
     assert not said or "explains 0 % of y in run, and the rest is coloured" in found.sentence
 
 
-def claimed(monkeypatch, *, before, after, tests, fresh=None):
+def claimed(monkeypatch, *, before, after, tests, fresh=None, kind="inertia"):
     """A drag that lowers the rms gap of y from ``before`` to ``after`` standard deviations of the noise.
 
     fresh : the same two of fresh data, None for those of the search
@@ -76,7 +76,8 @@ def claimed(monkeypatch, *, before, after, tests, fresh=None):
     gaps = {name: Gap(1.0, {"y": size}, {"y": 0.0}, 100) for name, size in sides.items()}
     monkeypatch.setattr(module, "gap_of", lambda nulls, noise: gaps[nulls[0]])
     noise = stub(sigma={"y": 1.0}, colour={})
-    null, last = (stub(screened=stub(null=name, noise=noise)) for name in ("null", "last"))
+    fit = stub(model=stub(ports={"load": stub(kind=kind)}))
+    null, last = (stub(fit=fit, screened=stub(null=name, noise=noise)) for name in ("null", "last"))
     drag = stub(name="drag", at="load", key="load.drag", share_explained=1.0, p_value=0.0)
     unknown = None if tests is None else Unknown("the residual has a line", tests)
     proof = stub(kept=(null, last), before=[(None, "old")], after=[(None, "new")])
@@ -96,6 +97,14 @@ def test_an_effect_that_closes_less_than_it_leaves_is_no_answer_where_that_is_no
     if withdrawn:
         assert "drag at load explains the gap best and closes less of it than is left" in found.sentence
         assert found.tests == tests
+
+
+@pytest.mark.parametrize(("after", "withdrawn"), [(1.5, True), (1.05, False)])
+def test_an_error_of_a_sensor_is_all_that_is_wrong_or_none_of_it(monkeypatch, after, withdrawn):
+    claim, null = claimed(monkeypatch, before=3.0, after=after, tests={"line": 1e-9}, kind="sensor")
+    found = reason_to_withdraw(claim, null, True)
+    assert (found is not None) == withdrawn
+    assert not withdrawn or "closes not all of it" in found.sentence
 
 
 @pytest.mark.parametrize(

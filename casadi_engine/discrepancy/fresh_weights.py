@@ -1,0 +1,147 @@
+"""Fresh data weigh the structures that the data of the search do not tell apart.
+
+The log probability of the fresh data by each structure, its parameters free within their errors, is added to its log
+evidence: together they are the evidence of all data. A structure that the search left behind is not asked, unless the
+data of the search found that something is missing and could not say what.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from casadi_engine.deadline import late
+from casadi_engine.discrepancy.choice import Choice
+from casadi_engine.discrepancy.evidence import FACTOR
+from casadi_engine.discrepancy.families import BEYOND
+from casadi_engine.discrepancy.null_model import NullModel
+from casadi_engine.discrepancy.parameter_doubt import doubted, log_foretold
+from casadi_engine.discrepancy.path import FAILURES
+from casadi_engine.discrepancy.refits import Key, Tried
+from casadi_engine.discrepancy.station import Station
+from casadi_engine.estimation import Fit
+
+# Structures that are asked at most.
+_MOST = 6
+# As far as a structure is excluded that fresh data do not ask, so many times as far (1 of 8000) is one that they ask where
+# they do not confirm the most probable one.
+_WIDER = 3
+# Log probability by which another structure has to be ahead to take the place of the chosen one.
+_AHEAD = 1.0
+Pairs = list[tuple[Fit, NullModel]]
+
+
+@dataclass
+class FreshWeights:
+    """search : whose structures are weighed, and whose best one is what this leaves as such; sides : a station on fresh
+    data, or None; messages : takes what fresh data exclude"""
+
+    search: Choice
+    sides: Callable[[Station], Pairs | None]
+    messages: list[str]
+    _near: float = math.log(FACTOR)
+
+    def run(self, *, sure: bool) -> None:
+        """Ask the most probable structures in turn, until none that is left comes near.
+
+        sure : fresh data confirm the chosen one; else what is far less probable is asked too
+        """
+        self._near = (1 if sure else _WIDER) * math.log(FACTOR)
+        asked: dict[Key, tuple[Fit, list[NullModel]]] = {}
+        failed: set[Key] = set()
+        while len(asked) + len(failed) < _MOST and not late():
+            rivals = self._rivals()
+            if len(rivals) < 2:
+                break
+            one = next((t for t in rivals if t.key not in asked and t.key not in failed), None)
+            if one is None:
+                break
+            found = self._asked(one)
+            if found is None:
+                failed.add(one.key)
+                continue
+            asked[one.key] = found
+            self._weigh(asked)
+        self._choose(asked)
+
+    def _rivals(self) -> list[Tried]:
+        """The structures that may be right, the most probable first: those with as many effects as the chosen one; or
+        none and those of one effect, where something is missing and no structure is better than none."""
+        search = self.search
+        now = search.pool[search.best]
+        ready = [t for t in search.pool.values() if t.effects and t.beyond > BEYOND and math.isfinite(t.log)]
+        if not now.effects:
+            if not search.null.screened.significant:
+                return []
+            alike = [t for t in ready if len(t.key) == 1]
+            least = now.log - self._wanted
+            return [now, *sorted((t for t in alike if t.log > least), key=lambda t: -t.log)]
+        alike = [t for t in ready if len(t.key) == len(now.key)]
+        least = max(t.log for t in alike) - self._near if alike else math.inf
+        return sorted((t for t in alike if t.log > least), key=lambda t: -t.log)
+
+    @property
+    def _wanted(self) -> float:
+        """What an effect has to gain in log probability beside none."""
+        return math.log(FACTOR) + self.search.price
+
+    def _asked(self, one: Tried) -> tuple[Fit, list[NullModel]] | None:
+        """A structure's fit, and its residuals on fresh data with slopes; None where either fails."""
+        stations = self.search.way(one.key)
+        pairs = None if stations is None else self.sides(stations[-1])
+        if stations is None or not pairs or not all(fit.converged for fit, _ in pairs):
+            return None
+        try:
+            with np.errstate(all="ignore"):
+                return stations[-1].fit, [doubted(stations[-1].fit, held) for held, _ in pairs]
+        except FAILURES:
+            return None
+
+    def _weigh(self, asked: dict[Key, tuple[Fit, list[NullModel]]]) -> None:
+        """Log probabilities beside that of the structure which foretells the fresh data best, with the noise that is
+        left of these by the one that leaves least."""
+        levels = {n: 1 / self.search.refits.levels.weight(n) for n in self.search.refits.levels.sigma}
+        louder = {
+            name: max(1.0, min(_spread(nulls, name) for _, nulls in asked.values()) / level)
+            for name, level in levels.items()
+        }
+        logs = {
+            key: sum(log_foretold(fit, null, levels, louder) for null in nulls)
+            for key, (fit, nulls) in asked.items()
+        }
+        top = max(logs.values())
+        for key, log in logs.items():
+            self.search.pool[key].fresh = log - top if math.isfinite(log - top) else -math.inf
+
+    def _choose(self, asked: dict[Key, tuple[Fit, list[NullModel]]]) -> None:
+        search = self.search
+        now = search.pool[search.best]
+        if search.best not in asked or len(asked) < 2:
+            for key in asked:  # one alone is held against nothing
+                search.pool[key].fresh = 0.0
+            return
+        best = max((search.pool[key] for key in asked), key=lambda t: t.log)
+        ahead = _AHEAD if now.effects else self._wanted
+        if best is not now and best.log > now.log + ahead:
+            search.best = best.key
+        top = search.pool[search.best]
+        for key in asked:
+            one = search.pool[key]
+            if one is not top and top.effects and one.effects and one.log < top.log - math.log(FACTOR):
+                self.messages.append(
+                    f"fresh data tell {top.label} from {one.label}: with them it is {_times(top.log - one.log)} "
+                    "as probable"
+                )
+
+
+def _spread(nulls: list[NullModel], output: str) -> float:
+    """Root mean square of what a structure leaves of an output of the fresh data."""
+    every = [r.residual[output] for null in nulls for r in null.records if output in r.residual]
+    return float(np.sqrt(np.mean(np.concatenate(every) ** 2))) if every else 0.0
+
+
+def _times(log: float) -> str:
+    return f"{math.exp(log):.2g} times" if log < 14 else "more than a million times"
