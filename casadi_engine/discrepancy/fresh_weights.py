@@ -26,8 +26,8 @@ from casadi_engine.estimation import Fit
 
 # Structures that are asked at most.
 _MOST = 6
-# As far as a structure is excluded that fresh data do not ask, so many times as far (1 of 8000) is one that they ask where
-# they do not confirm the most probable one.
+# Where fresh data do not confirm the most probable structure, those that the data of the search make so many times as
+# improbable, in logarithms, as is usually enough to exclude one (1 of 8000) are asked too.
 _WIDER = 3
 # Log probability by which another structure has to be ahead to take the place of the chosen one.
 _AHEAD = 1.0
