@@ -17,16 +17,14 @@ from functools import partial
 import numpy as np
 
 from casadi_engine.deadline import Deadline, TimeUp, ask, late
-from casadi_engine.discrepancy.additions import AGAIN, TIME_UP, Additions, instead, may_go, start_without
+from casadi_engine.discrepancy.additions import AGAIN, TIME_UP, Additions
 from casadi_engine.discrepancy.assumed_pressure import settle_scatter
-from casadi_engine.discrepancy.coloured_errors import coloured_errors
+from casadi_engine.discrepancy.exchange import exchanged, special_cases, weak_beside_colour
 from casadi_engine.discrepancy.exchanged_units import impossible_gain
 from casadi_engine.discrepancy.families import BEYOND, chosen_of, families_of
 from casadi_engine.discrepancy.membership import class_of, ordered, reached, simpler
-from casadi_engine.discrepancy.noise_model import estimated_noise
 from casadi_engine.discrepancy.pairs import price_of, tried_in_two, with_one_more
-from casadi_engine.discrepancy.path import FAILURES
-from casadi_engine.discrepancy.refit import Addition, Refitter, addition
+from casadi_engine.discrepancy.refit import Addition, Refitter
 from casadi_engine.discrepancy.refits import FACTOR, Key, Refits, Tried, key_of
 from casadi_engine.discrepancy.repaired import Round
 from casadi_engine.discrepancy.screening import Screened, coloured
@@ -94,7 +92,10 @@ class Choice:
                     break
                 here = made
                 self.best = here.key
-            self._special_cases()
+            self._timed(
+                "exchange", lambda: special_cases(self.refits, self.best, self.null.screened, self.tell)
+            )
+            self._timed("evidence", self.refits.weigh)
             least = self.pool[self.best].log - math.log(FACTOR)
             near = [t for t in self.pool.values() if len(t.key) == len(self.best) > 0 and t.log > least]
             self._timed("refit", lambda: self.refits.exactly(near if len(near) > 1 else ()))
@@ -103,29 +104,6 @@ class Choice:
         except TimeUp:
             if TIME_UP not in self.failed.values():
                 self.failed[f"any effect{beside}"] = TIME_UP
-
-    def _special_cases(self) -> None:
-        """Refit the most probable structures with a law's special case in its place, where that was not tried beside
-        the other effects: what the law has more may be what one of these does."""
-        now, families = self.pool[self.best], families_of(self.null.screened)
-        least = now.log - math.log(FACTOR)
-        for one in [t for t in self.pool.values() if len(t.key) == len(now.key) > 1 and t.log > least]:
-            for member in one.effects:
-                limit = (member.candidate.source.effect.limit, member.candidate.port)
-                if limit in one.key or limit not in families:
-                    continue
-                if one.key - {member.candidate.key} | {limit} in self.pool:
-                    continue
-                ask()
-                self.tell(f"{limit[0]} in place of {member.label}, in {one.label}")
-                candidate = self.null.screened.candidates[families[limit][0]]
-                size = next(
-                    v for n, v in one.arrived.values.items() if n.partition("@")[0] == member.amplitude
-                )
-                rest = (other for other in one.effects if other is not member)
-                start = start_without(one.arrived, member)
-                self._timed("exchange", lambda: self.refits.tried((*rest, addition(candidate, size)), start))  # noqa: B023
-        self._timed("evidence", self.refits.weigh)
 
     def _most_probable_first(self) -> None:
         """Let a structure of as many effects that the last levels of the noise make more probable take the place of the
@@ -251,7 +229,7 @@ class Choice:
             if best is None or not (sure or (in_colour and self._scores_in_colour(here, best, tried))):
                 self._told(here, tried, None)
                 return None
-            if self._weak(best):
+            if weak_beside_colour(self.refits, best):
                 more = self._timed("refit", lambda: self._with_one_more(best))  # noqa: B023
                 best.failed = True
                 if more is None:
@@ -267,7 +245,7 @@ class Choice:
             if self._timed("refit", lambda: self._sharpened(best)):  # noqa: B023
                 here, tried = self.pool[here.key], [self.pool[one.key] for one in tried]
                 continue
-            if self._weak(best):
+            if weak_beside_colour(self.refits, best):
                 best.failed = True
                 continue
             arrived = self._station(best)
@@ -313,30 +291,6 @@ class Choice:
             self.refits.tried(here.effects, Start(best.arrived.values, best.arrived.initial))
             self.refits.weigh()
 
-    def _weak(self, best: Tried) -> bool:
-        """True if an amplitude is no finding beside coloured noise, whose slow part may do as much."""
-        refits = self.refits
-        if not refits.levels.memory:
-            return False
-        try:
-            with np.errstate(all="ignore"):
-                null = refits.path.residuals(best.effects, best.arrived)
-                slopes = {record.name: dict(record.slopes) for record in null.records}
-                noise = estimated_noise(null, explained=slopes, colour=True)
-                error = coloured_errors(null, best.arrived.levels, noise)
-        except FAILURES:
-            return False  # its whole fit has the last word
-        values = best.arrived.values
-        for one in best.effects:
-            own = [n for n in values if n.partition("@")[0] == one.amplitude]
-            # as certain as it is in white noise, by as much less as its error is larger
-            plain, white = best.certainty(one), best.evidence.error
-            size = max((abs(values[n]) / white.get(n, math.inf) for n in own), default=0.0)
-            found = max((abs(values[n]) / error.get(n, math.inf) for n in own), default=0.0)
-            if size > 0 and found * plain < BEYOND * size:
-                return True
-        return False
-
     def _with_one_more(self, one: Tried) -> Tried | None:
         """A structure that is no finding beside the colour it leaves, with the effect that takes this colour away; None
         where there is none. Of two that are missing, the one that is added first leaves what the other does."""
@@ -350,7 +304,7 @@ class Choice:
         self.refits.weigh()
         ready = [t for t in made if t.beyond > BEYOND and t.log > one.log + self.price]
         best = max(ready, key=lambda t: t.log, default=None)
-        return None if best is None or self._weak(best) else best
+        return None if best is None or weak_beside_colour(self.refits, best) else best
 
     def _added(self, here: Tried, station: Station) -> list[Tried]:
         made = Additions(self.refits, here, station, self.failed, self.tell)
@@ -395,34 +349,9 @@ class Choice:
     def _exchanged(self, best: Tried, here: Tried) -> Tried:
         """The structure after its members were exchanged one by one, and each was left out, as far as time allows."""
         try:
-            return self._exchanged_for(best, here)
+            return exchanged(self.refits, best, here, self.null.screened, self.tell)
         except TimeUp:
             return best
-
-    def _exchanged_for(self, best: Tried, here: Tried) -> Tried:
-        screened = self._stations[frozenset()].screened
-        families = families_of(screened)
-        while len(best.effects) > 1 and not late():
-            made: list[Tried] = []
-            for member in best.effects:
-                rest = tuple(one for one in best.effects if one is not member)
-                others = {k: v for k, v in families.items() if k not in key_of(rest)}
-                start = start_without(best.arrived, member)
-                for one in instead(self.refits, best, member, screened, others):
-                    ask()
-                    self.tell(f"exchange {member.label} for {one.label}")
-                    made += self.refits.tried((*rest, one), start)
-                if may_go(self.refits, best, member, screened, others):
-                    made += self.refits.tried(rest, start)
-            self.refits.weigh()
-            ready = [one for one in made if one.beyond > BEYOND or not one.effects]
-            top = max(ready, key=lambda one: one.log, default=None)
-            # one more effect has to be worth it; one in place of another has to be more probable
-            price = 0.0 if top is None else math.log(FACTOR) * (len(top.effects) - len(best.effects))
-            if top is None or top.log - price <= best.log or top.key == here.key:
-                return best
-            best = top
-        return best
 
     # ---- whole fits
 

@@ -1,0 +1,98 @@
+"""Other effects in the place of those of a structure: members exchanged and left out, special cases of their laws.
+
+Adding one effect at a time goes past a structure whose members only together are right; and what was added first may
+have done what a later one does better.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from casadi_engine.deadline import ask, late
+from casadi_engine.discrepancy.additions import instead, may_go, start_without
+from casadi_engine.discrepancy.coloured_errors import coloured_errors
+from casadi_engine.discrepancy.families import BEYOND, families_of
+from casadi_engine.discrepancy.noise_model import estimated_noise
+from casadi_engine.discrepancy.path import FAILURES
+from casadi_engine.discrepancy.refit import addition
+from casadi_engine.discrepancy.refits import FACTOR, Key, Refits, Tried, key_of
+from casadi_engine.discrepancy.screening import Screened
+
+Tell = Callable[[str], None]
+
+
+def special_cases(refits: Refits, best: Key, screened: Screened, tell: Tell) -> None:
+    """Refit the most probable structures with a law's special case in its place, where that was not tried beside
+    the other effects: what the law has more may be what one of these does."""
+    now, families = refits.pool[best], families_of(screened)
+    least = now.log - math.log(FACTOR)
+    for one in [t for t in refits.pool.values() if len(t.key) == len(now.key) > 1 and t.log > least]:
+        for member in one.effects:
+            limit = (member.candidate.source.effect.limit, member.candidate.port)
+            if limit in one.key or limit not in families:
+                continue
+            if one.key - {member.candidate.key} | {limit} in refits.pool:
+                continue
+            ask()
+            tell(f"{limit[0]} in place of {member.label}, in {one.label}")
+            candidate = screened.candidates[families[limit][0]]
+            size = next(v for n, v in one.arrived.values.items() if n.partition("@")[0] == member.amplitude)
+            rest = (other for other in one.effects if other is not member)
+            start = start_without(one.arrived, member)
+            refits.tried((*rest, addition(candidate, size)), start)
+
+
+def exchanged(refits: Refits, best: Tried, here: Tried, screened: Screened, tell: Tell) -> Tried:
+    """The structure after its members were exchanged one by one, and each was left out, until none is better.
+
+    here : the structure before the last effect was added; screened : along the model without effects
+    """
+    families = families_of(screened)
+    while len(best.effects) > 1 and not late():
+        made: list[Tried] = []
+        for member in best.effects:
+            rest = tuple(one for one in best.effects if one is not member)
+            others = {k: v for k, v in families.items() if k not in key_of(rest)}
+            start = start_without(best.arrived, member)
+            for one in instead(refits, best, member, screened, others):
+                ask()
+                tell(f"exchange {member.label} for {one.label}")
+                made += refits.tried((*rest, one), start)
+            if may_go(refits, best, member, screened, others):
+                made += refits.tried(rest, start)
+        refits.weigh()
+        ready = [one for one in made if one.beyond > BEYOND or not one.effects]
+        top = max(ready, key=lambda one: one.log, default=None)
+        # one more effect has to be worth it; one in place of another has to be more probable
+        price = 0.0 if top is None else math.log(FACTOR) * (len(top.effects) - len(best.effects))
+        if top is None or top.log - price <= best.log or top.key == here.key:
+            return best
+        best = top
+    return best
+
+
+def weak_beside_colour(refits: Refits, best: Tried) -> bool:
+    """True if an amplitude is no finding beside coloured noise, whose slow part may do as much."""
+    if not refits.levels.memory:
+        return False
+    try:
+        with np.errstate(all="ignore"):
+            null = refits.path.residuals(best.effects, best.arrived)
+            slopes = {record.name: dict(record.slopes) for record in null.records}
+            noise = estimated_noise(null, explained=slopes, colour=True)
+            error = coloured_errors(null, best.arrived.levels, noise)
+    except FAILURES:
+        return False  # its whole fit has the last word
+    values = best.arrived.values
+    for one in best.effects:
+        own = [n for n in values if n.partition("@")[0] == one.amplitude]
+        # as certain as it is in white noise, by as much less as its error is larger
+        plain, white = best.certainty(one), best.evidence.error
+        size = max((abs(values[n]) / white.get(n, math.inf) for n in own), default=0.0)
+        found = max((abs(values[n]) / error.get(n, math.inf) for n in own), default=0.0)
+        if size > 0 and found * plain < BEYOND * size:
+            return True
+    return False
