@@ -40,7 +40,7 @@ class Claim:
 
 def reason_to_withdraw(claim: Claim, null: Station, confirmed: bool) -> Unknown | None:
     """Why the effects found are no answer: they close next to nothing, or less than what they leave, which is no noise,
-    or are errors of sensors and leave more than noise; None where they are one."""
+    or are errors of sensors, or several that nothing confirms, and leave more than noise; None where they are one."""
     if not confirmed and not _visible(claim.found):
         return _too_small(claim.found)
     if claim.unknown is None or not claim.unknown.tests:
@@ -53,10 +53,11 @@ def reason_to_withdraw(claim: Claim, null: Station, confirmed: bool) -> Unknown 
     closed = share_closed(first, then, noise.sigma, coloured=True)
     if closed >= 1 - SEEN:
         return None
-    # an offset or a delay bends to what any missing law does: it is all that is wrong, or none of it
+    # an offset or a delay bends to what any missing law does, and so do several effects together: these are all that
+    # is wrong, or none of it, unless fresh data have confirmed several
     ports = null.fit.model.ports
     sensors = all(ports[one.at].kind == "sensor" for one in claim.found)
-    if closed >= HALF and not sensors:
+    if closed >= HALF and not sensors and (confirmed or len(claim.found) == 1):
         return None
     names = " and ".join(f"{one.name} at {one.at}" for one in claim.found)
     more = "not all of it" if closed >= HALF else "less of it than is left"

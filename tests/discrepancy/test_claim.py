@@ -1,5 +1,6 @@
 """What a repair claims: what is missing beside its effects, and when these are no answer."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -97,6 +98,17 @@ def test_an_effect_that_closes_less_than_it_leaves_is_no_answer_where_that_is_no
     if withdrawn:
         assert "drag at load explains the gap best and closes less of it than is left" in found.sentence
         assert found.tests == tests
+
+
+@pytest.mark.parametrize(
+    ("confirmed", "after", "withdrawn"), [(False, 1.5, True), (True, 1.5, False), (False, 1.05, False)]
+)
+def test_several_effects_that_nothing_confirms_are_all_that_is_wrong_or_none_of_it(
+    monkeypatch, confirmed, after, withdrawn
+):
+    claim, null = claimed(monkeypatch, before=3.0, after=after, tests={"line": 1e-9})
+    claim = replace(claim, found=(*claim.found, *claim.found))
+    assert (reason_to_withdraw(claim, null, confirmed) is not None) == withdrawn
 
 
 @pytest.mark.parametrize(("after", "withdrawn"), [(1.5, True), (1.05, False)])
