@@ -31,11 +31,11 @@ from casadi_engine.discrepancy.refit import Refitter
 from casadi_engine.discrepancy.repaired import Repair
 from casadi_engine.discrepancy.requests import check_alpha, left_out, read_request
 from casadi_engine.discrepancy.screening import Screened, screen_in_turn
-from casadi_engine.discrepancy.wording import AT_FAULT, BUDGET, USER
+from casadi_engine.discrepancy.wording import AT_FAULT, BUDGET, UNRESOLVED, USER
 from casadi_engine.effects.candidate import Known
-from casadi_engine.errors import EstimationError, ExperimentError
+from casadi_engine.errors import CasadiEngineError, EstimationError, ExperimentError
 from casadi_engine.estimation import Fit, estimate
-from casadi_engine.estimation.corner_widths import ROUNDED, widths_of, with_widths
+from casadi_engine.estimation.corner_widths import ROUNDED, felt_by, widths_of, with_widths
 from casadi_engine.estimation.estimate import _own, _records
 from casadi_engine.estimation.followed import not_followed
 from casadi_engine.estimation.interrupts import Interrupts
@@ -244,7 +244,7 @@ class _Job:
             other = self._of_these(scores, how, given)
         except (TimeUp, EstimationError):
             other = found
-        if other.verdict in ("named", "class"):
+        if other.verdict in ("named", "class") and other.confirmed is not False:
             return replace(other, options={**other.options, "exchanged": _EXCHANGED})
         self.portion, self.options, self.timing = kept
         return found
@@ -319,6 +319,8 @@ class _Job:
             with self.deadline.spared(1.0):
                 made = with_checked_errors(made, self.noise, options, in_places=refitter.in_places)
         self.timing["total"] = time.perf_counter() - self.begun
+        if (why := self._unresolved(made)) is not None:
+            return self._no_answer(null_fit, alpha, why, UNRESOLVED)
         missed = tuple(name for name, why in search.failed.items() if why == TIME_UP)
         return replace(made, stopped=self._by if missed else "", not_searched=missed)
 
@@ -388,8 +390,27 @@ class _Job:
             timing=self.timing, options=self.asked, messages=(why,), stopped=self._by,
         )  # fmt: skip
 
-    def _no_answer(self, fit: Fit, alpha: float, at_fault: str | None = None) -> Repair:
-        """What there is without a fit to look for effects from; at_fault : what the data have to be freed of first."""
+    def _unresolved(self, made: Repair) -> str | None:
+        """Why nobody can say that something is missing: what no effect names is no more than what a fit does that
+        rounds the corners of the user's own laws. None where that is not so."""
+        fit, gaps = made.null_fit, made.gaps
+        rounded = any(words.startswith(ROUNDED) for words in fit.messages)
+        if made.verdict != "unnamed" or not rounded or gaps is None:
+            return None
+        widths = {one.width: fit.parameters[one.width].value for one in fit.model.effects if one.width}
+        with self.deadline.spared(math.inf), suppress(CasadiEngineError, FloatingPointError, TimeUp):
+            felt, gap = felt_by(fit, widths), gaps.estimation_before.gap
+            if (gap.chi2_per_sample - 1) * gap.samples < felt:
+                return (
+                    "whether anything is missing cannot be told: what is left is no more than corners twice as wide "
+                    f"would change (chi-squared by {felt:.2g}), and no fit with sharper ones was reached; "
+                    "with_effect(..., sharp=True) keeps the corners as they are"
+                )
+        return None
+
+    def _no_answer(self, fit: Fit, alpha: float, at_fault: str | None = None, of: str = AT_FAULT) -> Repair:
+        """What there is without a fit to look for effects from; at_fault : what the data, or with another status the
+        model, have to be freed of first."""
         cut = fit.status == "interrupted"
         why = (
             "no effect can be looked for before the model without effects fits: give other start values, bounds, or "
@@ -399,7 +420,7 @@ class _Job:
             why = "interrupted in the fit without effects: nothing was searched"
         status = fit.status if cut else f"the fit without effects has {fit.status}"
         if at_fault is not None:
-            status, why = AT_FAULT, at_fault
+            status, why = of, at_fault
         self.timing["total"] = time.perf_counter() - self.begun
         return Repair(
             status, None, None, fit, fit, alpha, data=self.portion.data, fresh=self.portion.fresh,

@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING
 
 from casadi_engine.discrepancy.fresh_misfit import FRESH, fresh_doubt, fresh_misfit
 from casadi_engine.discrepancy.repaired import more_probable
-from casadi_engine.discrepancy.wording import AT_FAULT, USER, is_blind, names_own_law, twins, what_acts
+from casadi_engine.discrepancy.wording import (
+    AT_FAULT,
+    UNRESOLVED,
+    USER,
+    is_blind,
+    names_own_law,
+    twins,
+    what_acts,
+)
 from casadi_engine.estimation.summary import count
 
 if TYPE_CHECKING:
@@ -100,6 +108,8 @@ def next_step(repair: Repair) -> str:
         return "run it again and let it end; repair.fit is the best model so far"
     if repair.status == AT_FAULT:
         return "look at the data, as said above, and repair again"
+    if repair.status == UNRESOLVED:
+        return "give the model its laws with sharp=True, or records with more motion, and repair again"
     if repair.verdict is None:
         return "fix the baseline fit first: other start values, wider bounds, or more starts"
     if repair.stopped:

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 USER, BUDGET = "the user", "the time budget"
 # Status of a repair whose data cannot be used as they are.
 AT_FAULT = "the data are at fault"
+# Status of a repair whose gap may be what rounds the corners of the user's own laws.
+UNRESOLVED = "the corners of the model's own laws are not resolved"
 # Names listed in a sentence; correlation beyond which two effects are one.
 LISTED, _TWINS = 6, 0.995
 # A gain that is known to this share of itself, and is within so many errors of a ratio of units, tells which they are.

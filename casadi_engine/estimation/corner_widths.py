@@ -134,10 +134,20 @@ class Motion:
         return self._problem.paths(self._values | self.widths, self._nodes)
 
 
+def felt_by(fit: Fit, widths: Mapping[str, float]) -> float:
+    """By how much chi-squared of a fit changes with these widths doubled, its parameters held: as much may be left by
+    what they are."""
+    return _change(Motion(fit, widths), widths)
+
+
+def _change(motion: Motion, widths: Mapping[str, float]) -> float:
+    return abs(motion.cost({name: 2 * width for name, width in widths.items()}) - motion.cost(widths))
+
+
 def _told(motion: Motion, widths: Mapping[str, float]) -> Fit:
-    """The fit, with a message if twice its widths change chi-squared: as much may be left by what they are."""
+    """The fit, with a message if twice its widths change chi-squared."""
     fit = motion.fit
-    change = abs(motion.cost({name: 2 * width for name, width in widths.items()}) - motion.cost(widths))
+    change = _change(motion, widths)
     if change < FELT:
         return fit
     names = ", ".join(f"{name} = {width:.2g}" for name, width in widths.items())
