@@ -208,6 +208,7 @@ class _Job:
     interrupts: Interrupts | None = None
     null_fit: Fit | None = None
     search: Choice | None = None
+    felt: float = 0.0
 
     def stop(self) -> None:
         """End the search with what it has; called at the first Ctrl-C."""
@@ -283,6 +284,7 @@ class _Job:
             at_fault = noise_alone(null_fit) or wild_samples(null_fit)
             if at_fault is not None:
                 return self._no_answer(null_fit, alpha, at_fault)
+            self.felt = self._felt_by_corners(null_fit)
             lower = at_lower_rate(null_fit, pars, self.portion, self.noise, options)
             searched, own_noise = (
                 (self.portion, self.noise) if lower is None else (lower.portion, lower.noise)
@@ -390,23 +392,29 @@ class _Job:
             timing=self.timing, options=self.asked, messages=(why,), stopped=self._by,
         )  # fmt: skip
 
+    def _felt_by_corners(self, fit: Fit) -> float:
+        """By how much wider corners of the user's own laws change chi-squared of the fit without effects, where no
+        sharper ones were reached; 0 where they are sharp."""
+        if not any(words.startswith(ROUNDED) for words in fit.messages):
+            return 0.0
+        widths = {one.width: fit.parameters[one.width].value for one in fit.model.effects if one.width}
+        with suppress(CasadiEngineError, FloatingPointError):
+            return felt_by(fit, widths)
+        return 0.0
+
     def _unresolved(self, made: Repair) -> str | None:
         """Why nobody can say that something is missing: what no effect names is no more than what a fit does that
         rounds the corners of the user's own laws. None where that is not so."""
-        fit, gaps = made.null_fit, made.gaps
-        rounded = any(words.startswith(ROUNDED) for words in fit.messages)
-        if made.verdict != "unnamed" or not rounded or gaps is None:
+        if made.verdict != "unnamed" or made.gaps is None or not self.felt:
             return None
-        widths = {one.width: fit.parameters[one.width].value for one in fit.model.effects if one.width}
-        with self.deadline.spared(math.inf), suppress(CasadiEngineError, FloatingPointError, TimeUp):
-            felt, gap = felt_by(fit, widths), gaps.estimation_before.gap
-            if (gap.chi2_per_sample - 1) * gap.samples < felt:
-                return (
-                    "whether anything is missing cannot be told: what is left is no more than corners twice as wide "
-                    f"would change (chi-squared by {felt:.2g}), and no fit with sharper ones was reached; "
-                    "with_effect(..., sharp=True) keeps the corners as they are"
-                )
-        return None
+        gap = made.gaps.estimation_before.gap
+        if (gap.chi2_per_sample - 1) * gap.samples >= self.felt:
+            return None
+        return (
+            "whether anything is missing cannot be told: what is left is no more than corners twice as wide would "
+            f"change (chi-squared by {self.felt:.2g}), and no fit with sharper ones was reached; "
+            "with_effect(..., sharp=True) keeps the corners as they are"
+        )
 
     def _no_answer(self, fit: Fit, alpha: float, at_fault: str | None = None, of: str = AT_FAULT) -> Repair:
         """What there is without a fit to look for effects from; at_fault : what the data, or with another status the

@@ -25,6 +25,10 @@ AT_FAULT = "the data are at fault"
 UNRESOLVED = "the corners of the model's own laws are not resolved"
 # Names listed in a sentence; correlation beyond which two effects are one.
 LISTED, _TWINS = 6, 0.995
+# What a negative delay may be.
+_EARLY = (
+    "no sensor is early: clocks differ, or it shows a share of the rate too, as behind a series resistance"
+)
 # A gain that is known to this share of itself, and is within so many errors of a ratio of units, tells which they are.
 _SURE, _WITHIN = 0.02, 3.0
 
@@ -180,11 +184,13 @@ def acts_as(one: FoundEffect, name: str, model: Model) -> str:
 
 
 def right_value(one: FoundEffect, repair: Repair) -> str:
-    """What was stated wrong, as the data have it: ``m_s = 356.5 ± 1.8 kg, stated 300``, or the unit of an output that
-    its gain tells; "" for other effects."""
+    """What was stated wrong, as the data have it: ``m_s = 356.5 ± 1.8 kg, stated 300``; the unit of an output that its
+    gain tells; or what a sensor that is early may be. "" for other effects."""
     port = repair.model.ports[one.at] if one.at in repair.model.ports.names else None
     if port is not None and one.name in ("sensor_gain", "input_gain"):
         return _other_unit(one, repair.model)
+    if one.name == "sensor_delay":
+        return _EARLY if one.amplitude.value < -_WITHIN * (one.amplitude.stderr or 0.0) else ""
     stated = None if port is None else repair.fit.estimates.get(port.parameter)
     if port is None or not port.parameter or stated is None:
         return ""

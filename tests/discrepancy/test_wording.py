@@ -119,3 +119,14 @@ def test_a_gain_tells_units_where_it_is_their_ratio_within_its_error(unit, gain,
     one = SimpleNamespace(at="sensor_y", amplitude=SimpleNamespace(value=gain, stderr=error))
     found = wording._other_unit(one, SimpleNamespace(outputs=[output]))
     assert (words in found) if words else found == ""
+
+
+@pytest.mark.parametrize(
+    ("delay", "stderr", "said"), [(-7.6e-5, 5e-6, True), (-7.6e-5, 5e-5, False), (7.6e-5, 5e-6, False)]
+)
+def test_a_sensor_that_is_early_is_told_what_it_may_be(delay, stderr, said):
+    one = SimpleNamespace(
+        name="sensor_delay", at="sensor_u", amplitude=SimpleNamespace(value=delay, stderr=stderr)
+    )
+    repair = SimpleNamespace(model=SimpleNamespace(ports=SimpleNamespace(names=())))
+    assert ("no sensor is early" in wording.right_value(one, repair)) == said
