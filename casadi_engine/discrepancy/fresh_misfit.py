@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 # The gap on fresh data is larger by at least this factor, and chance would do as much less often than this. Samples of
 # coloured noise count less by a memory that is generous.
-_LARGER, _SURE, MEMORY = 1.5, 1e-4, 20.0
+LARGER, _SURE, MEMORY = 1.5, 1e-4, 20.0
 # Share of what is beyond the noise there that errors of the parameters have to explain, to be said to do so.
 _EXPLAINED = 0.5
 # Share of the gap's squares above the noise that effects have to close where what they leave is no white noise.
@@ -51,7 +51,7 @@ def fresh_misfit(repair: Repair) -> str | None:
             "missing, or their noise is larger"
         )
     far = fresh.parameters_p is not None and fresh.parameters_p < _SURE
-    if far and found > _LARGER * own.chi2_per_sample:
+    if far and found > LARGER * own.chi2_per_sample:
         return (
             f"the fresh data do not fit: {where}, and they ask for other parameters than the fit's, beyond their errors"
             f" (p {fresh.parameters_p:.2g})"
@@ -87,7 +87,7 @@ def _beyond(repair: Repair, found: float) -> bool:
     memory = max(MEMORY if noise.colour else 1.0, 1 / max(own.chi2_per_sample, _TINY))
     fresh, known = (max(gap.samples / memory, 1.0) for gap in (gaps.validation_after.gap, own))
     ratio = found / own.chi2_per_sample if own.chi2_per_sample > 0 else 0.0
-    return ratio > _LARGER and f_sf(ratio, fresh, known) < _SURE
+    return ratio > LARGER and f_sf(ratio, fresh, known) < _SURE
 
 
 def _more_than_noise(repair: Repair) -> float | None:

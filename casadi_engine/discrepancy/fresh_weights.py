@@ -17,8 +17,9 @@ from casadi_engine.deadline import late
 from casadi_engine.discrepancy.choice import Choice
 from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.families import BEYOND
+from casadi_engine.discrepancy.fresh_misfit import LARGER
 from casadi_engine.discrepancy.null_model import NullModel
-from casadi_engine.discrepancy.parameter_doubt import doubted, log_foretold
+from casadi_engine.discrepancy.parameter_doubt import doubted, left_within_errors, log_foretold
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.refits import Key, Tried
 from casadi_engine.discrepancy.station import Station
@@ -101,17 +102,20 @@ class FreshWeights:
             return None
 
     def _weigh(self, asked: dict[Key, tuple[Fit, list[NullModel]]]) -> None:
-        """Log probabilities beside that of the structure which foretells the fresh data best, with the noise that is
-        left of these by the one that leaves least."""
+        """Log probabilities beside that of the structure which foretells the fresh data best. None is weighed where the
+        fresh data hold more than noise that none of them knows: what imitates that best is not the more probable."""
         levels = {n: 1 / self.search.refits.levels.weight(n) for n in self.search.refits.levels.sigma}
-        louder = {
-            name: max(1.0, min(_spread(nulls, name) for _, nulls in asked.values()) / level)
-            for name, level in levels.items()
-        }
-        logs = {
-            key: sum(log_foretold(fit, null, levels, louder) for null in nulls)
-            for key, (fit, nulls) in asked.items()
-        }
+        least = min(
+            sum(left_within_errors(fit, null, levels) for null in nulls) / len(nulls)
+            for fit, nulls in asked.values()
+        )
+        if least > LARGER:
+            logs = dict.fromkeys(asked, 0.0)
+        else:
+            logs = {
+                key: sum(log_foretold(fit, null, levels) for null in nulls)
+                for key, (fit, nulls) in asked.items()
+            }
         top = max(logs.values())
         for key, log in logs.items():
             self.search.pool[key].fresh = log - top if math.isfinite(log - top) else -math.inf
@@ -135,12 +139,6 @@ class FreshWeights:
                     f"fresh data tell {top.label} from {one.label}: with them it is {_times(top.log - one.log)} "
                     "as probable"
                 )
-
-
-def _spread(nulls: list[NullModel], output: str) -> float:
-    """Root mean square of what a structure leaves of an output of the fresh data."""
-    every = [r.residual[output] for null in nulls for r in null.records if output in r.residual]
-    return float(np.sqrt(np.mean(np.concatenate(every) ** 2))) if every else 0.0
 
 
 def _times(log: float) -> str:

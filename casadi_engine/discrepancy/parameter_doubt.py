@@ -53,7 +53,10 @@ def within_errors(fit: Fit, null: NullModel, residuals: Sequence[Residuals]) -> 
 
     null : made by ``doubted``; residuals : its residuals with their levels, colour and all
     """
-    levels = {(one.record, one.output): one.sigma for one in residuals}
+    return _split(fit, null, {(one.record, one.output): one.sigma for one in residuals})
+
+
+def _split(fit: Fit, null: NullModel, levels: Mapping[tuple[str, str], float]) -> PriorSplit:
     residual, slopes = _whitened(null, levels)
     rows, offset = _prior(fit, null)
     padded = np.zeros((len(rows), slopes.shape[1]))
@@ -61,18 +64,25 @@ def within_errors(fit: Fit, null: NullModel, residuals: Sequence[Residuals]) -> 
     return PriorSplit.of(residual, slopes, padded, offset)
 
 
-def log_foretold(
-    fit: Fit, null: NullModel, levels: Mapping[str, float], louder: Mapping[str, float]
-) -> float:
+def left_within_errors(fit: Fit, null: NullModel, levels: Mapping[str, float]) -> float:
+    """Chi-squared per sample that a fit leaves of fresh data, its parameters moved within their errors; arguments as in
+    ``log_foretold``."""
+    within = _split(fit, null, _of_records(null, levels)).within
+    return float(within @ within) / len(within)
+
+
+def _of_records(null: NullModel, levels: Mapping[str, float]) -> dict[tuple[str, str], float]:
+    return {(record.name, output): levels[output] for record in null.records for output in record.outputs}
+
+
+def log_foretold(fit: Fit, null: NullModel, levels: Mapping[str, float]) -> float:
     """Log probability of fresh data by a fit, but for what all models have in common: its parameters move within their
     errors, and what the fit does not know (first states, when an event happens there) is known beforehand as well as
     one sample tells it.
 
-    null : made by ``doubted``; levels : output -> standard deviation of the noise; louder : output -> factor by which
-    it is larger there
+    null : made by ``doubted``; levels : output -> standard deviation of the noise
     """
-    there = {(r.name, o): levels[o] * louder[o] for r in null.records for o in r.outputs}
-    residual, slopes = _whitened(null, there)
+    residual, slopes = _whitened(null, _of_records(null, levels))
     rows, offset = _prior(fit, null)
     # errors by the level of the fit, which may be smaller
     known = [levels[name] / level for name, (level, _) in fit.noise.items() if name in levels]

@@ -31,7 +31,7 @@ def test_fresh_data_are_as_probable_as_noise_and_errors_of_the_parameters_make_t
     for size in (0.0, 1.0, 3.0):
         e = sigma * rng.standard_normal(n) + size * error * slope
         record.residual = {"y": e}
-        found.append(log_foretold(fit, null, {"y": sigma}, {"y": 1.0}))
+        found.append(log_foretold(fit, null, {"y": sigma}))
         whole = -0.5 * e @ np.linalg.solve(covariance, e) - 0.5 * np.linalg.slogdet(covariance)[1]
         expected.append(whole + n * math.log(sigma))
     assert found == pytest.approx(expected, rel=1e-9)
@@ -58,8 +58,9 @@ class Pool(dict):
         return [self[key] for key in self]
 
 
-def weighed(monkeypatch, logs, fresh, *, sure=True, significant=True):
-    """The name of the best structure, and what is said, where ``fresh`` are the log probabilities of fresh data."""
+def weighed(monkeypatch, logs, fresh, *, sure=True, significant=True, left=1.0):
+    """The name of the best structure, what is said, and which were asked, where ``fresh`` are the log probabilities of
+    fresh data; left : chi-squared per sample that all leave there."""
     pool = Pool({one.key: one for one in (tried(name, log) for name, log in logs.items())})
     best = max(pool.values(), key=lambda t: t.log).key
     levels = stub(sigma={"y": 1.0}, weight=lambda name: 1.0)
@@ -73,11 +74,12 @@ def weighed(monkeypatch, logs, fresh, *, sure=True, significant=True):
     monkeypatch.setattr(module, "doubted", lambda fit, held: stub(records=(record,)))
     asked = []
 
-    def foretold(fit, null, levels, louder):
+    def foretold(fit, null, levels):
         asked.append(names[id(fit)])
         return fresh[names[id(fit)]]
 
     monkeypatch.setattr(module, "log_foretold", foretold)
+    monkeypatch.setattr(module, "left_within_errors", lambda *_: left)
     said = []
     FreshWeights(search, lambda station: [(stub(converged=True), None)], said).run(sure=sure)
     return pool[search.best].label, said, set(asked)
@@ -87,6 +89,11 @@ def test_rivals_are_told_apart_by_fresh_data(monkeypatch):
     best, said, _ = weighed(monkeypatch, {"a": 0.0, "b": -1.0, "": -50.0}, {"a": -9.0, "b": -2.0})
     assert best == "b"
     assert said == ["fresh data tell b from a: with them it is 4e+02 times as probable"]
+
+
+def test_fresh_data_that_no_structure_knows_tell_none_apart(monkeypatch):
+    best, said, asked = weighed(monkeypatch, {"a": 0.0, "b": -1.0, "": -50.0}, {}, left=40.0)
+    assert (best, said, asked) == ("a", [], set())
 
 
 def test_what_the_search_excludes_is_asked_only_where_fresh_data_do_not_confirm(monkeypatch):
