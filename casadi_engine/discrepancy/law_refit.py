@@ -34,7 +34,7 @@ from casadi_engine.discrepancy.path import FAILURES, null_of_refit
 from casadi_engine.discrepancy.priors import priors_of
 from casadi_engine.discrepancy.random_families import Course, Family, course_of, smooth_family, terms_at
 from casadi_engine.discrepancy.refits import Refits, Tried
-from casadi_engine.discrepancy.unknown_law import SIZES, TAKEN, UnknownLaw, of_size, several_at
+from casadi_engine.discrepancy.unknown_law import SIZES, TAKEN, UnknownLaw, near_of, of_size, several_at
 from casadi_engine.effects import Amplitude, Effect, Grid
 from casadi_engine.estimation.refit_answer import Refit
 from casadi_engine.estimation.refit_problem import RefitProblem
@@ -253,7 +253,11 @@ def _followed(refits: Refits, none: Tried, tried: Tried, setup: _Setup, one: _Be
             share = (zero.cost - named.cost) / (zero.cost - law.cost) if zero.cost > law.cost else 1.0
             course = _course(best, null, setup, levels)
             alike = several_at(tried, setup.family.port)
-            return UnknownLaw(course, log - named.log, share, alike) if math.isfinite(log) else None
+            return (
+                UnknownLaw(course, log - named.log, share, alike, near_of(tried))
+                if math.isfinite(log)
+                else None
+            )
     except FAILURES:
         return None
     except TimeUp:

@@ -41,29 +41,37 @@ TAKEN = 0.8
 # Effects that explain this share of what a function does stay the answer, whatever is more probable: dry friction of a
 # real machine is never all that depends on its speed.
 _NEAR = 0.8
+# The same of an event, which bends in time to any law that is not there all the time.
+_NEAR_OF_EVENTS = 0.9
 
 
 @dataclass(frozen=True)
 class UnknownLaw:
     """The function that is most probable: its course, the log of how much more probable the model is with it than with
     the effects, the share of what it takes from chi-squared that these take too, and whether they are several at its
-    own port: one name that comes near is worth keeping, several that together imitate a function are not."""
+    own port: one name that comes near is worth keeping, several that together imitate a function are not; near : the
+    share from which on one does."""
 
     course: Course
     log: float
     share: float
     several: bool = False
+    near: float = _NEAR
 
     @property
     def excludes(self) -> bool:
         """True where the effects are no answer: far less probable, and much of what the function does is left."""
-        return self.log >= math.log(FACTOR) and (self.share < _NEAR or self.several)
+        return self.log >= math.log(FACTOR) and (self.share < self.near or self.several)
+
+
+def near_of(tried: Tried) -> float:
+    """Share of what a function does that effects have to explain to stay the answer."""
+    events = bool(tried.effects) and all(one.placed for one in tried.effects)
+    return _NEAR_OF_EVENTS if events else _NEAR
 
 
 def several_at(tried: Tried, port: str) -> bool:
-    """True for a structure of several effects, all of them at one port; and for one of events."""
-    if tried.effects and all(one.placed for one in tried.effects):  # what happens once may follow any course
-        return True
+    """True for a structure of several effects, all of them at one port."""
     return len(tried.effects) > 1 and all(one.candidate.port == port for one in tried.effects)
 
 
@@ -113,7 +121,7 @@ def unknown_law(refits: Refits, tried: Tried, further: float) -> UnknownLaw | No
     least = evidence(best.digest, refits.levels).cost
     share = (none - named.cost) / (none - least) if none > least else 1.0
     course = _course(best.digest, best.family, refits.levels)
-    return UnknownLaw(course, log, share, several_at(tried, best.family.port))
+    return UnknownLaw(course, log, share, several_at(tried, best.family.port), near_of(tried))
 
 
 @dataclass

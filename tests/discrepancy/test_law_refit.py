@@ -1,6 +1,7 @@
 """Laws that no library has and that are so large that nothing linearised shows them: refitted in the equations."""
 
 import functools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.discrepancy import law_refit
-from casadi_engine.discrepancy.unknown_law import UnknownLaw
+from casadi_engine.discrepancy.unknown_law import UnknownLaw, near_of
 
 LEVEL = 0.005
 
@@ -130,3 +131,11 @@ def test_an_input_that_saturates_is_found_as_one():
 )
 def test_one_name_that_comes_near_is_kept_and_several_are_not(log, share, several, excludes):
     assert UnknownLaw(None, log, share, several).excludes is excludes
+
+
+@pytest.mark.parametrize(
+    ("share", "placed", "excluded"), [(0.85, True, True), (0.95, True, False), (0.85, False, False)]
+)
+def test_an_event_has_to_come_nearer_to_what_a_law_does(share, placed, excluded):
+    tried = SimpleNamespace(effects=(SimpleNamespace(placed=placed),))
+    assert UnknownLaw(None, 9.0, share, False, near_of(tried)).excludes is excluded
