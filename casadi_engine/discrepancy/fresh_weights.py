@@ -106,7 +106,7 @@ class FreshWeights:
         fresh data hold more than noise that none of them knows: what imitates that best is not the more probable."""
         levels = {n: 1 / self.search.refits.levels.weight(n) for n in self.search.refits.levels.sigma}
         least = min(
-            sum(left_within_errors(fit, null, levels) for null in nulls) / len(nulls)
+            sum(left_within_errors(fit, null, self.search.refits.levels.sigma) for null in nulls) / len(nulls)
             for fit, nulls in asked.values()
         )
         if least > LARGER:

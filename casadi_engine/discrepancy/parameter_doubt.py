@@ -65,10 +65,10 @@ def _split(fit: Fit, null: NullModel, levels: Mapping[tuple[str, str], float]) -
 
 
 def left_within_errors(fit: Fit, null: NullModel, levels: Mapping[str, float]) -> float:
-    """Chi-squared per sample that a fit leaves of fresh data, its parameters moved within their errors; arguments as in
-    ``log_foretold``."""
-    within = _split(fit, null, _of_records(null, levels)).within
-    return float(within @ within) / len(within)
+    """Chi-squared per sample that a fit leaves of fresh data, its parameters moved, and what moving them beyond their
+    errors costs; arguments as in ``log_foretold``."""
+    split = _split(fit, null, _of_records(null, levels))
+    return (split.value + float(split.noise @ split.noise)) / len(split.noise)
 
 
 def _of_records(null: NullModel, levels: Mapping[str, float]) -> dict[tuple[str, str], float]:
