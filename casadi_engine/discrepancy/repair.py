@@ -62,7 +62,7 @@ _JUMPED = (
 )
 _EXCHANGED = (
     "The records of the search show nothing that is missing, but the fresh ones do: effects were looked for in these, "
-    "and confirmed on the others"
+    "and what was found was held against the others"
 )
 _LOWER = "the time was up before the whole data were fitted: all values are those of records of a lower rate"
 

@@ -8,7 +8,7 @@ rounding the model's own prediction, moved within the errors of what was fitted,
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,16 +55,17 @@ class Rounded:
     step: float
     scatter: float
 
-    def draws(self, count: int, seed: int) -> tuple[Array, Array]:
-        """(N, count) residuals by rounding and this noise alone, and white noise of the same level."""
+    def draws(self, count: int, seed: int) -> Iterator[tuple[Array, Array]]:
+        """So many residuals (N,) by rounding and this noise alone, each with white noise of that level; one after the
+        other, as records may be long."""
         draw = np.random.default_rng(seed)
         level = math.sqrt(self.scatter**2 + self.step**2 / 12)
-        moved = (self.measured - self.residual)[:, None]
-        moved = moved + level * (self.frame @ draw.standard_normal((self.frame.shape[1], count)))
-        moved = moved + self.scatter * draw.standard_normal(moved.shape)
-        read = self.measured[0] + self.step * np.round((moved - self.measured[0]) / self.step)
-        white = level * draw.standard_normal(moved.shape)
-        return read - moved, white
+        for _ in range(count):
+            moved = self.measured - self.residual
+            moved = moved + level * (self.frame @ draw.standard_normal(self.frame.shape[1]))
+            moved = moved + self.scatter * draw.standard_normal(len(moved))
+            read = self.measured[0] + self.step * np.round((moved - self.measured[0]) / self.step)
+            yield read - moved, level * draw.standard_normal(len(moved))
 
 
 def rounded(record: RecordNull, output: str) -> Rounded | None:
@@ -97,7 +98,8 @@ def rounded_levels(
             size = np.linalg.norm(left, axis=0)
             good = size > TESTABLE * np.linalg.norm(tested, axis=0)
             left = np.column_stack([one.frame, left[:, good] / size[good]])
-            steps, white = (float(((left.T @ e) ** 2).max(axis=0).mean()) for e in one.draws(_DRAWS, seed))
+            largest = [[((left.T @ e) ** 2).max() for e in pair] for pair in one.draws(_DRAWS, seed)]
+            steps, white = np.mean(largest, axis=0).tolist()
             found[output] = max(found.get(output, 1.0), steps / max(white, _TINY))
     return {name: sigma[name] * math.sqrt(more) for name, more in found.items() if more > _WORSE}
 
@@ -113,6 +115,6 @@ def beyond_rounding(
     one = rounded(record, output)
     if one is None:
         return lambda p: p
-    found = [test(np.ascontiguousarray(e)) for e in without(one.frame, one.draws(_FEW, seed)[0]).T]
+    found = [test(without(one.frame, e[:, None])[:, 0]) for e, _ in one.draws(_FEW, seed)]
     mean = max(1.0, sum(0.0 if p is None else -math.log(max(p, _TINY)) for p in found) / _FEW)
     return lambda p: max(p, _TINY) ** (1 / mean)
