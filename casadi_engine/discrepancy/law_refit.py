@@ -30,9 +30,10 @@ from casadi_engine.discrepancy.evidence import (
 )
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.null_model import NullModel
-from casadi_engine.discrepancy.path import FAILURES, null_of_refit
+from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.priors import priors_of
 from casadi_engine.discrepancy.random_families import Course, Family, course_of, smooth_family, terms_at
+from casadi_engine.discrepancy.refit_null import null_of_refit
 from casadi_engine.discrepancy.refits import Refits, Tried
 from casadi_engine.discrepancy.unknown_law import SIZES, TAKEN, UnknownLaw, near_of, of_size, several_at
 from casadi_engine.effects import Amplitude, Effect, Grid

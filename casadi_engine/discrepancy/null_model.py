@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from weakref import WeakKeyDictionary
 
@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.discrepancy.late_samples import completed, with_all_samples
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.constraints import ParameterConstraints
 from casadi_engine.estimation.coordinates import Coordinates
@@ -260,7 +261,9 @@ def _record(
 ) -> RecordNull:
     measured = tuple(out.name for out in model.outputs if out.name in record)
     path = null_path(model, lay_grid(model, record, outputs=measured), p, first, steps=steps)
-    grid = path.grid
+    seen = path.grid.measured
+    grid = with_all_samples(path.grid, record)
+    path = replace(path, grid=grid)
     out = path.function([model.output_expressions])(*path.at_samples().arguments)[0]
     simulated = at_measurements(path, np.broadcast_to(out, (len(model.outputs), grid.samples))[None])
     starts = [k for k, state in enumerate(model.states) if state.name not in held]
@@ -269,6 +272,10 @@ def _record(
         initial_direction(model, k, model.states[k].scale, name=model.states[k].name) for k in starts
     ]
     residual = {name: grid.measured[name].values - simulated[name][0] for name in simulated}
+    for name, own in seen.items():
+        if len(own.beyond):
+            inside = np.isin(grid.measured[name].index, own.index)
+            residual[name] = completed(own, residual[name][inside], mirror=True)
     base = RecordNull(
         name=record.name,
         path=path,
@@ -284,7 +291,9 @@ def _record(
         model
     ):  # an instant that moves with a parameter is no part of the equation along the path
         scale = np.array([state.scale for state in model.states])
-        slopes = _propagated_slopes(path, moved, first / scale, scale, starts)
+        exact = replace(path, grid=replace(grid, measured=seen))
+        slopes = _propagated_slopes(exact, moved, first / scale, scale, starts)
+        slopes = {name: completed(seen[name], rows, mirror=False) for name, rows in slopes.items()}
     else:
         slopes = base.columns(directions)
     return RecordNull(**{**vars(base), "slopes": slopes})

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from types import SimpleNamespace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -20,14 +20,10 @@ from casadi_engine.deadline import Deadline, TimeUp
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.null_model import (
     NullModel,
-    RecordNull,
-    cycle_numbers,
-    free_directions,
     null_at,
-    prior_rows,
-    unit_of,
 )
 from casadi_engine.discrepancy.refit import Addition, Refitter
+from casadi_engine.discrepancy.refit_null import cost_beyond, null_of_refit
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation.corner_widths import FACTOR as SHARPER_BY
@@ -36,6 +32,7 @@ from casadi_engine.estimation.refit_entry import Refit, RefitProblem
 from casadi_engine.estimation.refit_problem import EXACT
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
+from casadi_engine.model.lags import delays, lagged, nearest_lags
 from casadi_engine.parameters import Parameters
 from casadi_engine.simulation.exponential_runge_kutta import MOST_SUBSTEPS
 from casadi_engine.simulation.propagator import bends_between_samples, switches_with_states
@@ -61,6 +58,8 @@ _LOST = 1.2
 _MANY, _AGAIN, _FREE, _AHEAD = 20.0, 3.0, 1e6, 10
 # What a refit with sharper corners may cost more: there are few, and the last ones count.
 _PATIENCE = 5.0
+# Times that the samples of late sensors are read anew, as a delay turns out.
+_LATER = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +69,7 @@ class Arrived:
     cost : chi-squared with priors at the levels of the path, simulated from the first states
     settled : it is an optimum; held : parameters at a bound
     refit, levels : the refit, and the levels of the noise (output -> sigma) by which its residuals were weighted
+    lags : output -> seconds by which the samples of late sensors were read earlier
     """
 
     values: Mapping[str, float]
@@ -79,6 +79,7 @@ class Arrived:
     held: frozenset[str]
     refit: Refit = field(repr=False)
     levels: Mapping[str, float]
+    lags: Mapping[str, float] = field(default_factory=dict)
 
 
 class Path:
@@ -105,7 +106,7 @@ class Path:
 
     def exactly(self, effects: Sequence[Addition], arrived: Arrived) -> Arrived | None:
         """The end of a refit from where another one arrived, as exact as whole fits are."""
-        _, _, problem = self._problem(effects)
+        _, _, problem = self._problem(effects, arrived.lags)
         try:
             problem.felt = EXACT
             return self._ended(effects, arrived, (None,))
@@ -197,12 +198,12 @@ class Path:
     def residuals(self, effects: Sequence[Addition], arrived: Arrived) -> NullModel:
         """Residuals and slopes where a refit of these effects ended, as its own integrator has them; without the paths
         that candidates act along."""
-        model, parameters, problem = self._problem(effects)
+        model, parameters, problem = self._problem(effects, arrived.lags)
         return null_of_refit(model, parameters, problem, arrived.refit, arrived.levels)
 
     def null_at(self, effects: Sequence[Addition], arrived: Arrived) -> NullModel:
         """The model with these effects, linearised along a simulation where a refit of them ended."""
-        model, parameters, problem = self._problem(effects)
+        model, parameters, problem = self._problem(effects, arrived.lags)
         names = [state.name for state in model.states]
         first = {record: np.array([own[n] for n in names]) for record, own in arrived.initial.items()}
         z = np.array([arrived.values[name] for name in problem.pmap.free])
@@ -217,7 +218,7 @@ class Path:
 
     def parameters(self, effects: Sequence[Addition]) -> Parameters:
         """The parameters of the model with these effects."""
-        return self._problem(effects)[1]
+        return self._problem(effects, {})[1]
 
     def relevel(self, levels: Mapping[str, float]) -> None:
         """Weigh all further refits by other levels."""
@@ -235,7 +236,7 @@ class Path:
         worth : the share of the samples that count as independent ones
         """
         refitter, before = self.refitter, self.refitter.share
-        model, _, own = self._problem(effects)
+        model, _, own = self._problem(effects, arrived.lags)
         shares = self.shares(before)
         if not self.cornered(effects) or switches_with_states(model) or len(shares) == 1:
             return before
@@ -251,7 +252,7 @@ class Path:
                         if not _local(own):
                             break
                         refitter.sharpest = max(refitter.sharpest, share)
-                    cost = _cost_along(self._problem(effects)[2], arrived.values, states)
+                    cost = _cost_along(self._problem(effects, arrived.lags)[2], arrived.values, states)
                     # what is left falls by the factor from one share to the next
                     self.felt = FELT * abs(cost - last) / (SHARPER_BY - 1) / felt
                     if self.felt * SHARPER_BY < FELT:
@@ -277,7 +278,7 @@ class Path:
         """The sharpest corners, down to a share, with which a refit settles or is better, and where it arrived; no
         sharper than chi-squared of the refits feels. None where there are none."""
         refitter, before = self.refitter, self.refitter.share
-        _, _, own = self._problem(effects)
+        _, _, own = self._problem(effects, arrived.lags)
         felt = FELT * max(arrived.cost / max(own.count, 1), 1.0) / worth
         reached, last = None, arrived
         try:
@@ -317,8 +318,39 @@ class Path:
     def _ended(
         self, effects: Sequence[Addition], start: Any, horizons: tuple[None] | None, patience: float = 1.0
     ) -> Arrived | None:
+        """The end of a refit; samples of late sensors are read anew until it says that they are no later."""
+        model, data = self._model(effects, {}), self.refitter.data
+        known = {one.amplitude: one.start for one in effects} | dict(
+            start.values if start is not None else {}
+        )
+        lags = nearest_lags(model, known, data)
+        for _ in range(_LATER):
+            found = self._ended_with(effects, start, horizons, patience, lags)
+            if found is None:
+                return None
+            own = nearest_lags(self._model(effects, lags), found.values, data)
+            if own == lags:
+                return found
+            start, horizons, lags = found, (None,), own
+        return found
+
+    def _model(self, effects: Sequence[Addition], lags: Mapping[str, float]) -> Model:
+        """The model with these effects and, beside those of the base, these lags of its sensors."""
+        model = self.refitter.extended(effects)
+        if not delays(model):
+            return model
+        return lagged(model, {**dict(model.lags), **lags})
+
+    def _ended_with(
+        self,
+        effects: Sequence[Addition],
+        start: Any,
+        horizons: tuple[None] | None,
+        patience: float,
+        lags: Mapping[str, float],
+    ) -> Arrived | None:
         try:
-            _, _, problem = self._problem(effects)
+            _, _, problem = self._problem(effects, lags)
             values = _begun(problem, effects, {} if start is None else start.values)
             # windows begin at the measured states, which a wrong simulation has lost
             initial = (None if start is None or horizons is None else start.initial) or None
@@ -328,7 +360,7 @@ class Path:
             if found.converged:  # what wanders is no measure of what refits cost
                 self._work.append(own.done)
                 self._least[id(problem)] = min(own.done, self._least.get(id(problem), math.inf))
-            return _arrived(problem, found, self.levels)
+            return _arrived(problem, found, self.levels, lags)
         except (*FAILURES, TimeUp):
             return None
 
@@ -338,13 +370,15 @@ class Path:
         most = _MANY * float(np.median(known)) if known else math.inf
         return max(min(most, _AGAIN * self._least.get(id(problem), math.inf)), _FREE)
 
-    def _problem(self, effects: Sequence[Addition]) -> tuple[Model, Parameters, RefitProblem]:
+    def _problem(
+        self, effects: Sequence[Addition], lags: Mapping[str, float] = MappingProxyType({})
+    ) -> tuple[Model, Parameters, RefitProblem]:
         own = tuple((id(one.candidate), one.shared, _in_order(one.times)) for one in effects)
-        key = (self.refitter.share, *own)
+        key = (self.refitter.share, tuple(lags.items()), *own)
         if key not in self._made:
             self._kept += effects  # alive, so that no other candidate takes its identity
             refitter = self.refitter
-            model = refitter.extended(effects)
+            model = self._model(effects, lags)
             pars = refitter.parameters_of(model, effects).unconstrained()
             interval = refitter.interval
             problem = RefitProblem(
@@ -403,40 +437,6 @@ def _in_order(times: Mapping[str, Mapping[str, float]]) -> tuple[Any, ...]:
     return tuple((name, record, time) for name, own in times.items() for record, time in own.items())
 
 
-def null_of_refit(
-    model: Model, parameters: Parameters, problem: RefitProblem, found: Refit, levels: Mapping[str, float]
-) -> NullModel:
-    """The null model where a refit ended: its residuals and slopes, without another simulation."""
-    pmap = problem.pmap
-    z = np.array([found.values[name] for name in pmap.free])
-    turn = free_directions(model, pmap, z, ())
-    scale = np.array([state.scale for state in model.states])
-    records = []
-    for term in problem.records:
-        grid, own = term.grid, found.records[term.experiment.name]
-        residual, slopes = {}, {}
-        for output, e in own.residual.items():
-            residual[output] = -e * levels[output]
-            both = own.jacobian[output] * levels[output]
-            slopes[output] = np.concatenate([both[:, : len(z)] @ turn, both[:, len(z) :] * scale], axis=1)
-        measured = grid.measured
-        records.append(
-            RecordNull(
-                name=term.experiment.name,
-                path=SimpleNamespace(grid=grid),  # type: ignore[arg-type]
-                residual=residual,
-                time={name: measured[name].time for name in residual},
-                index={name: measured[name].index for name in residual},
-                length={name: len(term.experiment[name].time) for name in residual},
-                cycle={name: cycle_numbers(model, grid, measured[name].time) for name in residual},
-                slopes=slopes,
-                starts=tuple(state.name for state in model.states),
-            )
-        )
-    units = tuple(unit_of(parameters, name) for name in pmap.free)
-    return NullModel(model, pmap.free, units, z, turn, prior_rows(pmap, z, turn), tuple(records))
-
-
 def first_states_on(
     model: Model, record: Experiment, parameters: Parameters, levels: Mapping[str, float]
 ) -> Start | None:
@@ -450,7 +450,12 @@ def first_states_on(
     return Start(found.values, found.initial, {}, found.converged, fineness=found.fineness)
 
 
-def _arrived(problem: RefitProblem, found: Refit, levels: Mapping[str, float]) -> Arrived | None:
+def _arrived(
+    problem: RefitProblem,
+    found: Refit,
+    levels: Mapping[str, float],
+    lags: Mapping[str, float] = MappingProxyType({}),
+) -> Arrived | None:
     if not found.initial or not np.isfinite(found.cost):
         return None
     pmap = problem.pmap
@@ -461,5 +466,12 @@ def _arrived(problem: RefitProblem, found: Refit, levels: Mapping[str, float]) -
         if value - low <= near or high - value <= near:
             held.add(name)
     return Arrived(
-        found.values, found.initial, found.cost, found.converged, frozenset(held), found, dict(levels)
+        found.values,
+        found.initial,
+        found.cost + cost_beyond(problem, found),
+        found.converged,
+        frozenset(held),
+        found,
+        dict(levels),
+        dict(lags),
     )

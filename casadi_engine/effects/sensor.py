@@ -31,17 +31,18 @@ class SensorOffset(Effect):
 
 @dataclass(frozen=True)
 class SensorDelay(Effect):
-    """A sensor that is late by a delay τ [s], or early: y(t − τ) to the second order, y − τ dy/dt + τ² d²y/dt² / 2 by
-    the ode; to the first order where dy/dt shows a channel at once, or jumps.
+    """A sensor that is late by a delay τ [s], or early.
 
-    What is left out is τ³ d³y/dt³ / 6: at 40 Hz and 1 ms a 1/400 of y's ripple. A law at one instant cannot hold the
-    past, so this form stands for the sharp one too.
+    A law at one instant cannot hold the past: it is y(t − τ) to the second order, y − τ dy/dt + τ² d²y/dt² / 2 by the
+    ode; to the first order where dy/dt shows a channel at once, or jumps. Fits and simulations leave only a part of a
+    sample to it: whole samples are read off the sensor's times (``retards``), which holds any delay exactly.
     """
 
     name = "sensor_delay"
     attaches = ("sensor",)
     kin = ("sensor_offset",)
     sentence = "a delay of {port}"
+    retards = True
     amplitude = Amplitude("delay", unit="s")
 
     def law(self, port: Any, p: Any, math: Any) -> Any:

@@ -19,6 +19,7 @@ from casadi_engine.estimation.corner_widths import follow_motion
 from casadi_engine.estimation.cut_short import GIVEN_UP, MANY, in_time
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.interrupts import Interrupts
+from casadi_engine.estimation.late_sensors import begun_late, follow_delays
 from casadi_engine.estimation.loss import read_loss
 from casadi_engine.estimation.lower_rate import ONE_SEARCH, lower_rate
 from casadi_engine.estimation.moved_jumps import refuse_moved_jumps
@@ -139,6 +140,7 @@ def estimate(
         "tolerance": tolerance,
         "warm": warm,
     }
+    arguments["model"] = begun_late(arguments)
     run = partial(
         _searched,
         seed=seed,
@@ -159,7 +161,10 @@ def estimate(
         if late():
             raise
         raise KeyboardInterrupt from None  # there is no point yet
-    return _with_sharp_corners(fit, arguments, lambda changed: run(arguments | changed, 1, 0, begun))
+    again = lambda changed: run(arguments | changed, 1, 0, begun)  # noqa: E731
+    fit = in_time(lambda: follow_delays(fit, again), lambda: fit)
+    arguments["model"] = fit.model
+    return _with_sharp_corners(fit, arguments, again)
 
 
 def _with_sharp_corners(fit: Fit, arguments: Mapping[str, Any], run: Callable[[dict[str, Any]], Fit]) -> Fit:

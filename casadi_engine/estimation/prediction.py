@@ -26,6 +26,7 @@ from casadi_engine.experiment import Experiment
 from casadi_engine.parameters import compile
 from casadi_engine.simulation.discretisation import Method
 from casadi_engine.simulation.grid import Grid, Measured
+from casadi_engine.simulation.late_outputs import as_shown
 from casadi_engine.simulation.propagator import switches_with_states
 
 Array = NDArray[np.float64]
@@ -246,7 +247,8 @@ class _Record:
         for k, name in enumerate(self.outputs):
             for entry, row in zip(entries, slopes, strict=True):
                 whole[entry, k] = record.observation.series(row, name)
-        return np.array([record.observation.series(value, name) for name in self.outputs]), whole
+        rows = np.array([record.observation.series(value, name) for name in self.outputs])
+        return as_shown(record.model, record.grid, rows), as_shown(record.model, record.grid, whole)
 
     def seen(self, rows: Array) -> Array:
         """What the measurement sees of outputs or slopes (..., ny, N), in units of the noise: (..., K)."""

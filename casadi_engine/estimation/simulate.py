@@ -20,9 +20,11 @@ from casadi_engine.experiment import Channel, Experiment
 from casadi_engine.experiment.channel import Step
 from casadi_engine.model import Model
 from casadi_engine.model.arrival import arriving, channel_unit
+from casadi_engine.model.lags import lagged, with_nearest_lags
 from casadi_engine.parameters import Parameters, near_matches
 from casadi_engine.simulation.discretisation import Method
 from casadi_engine.simulation.grid import Grid, lay_grid
+from casadi_engine.simulation.late_outputs import as_shown
 from casadi_engine.simulation.values import simulated
 
 Array = NDArray[np.float64]
@@ -131,7 +133,10 @@ def simulate(
         given = _fitted_start(model, data, values, given, method)
     of_fit = bool(measured) and all(isinstance(value, Estimate) for value in given.values())
     data = begun_at(data, given, model, ())
-    grid = _fitted_grid(model, data) if of_fit else _whole_grid(model, data)
+    model = with_nearest_lags(model, dict(zip(model.parameter_names, values.tolist(), strict=True)), (data,))
+    grid = (_fitted_grid if of_fit else _whole_grid)(
+        lagged(model, {}), data
+    )  # a late sensor is shifted at the end
     start = np.array([as_number(given[name]) for name in names], dtype=float)
     run = _run(model, data, values, start, replace(grid, measured={}), method, small(tolerance))
     return with_band(source, fit, data, run, grid, given, method) if band else run
@@ -254,7 +259,7 @@ def _run(
     found = simulated(model, grid, values, start, method=method, tolerance=tolerance)
     measured = [out.name for out in model.outputs if out.name in data]
     result = inputs if model.inputs else data.only(*measured)
-    for out, row in zip(model.outputs, found.outputs, strict=True):
+    for out, row in zip(model.outputs, as_shown(model, grid, found.outputs), strict=True):
         result = result.with_channel(
             Channel(out.name, channel_unit(out, data), time=grid.time, values=row, origin="derived")
         )

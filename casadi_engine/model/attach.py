@@ -96,13 +96,13 @@ def _with_torque(model: Model, term: Term) -> Model:
     slots = [port.name for port in model.ports.with_slot]
     row, slot = slots.index(term.port.name), model.ports[term.port.name].slot
     if _is_affine(model, term.value):
-        return _replaced(model, slot, slot + term.value)
+        return replaced(model, slot, slot + term.value)
     inside = ca.vertcat(model.x, model.d, model.w)
     if not ca.depends_on(term.value, inside):
         name = f"T_{term.port.name}_{term.effect.name}"
         drive = ca.SX.sym(name)
         words = f"{term.effect.name} at {term.port.name}"
-        made = _replaced(model, slot, slot + drive)
+        made = replaced(model, slot, slot + drive)
         return replace(
             made,
             drives=(*made.drives, Variable(name, term.port.unit, words)),
@@ -134,10 +134,10 @@ def _with_shift(model: Model, term: Term) -> Model:
         symbol = model.u[[variable.name for variable in model.inputs].index(name)]
     else:
         symbol = model.p[model.parameter_names.index(term.port.parameter)]
-    return _replaced(model, symbol, symbol + term.value)
+    return replaced(model, symbol, symbol + term.value)
 
 
-def _replaced(model: Model, symbol: Any, expression: Any) -> Model:
+def replaced(model: Model, symbol: Any, expression: Any) -> Model:
     """Put `expression` in for `symbol` in all equations and signals."""
     columns = [model.ode, model.laws, model.drive_expressions, model.output_expressions]
     ode, laws, drives, outputs = (

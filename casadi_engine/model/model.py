@@ -40,6 +40,8 @@ class Model:
     rates : names of the channels that an output shows at once; the output's own rate needs theirs
     time_unit : in which the blueprint's odes were written, and in which times are told; all else runs in s
     corners : jumps of the equations that were rounded, see `with_rounded_jumps`
+    lags : output -> seconds by which the times of its samples are read earlier, for a sensor that is late; its delay
+        enters the equations less these
     """
 
     name: str
@@ -64,6 +66,7 @@ class Model:
     rates: tuple[str, ...] = ()
     time_unit: str = "s"
     corners: tuple[Corner, ...] = ()
+    lags: tuple[tuple[str, float], ...] = ()
 
     @property
     def channels(self) -> Any:

@@ -9,8 +9,8 @@ was sampled, and the grid grows with the samples and not with the time between t
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -40,12 +40,16 @@ _SAME = 1e-6
 
 @dataclass(frozen=True)
 class Measured:
-    """One output's valid samples: time (N,), values (N,), and ``position`` (N,), the numbers of their grid points."""
+    """One output's valid samples: time (N,), values (N,), and ``position`` (N,), the numbers of their grid points.
+
+    index : of the samples in the channel; beyond : of those that a late sensor shows of the time before the record
+    """
 
     time: Array
     values: Array
     position: NDArray[np.intp]
-    index: NDArray[np.intp]  # of the samples in the channel
+    index: NDArray[np.intp]
+    beyond: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
 
 
 @dataclass(frozen=True)
@@ -118,11 +122,13 @@ def lay_grid(model: Model, experiment: Experiment, *, outputs: tuple[str, ...] |
     first, last = _span(observed) if observed else _common_span(inputs, experiment.place)
     if experiment.begin is not None:
         first = min(first, max([experiment.begin, *(channel.span[0] for channel in inputs)]))
+    if model.lags and observed:
+        observed, last = _read_late(observed, dict(model.lags), first, last, experiment.place)
     found = _equally_spaced(inputs, observed, first, last, experiment.place)
     if found is None:
         found = _of_all_times(inputs, observed, first, last)
     rows, holds = _with_rates(model, found)
-    found = replace(found, rows=rows, holds=holds)
+    found = replace(found, rows=rows, holds=holds, measured=_with_beyond(model, experiment, found))
     return found if experiment.decimation is None else _thinned(model, found, experiment.decimation)
 
 
@@ -140,9 +146,40 @@ def _thinned(model: Model, grid: Grid, made: Decimation) -> Grid:
     measured = {}
     for name, own in grid.measured.items():
         keep = there[own.position]
-        measured[name] = Measured(own.time[keep], own.values[keep], own.position[keep], own.index[keep])
+        measured[name] = Measured(
+            own.time[keep], own.values[keep], own.position[keep], own.index[keep], own.beyond
+        )
     whole = (lay_grid(model, made.whole, outputs=()), made) if model.inputs else None
     return replace(grid, measured=measured, whole=whole)
+
+
+def _read_late(
+    observed: list[Channel], lags: Mapping[str, float], first: float, last: float, place: str
+) -> tuple[list[Channel], float]:
+    """The outputs at the times whose values their sensors show, from ``first`` on, and the last of these times."""
+    found = []
+    for channel in observed:
+        lag = lags.get(channel.name, 0.0)
+        if lag:
+            near = _ON_GRID * float(np.median(np.diff(channel.time)))
+            time = channel.time - lag
+            inside = (time >= first - near) & (time <= last + near)
+            there = channel.mask & inside
+            if there.sum() < 2:
+                raise _too_short(place, int(there.sum()), last - first - abs(lag), near / _ON_GRID)
+            channel = replace(channel, time=time, mask=there)
+        found.append(channel)
+    return found, _span(found)[1]
+
+
+def _with_beyond(model: Model, experiment: Experiment, grid: Grid) -> dict[str, Measured]:
+    """The outputs of a grid; late ones know which of their valid samples it does not hold."""
+    found = dict(grid.measured)
+    for name, lag in model.lags:
+        if lag and name in found:
+            gone = np.setdiff1d(np.flatnonzero(experiment[name].mask), found[name].index)
+            found[name] = replace(found[name], beyond=gone)
+    return found
 
 
 def _equally_spaced(

@@ -1,0 +1,82 @@
+"""Sensors that are late, exactly: the part of a delay that is a number of samples is read off their times.
+
+The law of a delay holds at one instant and so cannot hold the past: y(t - τ) to second order is far off where τ is as
+long as y takes to move, and at every corner of an input. But a sensor that is late by a lag shows at t_k what was at
+t_k - lag: its samples are those of the output without delay at earlier times. What the law has to hold is the rest,
+τ - lag, of half a sample at most.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from casadi_engine.experiment import Experiment
+
+if TYPE_CHECKING:
+    from casadi_engine.model.model import Model
+
+# Steps by which a delay may be off the lag that its samples are read at: beyond it a lag nearer by is there.
+_NEAR = 0.75
+# Share of a record that samples are moved by at most: of one that is late by more, little would be left.
+_MOST = 0.25
+
+
+def delays(model: Model) -> dict[str, str]:
+    """Output -> the parameter that its sensor is late by, of the effects in a model."""
+    sensors = [port.name for port in model.ports if port.kind == "sensor"]
+    return {
+        model.outputs[sensors.index(one.at)].name: f"{one.key}.{one.effect.amplitude.name}"
+        for one in model.effects
+        if getattr(one.effect, "retards", False)
+    }
+
+
+def nearest_lags(
+    model: Model, values: Mapping[str, float], records: Sequence[Experiment]
+) -> dict[str, float]:
+    """Late output -> lag [s] at these values of the parameters: of whole steps of its slowest record, or 0.
+
+    A lag that the model has is kept as long as the delay is near it.
+    """
+    before, found = dict(model.lags), {}
+    for output, name in delays(model).items():
+        steps = [_step(record, output) for record in records if output in record]
+        if name not in values or not steps or not np.isfinite(values[name]):
+            continue
+        step, shortest = max(step for step, _ in steps), min(span for _, span in steps)
+        lag = before.get(output, 0.0)
+        if abs(values[name] - lag) > _NEAR * step:
+            most = np.floor(_MOST * shortest / step)
+            lag = float(np.clip(np.rint(values[name] / step), -most, most) * step)
+        found[output] = lag
+    return found
+
+
+def lagged(model: Model, lags: Mapping[str, float]) -> Model:
+    """The model whose late outputs are read at these lags, those left out at none; the same one if it has them."""
+    from casadi_engine.model.attach import replaced
+
+    made = model
+    for output, name in delays(model).items():
+        more = lags.get(output, 0.0) - dict(model.lags).get(output, 0.0)
+        if more:
+            symbol = made.p[made.parameter_names.index(name)]
+            made = replaced(made, symbol, symbol - more)
+    return (
+        made if made is model else replace(made, lags=tuple((name, lag) for name, lag in lags.items() if lag))
+    )
+
+
+def with_nearest_lags(model: Model, values: Mapping[str, float], records: Sequence[Experiment]) -> Model:
+    """The model with the lags that these values of its delays ask for."""
+    return lagged(model, nearest_lags(model, values, records)) if delays(model) else model
+
+
+def _step(record: Experiment, output: str) -> tuple[float, float]:
+    """The typical step of an output's samples, and how long they last [s]."""
+    time = record[output].time
+    return float(np.median(np.diff(time))), float(time[-1] - time[0])
