@@ -46,6 +46,8 @@ def fresh_misfit(repair: Repair) -> str | None:
     where = f"chi2/N is {found:.3g} there and {own.chi2_per_sample:.3g} on the data of the search"
     if _beyond(repair, left):
         within = "" if left == found else f", {left:.3g} within the errors of the parameters"
+        if is_louder(repair):
+            return f"the fresh data are noisier: {where}{within}, and what is left is white"
         return (
             f"the fresh data do not fit: {where}{within}; something acts in them alone or is still "
             "missing, or their noise is larger"
@@ -98,6 +100,15 @@ def _more_than_noise(repair: Repair) -> float | None:
     return least if least < _SURE else None
 
 
+def is_louder(repair: Repair) -> bool:
+    """True where the fresh residual is white as far as it is known: a louder noise explains it."""
+    after = None if repair.gaps is None else repair.gaps.validation_after
+    known = after is not None and any(
+        p is not None for own in after.whiteness_p.values() for p in own.values()
+    )
+    return known and _more_than_noise(repair) is None
+
+
 def held_to_fresh_data(repair: Repair) -> Repair:
     """The repair with what its model does not describe of the fresh data said first.
 
@@ -110,7 +121,7 @@ def held_to_fresh_data(repair: Repair) -> Repair:
     held = _held(repair)
     at = [repair.model.ports[one.at].kind for one in held.effects]
     judged = held.gaps is not None and held.gaps.validation_after is not None
-    fits = held.confirmed is not False and fresh_misfit(repair) is None
+    fits = held.confirmed is not False and (fresh_misfit(repair) is None or is_louder(repair))
     if fits or not judged or set(at) != {"sensor"}:
         return held
     gaps, null = held.gaps, held.null_fit

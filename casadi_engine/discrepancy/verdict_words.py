@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from casadi_engine.discrepancy.fresh_misfit import FRESH, fresh_doubt, fresh_misfit
+from casadi_engine.discrepancy.fresh_misfit import FRESH, fresh_doubt, fresh_misfit, is_louder
 from casadi_engine.discrepancy.repaired import more_probable
 from casadi_engine.discrepancy.wording import (
     AT_FAULT,
@@ -95,6 +95,8 @@ def _on_fresh(repair: Repair) -> str:
     found = f"chi2/N {after.gap.chi2_per_sample:.3g}"
     if fresh_misfit(repair) is not None:
         what = "which the repaired model does not fit" if repair.effects else "but fresh data do not fit"
+        if is_louder(repair):
+            what = "which are noisier" if repair.effects else "but fresh data are noisier"
         return f", {what}: {found}"
     if fresh_doubt(repair) is not None:
         lead = ":" if repair.effects and not repair.confirmed else ", but"
@@ -119,7 +121,8 @@ def next_step(repair: Repair) -> str:
         )
     if repair.next_experiment is not None:
         return _to_split(repair.next_experiment)
-    if fresh_misfit(repair) is not None or _in_fresh_alone(repair) or _more_in_fresh(repair):
+    apart = fresh_misfit(repair) is not None and not is_louder(repair)
+    if apart or _in_fresh_alone(repair) or _more_in_fresh(repair):
         return "look for what is missing in the fresh records: give them as data of the search"
     if repair.verdict == "nothing missing" and fresh_doubt(repair) is not None:
         return "record more before you use the model, or give the fresh records as data too: its parameters are vague"

@@ -27,6 +27,8 @@ def attach(
     model: Model, effect: Any, *, at: Any, values: Mapping[str, float] | None = None, sharp: bool = False
 ) -> Model:
     """Return `model` with an effect at the port `at`; see `Model.with_effect`."""
+    if getattr(effect, "retards", False):
+        model = with_rates(model, of_rates=True)
     term = read_term(model, effect, at, values=values, sharp=sharp)
     check_side(model, term.port)
     made = Attachment(term.effect, term.port.name, sharp, dict(term.constants), term.width)

@@ -3,7 +3,7 @@
 The law of a delay holds at one instant and so cannot hold the past: y(t - τ) to second order is far off where τ is as
 long as y takes to move, and at every corner of an input. But a sensor that is late by a lag shows at t_k what was at
 t_k - lag: its samples are those of the output without delay at earlier times. What the law has to hold is the rest,
-τ - lag, of half a sample at most.
+τ - lag, a part of a sample.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from casadi_engine.model.model import Model
 
 # Steps by which a delay may be off the lag that its samples are read at: beyond it a lag nearer by is there.
-_NEAR = 0.75
+_NEAR = 0.6
 # Share of a record that samples are moved by at most: of one that is late by more, little would be left.
 _MOST = 0.25
 
@@ -40,18 +40,20 @@ def nearest_lags(
 ) -> dict[str, float]:
     """Late output -> lag [s] at these values of the parameters: of whole steps of its slowest record, or 0.
 
-    A lag that the model has is kept as long as the delay is near it.
+    A lag that the model has is kept as long as the delay is near it. Where an input jumps at a sample and then holds,
+    lags are up to a step longer than the delay: the law looks ahead from a sample then, over what the input does.
     """
     before, found = dict(model.lags), {}
+    middle = 0.5 if _jumps(model, records) else 0.0
     for output, name in delays(model).items():
         steps = [_step(record, output) for record in records if output in record]
         if name not in values or not steps or not np.isfinite(values[name]):
             continue
         step, shortest = max(step for step, _ in steps), min(span for _, span in steps)
         lag = before.get(output, 0.0)
-        if abs(values[name] - lag) > _NEAR * step:
+        if abs(values[name] / step - (lag / step - middle)) > _NEAR:
             most = np.floor(_MOST * shortest / step)
-            lag = float(np.clip(np.rint(values[name] / step), -most, most) * step)
+            lag = float(np.clip(np.rint(values[name] / step + middle), -most, most) * step)
         found[output] = lag
     return found
 
@@ -74,6 +76,12 @@ def lagged(model: Model, lags: Mapping[str, float]) -> Model:
 def with_nearest_lags(model: Model, values: Mapping[str, float], records: Sequence[Experiment]) -> Model:
     """The model with the lags that these values of its delays ask for."""
     return lagged(model, nearest_lags(model, values, records)) if delays(model) else model
+
+
+def _jumps(model: Model, records: Sequence[Experiment]) -> bool:
+    """True if a record holds an input from one sample to the next."""
+    inputs = [variable.name for variable in model.inputs]
+    return any(record[name].hold == "zero" for record in records for name in inputs if name in record)
 
 
 def _step(record: Experiment, output: str) -> tuple[float, float]:

@@ -19,11 +19,12 @@ if TYPE_CHECKING:
     from casadi_engine.model.model import Model
 
 
-def with_rates(model: Model) -> Model:
+def with_rates(model: Model, *, of_rates: bool = False) -> Model:
     """The model with the signals value, rate and bend (the rate's rate) of its sensors as its equations give them.
 
-    An output without a rate, because it jumps or holds another delay already, has the signal value alone; one whose
-    rate shows a channel has no bend. Torques at ports change no bend: nobody knows their rates.
+    An output without a rate, because it jumps or holds another delay already, has the signal value alone. One whose
+    rate shows a channel has no bend, unless ``of_rates`` asks for it: the channel's rate is noise where it is measured,
+    and does no harm over a part of a sample only. Torques at ports change no bend: nobody knows their rates.
     """
     shown = model.output_expressions
     if model.d.numel() and ca.depends_on(shown, model.d):
@@ -31,10 +32,13 @@ def with_rates(model: Model) -> Model:
     smooth = [_has_rate(model, shown[row]) for row in range(shown.numel())]
     model = _with_symbols(model, [shown[row] for row, good in enumerate(smooth) if good])
     rates = _total_rates(model, model.output_expressions)
+    if of_rates:
+        model = _with_symbols(model, [rates[row] for row, good in enumerate(smooth) if good])
     whole = rates
     if model.d.numel() and ca.depends_on(rates, model.d):
         whole = ca.substitute(rates, model.d, model.drive_expressions)
-    bent = [good and _has_bend(model, whole[row]) for row, good in enumerate(smooth)]
+    unknown = model.channel_rates if of_rates else model.u
+    bent = [good and _has_bend(model, whole[row], unknown) for row, good in enumerate(smooth)]
     bends = _total_rates(model, rates)
     fresh, row = [], 0
     for port in model.ports:
@@ -48,9 +52,10 @@ def with_rates(model: Model) -> Model:
     return replace(model, ports=Ports(fresh))
 
 
-def _has_bend(model: Model, rate: Any) -> bool:
-    """True if a rate, drives put in, is smooth and shows no channel, whose rates are noise where it is measured."""
-    return not ca.depends_on(rate, model.u) and not jumps_in(rate, ca.vertcat(model.x, model.t))
+def _has_bend(model: Model, rate: Any, unknown: Any) -> bool:
+    """True if a rate, drives put in, is smooth and shows nothing whose own rate is unknown."""
+    hidden = unknown.numel() and ca.depends_on(rate, unknown)
+    return not hidden and not jumps_in(rate, ca.vertcat(model.x, model.t))
 
 
 def _has_rate(model: Model, shown: Any) -> bool:

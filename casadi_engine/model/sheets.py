@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 
+from casadi_engine.model.lags import delays
 from casadi_engine.model.printing import write_expressions
 from casadi_engine.model.styles import LATEX, TEXT, Style
 
@@ -40,9 +41,17 @@ def equation_pairs(model: Model, style: Style) -> tuple[list[tuple[str, str]], l
     for row in acting:
         left.append(style.symbol(model.w[row].name()))
         right.append(without_idle(laws[row]))
+    late = {
+        output: (name, model.p[model.parameter_names.index(name)]) for output, name in delays(model).items()
+    }
     for row, output in enumerate(model.outputs):
-        left.append(style.symbol(output.name))
-        right.append(without_idle(model.output_expressions[row]))
+        shown, name = model.output_expressions[row], style.symbol(output.name)
+        if output.name in late:  # the law is what holds it at one instant
+            delay, symbol = late[output.name]
+            shown = ca.substitute(shown, symbol, dict(model.lags).get(output.name, 0.0))
+            name = f"{name}({style.symbol('t')} + {style.symbol(delay)})"
+        left.append(name)
+        right.append(without_idle(shown))
     written = write_expressions(right, style=style, named=_known_parts(model))
     rates = [
         (style.symbol(model.channel_rates[row].name()), style.derivative(name))
