@@ -176,11 +176,17 @@ def side(pairs: Sequence[tuple[Fit, NullModel]], choice: NoiseChoice, *, source:
     white: dict[str, dict[str, float | None]] = {}
     traces: dict[str, Any] = {}
     splits: list[PriorSplit] = []
+    shares: dict[str, list[tuple[float, float]]] = {}
     for fit, held_null in pairs:
         traces |= fit.traces
         null = held_null if source is None else doubted(source, fit)
         if source is not None:
-            splits.append(within_errors(source, null, residuals([null], choice.noise)))
+            whole = residuals([null], choice.noise)
+            splits.append(within_errors(source, null, whole))
+            ends = np.cumsum([len(one.e) for one in whole])[:-1]
+            for one, part in zip(whole, np.split(splits[-1].within, ends), strict=True):
+                squares = float(one.e @ one.e) / one.sigma**2
+                shares.setdefault(one.output, []).append((float(part @ part), squares))
         scatter = scatter_of(null, fit.data, choice.cylinders) if choice.scatter else ()
         random = {r.name: scatter_columns(r, scatter) for r in null.records} if scatter else None
         slopes = {record.name: dict(record.slopes) for record in null.records}
@@ -196,7 +202,9 @@ def side(pairs: Sequence[tuple[Fit, NullModel]], choice: NoiseChoice, *, source:
     memory = MEMORY if choice.noise.colour else 1.0
     within, chance = pooled(splits, memory)
     found = gap_of([null for _, null in pairs], choice.noise)
-    return Side(found, white, traces, within, chance, tuple(fit for fit, _ in pairs))
+    sums = {output: np.sum(own, axis=0) for output, own in shares.items()}
+    still = {output: float(then / first) if first > 0 else 1.0 for output, (then, first) in sums.items()}
+    return Side(found, white, traces, within, chance, tuple(fit for fit, _ in pairs), still)
 
 
 @dataclass(frozen=True)

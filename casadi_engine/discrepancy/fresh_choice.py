@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from casadi_engine.deadline import Deadline, TimeUp, late
+from casadi_engine.discrepancy.certificate import unknown_of
 from casadi_engine.discrepancy.choice import TIME_UP, Choice
 from casadi_engine.discrepancy.fresh import Judgement, Portions, gap_of, judge
 from casadi_engine.discrepancy.fresh_fits import fresh_sides
@@ -90,6 +91,7 @@ class FreshChoice:
                 break
             if before is None or len(stations) == 1:
                 return self._kept(stations, first, before)
+            stations = self._each_confirmed(stations)
             judged, after = self._of_structure(stations, before)
             if after is None:
                 blind = stations if blind is None else blind
@@ -105,6 +107,23 @@ class FreshChoice:
             self.messages += [] if self._costly else [NO_RUN]
             return self._kept(blind, first or blind, before, Judgement(None, None, False, NO_RUN))
         return self._kept([null], first or [null], before)
+
+    def _each_confirmed(self, stations: list[Station]) -> list[Station]:
+        """The stations up to the last effect that fresh data confirm by itself, where more is missing than effects
+        explain: what that does others imitate."""
+        while len(stations) > 2:
+            base, last = stations[-2:]
+            if last.effects[-1].moves or unknown_of(last.screened) is None:
+                break
+            part, after = self._on_fresh(base), self._on_fresh(last)
+            if part is None or after is None or self._judged(part, after, last).confirmed is not False:
+                break
+            self.messages.append(
+                f"{last.effects[-1].label} is left out: more is missing than effects explain, and fresh data do not "
+                "confirm it by itself"
+            )
+            stations = stations[:-1]
+        return stations
 
     def _confirms(self, before: Pairs | None) -> bool:
         """True if fresh data confirm the chosen structure."""

@@ -44,7 +44,11 @@ def fresh_misfit(repair: Repair) -> str | None:
     # where the model bends, a step of the parameters may make it worse
     left = found if fresh.within_errors is None else min(found, fresh.within_errors)
     where = f"chi2/N is {found:.3g} there and {own.chi2_per_sample:.3g} on the data of the search"
-    if _beyond(repair, left):
+    output = _worst(repair)
+    if not _beyond(repair, left) and output is not None:
+        first, found, left = _of_output(repair, output)
+        where = f"chi2/N of {output} is {found:.3g} there and {first:.3g} on the data of the search"
+    if output is not None or _beyond(repair, left):
         within = "" if left == found else f", {left:.3g} within the errors of the parameters"
         if is_louder(repair):
             return f"the fresh data are noisier: {where}{within}, and what is left is white"
@@ -79,17 +83,47 @@ def fresh_doubt(repair: Repair) -> str | None:
     )
 
 
-def _beyond(repair: Repair, found: float) -> bool:
-    """True if a chi-squared per sample of the fresh data is larger than that of the search, beyond chance."""
+def _beyond(repair: Repair, found: float, own: float | None = None, outputs: int = 1) -> bool:
+    """True if a chi-squared per sample of the fresh data is larger than that of the search, beyond chance.
+
+    own : of the search, of one of so many outputs; None for that of all
+    """
     gaps, noise = repair.gaps, repair.noise
     if gaps is None or gaps.validation_after is None or noise is None:
         return False
-    own = gaps.estimation_after.gap
+    first = gaps.estimation_after.gap
+    own = first.chi2_per_sample if own is None else own
     # where rounding counts as a larger noise, the residual is worth fewer samples by as much
-    memory = max(MEMORY if noise.colour else 1.0, 1 / max(own.chi2_per_sample, _TINY))
-    fresh, known = (max(gap.samples / memory, 1.0) for gap in (gaps.validation_after.gap, own))
-    ratio = found / own.chi2_per_sample if own.chi2_per_sample > 0 else 0.0
-    return ratio > LARGER and f_sf(ratio, fresh, known) < _SURE
+    memory = max(MEMORY if noise.colour else 1.0, 1 / max(first.chi2_per_sample, _TINY))
+    fresh, known = (max(gap.samples / outputs / memory, 1.0) for gap in (gaps.validation_after.gap, first))
+    ratio = found / own if own > 0 else 0.0
+    return ratio > LARGER and outputs * f_sf(ratio, fresh, known) < _SURE
+
+
+def _of_output(repair: Repair, output: str) -> tuple[float, float, float]:
+    """Chi-squared per sample of an output: on the data of the search, on fresh data, and there within the errors of the
+    parameters."""
+    assert repair.gaps is not None
+    assert repair.gaps.validation_after is not None
+    assert repair.noise is not None
+    fresh, sigma = repair.gaps.validation_after, repair.noise.sigma[output][0]
+    own, found = ((gap.rmse[output] / sigma) ** 2 for gap in (repair.gaps.estimation_after.gap, fresh.gap))
+    return own, found, found * min(1.0, fresh.left.get(output, 1.0))
+
+
+def _worst(repair: Repair) -> str | None:
+    """The output that the fresh data describe worst, if beyond chance: others that fit make up for none."""
+    gaps = repair.gaps
+    if gaps is None or gaps.validation_after is None or repair.noise is None:
+        return None
+    known = [name for name in gaps.validation_after.gap.rmse if name in gaps.estimation_after.gap.rmse]
+    known = [name for name in known if name in repair.noise.sigma]
+    beyond = {}
+    for name in known:
+        own, _, left = _of_output(repair, name)
+        if _beyond(repair, left, own, len(known)):
+            beyond[name] = left / own
+    return max(beyond, key=lambda name: beyond[name], default=None)
 
 
 def _more_than_noise(repair: Repair) -> float | None:
@@ -154,7 +188,8 @@ def _held(repair: Repair) -> Repair:
     confirmed = repair.confirmed
     if repair.verdict == "nothing missing" and (p := _more_than_noise(repair)) is not None:
         return replace(repair, verdict="unnamed", unknown=Unknown(misfit, {FRESH: p}))
-    if confirmed and _mostly_left(repair):
+    # several effects together bend to what none of them is
+    if confirmed and (_mostly_left(repair) or (len(repair.effects) > 1 and not is_louder(repair))):
         confirmed = False
     return replace(repair, confirmed=confirmed, messages=(misfit, *repair.messages))
 

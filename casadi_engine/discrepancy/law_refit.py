@@ -255,7 +255,7 @@ def _followed(refits: Refits, none: Tried, tried: Tried, setup: _Setup, one: _Be
             course = _course(best, null, setup, levels)
             alike = several_at(tried, setup.family.port)
             return (
-                UnknownLaw(course, log - named.log, share, alike, near_of(tried))
+                UnknownLaw(course, log - named.log, share, alike, near_of(tried, setup.family.port))
                 if math.isfinite(log)
                 else None
             )

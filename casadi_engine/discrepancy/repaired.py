@@ -143,7 +143,8 @@ class Side:
     the test cannot be made), and traces record -> output -> Trace.
 
     On fresh data: within_errors : chi-squared per sample that is left once the parameters have moved as far as their
-    errors allow; parameters_p : the chance that they would have to move so far; both None elsewhere
+    errors allow; parameters_p : the chance that they would have to move so far; both None elsewhere. left : output ->
+    what share of its squares they leave then
     fits : those that the traces are of
     """
 
@@ -153,6 +154,7 @@ class Side:
     within_errors: float | None = None
     parameters_p: float | None = None
     fits: tuple[Fit, ...] = field(default=(), repr=False)
+    left: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,8 +41,9 @@ TAKEN = 0.8
 # Effects that explain this share of what a function does stay the answer, whatever is more probable: dry friction of a
 # real machine is never all that depends on its speed.
 _NEAR = 0.8
-# The same of an event, which bends in time to any law that is not there all the time.
-_NEAR_OF_EVENTS = 0.9
+# The same of an event, which bends in time to any law that is not there all the time, and of effects elsewhere, which
+# are another explanation: the mean of a law is a constant everywhere.
+_NEAR_OF_OTHERS = 0.95
 
 
 @dataclass(frozen=True)
@@ -64,10 +65,10 @@ class UnknownLaw:
         return self.log >= math.log(FACTOR) and (self.share < self.near or self.several)
 
 
-def near_of(tried: Tried) -> float:
-    """Share of what a function does that effects have to explain to stay the answer."""
-    events = bool(tried.effects) and all(one.placed for one in tried.effects)
-    return _NEAR_OF_EVENTS if events else _NEAR
+def near_of(tried: Tried, port: str) -> float:
+    """Share of what a function at a port does that effects have to explain to stay the answer."""
+    there = any(one.candidate.port == port and not one.placed for one in tried.effects)
+    return _NEAR if there else _NEAR_OF_OTHERS
 
 
 def several_at(tried: Tried, port: str) -> bool:
@@ -121,7 +122,9 @@ def unknown_law(refits: Refits, tried: Tried, further: float) -> UnknownLaw | No
     least = evidence(best.digest, refits.levels).cost
     share = (none - named.cost) / (none - least) if none > least else 1.0
     course = _course(best.digest, best.family, refits.levels)
-    return UnknownLaw(course, log, share, several_at(tried, best.family.port), near_of(tried))
+    return UnknownLaw(
+        course, log, share, several_at(tried, best.family.port), near_of(tried, best.family.port)
+    )
 
 
 @dataclass

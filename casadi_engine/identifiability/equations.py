@@ -13,6 +13,7 @@ import casadi as ca
 from casadi_engine.errors import IdentifiabilityError
 from casadi_engine.identifiability.tape import Lifted, Tape, lift
 from casadi_engine.model import Model
+from casadi_engine.model.lags import lagged, with_delays
 from casadi_engine.parameters import ParameterMap, near_matches, parse_expression
 
 STATES, FREE, DRIVEN, CLOCK, CONSTANTS = range(5)  # the arguments of the tape
@@ -103,6 +104,7 @@ def equations_of(model: Model, parameters: ParameterMap, record: str) -> Equatio
     A drive whose expression has a free parameter in it is no known function of time: it is written in channels.
     """
     physical = parameters.physical[record]
+    model = with_delays(lagged(model, {}), of_rates=False)  # nobody knows the rates of channels here
     moving = [i for i in range(model.p.numel()) if not physical[i].is_constant()]
     opened = [
         j

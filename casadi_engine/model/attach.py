@@ -15,6 +15,7 @@ import casadi as ca
 
 from casadi_engine.effects.protocol import Attachment
 from casadi_engine.model.declarations import Port, Ports, Variable
+from casadi_engine.model.lags import with_delays
 from casadi_engine.model.linearity import is_affine
 from casadi_engine.model.rates import with_rates
 from casadi_engine.model.term import Term, check_side, read_term, takes_torque
@@ -27,8 +28,6 @@ def attach(
     model: Model, effect: Any, *, at: Any, values: Mapping[str, float] | None = None, sharp: bool = False
 ) -> Model:
     """Return `model` with an effect at the port `at`; see `Model.with_effect`."""
-    if getattr(effect, "retards", False):
-        model = with_rates(model, of_rates=True)
     term = read_term(model, effect, at, values=values, sharp=sharp)
     check_side(model, term.port)
     made = Attachment(term.effect, term.port.name, sharp, dict(term.constants), term.width)
@@ -52,7 +51,7 @@ def attach(
         wider = _with_output(wider, term)
     else:
         wider = _with_shift(wider, term)
-    return with_rates(wider)
+    return with_rates(with_delays(wider))
 
 
 def _with_named_states(term: Term) -> Term:

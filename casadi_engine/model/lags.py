@@ -12,9 +12,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import casadi as ca
 import numpy as np
 
 from casadi_engine.experiment import Experiment
+from casadi_engine.model.rates import with_rates
 
 if TYPE_CHECKING:
     from casadi_engine.model.model import Model
@@ -46,7 +48,7 @@ def nearest_lags(
     before, found = dict(model.lags), {}
     middle = 0.5 if _jumps(model, records) else 0.0
     for output, name in delays(model).items():
-        steps = [_step(record, output) for record in records if output in record]
+        steps = [_step(record, output) for record in records]
         if name not in values or not steps or not np.isfinite(values[name]):
             continue
         step, shortest = max(step for step, _ in steps), min(span for _, span in steps)
@@ -73,6 +75,30 @@ def lagged(model: Model, lags: Mapping[str, float]) -> Model:
     )
 
 
+def with_delays(model: Model, *, of_rates: bool = True) -> Model:
+    """The model whose delays hold the rates of all effects that are in it, in whatever order these came.
+
+    An output that is late by τ is written anew as y - δ dy/dt + δ² d²y/dt² / 2 with δ = τ - lag, and y what it is at
+    δ = 0. of_rates : True to hold the rates of channels that dy/dt shows, over a part of a sample
+    """
+    late = delays(model)
+    if not late:
+        return model
+    known, lags = [out.name for out in model.outputs], dict(model.lags)
+    sensors = [port.name for port in model.ports if port.kind == "sensor"]
+    symbols = {out: model.p[model.parameter_names.index(name)] for out, name in late.items()}
+    shown = ca.SX(model.output_expressions)
+    for output, symbol in symbols.items():
+        row = known.index(output)
+        shown[row] = ca.substitute(shown[row], symbol, lags.get(output, 0.0))
+    plain = with_rates(replace(model, output_expressions=shown), of_rates=of_rates)
+    for output, symbol in symbols.items():
+        row, rest = known.index(output), symbol - lags.get(output, 0.0)
+        signals = plain.ports[sensors[row]].signals
+        shown[row] = shown[row] - rest * signals["rate"] + 0.5 * rest**2 * signals.get("bend", 0.0)
+    return replace(plain, output_expressions=shown)
+
+
 def with_nearest_lags(model: Model, values: Mapping[str, float], records: Sequence[Experiment]) -> Model:
     """The model with the lags that these values of its delays ask for."""
     return lagged(model, nearest_lags(model, values, records)) if delays(model) else model
@@ -85,6 +111,10 @@ def _jumps(model: Model, records: Sequence[Experiment]) -> bool:
 
 
 def _step(record: Experiment, output: str) -> tuple[float, float]:
-    """The typical step of an output's samples, and how long they last [s]."""
-    time = record[output].time
-    return float(np.median(np.diff(time))), float(time[-1] - time[0])
+    """The typical step of an output's samples, of those of the fastest channel where it was not measured, and how long
+    they last [s]."""
+    names = [output] if output in record else record.names
+    times = [record[name].time for name in names]
+    steps = [float(np.median(np.diff(time))) for time in times]
+    fastest = int(np.argmin(steps))
+    return steps[fastest], float(times[fastest][-1] - times[fastest][0])
