@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from casadi_engine.deadline import TimeUp, ask, late
+from casadi_engine.discrepancy.event_times import is_coarse, located
 from casadi_engine.discrepancy.families import chosen_of, costs_of, families_of
 from casadi_engine.discrepancy.linearised import OneStep, one_step, without_effect
 from casadi_engine.discrepancy.null_model import null_at
@@ -74,7 +75,7 @@ class Additions:
                 key = left[0]
                 self.tell(f"refit {len(self.done) + 1} of {len(self.done) + len(left)}: {key[0]} at {key[1]}")
                 self.done.append(key)
-                self._try(chosen_of(self.screened, self.lead, self.families[key]), self.start)
+                self._try(self._in_time(chosen_of(self.screened, self.lead, self.families[key])), self.start)
                 left, found = left[1:], min(self._tried(), key=lambda one: one.arrived.cost, default=None)
                 if found is not None and (best is None or found.arrived.cost < best.arrived.cost - _NESTED):
                     best = found
@@ -115,6 +116,14 @@ class Additions:
         return sorted(
             order, key=lambda key: (cost[key] > most, first[key[0]] != key, len(effects[key].nuisance))
         )
+
+    def _in_time(self, one: Addition) -> Addition:
+        """An event at its best time, where the grid of times is too coarse to tell."""
+        if not is_coarse(self.screened, self.families[one.candidate.key]):
+            return one
+        with np.errstate(all="ignore"):
+            found = located(self.refits, one, self.screened.null)
+        return one if found is None else found[0]
 
     def _left(self, best: Tried, rest: list[Family]) -> list[Family]:
         """Those of the rest that are worth a refit, after the best one so far has arrived."""
@@ -265,7 +274,8 @@ class Additions:
 def instead(
     refits: Refits, tried: Tried, member: Addition, screened: Screened, families: Mapping[Family, list[int]]
 ) -> list[Addition]:
-    """The candidates that might do as well in the place of a member, the best by one step first."""
+    """The candidates that might do as well in the place of a member, the best by one step first; an event also where it
+    does clearly better itself, at another time."""
     step = step_in_place(refits, tried, member, screened, families)
     if step is None:
         return []
@@ -273,8 +283,25 @@ def instead(
     cost = costs_of(screened, step, others)
     most = rival(refits, tried.arrived.cost, step.none, screened)
     order = [key for key in sorted(cost, key=lambda key: cost[key]) if cost[key] < most]
-    found = [chosen_of(screened, step, families[key]) for key in order[:_EXCHANGED]]
+    found = _at_another_time(refits, tried, member, families)
+    found += [chosen_of(screened, step, families[key]) for key in order[:_EXCHANGED]]
     return [form for one in found for form in one.forms]
+
+
+def _at_another_time(
+    refits: Refits, tried: Tried, member: Addition, families: Mapping[Family, list[int]]
+) -> list[Addition]:
+    """An event of a structure at a time at which it does better by one step, if there is one."""
+    if member.candidate.key not in families:
+        return []
+    null = refits.null(tried)
+    gone = None if null is None else without_effect(null, member, len(refits.null_fit.model.states))
+    with np.errstate(all="ignore"):
+        time = tried.arrived.values.get(f"{member.key}.time")
+        found = None if gone is None else located(refits, member, gone, time)
+    if found is None or found[1] > tried.arrived.cost - 2 * math.log(FACTOR * len(families)):
+        return []
+    return [found[0]]
 
 
 def may_go(

@@ -14,6 +14,7 @@ import numpy as np
 from casadi_engine.deadline import TimeUp, unmetered
 from casadi_engine.discrepancy.assumed_pressure import SCATTER, is_carried, with_priors
 from casadi_engine.discrepancy.candidate import Candidate
+from casadi_engine.discrepancy.event_times import finer_candidates
 from casadi_engine.discrepancy.events import place_of_event
 from casadi_engine.discrepancy.fresh import Portions
 from casadi_engine.discrepancy.library_candidates import library_candidates
@@ -285,8 +286,13 @@ def _placed(
     port = one.candidate.port if isinstance(one, Addition) else one.at
     own = [candidate for candidate in made if candidate.port == port]
     step = one_step(null, own, noise.sigma) if own else None
-    best = None if step is None else place_of_event(step, fit.values.get(one.amplitude))
-    return None if best is None else (own[best[0]], best[1])
+    size = fit.values.get(one.amplitude)
+    best = None if step is None else place_of_event(step, size)
+    if best is None:
+        return None
+    near, step = finer_candidates(own[best[0]], null, (record,), noise.sigma, None)
+    closer = None if step is None else place_of_event(step, size)
+    return (own[best[0]], best[1]) if closer is None else (near[closer[0]], closer[1])
 
 
 def _without_events(
