@@ -65,8 +65,10 @@ class Deadline:
         if self.done > self.work:
             return True
         if self._passed == math.inf:
-            if self.end == math.inf or self.clock() < self.end:
+            if self.end == math.inf or self.clock() < self.end + min(self._more, 0.0):
                 return False
+            if self._more < 0:  # time that is kept for later
+                return True
             self._passed = self.effort()
         return not self._more or self.effort() - self._passed >= self._more
 
@@ -83,7 +85,7 @@ class Deadline:
 
     @contextmanager
     def spared(self, share: float) -> Iterator[None]:
-        """Within it the end is later, by this share of the spare time."""
+        """Within it the end is later, by this share of the spare time; earlier, by as much, where it is negative."""
         before, self._more = self._more, share * self.spare
         try:
             yield

@@ -35,7 +35,9 @@ from casadi_engine.estimation import Fit
 # Shares of the spare time behind a budget at which whole fits, and the search for the colour of the noise, have to end.
 _FIT, _COLOUR = 0.35, 0.45
 # Times the spare time that is kept before the end of the budget, for fresh data.
-_KEPT = 0.5
+_KEPT = 1.0
+# Share of the time that is left which sharper corners may take: without them there is an answer too.
+_SHARP = 0.5
 _NO_FIT = "its fit of all data does not converge"
 _NOTHING_LEFT = "its fit of all data leaves nothing of it"
 # Share of where its search started at which an amplitude is none.
@@ -70,6 +72,8 @@ class Choice:
         here = self.refits.none(null_fit)
         with self.deadline.spared(-_KEPT):  # time for what judges the answer
             self._rounds(here)
+        if TIME_UP in self.failed.values():
+            self._most_probable_of_all()
         self._with_colour()
 
     def _rounds(self, here: Tried) -> None:
@@ -125,6 +129,19 @@ class Choice:
                 self.best = top.key
             if not told:
                 return
+
+    def _most_probable_of_all(self) -> None:
+        """Let the structure that is far the most probable of all that were refitted take the place of the one that the
+        last whole round had chosen, where the time was up in the next."""
+
+        def log(one: Tried) -> float:
+            return one.log - self.price * len(one.effects)
+
+        now = self.pool[self.best]
+        ready = [t for t in self.pool.values() if t.effects and t.beyond > BEYOND]
+        top = max(ready, key=log, default=now)
+        if log(top) > log(now) + math.log(FACTOR) and self._station(top) is not None:
+            self.best = top.key
 
     def _in_two(self) -> None:
         """Let two effects take the place of one where that is more probable, and others in its class know of it."""
@@ -273,6 +290,9 @@ class Choice:
         finally:  # whatever ends it: the answer so far is asked of the stations
             if found is None:
                 self._stations[here.key] = before
+        if found is not None:
+            for one in self.pool.values():  # what was no answer beside a poor optimum is asked again
+                one.failed = False
         if not here.effects and found is not None:
             self.null_fit = self.refits.null_fit = self.refitter.base = found.fit
         return found
@@ -328,11 +348,16 @@ class Choice:
         return made
 
     def _sharpened(self, best: Tried) -> bool:
-        """See ``Refits.sharpened``; False once the time is over."""
+        """See ``Refits.sharpened``; False once their share of the time is over, corners as they were then."""
         try:
             ask()
-            return self.refits.sharpened(best)
+            with Deadline(_SHARP * self.deadline.left) as own:
+                sharper = self.refits.sharpened(best)
+                if sharper and own.over:
+                    self.refits.blunted()
+                return sharper and not own.over
         except TimeUp:
+            self.refits.blunted()
             return False
 
     def _told(self, here: Tried, tried: Sequence[Tried], kept: Tried | None) -> None:
@@ -405,11 +430,14 @@ class Choice:
 
     def way(self, key: Key) -> list[Station] | None:
         """The stations on the way to a structure, effect by effect, the most telling first; None where a fit of one
-        does not converge."""
+        does not converge, or an effect does nothing of its own beside the others (what differs by direction, once the
+        motion has one direction alone)."""
         found = [self._stations[frozenset()]]
         effects = ordered(self.pool[key].effects, self.pool)
         for count in range(1, len(effects) + 1):
             own = effects[:count]
+            if all(c.key != own[-1].candidate.key for c in found[-1].screened.candidates):
+                return None
             if key_of(own) not in self.pool:
                 there = self.pool[key].arrived
                 self.refits.tried(own, Start(there.values, there.initial))

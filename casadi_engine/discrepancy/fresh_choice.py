@@ -78,7 +78,13 @@ class FreshChoice:
         if self.portion.fresh and before is None and not self._costly:
             self.messages.append("the model without effects cannot be simulated on the fresh data")
         if self.portion.fresh and not null.screened.choice.scatter:
-            FreshWeights(search, self._on_fresh, self.messages).run(sure=self._confirms(before))
+            sure = self._confirms(before)
+            try:
+                FreshWeights(search, self._on_fresh, self.messages).run(sure=sure)
+            except TimeUp:
+                for one in search.pool.values():
+                    one.fresh = 0.0
+                self.messages.append("fresh data weigh no structure against another, as the time was up")
         first: list[Station] | None = None
         blind: list[Station] | None = None  # the first one of which fresh data can say nothing
         for key in search.ranked():
