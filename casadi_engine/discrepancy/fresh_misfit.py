@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 # The gap on fresh data is larger by at least this factor, and chance would do as much less often than this. Samples of
 # coloured noise count less by a memory that is generous.
 LARGER, _SURE, MEMORY = 1.5, 1e-4, 20.0
+# Chi-squared per sample that is larger by more is no louder noise of the same sensor, five times at most.
+_LOUDEST = 25.0
 # Share of what is beyond the noise there that errors of the parameters have to explain, to be said to do so.
 _EXPLAINED = 0.5
 # Share of the gap's squares above the noise that effects have to close where what they leave is no white noise.
@@ -135,12 +137,13 @@ def _more_than_noise(repair: Repair) -> float | None:
 
 
 def is_louder(repair: Repair) -> bool:
-    """True where the fresh residual is white as far as it is known: a louder noise explains it."""
-    after = None if repair.gaps is None else repair.gaps.validation_after
-    known = after is not None and any(
-        p is not None for own in after.whiteness_p.values() for p in own.values()
-    )
-    return known and _more_than_noise(repair) is None
+    """True where the fresh residual is white as far as it is known, and not too large: a louder noise explains it."""
+    gaps = repair.gaps
+    if gaps is None or gaps.validation_after is None:
+        return False
+    own, after = gaps.estimation_after.gap.chi2_per_sample, gaps.validation_after
+    known = any(p is not None for one in after.whiteness_p.values() for p in one.values())
+    return known and after.gap.chi2_per_sample <= _LOUDEST * own and _more_than_noise(repair) is None
 
 
 def held_to_fresh_data(repair: Repair) -> Repair:

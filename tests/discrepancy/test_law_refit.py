@@ -134,8 +134,17 @@ def test_one_name_that_comes_near_is_kept_and_several_are_not(log, share, severa
 
 
 @pytest.mark.parametrize(
-    ("share", "placed", "excluded"), [(0.85, True, True), (0.95, True, False), (0.85, False, False)]
+    ("share", "placed", "at", "excluded"),
+    [
+        (0.85, True, "shaft", True),
+        (0.96, True, "shaft", False),
+        (0.85, False, "shaft", False),
+        (0.93, False, "body", True),
+        (0.96, False, "body", False),
+    ],
 )
-def test_an_event_has_to_come_nearer_to_what_a_law_does(share, placed, excluded):
-    tried = SimpleNamespace(effects=(SimpleNamespace(placed=placed),))
-    assert UnknownLaw(None, 9.0, share, False, near_of(tried)).excludes is excluded
+def test_events_and_effects_elsewhere_have_to_come_nearer_to_what_a_law_does(share, placed, at, excluded):
+    """The mean of a damper that differs by direction is a constant force on the body: no name for the damper."""
+    effect = SimpleNamespace(placed=placed, candidate=SimpleNamespace(port=at))
+    near = near_of(SimpleNamespace(effects=(effect,)), "shaft")
+    assert UnknownLaw(None, 9.0, share, False, near).excludes is excluded

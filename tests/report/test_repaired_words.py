@@ -153,7 +153,7 @@ def test_a_gain_that_is_no_more_than_chance_is_not_a_refusal(repaired):
 def test_fresh_data_that_do_not_fit_are_no_reason_to_go_on(white):
     gaps = white.gaps
     own = replace(gaps.estimation_after, gap=replace(gaps.estimation_after.gap, samples=400))
-    wide = replace(own, gap=replace(own.gap, chi2_per_sample=9.0))
+    wide = replace(own, gap=replace(own.gap, chi2_per_sample=9.0), whiteness_p={"fresh": {"omega": 1e-9}})
     changed = replace(white, gaps=replace(gaps, estimation_after=own, validation_after=wide))
     assert fresh_misfit(white) is None
     assert fresh_misfit(changed).startswith("the fresh data do not fit: chi2/N is 9 there and ")
@@ -161,6 +161,35 @@ def test_fresh_data_that_do_not_fit_are_no_reason_to_go_on(white):
         "Next: look for what is missing in the fresh records: give them as data of the search."
     )
     assert mood(changed) == "poor"
+    # a white residual is louder noise, unless it is more than any sensor's would be
+    louder = replace(wide, whiteness_p={"fresh": {"omega": 0.3}})
+    noisier = replace(white, gaps=replace(gaps, estimation_after=own, validation_after=louder))
+    assert fresh_misfit(noisier).startswith("the fresh data are noisier: chi2/N is 9 there and ")
+    assert headline(noisier).endswith(", but fresh data are noisier: chi2/N 9")
+    assert not verdict_lines(noisier)[-1].startswith("Next: look for what is missing in the fresh records")
+    far = replace(louder, gap=replace(own.gap, chi2_per_sample=100.0))
+    lost = replace(white, gaps=replace(gaps, estimation_after=own, validation_after=far))
+    assert fresh_misfit(lost).startswith("the fresh data do not fit")
+
+
+def test_one_output_that_does_not_fit_is_not_made_up_for_by_others(white):
+    """Four of five outputs within their noise, and the fifth at four times: 1.6 of all together."""
+    gaps, names = white.gaps, ["omega", "a", "b", "c", "d"]
+    known = {"omega": white.noise.sigma["omega"], **dict.fromkeys(names[1:], (1.0, True))}
+    sigma = {name: level for name, (level, _) in known.items()}
+    first = replace(gaps.estimation_after.gap, chi2_per_sample=1.0, samples=2000, rmse=sigma)
+    own = replace(gaps.estimation_after, gap=first)
+    rmse = {**sigma, "d": 2.0}
+    coloured = {"fresh": {"d": 1e-9}}
+    wide = replace(own, gap=replace(first, chi2_per_sample=1.4, rmse=rmse), whiteness_p=coloured)
+    noise = replace(white.noise, sigma=known, colour={}, scatter={})
+    changed = replace(white, noise=noise, gaps=replace(gaps, estimation_after=own, validation_after=wide))
+    assert fresh_misfit(changed).startswith(
+        "the fresh data do not fit: chi2/N of d is 4 there and 1 on the data"
+    )
+    within = replace(wide, left={"d": 0.26})
+    explained = replace(changed, gaps=replace(changed.gaps, validation_after=within))
+    assert fresh_misfit(explained) is None
 
 
 def test_nothing_is_called_missing_no_longer_where_fresh_data_swing(white):
@@ -175,7 +204,7 @@ def test_nothing_is_called_missing_no_longer_where_fresh_data_swing(white):
 
     louder = on_fresh(0.3)
     assert louder.verdict == "nothing missing"
-    assert louder.messages[0].startswith("the fresh data do not fit")
+    assert louder.messages[0].startswith("the fresh data are noisier")
     swings = on_fresh(1e-9)
     assert swings.verdict == "unnamed"
     assert dict(swings.unknown.tests) == {"fresh data": 1e-9}
