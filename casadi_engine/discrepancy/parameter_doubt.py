@@ -33,10 +33,8 @@ def doubted(fit: Fit, held: Fit) -> NullModel:
     z = np.array([values[name] if name in values else values[name.partition("@")[0]] for name in pmap.free])
     sure = [name for name, value in zip(pmap.free, z, strict=True) if _is_sure(fit, name, float(value))]
     first = {name: np.array([e.value for e in held.initial[name].values()]) for name in names}
-    known = {
-        name: tuple(s for s, e in held.initial[name].items() if e.fixed or e.at_bound is not False)
-        for name in names
-    }
+    # first states of fresh data are found there, also where a fit of theirs only simulated what had been found
+    known = {name: tuple(s for s, e in held.initial[name].items() if e.at_bound) for name in names}
     return null_at(held.model, held.data, fit.parameters, z, first, held_starts=known, held_parameters=sure)
 
 
