@@ -182,6 +182,13 @@ class Choice:
             self._stations[key] = replace(station, screened=screened)
         return self._stations[key].screened
 
+    def _as_chosen(self, key: Key) -> Station:
+        """A structure's station, scored in the colour of its noise where the chosen one's is: fresh data may prefer
+        it."""
+        if not self.chosen.screened.choice.waits:
+            self._in_colour(key)
+        return self._stations[key]
+
     def _scores_in_colour(self, here: Tried, best: Tried, tried: Sequence[Tried]) -> bool:
         """True if the calibrated test in coloured noise finds the most probable effect, or one that it does not
         exclude. Evidence counts fewer samples there, which for a fast effect in slow noise is too few."""
@@ -432,8 +439,10 @@ class Choice:
         """The stations on the way to a structure, effect by effect, the most telling first; None where a fit of one
         does not converge, or an effect does nothing of its own beside the others (what differs by direction, once the
         motion has one direction alone)."""
-        found = [self._stations[frozenset()]]
         effects = ordered(self.pool[key].effects, self.pool)
+        if not effects:
+            self._as_chosen(key)
+        found = [self._stations[frozenset()]]
         for count in range(1, len(effects) + 1):
             own = effects[:count]
             if all(c.key != own[-1].candidate.key for c in found[-1].screened.candidates):
@@ -445,6 +454,7 @@ class Choice:
             station = None if part is None else self._station(part)
             if station is None:
                 return None
+            station = self._as_chosen(key) if count == len(effects) else station
             members = class_of(self.pool, key, own[-1], FACTOR, self.price)
             found.append(reached(found[-1], station, own, members))
         return found
