@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from casadi_engine.deadline import TimeUp
+from casadi_engine.discrepancy.by_chance import held_to_chance
 from casadi_engine.discrepancy.certificate import (
     class_matrix,
     equation_of,
@@ -187,7 +188,7 @@ class Answer:
         )
         if may_hide(done):
             done = replace(done, messages=(*done.messages, _MAY_HIDE))
-        return held_to_fresh_data(done)
+        return held_to_fresh_data(held_to_chance(done))
 
     def _law(self, last: Station, told: Callable[..., UnknownLaw | None]) -> UnknownLaw | None:
         """A law that no effect names, in the place of those found, that these do not exclude."""

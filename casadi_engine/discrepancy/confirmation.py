@@ -13,7 +13,7 @@ from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.distributions import t_sf
 
 # The chance of a gain where there is none (two standard errors of many cycles); fewest cycles that tell.
-_CHANCE = 0.02275
+CHANCE = 0.02275
 _FEWEST = 3
 
 
@@ -35,7 +35,7 @@ class PairedGain:
         """True for a loss that is beyond chance as far as a gain has to be."""
         if self.mean is None or self.se is None:
             return False
-        return float(t_sf(-self.mean / max(self.se, 1e-300), self.cycles - 1)) < _CHANCE
+        return float(t_sf(-self.mean / max(self.se, 1e-300), self.cycles - 1)) < CHANCE
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def paired_gain(before: Sequence[Residuals], after: Sequence[Residuals]) -> Pair
         why = f"{len(values)} cycles of fresh data: at least {_FEWEST} are needed to tell a gain from chance"
         return PairedGain(mean, None, len(values), None, why)
     mean, se = float(values.mean()), float(values.std(ddof=1) / math.sqrt(len(values)))
-    sure = float(t_sf(mean / max(se, 1e-300), len(values) - 1)) < _CHANCE
+    sure = float(t_sf(mean / max(se, 1e-300), len(values) - 1)) < CHANCE
     return PairedGain(mean, se, len(values), sure)
 
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 # The gap on fresh data is larger by at least this factor, and chance would do as much less often than this. Samples of
 # coloured noise count less by a memory that is generous.
-LARGER, _SURE, MEMORY = 1.5, 1e-4, 20.0
+LARGER, SURE, MEMORY = 1.5, 1e-4, 20.0
 # Chi-squared per sample that is larger by more is no louder noise of the same sensor, five times at most.
 _LOUDEST = 25.0
 # Share of what is beyond the noise there that errors of the parameters have to explain, to be said to do so.
@@ -58,7 +58,7 @@ def fresh_misfit(repair: Repair) -> str | None:
             f"the fresh data do not fit: {where}{within}; something acts in them alone or is still "
             "missing, or their noise is larger"
         )
-    far = fresh.parameters_p is not None and fresh.parameters_p < _SURE
+    far = fresh.parameters_p is not None and fresh.parameters_p < SURE
     if far and found > LARGER * own.chi2_per_sample:
         return (
             f"the fresh data do not fit: {where}, and they ask for other parameters than the fit's, beyond their errors"
@@ -99,7 +99,7 @@ def _beyond(repair: Repair, found: float, own: float | None = None, outputs: int
     memory = max(MEMORY if noise.colour else 1.0, 1 / max(first.chi2_per_sample, _TINY))
     fresh, known = (max(gap.samples / outputs / memory, 1.0) for gap in (gaps.validation_after.gap, first))
     ratio = found / own if own > 0 else 0.0
-    return ratio > LARGER and outputs * f_sf(ratio, fresh, known) < _SURE
+    return ratio > LARGER and outputs * f_sf(ratio, fresh, known) < SURE
 
 
 def _of_output(repair: Repair, output: str) -> tuple[float, float, float]:
@@ -133,7 +133,7 @@ def _more_than_noise(repair: Repair) -> float | None:
     after = None if repair.gaps is None else repair.gaps.validation_after
     every = [] if after is None else [p for own in after.whiteness_p.values() for p in own.values()]
     least = min((p for p in every if p is not None), default=1.0)
-    return least if least < _SURE else None
+    return least if least < SURE else None
 
 
 def is_louder(repair: Repair) -> bool:

@@ -1,0 +1,64 @@
+"""What chance may have made of the data of the search, and fresh data do not show.
+
+A finding that fresh data confirm is one that chance makes with probability alpha on the data of the search, and in
+2.3 % on the fresh ones. What these do not confirm has to be as improbable by itself: else nothing is missing that these
+data could show.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from casadi_engine.discrepancy.confirmation import CHANCE
+from casadi_engine.discrepancy.fresh_misfit import SURE, fresh_misfit
+
+if TYPE_CHECKING:
+    from casadi_engine.discrepancy.repaired import Repair
+
+
+def held_to_chance(repair: Repair) -> Repair:
+    """The repair without what chance may have made, where fresh data were asked and show nothing of it."""
+    if not _may_be_chance(repair):
+        return repair
+    gaps = repair.gaps
+    assert gaps is not None
+    best = min((*repair.effects, *repair.withdrawn), key=lambda one: one.p_value)
+    words = (
+        f"{best.name} at {best.at} is beyond chance on the data of the search (p = {best.p_value:.2g}), and fresh data "
+        f"do not confirm it: then it has to be as improbable as what they confirm, p < {CHANCE * repair.alpha:.2g}"
+    )
+    bare = replace(
+        repair,
+        verdict="nothing missing",
+        confirmed=None,
+        fit=repair.null_fit,
+        effects=(),
+        withdrawn=(*repair.effects, *repair.withdrawn),
+        unknown=None,
+        gaps=replace(gaps, estimation_after=gaps.estimation_before, validation_after=gaps.validation_before),
+        equation=None,
+        next_experiment=None,
+        messages=(words, *repair.messages),
+    )
+    return repair if fresh_misfit(bare) is not None else bare
+
+
+def _may_be_chance(repair: Repair) -> bool:
+    """True if fresh data were asked and confirm nothing, and no test says more than chance and they would together.
+
+    A fresh residual that is not white says something is missing, whatever its name; where the noise is coloured,
+    nothing can be told from that.
+    """
+    gaps, found = repair.gaps, (*repair.effects, *repair.withdrawn)
+    if gaps is None or gaps.validation_before is None or repair.confirmed or repair.stopped or not found:
+        return False
+    if repair.noise is None or repair.verdict not in ("unnamed", "named", "class"):
+        return False
+    tests = [one.p_value for one in found]
+    if repair.unknown is not None:
+        own = repair.unknown.p_value
+        tests += [*repair.unknown.tests.values(), *([] if own is None else [own])]
+    white = [p for one in gaps.validation_before.whiteness_p.values() for p in one.values() if p is not None]
+    quiet = bool(repair.noise.colour) or min(white, default=1.0) >= SURE
+    return quiet and min(tests) >= CHANCE * repair.alpha
