@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from casadi_engine.discrepancy.by_chance import held_to_chance
 from casadi_engine.discrepancy.confirmation import PairedGain
 from casadi_engine.discrepancy.fresh_misfit import fresh_misfit, held_to_fresh_data
 from casadi_engine.discrepancy.repaired import Member, NextExperiment, Unknown
@@ -284,6 +285,48 @@ def test_a_gain_confirms_nothing_where_the_fresh_data_do_not_fit(repaired):
     moved = on_fresh(50.0, 1.05, 1e-9)
     assert moved.confirmed is False
     assert "they ask for other parameters than the fit's, beyond their errors (p 1e-09)" in moved.messages[0]
+
+
+def test_what_fresh_data_do_not_confirm_may_be_chance(repaired):
+    """A finding of p = 0.003 that fresh data do not confirm is none, unless it is as improbable as one that they do."""
+    gaps, noise = repaired.gaps, replace(repaired.noise, scatter={}, colour={})
+    calm = replace(gaps.estimation_before.gap, chi2_per_sample=1.0, samples=400)
+    own = replace(gaps.estimation_before, gap=calm, whiteness_p={"fresh": {"omega": 0.4}})
+    gaps = replace(gaps, estimation_before=own, validation_before=own, validation_after=own)
+
+    def judged(p, *, confirmed=False, tests=None, **changed):
+        effects = tuple(replace(one, p_value=p) for one in repaired.effects)
+        unknown = None if tests is None else Unknown("a law", tests)
+        given = {"noise": noise, "gaps": gaps, "stopped": "", **changed}
+        return held_to_chance(
+            replace(repaired, effects=effects, confirmed=confirmed, unknown=unknown, **given)
+        )
+
+    chance = judged(3e-3)
+    assert (chance.verdict, chance.effects, chance.confirmed) == ("nothing missing", (), None)
+    assert chance.fit is repaired.null_fit
+    assert [one.key for one in chance.withdrawn] == [one.key for one in repaired.effects]
+    assert chance.messages[0].endswith("it has to be as improbable as what they confirm, p < 0.00023")
+    for kept in (
+        judged(1e-4),
+        judged(3e-3, confirmed=True),
+        judged(3e-3, tests={"whiteness": 1e-5}),
+        judged(3e-3, stopped="the time budget"),
+        judged(3e-3, gaps=replace(gaps, validation_before=None)),
+        judged(
+            3e-3, gaps=replace(gaps, validation_before=replace(own, whiteness_p={"fresh": {"omega": 1e-9}}))
+        ),
+        judged(
+            3e-3, gaps=replace(gaps, validation_before=replace(own, gap=replace(calm, chi2_per_sample=3.0)))
+        ),
+    ):
+        assert kept.verdict == repaired.verdict
+        assert kept.effects
+    # colour of the noise says nothing of fresh whiteness
+    colour = replace(noise, colour={"misfire_1200rpm/omega": 2})
+    swings = replace(own, whiteness_p={"fresh": {"omega": 1e-9}})
+    coloured = judged(3e-3, noise=colour, gaps=replace(gaps, validation_before=swings))
+    assert coloured.verdict == "nothing missing"
 
 
 def test_an_interrupted_search_blames_no_fit(no_answer):
