@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from casadi_engine.deadline import Deadline, TimeUp, late
 from casadi_engine.discrepancy.certificate import unknown_of
 from casadi_engine.discrepancy.choice import TIME_UP, Choice
+from casadi_engine.discrepancy.confirmation import CHANCE
 from casadi_engine.discrepancy.fresh import Judgement, Portions, gap_of, judge
 from casadi_engine.discrepancy.fresh_fits import fresh_sides
 from casadi_engine.discrepancy.fresh_weights import FreshWeights
@@ -115,18 +116,23 @@ class FreshChoice:
         return self._kept([null], first or [null], before)
 
     def _each_confirmed(self, stations: list[Station]) -> list[Station]:
-        """The stations up to the last effect that fresh data confirm by itself, where more is missing than effects
-        explain: what that does others imitate."""
+        """The stations up to the last effect that stands by itself: chance does as much less often than what fresh data
+        confirm, and no more is missing than effects explain, which others would imitate; or fresh data confirm it."""
         while len(stations) > 2:
             base, last = stations[-2:]
-            if last.effects[-1].moves or unknown_of(last.screened) is None:
+            one, screened = last.effects[-1], base.screened
+            weak = last.lead is not None and screened.pooled(last.lead) >= CHANCE * screened.alpha
+            imitates = not one.moves and unknown_of(last.screened) is not None
+            if not weak and not imitates:
                 break
             part, after = self._on_fresh(base), self._on_fresh(last)
-            if part is None or after is None or self._judged(part, after, last).confirmed is not False:
+            judged = None if part is None or after is None else self._judged(part, after, last)
+            # an event of one record is confirmed by no other
+            if judged is None or judged.confirmed or (judged.confirmed is None and not (weak and one.moves)):
                 break
+            why = "chance may make it" if weak else "more is missing than effects explain"
             self.messages.append(
-                f"{last.effects[-1].label} is left out: more is missing than effects explain, and fresh data do not "
-                "confirm it by itself"
+                f"{one.label} is left out: {why}, and fresh data do not confirm it by itself"
             )
             stations = stations[:-1]
         return stations
