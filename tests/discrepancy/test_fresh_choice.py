@@ -4,6 +4,7 @@ from types import SimpleNamespace as stub
 
 import pytest
 
+from casadi_engine.deadline import TimeUp
 from casadi_engine.discrepancy import fresh_choice as module
 from casadi_engine.discrepancy.fresh import Judgement
 from casadi_engine.discrepancy.fresh_choice import FreshChoice
@@ -97,3 +98,31 @@ def test_the_stations_that_were_given_stay_as_they_are(monkeypatch):
     stations = stations_of(["dry", "drag"])
     confirmed(monkeypatch, stations, {"drag": False})
     assert len(stations) == 3
+
+
+# ---- weights that the time does not allow
+
+
+def test_weights_that_were_not_all_asked_weigh_nothing(monkeypatch):
+    """What fresh data said of the first structures alone would be held against the others."""
+    null = stub(screened=stub(request=stub(blind=False), choice=stub(scatter=())))
+    asked, unasked = stub(fresh=-12.0), stub(fresh=0.0)
+    search = stub(
+        null=null,
+        pool={"asked": asked, "unasked": unasked},
+        ranked=lambda: iter(["none"]),
+        way=lambda key: [null],
+    )
+
+    def run(self, *, sure):
+        raise TimeUp
+
+    monkeypatch.setattr(module.FreshWeights, "run", run)
+    monkeypatch.setattr(FreshChoice, "_on_fresh", lambda self, one: ["the model without effects there"])
+    monkeypatch.setattr(FreshChoice, "_confirms", lambda self, before: True)
+    said = []
+    found = FreshChoice(search, stub(fresh=("a record",)), print, said)._judged_in_order()
+    assert (asked.fresh, unasked.fresh) == (0.0, 0.0)
+    assert said == ["fresh data weigh no structure against another, as the time was up"]
+    assert found.kept == (null,)
+    assert found.before == ["the model without effects there"]

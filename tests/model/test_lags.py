@@ -7,6 +7,7 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.effects import SensorDelay, SensorGain, SensorOffset, ViscousFriction
@@ -236,6 +237,24 @@ def test_the_order_in_which_effects_come_makes_no_difference(order, shown):
     assert again.lags == (("y", STEP),)  # in a model that is late already
     for made in (lagged(model, {"y": STEP}), again):
         assert closed(made, **at, **own)[0] == pytest.approx(read, rel=1e-12)
+
+
+@pytest.mark.parametrize("delay", [0.004, -0.005, 0.124])
+def test_a_torque_that_is_joined_by_lines_is_held_over_a_part_of_a_sample(delay):
+    """Against SciPy: what is left out is what the torque changes within that part."""
+    t, turn = np.arange(150) * STEP, 2 * np.pi * 1.5
+    torque = np.sin(turn * t)
+    run = solve_ivp(
+        lambda s, w: (2 * np.interp(s, t, torque) - DAMPING * w) / INERTIA, (0, t[-1]), [0.4], method="LSODA",
+        rtol=1e-10, atol=1e-12, dense_output=True, max_step=STEP / 2,
+    )  # fmt: skip
+    data = ce.Experiment.from_arrays("run", time=t, units={"u": "N m"}, u=torque)
+    model = rotor().with_effect(SensorDelay(), at="sensor_y", values={"delay": delay})
+    found = ce.simulate(model, data, initial={"w": 0.4})["y"].values
+    inside = (t >= max(delay, 0.0)) & (t <= t[-1] + min(delay, 0.0))
+    error = np.abs(found - run.sol(t - delay)[0])[inside].max()
+    rest = abs(delay - STEP * round(delay / STEP))
+    assert error < 1.05 * rest**2 / 2 * 2 * turn / INERTIA
 
 
 @pytest.mark.parametrize("delay", [0.004, -0.005, 0.124])
