@@ -178,6 +178,81 @@ def test_spare_time_behind_a_stop(clock, effort):
             assert is_up()
 
 
+def test_time_that_is_kept_ends_what_runs_now_earlier(clock, effort):
+    """By a share of the spare time; outside of it nothing has ended, and all of the spare time is left."""
+    with Deadline(5.0, spare=2.0, clock=clock, effort=effort) as deadline:
+        with deadline.spared(-0.5):
+            assert left() == 4.0
+            clock.now += 3.999
+            assert not is_up()
+            clock.now += 0.001
+            assert is_up()
+            assert (deadline.over, left()) == (True, pytest.approx(0.0))
+        assert not is_up()
+        assert left() == pytest.approx(1.0)
+        with deadline.spared(-1.0):
+            assert is_up()
+        clock.now += 1.0
+        assert is_up()
+        with deadline.spared(1.0):
+            assert not is_up()
+            effort.now += 1.999
+            assert not is_up()
+            effort.now += 0.001
+            assert is_up()
+
+
+def test_spare_time_begins_when_what_kept_it_is_over(clock, effort):
+    """What went on beyond the end, as it asked late, takes nothing of it."""
+    with Deadline(5.0, spare=2.0, clock=clock, effort=effort) as deadline:
+        with deadline.spared(-0.5):
+            clock.now += 50.0
+            effort.now += 50.0
+            assert is_up()
+        with deadline.spared(0.5):
+            assert not is_up()
+            effort.now += 1.0
+            assert is_up()
+        assert is_up()
+
+
+def test_more_time_is_kept_than_there_is(clock):
+    with Deadline(1.0, spare=2.0, clock=clock) as deadline:
+        with deadline.spared(-1.0):
+            assert is_up()
+        assert not is_up()
+
+
+def test_without_an_end_no_time_is_kept(clock):
+    with Deadline(spare=2.0, clock=clock) as deadline, deadline.spared(-1.0):
+        clock.now += 1e6
+        assert not is_up()
+        assert left() == math.inf
+
+
+def test_a_stop_holds_where_time_is_kept_too(clock, effort):
+    with Deadline(5.0, spare=2.0, clock=clock, effort=effort) as deadline:
+        with deadline.spared(-0.5):
+            deadline.stop()
+            assert is_up()
+        assert is_up()
+        with deadline.spared(0.5):
+            assert not is_up()
+            effort.now += 1.0
+            assert is_up()
+
+
+def test_kept_time_of_one_ends_what_is_inside_it(clock):
+    with (
+        Deadline(5.0, spare=2.0, clock=clock) as outer,
+        Deadline(9.0, clock=clock) as inner,
+        outer.spared(-0.5),
+    ):
+        clock.now += 4.0
+        assert is_up()
+        assert (inner.over, inner.late) == (False, True)
+
+
 def test_spare_time_of_one_is_none_of_another(clock, effort):
     with (
         Deadline(5.0, spare=2.0, clock=clock, effort=effort) as outer,

@@ -1,0 +1,196 @@
+"""Parts of the choice by stand-ins: which structure leads where the time was up, fits made anew, and the way there."""
+
+import math
+from types import SimpleNamespace as stub
+
+import numpy as np
+import pytest
+
+import casadi_engine as ce
+from casadi_engine.deadline import Deadline, TimeUp
+from casadi_engine.discrepancy import choice as module
+from casadi_engine.discrepancy.choice import BEYOND, FACTOR, TIME_UP, Choice
+from casadi_engine.discrepancy.screening import screen
+
+PRICE = 2.0
+NONE = frozenset()
+
+
+def key_of(*names):
+    return frozenset((name, "p") for name in names)
+
+
+def tried(*names, log=0.0, beyond=BEYOND + 1, failed=False):
+    """A structure of effects of these names."""
+    effects = tuple(stub(candidate=stub(key=(name, "p")), key=f"p.{name}", label=name) for name in names)
+    arrived = stub(values={}, initial={})
+    return stub(
+        key=key_of(*names), effects=effects, log=log, beyond=beyond, failed=failed, arrived=arrived,
+        label=" + ".join(names),
+    )  # fmt: skip
+
+
+def choice_of(monkeypatch, *structures, best=NONE, refused=()):
+    """A choice with these in its pool and none fitted but the model without effects; refused : keys whose whole fit
+    does not converge."""
+    found = Choice(None, None, 4, print)
+    found.refits = stub(pool={one.key: one for one in structures}, improved=set(), tried=lambda *_: [])
+    found._stations[NONE] = stub(fit="null fit", screened=stub(candidates=[]))
+    found.best = best
+    found.asked = []
+
+    def station(self, one):
+        self.asked.append(one.key)
+        if one.key not in refused and one.key not in self._stations:
+            self._stations[one.key] = stub(fit=f"fit of {one.label}", screened=stub(candidates=[]))
+        return self._stations.get(one.key)
+
+    monkeypatch.setattr(Choice, "_station", station)
+    monkeypatch.setattr(Choice, "price", PRICE)
+    return found
+
+
+# ---- where the time was up
+
+
+@pytest.mark.parametrize(("gain", "leads"), [(1.01, True), (0.99, False)])
+def test_a_structure_that_is_far_more_probable_leads_where_the_time_was_up(monkeypatch, gain, leads):
+    """By a factor of 20, after every effect is paid for."""
+    more = PRICE + gain * math.log(FACTOR)
+    structures = tried(log=-500.0), tried("a", log=-100.0), tried("a", "b", log=-100.0 + more)
+    found = choice_of(monkeypatch, *structures, best=key_of("a"))
+    found._most_probable_of_all()
+    assert found.best == (key_of("a", "b") if leads else key_of("a"))
+    assert found.asked == ([key_of("a", "b")] if leads else [])
+
+
+def test_the_most_probable_is_so_after_its_effects_are_paid_for(monkeypatch):
+    structures = (
+        tried(log=-50.0),
+        tried("a", log=0.0),
+        tried("a", "b", log=1.5 * PRICE),
+        tried("c", log=0.6 * PRICE),
+    )
+    found = choice_of(monkeypatch, *structures)
+    found._most_probable_of_all()
+    assert found.best == key_of("c")
+
+
+def test_a_structure_of_which_an_effect_is_none_does_not_lead(monkeypatch):
+    found = choice_of(
+        monkeypatch, tried(log=-50.0), tried("a", log=-10.0), tried("a", "b", log=0.0, beyond=BEYOND)
+    )
+    found._most_probable_of_all()
+    assert found.best == key_of("a")
+
+
+def test_a_structure_whose_whole_fit_does_not_converge_does_not_lead(monkeypatch):
+    found = choice_of(
+        monkeypatch, tried(log=-50.0), tried("a", log=-20.0), tried("b", log=0.0), best=key_of("a"),
+        refused=[key_of("b")],
+    )  # fmt: skip
+    found._most_probable_of_all()
+    assert (found.best, found.asked) == (key_of("a"), [key_of("b")])
+
+
+def test_where_nothing_else_was_refitted_the_model_stays(monkeypatch):
+    found = choice_of(monkeypatch, tried(log=-50.0))
+    found._most_probable_of_all()
+    assert (found.best, found.asked) == (NONE, [])
+
+
+FEW = ["coulomb_friction", "constant_torque"]
+DRY = frozenset({("coulomb_friction", "pivot")})
+
+
+@pytest.mark.parametrize("late", [True, False])
+def test_a_round_that_the_time_ends_leaves_what_it_has_refitted(pendulum, monkeypatch, late):
+    """A real search; where a round ends by itself, what it does not take is no answer."""
+    data = pendulum.decay(lambda t, angle, rate: -0.6 * np.tanh(rate / 0.02), samples=300)
+    deadline = Deadline(spare=600.0)
+
+    def refits_alone(self, here, station):
+        self._added(here, station)
+        self.refits.weigh()
+        if late:
+            deadline.stop()
+            raise TimeUp
+
+    monkeypatch.setattr(Choice, "_round", refits_alone)
+    fit = ce.estimate(pendulum.model, data, noise=ce.Noise(y=pendulum.level), progress=False)
+    made = Choice(pendulum.refitter(data), lambda fit: screen(fit, FEW), 4, lambda _: None, deadline=deadline)
+    with deadline:
+        made.run(fit)
+    assert made.best == (DRY if late else NONE)
+    assert (TIME_UP in made.failed.values()) == late
+    assert made.chosen.fit.converged
+
+
+# ---- a fit made anew
+
+
+def test_what_failed_beside_a_poor_optimum_is_asked_again_beside_a_better_one(monkeypatch):
+    here, other = tried("a"), tried("b", failed=True)
+    found = choice_of(monkeypatch, tried(), here, other, best=here.key)
+    found._stations[here.key] = "the poor one"
+    found.refits.improved |= {here.key, other.key}
+    assert found._renewed(here).fit == "fit of a"
+    assert found._stations[here.key].fit == "fit of a"
+    assert not other.failed
+    assert found.refits.improved == set()
+
+
+def test_where_that_fit_does_not_converge_everything_stays(monkeypatch):
+    here, other = tried("a"), tried("b", failed=True)
+    found = choice_of(monkeypatch, tried(), here, other, best=here.key, refused=[here.key])
+    found._stations[here.key] = "the poor one"
+    found.refits.improved.add(here.key)
+    assert found._renewed(here) is None
+    assert found._stations[here.key] == "the poor one"
+    assert other.failed
+
+
+def test_where_no_better_optimum_was_found_nothing_is_fitted(monkeypatch):
+    here, other = tried("a"), tried("b", failed=True)
+    found = choice_of(monkeypatch, tried(), here, other, best=here.key)
+    found._stations[here.key] = "as it was"
+    found.refits.improved.add(other.key)
+    assert found._renewed(here) is None
+    assert (found.asked, other.failed) == ([], True)
+    assert found.refits.improved == {other.key}
+
+
+# ---- the way to a structure
+
+
+def on_the_way(monkeypatch, known):
+    """Effects a and b, of which a is the more telling; known : names of effects -> names of candidates there."""
+    structures = [tried(log=-50.0), tried("a", log=-20.0), tried("b", log=-30.0), tried("a", "b", log=0.0)]
+    found = choice_of(monkeypatch, *structures)
+    for names, candidates in known.items():
+        screened = stub(candidates=[stub(key=(name, "p")) for name in candidates])
+        found._stations[key_of(*names)] = stub(fit=names, screened=screened)
+    monkeypatch.setattr(module, "reached", lambda before, station, own, members: station)
+    return found
+
+
+def test_the_way_has_a_station_for_every_effect(monkeypatch):
+    found = on_the_way(monkeypatch, {(): "ab", ("a",): "b", ("a", "b"): ""})
+    assert [one.fit for one in found.way(key_of("a", "b"))] == [(), ("a",), ("a", "b")]
+    assert [one.fit for one in found.way(NONE)] == [()]
+
+
+@pytest.mark.parametrize(
+    ("known", "fitted"), [({(): "b", ("a",): "b"}, []), ({(): "ab", ("a",): "c"}, ["a"]), ({(): ""}, [])]
+)
+def test_there_is_no_way_by_an_effect_that_is_no_candidate_at_the_station_before(monkeypatch, known, fitted):
+    """It does nothing of its own there, so that nothing can be said of it."""
+    found = on_the_way(monkeypatch, known)
+    assert found.way(key_of("a", "b")) is None
+    assert found.asked == [key_of(name) for name in fitted]
+
+
+def test_there_is_no_way_by_a_fit_that_does_not_converge(monkeypatch):
+    found = on_the_way(monkeypatch, {(): "ab"})
+    monkeypatch.setattr(Choice, "_station", lambda self, one: None)
+    assert found.way(key_of("a", "b")) is None

@@ -1,0 +1,219 @@
+"""Events of models that swing: their times are looked for between those of their grid."""
+
+from types import SimpleNamespace as stub
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import casadi_engine as ce
+from casadi_engine.discrepancy.event_times import finer_candidates, is_coarse, located
+from casadi_engine.discrepancy.families import families_of
+from casadi_engine.discrepancy.refit import addition
+from casadi_engine.discrepancy.screening import screen
+from casadi_engine.effects import Grid
+
+STEP, SAMPLES, TURN = 0.02, 1001, 2 * np.pi * 1.3
+J, C, SIGMA = 0.5, 0.02, 0.003
+K = J * TURN**2
+
+
+# ---- grids that are too coarse, by stand-ins
+
+
+def candidates(times, records=("a",), *, name="time", over="time"):
+    effect = stub(nuisance={name: Grid(over=over)})
+    return [
+        stub(nuisance={name: t}, direction={record: None}, source=stub(effect=effect))
+        for record in records
+        for t in times
+    ]
+
+
+def screened(own, correlation):
+    return stub(candidates=own, scores=stub(correlation=np.array(correlation, dtype=float)))
+
+
+def neighbours(*values):
+    """Correlations of neighbours; of others 1, which nobody asks."""
+    found = np.ones((len(values) + 1,) * 2)
+    for k, value in enumerate(values):
+        found[k, k + 1] = found[k + 1, k] = value
+    return found
+
+
+@pytest.mark.parametrize(
+    ("values", "coarse"),
+    [
+        ((0.9, 0.8, 0.95), False),
+        ((0.1, -0.2, 0.3), True),
+        ((-0.9, -0.8, -0.95), False),
+        ((0.1, 0.9, 0.95), False),
+    ],
+)
+def test_a_grid_is_coarse_where_neighbours_have_little_in_common(values, coarse):
+    """In the middle; two that do the opposite of each other are alike."""
+    own = candidates((1.0, 2.0, 3.0, 4.0))
+    assert is_coarse(screened(own, neighbours(*values)), range(4)) is coarse
+
+
+def test_neighbours_are_those_in_time_in_the_same_record():
+    own = candidates((3.0, 1.0, 2.0), ("a", "b"))
+    correlation = np.zeros((6, 6))
+    for first, then in ((1, 2), (2, 0), (4, 5), (5, 3)):
+        correlation[first, then] = correlation[then, first] = 0.9
+    assert not is_coarse(screened(own, correlation), range(6))
+    assert is_coarse(screened(own, np.zeros((6, 6))), range(6))
+    assert not is_coarse(screened(own, correlation), range(3))  # of the members alone
+
+
+@pytest.mark.parametrize(
+    "own",
+    [
+        candidates((1.0, 2.0), name="speed", over="value"),
+        candidates((1.0, 2.0), name="cycle", over="cycle"),
+        candidates((1.0,)),
+        candidates((1.0,), ("a", "b")),
+        [stub(nuisance={}, direction=stub(), source=stub(effect=stub(nuisance={})))] * 2,
+    ],
+)
+def test_what_has_no_neighbours_in_time_is_not_coarse(own):
+    assert is_coarse(screened(own, np.zeros((len(own),) * 2)), range(len(own))) is False
+
+
+# ---- an oscillator that a load displaces
+
+
+def oscillator(damping=0.05):
+    b = ce.Blueprint("oscillator")
+    u = b.input("u", unit="N m")
+    inertia = b.parameter("J", 0.4, unit="kg m2", min=0.01, max=5)
+    c = b.parameter("c", damping, unit="N m s/rad", min=0, max=50)
+    k = b.parameter("k", 30.0, unit="N m/rad", min=1, max=1000)
+    x, w = b.state("x", unit="rad"), b.state("w", unit="rad/s")
+    mass = b.port("mass", "inertia", {"speed": w, "angle": x})
+    b.ode("x", w)
+    b.ode("w", (u - c * w - k * x + mass) / inertia)
+    b.output("x", x, unit="rad")
+    return b.model()
+
+
+def record(name, seed, at, *, damping=C, samples=SAMPLES):
+    """A random torque on the oscillator and a load of 1 N m from a time on, by SciPy, piece by piece."""
+    rng = np.random.default_rng(seed)
+    t = STEP * np.arange(samples)
+    torque = 2 * rng.standard_normal(samples)
+    place, end = np.zeros(samples), [0.0, 0.0]
+    for begin, stop, load in ((0.0, at, 0.0), (at, t[-1], 1.0)):
+        run = solve_ivp(
+            lambda s, x, load=load: [x[1], (np.interp(s, t, torque) - damping * x[1] - K * x[0] - load) / J],
+            (begin, stop), end, rtol=1e-8, atol=1e-10, max_step=STEP, dense_output=True,
+        )  # fmt: skip
+        inside = (t >= begin) & (t <= stop)
+        place[inside], end = run.sol(t[inside])[0], run.y[:, -1]
+    x = place + SIGMA * rng.standard_normal(samples)
+    return ce.Experiment.from_arrays(name, time=t, units={"u": "N m", "x": "rad"}, u=torque, x=x)
+
+
+AT = 11.43
+
+
+@pytest.fixture(scope="module")
+def data():
+    return record("search", 2, AT)
+
+
+@pytest.fixture(scope="module")
+def scored(data):
+    """The model without the load, its candidates scored."""
+    fit = ce.estimate(oscillator(), data, noise=ce.Noise(x=SIGMA), progress=False)
+    return screen(fit, ["load_step", "constant_torque", "coulomb_friction"])
+
+
+def members(scored, effect):
+    return families_of(scored)[(effect, "mass")]
+
+
+def added(scored, near):
+    """The load of the grid next to a time, as an addition."""
+    own = [scored.candidates[k] for k in members(scored, "load_step")]
+    return addition(min(own, key=lambda one: abs(one.nuisance["time"] - near)), 1.0)
+
+
+def test_a_load_on_what_swings_has_too_coarse_a_grid(scored):
+    assert is_coarse(scored, members(scored, "load_step"))
+    assert not is_coarse(scored, members(scored, "coulomb_friction"))
+
+
+def test_a_load_on_what_follows_slowly_has_not():
+    """Damped so much that it creeps: what a load does does not swing from one time to the next."""
+    data = record("slow", 2, 7.0, damping=20.0, samples=600)
+    fit = ce.estimate(oscillator(15.0), data, noise=ce.Noise(x=SIGMA), progress=False)
+    scores = screen(fit, ["load_step"])
+    assert not is_coarse(scores, members(scores, "load_step"))
+
+
+def test_a_finer_grid_is_about_where_the_event_is(scored, data):
+    one = added(scored, AT).candidate
+    effect, levels = one.source.effect, scored.noise.sigma
+    grid = effect.nuisance["time"]
+    step = (grid.stop - grid.start) / (grid.steps - 1) * data.duration
+    made, found = finer_candidates(one, scored.null, (data,), levels, None)
+    times = np.array([own.nuisance["time"] for own in made])
+    np.testing.assert_allclose(np.diff(times), step / 8, rtol=1e-6)
+    middle = one.nuisance["time"]
+    low, high = data.span[0] + grid.start * data.duration, data.span[0] + grid.stop * data.duration
+    assert times[0] == pytest.approx(max(middle - 4 * step, low))
+    assert times[-1] == pytest.approx(min(middle + 4 * step, high))
+    assert np.abs(times - middle).min() < 1e-9
+    # each is the same effect, which keeps the grid that its parameters have
+    assert all(own.key == one.key and own.source.effect is effect for own in made)
+    assert effect.nuisance["time"] is grid
+    best = int(np.argmin(found.cost))
+    assert abs(times[best] - AT) <= step / 16 + 1e-9
+
+
+@pytest.mark.parametrize("at", [3.0, 17.9])
+def test_a_finer_grid_is_about_the_time_that_is_asked_for(scored, data, at):
+    one = added(scored, AT).candidate
+    made, _ = finer_candidates(one, scored.null, (data,), scored.noise.sigma, at)
+    times = [own.nuisance["time"] for own in made]
+    assert min(times) < at < max(times)
+    assert max(times) - min(times) < 0.5 * data.duration
+    gone, none = finer_candidates(one, scored.null, (data,), scored.noise.sigma, at + 1e3)
+    assert (gone, none) == ([], None)
+
+
+def test_an_effect_without_a_time_has_no_finer_grid(scored, data):
+    one = scored.candidates[members(scored, "coulomb_friction")[0]]
+    assert finer_candidates(one, scored.null, (data,), scored.noise.sigma, None) == ([], None)
+
+
+def test_an_event_is_found_at_its_time_by_one_step(scored, data):
+    one = added(scored, AT)
+    refits = stub(refitter=stub(data=(data,)), path=stub(levels=scored.noise.sigma))
+    found, cost = located(refits, one, scored.null)
+    assert found.key == one.key
+    assert abs(found.candidate.nuisance["time"] - AT) < 0.03
+    assert found.start == pytest.approx(1.0, abs=0.1)
+    assert cost < 0.5 * sum(float(np.sum((r.residual["x"] / SIGMA) ** 2)) for r in scored.null.records)
+    assert located(refits, one, scored.null, 1e4) is None
+
+
+# ---- by the public verb
+
+
+def test_a_load_between_the_times_of_the_grid_is_found_at_its_time(data):
+    found = ce.repair(
+        oscillator(), data, effects=["load_step", "constant_torque", "sensor_offset"], progress=False
+    )
+    assert found.verdict == "named"
+    (one,) = found.effects
+    assert one.key == "mass.load_step"
+    time, torque = (one.parameters[f"mass.load_step.{name}"] for name in ("time", "torque"))
+    assert abs(time.value - AT) < 0.02
+    assert abs(time.value - AT) < 4 * time.stderr
+    assert abs(torque.value - 1.0) < 4 * torque.stderr
+    for name, truth in (("J", J), ("c", C), ("k", K)):
+        estimate = found.fit.estimates[name]
+        assert abs(estimate.value - truth) < 4 * estimate.stderr

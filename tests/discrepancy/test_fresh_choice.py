@@ -1,0 +1,128 @@
+"""Effects beside what no effect explains are confirmed one by one: by stand-ins for fits and fresh data."""
+
+from types import SimpleNamespace as stub
+
+import pytest
+
+from casadi_engine.deadline import TimeUp
+from casadi_engine.discrepancy import fresh_choice as module
+from casadi_engine.discrepancy.fresh import Judgement
+from casadi_engine.discrepancy.fresh_choice import FreshChoice
+
+WORDS = "{} is left out: more is missing than effects explain, and fresh data do not confirm it by itself"
+
+
+def stations_of(names, events=()):
+    """The model without effects, and one with each further effect."""
+    effects = tuple(stub(label=name, moves=name in events) for name in names)
+    return [
+        stub(fit=f"fit {count}", effects=effects[:count], screened=f"screened {count}")
+        for count in range(len(names) + 1)
+    ]
+
+
+def confirmed(monkeypatch, stations, says, *, missing=True, lost=()):
+    """What is left of the stations, what is said, and which were held against each other.
+
+    says : name of the last effect -> what fresh data say of it; missing : whether more is missing than effects
+    explain; lost : fits that cannot be simulated on the fresh data
+    """
+    asked = []
+
+    def judged(self, old, new, here):
+        asked.append((old, new))
+        return Judgement(None, says[here.effects[-1].label])
+
+    seen = []
+    monkeypatch.setattr(
+        module, "unknown_of", lambda one: seen.append(one) or ("something" if missing else None)
+    )
+    monkeypatch.setattr(FreshChoice, "_on_fresh", lambda self, one: None if one.fit in lost else one.fit)
+    monkeypatch.setattr(FreshChoice, "_judged", judged)
+    said = []
+    found = FreshChoice(None, None, print, said)._each_confirmed(stations)
+    assert all(one in [station.screened for station in stations] for one in seen)
+    return found, said, asked
+
+
+def test_an_effect_that_fresh_data_do_not_confirm_by_itself_is_left_out(monkeypatch):
+    stations = stations_of(["dry", "drag"])
+    found, said, asked = confirmed(monkeypatch, stations, {"drag": False})
+    assert found == stations[:2]
+    assert said == [WORDS.format("drag")]
+    assert asked == [("fit 1", "fit 2")]  # against the structure without it
+
+
+def test_the_last_effects_go_one_by_one_up_to_one_that_is_confirmed(monkeypatch):
+    stations = stations_of(["dry", "drag", "offset", "gain"])
+    says = {"gain": False, "offset": False, "drag": True, "dry": False}
+    found, said, asked = confirmed(monkeypatch, stations, says)
+    assert found == stations[:3]
+    assert said == [WORDS.format("gain"), WORDS.format("offset")]
+    assert asked == [("fit 3", "fit 4"), ("fit 2", "fit 3"), ("fit 1", "fit 2")]
+
+
+def test_the_first_effect_is_held_against_none_elsewhere(monkeypatch):
+    stations = stations_of(["dry", "drag"])
+    found, _, asked = confirmed(monkeypatch, stations, {"drag": False, "dry": False})
+    assert found == stations[:2]
+    assert len(asked) == 1
+    for few in (stations[:1], stations[:2]):
+        assert confirmed(monkeypatch, few, {}) == (few, [], [])
+
+
+def test_where_nothing_more_is_missing_all_of_them_stay(monkeypatch):
+    stations = stations_of(["dry", "drag"])
+    assert confirmed(monkeypatch, stations, {"drag": False}, missing=False) == (stations, [], [])
+
+
+@pytest.mark.parametrize("answer", [True, None])
+def test_what_fresh_data_confirm_or_cannot_tell_of_stays(monkeypatch, answer):
+    stations = stations_of(["dry", "drag"])
+    found, said, asked = confirmed(monkeypatch, stations, {"drag": answer})
+    assert (found, said, len(asked)) == (stations, [], 1)
+
+
+def test_an_event_stays_which_no_other_record_can_confirm(monkeypatch):
+    stations = stations_of(["dry", "load"], events=["load"])
+    assert confirmed(monkeypatch, stations, {"load": False}) == (stations, [], [])
+
+
+@pytest.mark.parametrize("lost", ["fit 1", "fit 2"])
+def test_what_cannot_be_simulated_on_fresh_data_says_nothing(monkeypatch, lost):
+    stations = stations_of(["dry", "drag"])
+    assert confirmed(monkeypatch, stations, {"drag": False}, lost=[lost]) == (stations, [], [])
+
+
+def test_the_stations_that_were_given_stay_as_they_are(monkeypatch):
+    stations = stations_of(["dry", "drag"])
+    confirmed(monkeypatch, stations, {"drag": False})
+    assert len(stations) == 3
+
+
+# ---- weights that the time does not allow
+
+
+def test_weights_that_were_not_all_asked_weigh_nothing(monkeypatch):
+    """What fresh data said of the first structures alone would be held against the others."""
+    null = stub(screened=stub(request=stub(blind=False), choice=stub(scatter=())))
+    asked, unasked = stub(fresh=-12.0), stub(fresh=0.0)
+    search = stub(
+        null=null,
+        pool={"asked": asked, "unasked": unasked},
+        ranked=lambda: iter(["none"]),
+        way=lambda key: [null],
+    )
+
+    def run(self, *, sure):
+        raise TimeUp
+
+    monkeypatch.setattr(module.FreshWeights, "run", run)
+    monkeypatch.setattr(FreshChoice, "_on_fresh", lambda self, one: ["the model without effects there"])
+    monkeypatch.setattr(FreshChoice, "_confirms", lambda self, before: True)
+    said = []
+    found = FreshChoice(search, stub(fresh=("a record",)), print, said)._judged_in_order()
+    assert (asked.fresh, unasked.fresh) == (0.0, 0.0)
+    assert said == ["fresh data weigh no structure against another, as the time was up"]
+    assert found.kept == (null,)
+    assert found.before == ["the model without effects there"]
