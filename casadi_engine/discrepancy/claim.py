@@ -11,6 +11,8 @@ from casadi_engine.discrepancy.confirmation import share_closed
 from casadi_engine.discrepancy.fresh import gap_of
 from casadi_engine.discrepancy.fresh_choice import SEEN, Confirmation
 from casadi_engine.discrepancy.fresh_misfit import HALF
+from casadi_engine.discrepancy.noise_model import NoiseModel
+from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.repaired import FoundEffect, Unknown
 from casadi_engine.discrepancy.selection import effective_samples
 from casadi_engine.discrepancy.station import Station
@@ -40,29 +42,36 @@ class Claim:
 
 def reason_to_withdraw(claim: Claim, null: Station, confirmed: bool) -> Unknown | None:
     """Why the effects found are no answer: they close next to nothing, or less than what they leave, which is no noise,
-    or are errors of sensors, or several that nothing confirms, and leave more than noise; None where they are one."""
+    or are errors of sensors and inputs alone, or several that nothing confirms, and leave more than noise; None where
+    they are one."""
     if not confirmed and not _visible(claim.found):
         return _too_small(claim.found)
-    if claim.unknown is None or not claim.unknown.tests:
-        return None
     noise, proof = claim.last.screened.noise, claim.proof
-    sides = [[null.screened.null], [claim.last.screened.null]]
+    ports = null.fit.model.ports
+    instruments = all(ports[one.at].kind in ("sensor", "input") for one in claim.found)
+    told = claim.unknown is not None and bool(claim.unknown.tests)
+    if not told and not (instruments and noise.colour):
+        return None
+    closed = _closed([null.screened.null], [claim.last.screened.null], noise)
     if confirmed and proof.before and proof.after:  # which show more of it, or as much
-        sides = [[one for _, one in pairs] for pairs in (proof.before, proof.after)]
-    first, then = (gap_of(one, noise) for one in sides)
-    closed = share_closed(first, then, noise.sigma, coloured=True)
+        fresh = _closed([one for _, one in proof.before], [one for _, one in proof.after], noise)
+        closed = fresh if told else min(closed, fresh)
     if closed >= 1 - SEEN:
         return None
     # an offset or a delay bends to what any missing law does, and so do several effects together: these are all that
-    # is wrong, or none of it, unless fresh data have confirmed several
-    ports = null.fit.model.ports
-    sensors = all(ports[one.at].kind == "sensor" for one in claim.found)
-    if closed >= HALF and not sensors and (confirmed or len(claim.found) == 1):
+    # is wrong, or none of it, unless fresh data have confirmed several; of what may be noise, most of it
+    if closed >= HALF and (not instruments or not told) and (confirmed or len(claim.found) == 1):
         return None
     names = " and ".join(f"{one.name} at {one.at}" for one in claim.found)
     more = "not all of it" if closed >= HALF else "less of it than is left"
     words = f"{names} explains the gap best and closes {more}, which is no noise"
-    return replace(claim.unknown, sentence=f"{claim.unknown.sentence}; {words}")
+    unknown = claim.unknown or Unknown("what is left is coloured", {})
+    return replace(unknown, sentence=f"{unknown.sentence}; {words}")
+
+
+def _closed(before: Sequence[NullModel], after: Sequence[NullModel], noise: NoiseModel) -> float:
+    """The share of the gap that is closed, what is coloured counted as gap."""
+    return share_closed(gap_of(before, noise), gap_of(after, noise), noise.sigma, coloured=True)
 
 
 def missing_beside(

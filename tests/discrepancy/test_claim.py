@@ -119,6 +119,24 @@ def test_an_error_of_a_sensor_is_all_that_is_wrong_or_none_of_it(monkeypatch, af
     assert not withdrawn or "closes not all of it" in found.sentence
 
 
+@pytest.mark.parametrize("kind", ["sensor", "input"])
+@pytest.mark.parametrize(
+    ("after", "fresh", "withdrawn"),
+    [(2.9, (20.0, 3.0), True), (1.5, (20.0, 3.0), False), (1.5, (20.0, 19.0), True)],
+)
+def test_an_error_of_an_instrument_leaves_no_more_than_it_closes_that_may_be_noise(
+    monkeypatch, kind, after, fresh, withdrawn
+):
+    """Hysteresis as a sensor that is early, with the rest called coloured: both records have to say so."""
+    claim, null = claimed(monkeypatch, before=3.0, after=after, tests=None, fresh=fresh, kind=kind)
+    claim.last.screened.noise.colour["run", "y"] = object()
+    found = reason_to_withdraw(claim, null, True)
+    assert (found is not None) == withdrawn
+    assert not withdrawn or found.sentence.startswith(
+        "what is left is coloured; drag at load explains the gap"
+    )
+
+
 @pytest.mark.parametrize(
     ("fresh", "confirmed", "withdrawn"),
     [((20.0, 3.0), True, False), ((20.0, 3.0), False, True), ((20.0, 19.0), True, True)],

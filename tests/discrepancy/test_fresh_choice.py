@@ -16,7 +16,7 @@ def stations_of(names, events=()):
     """The model without effects, and one with each further effect."""
     effects = tuple(stub(label=name, moves=name in events) for name in names)
     return [
-        stub(fit=f"fit {count}", effects=effects[:count], screened=f"screened {count}")
+        stub(fit=f"fit {count}", effects=effects[:count], screened=f"screened {count}", lead=None)
         for count in range(len(names) + 1)
     ]
 
@@ -92,6 +92,26 @@ def test_an_event_stays_which_no_other_record_can_confirm(monkeypatch):
 def test_what_cannot_be_simulated_on_fresh_data_says_nothing(monkeypatch, lost):
     stations = stations_of(["dry", "drag"])
     assert confirmed(monkeypatch, stations, {"drag": False}, lost=[lost]) == (stations, [], [])
+
+
+@pytest.mark.parametrize(
+    ("p", "says", "moves", "left"),
+    [
+        (3e-3, False, False, 2),  # chance does as much, and fresh data do not confirm it
+        (1e-5, False, False, 3),
+        (3e-3, True, False, 3),
+        (3e-3, None, False, 3),
+        (3e-3, None, True, 2),  # no other record can confirm an event
+        (1e-5, None, True, 3),
+    ],
+)
+def test_a_further_effect_that_chance_may_make_is_confirmed_or_left_out(monkeypatch, p, says, moves, left):
+    stations = stations_of(["dry", "load"], events=["load"] if moves else [])
+    stations[1].screened, stations[2].lead = stub(alpha=0.01, pooled=lambda number: p), 7
+    found, said, _ = confirmed(monkeypatch, stations, {"load": says}, missing=False)
+    assert found == stations[:left]
+    words = "load is left out: chance may make it, and fresh data do not confirm it by itself"
+    assert said == ([words] if left == 2 else [])
 
 
 def test_the_stations_that_were_given_stay_as_they_are(monkeypatch):
