@@ -114,9 +114,7 @@ class Choice:
         chosen one: what is named first is to be what is most probable, or where that is not told the simplest."""
         for _ in range(AGAIN if self.best else 0):
             now = self.pool[self.best]
-            alike = [
-                t for t in self.pool.values() if len(t.effects) == len(now.effects) and t.beyond > BEYOND
-            ]
+            alike = self._alike(now)
             top = max(alike, key=lambda one: one.log, default=now)
             told = top.log > now.log + 1
             top = top if told else simpler(now, alike, FACTOR)
@@ -142,6 +140,10 @@ class Choice:
         top = max(ready, key=log, default=now)
         if log(top) > log(now) + math.log(FACTOR) and self._station(top) is not None:
             self.best = top.key
+
+    def _alike(self, one: Tried) -> list[Tried]:
+        """The structures of as many effects as one that are findings."""
+        return [t for t in self.pool.values() if len(t.effects) == len(one.effects) and t.beyond > BEYOND]
 
     def _in_two(self) -> None:
         """Let two effects take the place of one where that is more probable, and others in its class know of it."""
@@ -261,6 +263,8 @@ class Choice:
                 tried.append(more)
                 best = more
             best = self._timed("exchange", lambda: self._exchanged(best, here))  # noqa: B023
+            # where that is not told, the simpler one is named in the end: a whole fit of the other is in a flat valley
+            best = simpler(best, self._alike(best), FACTOR)
             self._timed("exchange", lambda: self._again_without(best, here))  # noqa: B023
             here = self.pool[here.key]
             renewed = self._renewed(here)
