@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from casadi_engine.discrepancy.assumed_pressure import is_carried
+from casadi_engine.discrepancy.clocks import clock_of
 from casadi_engine.discrepancy.one_screen import Lines, fitted, in_columns, listed, shortened
 from casadi_engine.discrepancy.repaired import more_probable
 from casadi_engine.discrepancy.verdict_words import headline, next_step, why_withdrawn
@@ -13,7 +14,6 @@ from casadi_engine.discrepancy.wording import (
     LISTED,
     acting_at,
     acts_as,
-    clock,
     first_words,
     held_out,
     in_unit,
@@ -21,6 +21,7 @@ from casadi_engine.discrepancy.wording import (
     si,
     told,
 )
+from casadi_engine.estimation.fit import Estimate
 from casadi_engine.estimation.summary import count, number, short, with_error, wrapped
 from casadi_engine.experiment.units import NOT_STATED
 
@@ -135,10 +136,9 @@ def _effect(one: FoundEffect, repair: Repair, most: int) -> Lines:
     chance = "p < 1e-300" if one.p_value < 1e-300 else f"p = {one.p_value:.2g}"
     share = f"explains {100 * one.share_explained:.0f} % of the gap"
     lines = wrapped(f"  {one.sentence}: z = {one.z:.1f}, {chance}, {share}", "    ")
-    lines += [
-        f"    {name} = {told(e, in_unit(e.unit))}{acts_as(one, name, repair.model)}"
-        for name, e in one.parameters.items()
-    ]
+    for k, (name, found) in enumerate(one.parameters.items()):
+        e, more = clock_of(repair.model).told(found, always=k > 0)
+        lines.append(f"    {name} = {told(e, in_unit(e.unit))}{more}{acts_as(one, name, repair.model)}")
     changed = right_value(one, repair)
     lines += wrapped(f"    {changed}", "      ") if changed else []
     lines += [f"    {one.key}.{name} = {value:.6g} (held)" for name, value in one.constants.items()]
@@ -155,7 +155,7 @@ def _where(repair: Repair) -> list[str]:
     where = repair.where
     if where is None:
         return []
-    words = [f"record {where.record} {clock(repair.model, *where.time)}"]
+    words = [f"record {where.record} {clock_of(repair.model).span(*where.time)}"]
     words += [] if where.cycles is None else [f"cycles {', '.join(map(str, where.cycles[:8]))}"]
     if where.crank_angle is not None:
         low, high = (math.degrees(a) for a in where.crank_angle)
@@ -302,7 +302,9 @@ def _sizes(repair: Repair, told: list[NotFound], most: int) -> Lines:
     alike = [one for one in repair.not_found if one.excluded and one.twin]
     beyond = [one for one in repair.not_found if one.testable and not one.excluded]
     rest = sum(not one.testable for one in repair.not_found)
-    parts = [f"{one.name} at {one.at} {one.smallest_detectable:.2g}{si(one.unit)}" for one in told]
+    sizes = [Estimate(one.smallest_detectable, None, one.unit) for one in told]
+    sizes = [clock_of(repair.model).told(size, always=False)[0] for size in sizes]
+    parts = [f"{one.name} at {one.at} {e.value:.2g}{si(e.unit)}" for one, e in zip(told, sizes, strict=True)]
     parts = listed(parts, most)
     parts += [_not_told_apart(alike)] if alike else []
     parts += [f"no plausible size is excluded of {_listed(beyond)}"] if beyond else []

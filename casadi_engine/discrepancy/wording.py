@@ -9,7 +9,6 @@ import casadi as ca
 from casadi_engine.discrepancy.exchanged_units import exchanges
 from casadi_engine.estimation.summary import BOUND_WORDS, count, number, with_error
 from casadi_engine.experiment.units import NOT_STATED
-from casadi_engine.model.declared_units import seconds_in
 from casadi_engine.model.port_units import is_speed
 
 if TYPE_CHECKING:
@@ -215,11 +214,3 @@ def _other_unit(one: FoundEffect, model: Model) -> str:
             times_large = with_error(factor, error)
             return f"{name} is {times_large} times as large, as numbers in {right} labelled {label} would be"
     return ""
-
-
-def clock(model: Model, first: float, last: float) -> str:
-    """``from 16 to 20.9 h``: a part of a record [s] in the model's unit of time."""
-    unit = seconds_in(model.time_unit)
-    first, last = first / unit, last / unit
-    span = f"from {first:.4g} to {last:.4g}" if first < last else f"at {first:.4g}"
-    return f"{span} {model.time_unit}"

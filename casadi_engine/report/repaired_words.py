@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
+from casadi_engine.discrepancy.clocks import clock_of
 from casadi_engine.discrepancy.confirmation import share_closed
 from casadi_engine.discrepancy.fresh_misfit import fresh_doubt, fresh_misfit
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair
 from casadi_engine.discrepancy.verdict_words import may_hide, next_step, why_withdrawn
 from casadi_engine.discrepancy.wording import (
     acting_at,
-    clock,
     first_words,
     in_unit,
     is_blind,
@@ -81,8 +81,8 @@ def effect_words(effect: FoundEffect, repair: Repair) -> str:
     name = next(iter(effect.parameters)).rpartition(".")[2]
     known = model.ports[effect.at] if effect.at in model.ports.names else None
     name = known.quantity if known is not None and name == "torque" else name
-    size = f"{name} {with_error(effect.amplitude.value, effect.amplitude.stderr)}"
-    size = f"{size}{in_unit(effect.amplitude.unit)}"
+    found, _ = clock_of(model).told(effect.amplitude, always=False)
+    size = f"{name} {with_error(found.value, found.stderr)}{in_unit(found.unit)}"
     changed = right_value(effect, repair)
     return f"{effect.sentence} ({effect.name} at {effect.at}), {changed or size}"
 
@@ -107,7 +107,7 @@ def _where(repair: Repair) -> str:
     place = repair.where
     if place is None:
         return ""
-    words = [f"in {place.record} {clock(repair.model, *place.time)}"]
+    words = [f"in {place.record} {clock_of(repair.model).span(*place.time)}"]
     if place.cycles:
         words.append(f"cycle{'s' if len(place.cycles) > 1 else ''} {_numbers(place.cycles)}")
     if place.crank_angle is not None:
