@@ -8,7 +8,7 @@ from casadi_engine.discrepancy.clocks import clock_of
 from casadi_engine.discrepancy.confirmation import share_closed
 from casadi_engine.discrepancy.fresh_misfit import fresh_doubt, fresh_misfit
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair
-from casadi_engine.discrepancy.verdict_words import may_hide, next_step, why_withdrawn
+from casadi_engine.discrepancy.verdict_words import given_fresh, may_hide, next_step, why_withdrawn
 from casadi_engine.discrepancy.wording import (
     acting_at,
     first_words,
@@ -140,14 +140,18 @@ def _confirmed(repair: Repair) -> str:
     if not repair.effects or gaps is None:
         return ""
     gain = gaps.gain_per_cycle
-    if repair.confirmed is None:
+    if repair.confirmed is None and (gain is None or gain.why or gain.mean is None):
         why = "there are no fresh data" if gain is None or gain.why is None else gain.why
+        if gain is None and given_fresh(repair):
+            why = f"the fresh data that were given ({', '.join(given_fresh(repair))}) were not judged"
         return f"Not confirmed: {why}."
     part = "cycle" if any(one.name == "theta" for one in repair.model.inputs) else "piece"
     kind = "fresh records" if gaps.source == "records" else f"{part}s that were held out"
     size = ""
     if gain is not None and gain.mean is not None and gain.se is not None:
         size = f", gain of chi-squared {gain.mean:.3g} ± {gain.se:.2g} per {part} over {gain.cycles} {part}s"
+    if repair.confirmed is None:
+        return f"Neither confirmed nor refused by {kind}{size}, as said below."
     word = "Confirmed" if repair.confirmed else "Contradicted"
     if not repair.confirmed and gain is not None and gain.mean is not None and gain.mean > 0:
         word = "Not confirmed"

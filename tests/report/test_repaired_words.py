@@ -103,13 +103,37 @@ def test_a_class_names_its_members_and_what_would_split_it(repaired):
 )  # fmt: skip
 def test_what_fresh_data_say(repaired, confirmed, gain, source, words):
     gaps = replace(repaired.gaps, gain_per_cycle=gain, source=source)
-    changed = replace(repaired, confirmed=confirmed, gaps=gaps)
+    fresh = repaired.fresh if source == "records" else ()
+    changed = replace(repaired, confirmed=confirmed, gaps=gaps, fresh=fresh)
     assert words in verdict_lines(changed)
     assert mood(changed) == ("poor" if confirmed is False else "good")
-    if confirmed is None:
+    if confirmed is None and not fresh:
         assert next_step(changed) == (
             "test it on data it has not seen: --validate FILE, or ce.repair(..., fresh=other_record)"
         )
+
+
+def test_fresh_data_that_were_given_and_decide_nothing_are_named_and_not_asked_for(repaired):
+    """A gain beyond chance, and more of the gap left than closed, in colour: neither confirmed nor refused."""
+    words = "what is left of the fresh data is coloured, and more than what was closed"
+    changed = replace(repaired, confirmed=None, messages=(words,))
+    assert next_step(changed) == (
+        "test it on more fresh data: those that were given (normal_1400rpm) neither confirm nor refuse it, as the "
+        "notes say"
+    )
+    said = verdict_lines(changed)
+    assert (
+        "Neither confirmed nor refused by fresh records, gain of chi-squared 339 ± 36 per cycle over 10 cycles, as "
+        "said below."
+    ) in said
+    assert "there are no fresh data" not in " ".join(said)
+    lost = replace(changed, gaps=replace(changed.gaps, gain_per_cycle=None))
+    assert "Not confirmed: the fresh data that were given (normal_1400rpm) were not judged." in verdict_lines(
+        lost
+    )
+    # what was held out of the data was not given
+    held = replace(changed, fresh=changed.data, gaps=replace(changed.gaps, source="cycles"))
+    assert next_step(held).startswith("test it on data it has not seen: ")
 
 
 def test_more_than_the_effects_explain_is_said(repaired, unnamed):
