@@ -9,7 +9,7 @@ from casadi_engine.discrepancy.assumed_pressure import is_carried
 from casadi_engine.discrepancy.clocks import clock_of
 from casadi_engine.discrepancy.one_screen import Lines, fitted, in_columns, listed, shortened
 from casadi_engine.discrepancy.repaired import more_probable
-from casadi_engine.discrepancy.verdict_words import headline, next_step, why_withdrawn
+from casadi_engine.discrepancy.verdict_words import headline, next_step
 from casadi_engine.discrepancy.wording import (
     LISTED,
     acting_at,
@@ -121,10 +121,9 @@ def _found(repair: Repair) -> list[Lines]:
 
 def _found_lines(repair: Repair, most: int) -> Lines:
     lines: list[str] = []
-    for title, effects in (
-        ("Found", repair.effects),
-        (f"Withdrawn: {why_withdrawn(repair)}", repair.withdrawn),
-    ):
+    gone = dict.fromkeys(one.why_withdrawn for one in repair.withdrawn)
+    titles = {f"Withdrawn: {why}": [e for e in repair.withdrawn if e.why_withdrawn == why] for why in gone}
+    for title, effects in {"Found": repair.effects, **titles}.items():
         if effects:
             lines += [title]
         for one in effects:

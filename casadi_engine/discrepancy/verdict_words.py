@@ -214,13 +214,3 @@ def _of_class(repair: Repair) -> str:
         alike = f"{', '.join(names[:-1])} and {names[-1]} are one and the same in data of this kind"
         return f"{alike} (correlation 1 or -1), and {tried}: {choose}"
     return f"{tried}; a record of another kind may, or {choose}"
-
-
-def why_withdrawn(repair: Repair) -> str:
-    """Why effects that were found are no answer."""
-    if more_probable(repair.unknown) and not repair.effects:
-        return "less probable than an unknown law"
-    said = "" if repair.unknown is None else repair.unknown.sentence
-    if "closes" in said and all(f"{one.name} at {one.at}" in said for one in repair.withdrawn):
-        return "closing too little of the gap"
-    return "contradicted by fresh data"

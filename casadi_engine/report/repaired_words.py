@@ -8,7 +8,7 @@ from casadi_engine.discrepancy.clocks import clock_of
 from casadi_engine.discrepancy.confirmation import share_closed
 from casadi_engine.discrepancy.fresh_misfit import fresh_doubt, fresh_misfit
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair
-from casadi_engine.discrepancy.verdict_words import given_fresh, may_hide, next_step, why_withdrawn
+from casadi_engine.discrepancy.verdict_words import given_fresh, may_hide, next_step
 from casadi_engine.discrepancy.wording import (
     acting_at,
     first_words,
@@ -37,8 +37,9 @@ def verdict_lines(repair: Repair) -> list[str]:
     moved = moved_parameters(repair)
     if moved:
         lines.append(f"Without it the model had these wrong: {moved}.")
-    why = why_withdrawn(repair)
-    lines += [f"Found first and withdrawn, {why}: {one.name} at {one.at}." for one in repair.withdrawn]
+    lines += [
+        f"Found first and withdrawn, {one.why_withdrawn}: {one.name} at {one.at}." for one in repair.withdrawn
+    ]
     lines += [_sentence(text) for text in repair.messages]
     lines.append(f"Next: {next_step(repair)}.")
     return [line for line in lines if line]
@@ -152,9 +153,9 @@ def _confirmed(repair: Repair) -> str:
         size = f", gain of chi-squared {gain.mean:.3g} ± {gain.se:.2g} per {part} over {gain.cycles} {part}s"
     if repair.confirmed is None:
         return f"Neither confirmed nor refused by {kind}{size}, as said below."
-    word = "Confirmed" if repair.confirmed else "Contradicted"
-    if not repair.confirmed and gain is not None and gain.mean is not None and gain.mean > 0:
-        word = "Not confirmed"
+    word = "Confirmed" if repair.confirmed else "Not confirmed"
+    if not repair.confirmed and gain is not None and gain.refused:
+        word = "Contradicted"
     return f"{word} by {kind}{size}."
 
 
