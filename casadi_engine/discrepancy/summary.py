@@ -20,6 +20,7 @@ from casadi_engine.discrepancy.wording import (
     right_value,
     si,
     told,
+    why_leads,
 )
 from casadi_engine.estimation.fit import Estimate
 from casadi_engine.estimation.summary import count, number, short, with_error, wrapped
@@ -146,7 +147,7 @@ def _effect(one: FoundEffect, repair: Repair, most: int) -> Lines:
         text = ", ".join(listed(others, most))
         own = f"{100 * one.members[0].probability:.0f} %"
         words = f"    probability {own}; not excluded in its place (probability, correlation with it): {text}"
-        lines += wrapped(words, "      ")
+        lines += wrapped(f"{words}; {why_leads(one)}" if why_leads(one) else words, "      ")
     return lines
 
 

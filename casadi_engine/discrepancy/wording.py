@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -141,6 +142,19 @@ def held_out(repair: Repair) -> str:
 def twins(one: FoundEffect) -> tuple[Member, ...]:
     """The members of a class that act as its lead does in these data, but for their size and sign."""
     return tuple(m for m in one.members[1:] if abs(m.rho) > _TWINS and not m.more)
+
+
+def why_leads(one: FoundEffect) -> str:
+    """Why a class is led by one that is not its most probable member; "" where it is."""
+    own, most = one.members[0].probability, max(m.probability for m in one.members)
+    if own >= most:
+        return ""
+    if own > most / math.e:
+        return "within a factor of e the data tell none apart: the simplest leads, or the one found first"
+    return (
+        "what is more probable does not lead where its fit did not end, its size is within its errors, or fresh data "
+        "refuse it"
+    )
 
 
 def what_acts(model: Model, port: str) -> tuple[str, str]:

@@ -16,6 +16,7 @@ from casadi_engine.discrepancy.wording import (
     is_blind,
     names_own_law,
     right_value,
+    why_leads,
 )
 from casadi_engine.estimation.summary import number, with_error
 from casadi_engine.report.panels import half_width
@@ -90,6 +91,8 @@ def effect_words(effect: FoundEffect, repair: Repair) -> str:
 
 def _class(effect: FoundEffect) -> str:
     others = ", ".join(f"{one.label} ({100 * one.probability:.2g} %)" for one in effect.members)
+    why = why_leads(effect)
+    others += f"; {why}" if why else ""
     return f"These data do not tell apart {len(effect.members)} effects that explain it as well: {others}."
 
 

@@ -412,3 +412,24 @@ def test_effects_that_were_withdrawn_for_other_reasons_stand_apart(repaired):
         "Withdrawn: contradicted by fresh data",
         "Withdrawn: not confirmed by fresh data",
     ]
+
+
+@pytest.mark.parametrize(
+    ("lead", "words"),
+    [
+        (0.7, ""),
+        (0.4, "within a factor of e the data tell none apart: the simplest leads, or the one found first"),
+        (
+            0.1,
+            "what is more probable does not lead where its fit did not end, its size is within its errors, or",
+        ),
+    ],
+)
+def test_a_lead_that_is_not_the_most_probable_is_explained(repaired, lead, words):
+    members = (
+        Member("coulomb_friction", "coupling", 1.0, lead),
+        Member("backlash", "coupling", 0.98, 1 - lead),
+    )
+    changed = replace(repaired, verdict="class", effects=(replace(repaired.effects[0], members=members),))
+    for text in (" ".join(str(changed).split()), verdict_lines(changed)[1]):
+        assert (f"; {words}" in text) if words else " lead" not in text
