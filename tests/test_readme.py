@@ -2,9 +2,14 @@
 
 import os
 import re
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
+
+from casadi_engine.discrepancy.confirmation import Gap
+from casadi_engine.discrepancy.repaired import FoundEffect, Gaps, Member, NotFound, Repair, Side, Unknown
+from casadi_engine.estimation import Estimate
 
 ROOT = Path(__file__).resolve().parents[1]
 BLOCKS = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
@@ -22,3 +27,20 @@ def test_block(number, tmp_path, monkeypatch, capsys):
 
 def test_there_are_blocks():
     assert len(BLOCKS) >= 2
+
+
+def test_the_table_of_a_repair_names_what_there_is():
+    """Every name in code of the table's first column is one of the answer's, of its parts, or of an estimate."""
+    known = {"found", "name", "output"}
+    for part in (Repair, FoundEffect, Member, Unknown, NotFound, Gaps, Side, Gap, Estimate):
+        known |= {one.name for one in fields(part)} | {name for name in dir(part) if name[0] != "_"}
+    table = (
+        (ROOT / "README.md").read_text(encoding="utf-8").partition("| in Python |")[2].partition("\n\n")[0]
+    )
+    rows = [row.split("|")[1] for row in table.splitlines() if row.startswith("| `")]
+    assert len(rows) == 10
+    names = [
+        name for row in rows for text in re.findall(r"`(.*?)`", row) for name in re.findall(r"[a-z]\w+", text)
+    ]
+    assert len(names) > 25
+    assert set(names) <= known, set(names) - known

@@ -47,6 +47,10 @@ from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.refits import key_of
 from casadi_engine.discrepancy.repaired import (
+    BEHIND_LAW,
+    REFUSED,
+    TOO_LITTLE,
+    UNCONFIRMED,
     FoundEffect,
     Gaps,
     NextExperiment,
@@ -138,7 +142,7 @@ class Answer:
         claim = Claim(proof, last, found, withdrawn, unknown)
         sure = proof.judgement is not None and bool(proof.judgement.confirmed)
         doubt = reason_to_withdraw(claim, null, sure) if found else None
-        return claim if doubt is None else claim.withdrawn_for(doubt, null)
+        return claim if doubt is None else claim.withdrawn_for(doubt, null, TOO_LITTLE)
 
     def _held_to_laws(self, claim: Claim, null: Station) -> Claim:
         """What is left where laws that no effect names are held against what is claimed."""
@@ -158,7 +162,9 @@ class Answer:
         claim = replace(claim, unknown=rival if law.log >= 0 or unknown is None else unknown)
         judged = claim.proof.judgement  # what fresh data deny is no name for the law that is more probable
         denied = judged is not None and judged.confirmed is False and law.log >= math.log(FACTOR)
-        return claim.withdrawn_for(claim.unknown, null) if law.excludes or denied else claim
+        if law.excludes or denied:
+            return claim.withdrawn_for(claim.unknown, null, BEHIND_LAW)
+        return claim
 
     def _finished(self, blank: Repair, null: Station, last: Station, proof: Confirmation) -> Repair:
         screened = null.screened
@@ -355,7 +361,8 @@ def _effects(proof: Confirmation) -> tuple[tuple[FoundEffect, ...], tuple[FoundE
         return found, ()
     known = {one.key for one in found}
     everything = found_effects((proof.kept[0], *proof.refused))
-    return found, tuple(one for one in everything if one.key not in known)
+    why = REFUSED if proof.denied else UNCONFIRMED
+    return found, tuple(replace(one, why_withdrawn=why) for one in everything if one.key not in known)
 
 
 def _verdict(found: Sequence[FoundEffect], unknown: Unknown | None) -> Verdict:

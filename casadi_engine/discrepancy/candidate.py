@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from casadi_engine.discrepancy.clocks import clock_of
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.errors import EffectError
 from casadi_engine.model.term import NotApplicable
@@ -51,9 +52,17 @@ class Candidate:
     @property
     def label(self) -> str:
         """``effect at port (nuisance)``."""
-        inside = [f"{name} {value:.4g}" for name, value in self.nuisance.items()]
+        inside = [f"{name} {self._told(name, value)}" for name, value in self.nuisance.items()]
         inside += [] if self.size is None else [f"size {self.size:.4g}"]
         return f"{self.effect} at {self.port}" + (f" ({', '.join(inside)})" if inside else "")
+
+    def _told(self, name: str, value: float) -> str:
+        """A value of the grid; times in the model's own unit where that is none of seconds."""
+        grid = None if self.source is None else self.source.effect.nuisance.get(name)
+        if grid is None or grid.over != "time" or self.source.model.time_unit == "s":
+            return f"{value:.4g}"
+        clock = clock_of(self.source.model)
+        return f"{clock.of(value):.4g} {clock.unit}"
 
 
 def with_finite_columns(

@@ -34,10 +34,11 @@ class Claim:
     withdrawn: tuple[FoundEffect, ...]
     unknown: Unknown | None
 
-    def withdrawn_for(self, unknown: Unknown | None, null: Station) -> Claim:
+    def withdrawn_for(self, unknown: Unknown | None, null: Station, why: str) -> Claim:
         """Without any effect: something else is missing."""
+        gone = [replace(one, why_withdrawn=why) for one in self.found]
         proof = replace(self.proof, kept=self.proof.kept[:1], after=self.proof.before)
-        return Claim(proof, null, (), (*self.found, *self.withdrawn), unknown)
+        return Claim(proof, null, (), (*gone, *self.withdrawn), unknown)
 
 
 def reason_to_withdraw(claim: Claim, null: Station, confirmed: bool) -> Unknown | None:

@@ -32,13 +32,17 @@ Pairs = list[tuple[Fit, NullModel]]
 
 @dataclass(frozen=True, eq=False)
 class Confirmation:
-    """The stations that fresh data leave, the ones they refuse, what they say, and null and last model on them."""
+    """The stations that fresh data leave, the ones they refuse, what they say, and null and last model on them.
+
+    denied : False where those of ``refused`` are not confirmed, and not contradicted either
+    """
 
     kept: tuple[Station, ...]
     refused: tuple[Station, ...]
     judgement: Judgement | None
     before: Pairs = field(default_factory=list)
     after: Pairs = field(default_factory=list)
+    denied: bool = False
 
 
 @dataclass
@@ -55,6 +59,7 @@ class FreshChoice:
     messages: list[str]
     work: float = math.inf
     _costly: bool = field(default=False, init=False)
+    _denied: bool = field(default=False, init=False)
     _known: dict[Fit, Pairs | None] = field(default_factory=dict, init=False)
 
     def run(self) -> Confirmation:
@@ -109,6 +114,7 @@ class FreshChoice:
                 if not judged.confirmed and judged.why:
                     self.messages.append(judged.why)
                 return self._kept(stations, first, before, judged, after)
+            self._denied = True
             self.messages.append(f"{search.pool[key].label}: {judged.why}")
         if blind is not None:
             self.messages += [] if self._costly else [NO_RUN]
@@ -144,8 +150,8 @@ class FreshChoice:
             return False
         return bool(self._of_structure(stations, before)[0].confirmed)
 
-    @staticmethod
     def _kept(
+        self,
         stations: list[Station],
         first: list[Station],
         before: Pairs | None,
@@ -157,7 +163,12 @@ class FreshChoice:
         if judged is None and before is not None:
             judged = Judgement(None, None)
         return Confirmation(
-            tuple(stations), refused, judged, before or [], after or (before if same else []) or []
+            tuple(stations),
+            refused,
+            judged,
+            before or [],
+            after or (before if same else []) or [],
+            self._denied,
         )
 
     def _on_fresh(self, station: Station) -> Pairs | None:

@@ -14,6 +14,7 @@ import numpy as np
 from casadi_engine.deadline import TimeUp, unmetered
 from casadi_engine.discrepancy.assumed_pressure import SCATTER, is_carried, with_priors
 from casadi_engine.discrepancy.candidate import Candidate
+from casadi_engine.discrepancy.clocks import clock_of
 from casadi_engine.discrepancy.event_times import finer_candidates
 from casadi_engine.discrepancy.events import place_of_event
 from casadi_engine.discrepancy.fresh import Portions
@@ -265,7 +266,7 @@ def events_told(sides: Sequence[tuple[Fit, NullModel]], fit: Fit) -> list[str]:
             free = [name for name in held.free if name.partition("@")[0].startswith(f"{one.key}.")]
             times = [name for name in free if name.partition("@")[0] != one.amplitude]
             if times:
-                words = ", ".join(f"{held.values[name]:.4g} s" for name in times)
+                words = ", ".join(clock_of(fit.model).instant(held.values[name]) for name in times)
                 said.append(f"{one.key} was found in {record.name} too, at {words}")
             elif held.values_for(record.name)[one.amplitude] == 0:
                 said.append(f"{one.key} does not happen in {record.name}")

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from casadi_engine.discrepancy.confirmation import share_closed
-from casadi_engine.discrepancy.repaired import Unknown
+from casadi_engine.discrepancy.repaired import REFUSED, UNCONFIRMED, Unknown
 from casadi_engine.distributions import f_sf
 
 if TYPE_CHECKING:
@@ -171,12 +171,18 @@ def held_to_fresh_data(repair: Repair) -> Repair:
         confirmed=None,
         fit=null,
         effects=(),
-        withdrawn=(*held.effects, *held.withdrawn),
+        withdrawn=(*[replace(e, why_withdrawn=_why(held)) for e in held.effects], *held.withdrawn),
         unknown=held.unknown or Unknown(words, {one.key: one.p_value for one in held.effects}),
         gaps=replace(gaps, estimation_after=gaps.estimation_before, validation_after=gaps.validation_before),
         equation=None,
         next_experiment=None,
     )
+
+
+def _why(repair: Repair) -> str:
+    """Why effects are withdrawn that fresh data do not confirm: only a loss beyond chance contradicts them."""
+    gain = None if repair.gaps is None else repair.gaps.gain_per_cycle
+    return REFUSED if gain is not None and gain.refused else UNCONFIRMED
 
 
 def _held(repair: Repair) -> Repair:

@@ -18,6 +18,7 @@ from casadi_engine.discrepancy.choice import Choice
 from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.families import BEYOND
 from casadi_engine.discrepancy.fresh_misfit import LARGER
+from casadi_engine.discrepancy.membership import simpler
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.parameter_doubt import doubted, left_within_errors, log_foretold
 from casadi_engine.discrepancy.path import FAILURES
@@ -30,8 +31,6 @@ _MOST = 6
 # Where fresh data do not confirm the most probable structure, those that the data of the search make so many times as
 # improbable, in logarithms, as is usually enough to exclude one (1 of 8000) are asked too.
 _WIDER = 3
-# Log probability by which another structure has to be ahead to take the place of the chosen one.
-_AHEAD = 1.0
 Pairs = list[tuple[Fit, NullModel]]
 
 
@@ -128,8 +127,9 @@ class FreshWeights:
                 search.pool[key].fresh = 0.0
             return
         best = max((search.pool[key] for key in asked), key=lambda t: t.log)
-        ahead = _AHEAD if now.effects else self._wanted
-        if best is not now and best.log > now.log + ahead:
+        if now.effects:  # all of them are fitted: of those that are not told apart the simplest costs nothing
+            search.best = simpler(best, [search.pool[key] for key in asked], FACTOR).key
+        elif best.log > now.log + self._wanted:
             search.best = best.key
         top = search.pool[search.best]
         for key in asked:

@@ -16,6 +16,8 @@ from casadi_engine.discrepancy.station import Station
 Key = frozenset[tuple[str, str]]
 # Difference of log evidence that tells nothing: there the simpler one is named first.
 _TIE = 1.0
+# Standard errors of an amplitude below which a refit has left nothing of an effect.
+_NOTHING = 0.01
 
 
 def simpler(now: Any, alike: Sequence[Any], factor: float) -> Any:
@@ -85,11 +87,15 @@ def class_of(
 ) -> tuple[Member, ...]:
     """The effects that are not excluded in the place of one of a structure, with their probabilities, itself first.
 
-    Two effects may stand in the place of it, and one in the place of it and another; price : of one effect more
+    Two effects may stand in the place of it, and one in the place of it and another; price : of one effect more. An
+    effect of which its refit has left nothing explains nothing in its place.
     """
     own = one.candidate.key
     rest = key - {own}
-    known = {other: float(found.log) for other, found in pool.items() if found.log > -math.inf}
+    known = {
+        other: float(found.log) for other, found in pool.items()
+        if found.log > -math.inf and (other <= key or found.beyond > _NOTHING)
+    }  # fmt: skip
     logs = {
         (next(iter(other - rest)), ""): log
         for other, log in known.items()

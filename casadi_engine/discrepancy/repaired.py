@@ -23,6 +23,9 @@ from casadi_engine.parameters import Parameters
 
 Array = NDArray[np.float64]
 Verdict = Literal["named", "class", "unnamed", "nothing missing"]
+# Why effects that were found are no answer.
+REFUSED, UNCONFIRMED = "contradicted by fresh data", "not confirmed by fresh data"
+TOO_LITTLE, BEHIND_LAW = "closing too little of the gap", "less probable than an unknown law"
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,7 @@ class FoundEffect:
     selection_frequency : share of half-samples of the cycles in which it scores best; None for too few cycles
     members : its class, the lead first, alone where the data name it
     course : record -> (2, K) times [s] and its value, torque [N m] where it is one, along the repaired model
+    why_withdrawn : why it is no part of the answer; "" where it is
     """
 
     name: str
@@ -73,6 +77,7 @@ class FoundEffect:
     selection_frequency: float | None
     members: tuple[Member, ...]
     course: Mapping[str, Array] = field(default_factory=dict)
+    why_withdrawn: str = ""
 
     @property
     def key(self) -> str:

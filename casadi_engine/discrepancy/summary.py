@@ -6,21 +6,24 @@ import math
 from typing import TYPE_CHECKING
 
 from casadi_engine.discrepancy.assumed_pressure import is_carried
+from casadi_engine.discrepancy.clocks import clock_of
+from casadi_engine.discrepancy.one_screen import Lines, fitted, in_columns, listed, shortened
 from casadi_engine.discrepancy.repaired import more_probable
-from casadi_engine.discrepancy.verdict_words import headline, next_step, why_withdrawn
+from casadi_engine.discrepancy.verdict_words import headline, next_step
 from casadi_engine.discrepancy.wording import (
     LISTED,
     acting_at,
     acts_as,
-    clock,
     first_words,
     held_out,
     in_unit,
     right_value,
     si,
     told,
+    why_leads,
 )
-from casadi_engine.estimation.summary import count, number, with_error, wrapped
+from casadi_engine.estimation.fit import Estimate
+from casadi_engine.estimation.summary import count, number, short, with_error, wrapped
 from casadi_engine.experiment.units import NOT_STATED
 
 if TYPE_CHECKING:
@@ -30,33 +33,61 @@ LINES = 45
 # Change of a level that is said.
 _OTHER = 0.05
 _SHIFTS, _TERMS, _NOTES = 6, 4, 3
-# Lines of one equation that are shown; effects named of which nothing is excluded.
-_LONG, _NAMED = 4, 3
+# Lines of one equation that are shown; effects named of which nothing is excluded; columns of a parameter's and of an
+# output's name.
+_LONG, _NAMED, _WIDE, _OUTPUT = 4, 3, 20, 18
+# What gives way on a full screen, in this order: parts, and how many of their shorter forms are left to be told later.
+_GIVES_WAY = (
+    ("not applicable", 0), ("notes", 2), ("not found", 0), ("equation", 2), ("shifts", 2), ("found", 1), ("notes", 1),
+    ("equation", 0), ("shifts", 0), ("tested", 0), ("gap", 0), ("found", 0), ("notes", 0),
+)  # fmt: skip
 
 
 def summary(repair: Repair) -> str:
-    """Return a repair as text of at most 45 lines and 100 columns, the next step last."""
-    lines = wrapped(f"Repair of {repair.model.name}: {headline(repair)}", "  ")
-    lines += [line for words in first_words(repair) for line in wrapped(words, "  ")]
-    lines += _tested(repair)
+    """Return a repair as text of at most 45 lines and 100 columns, the next step last.
+
+    Where it is more, whole items are left out and counted; what no shorter form says less of stays, line by line.
+    """
+    head = wrapped(f"Repair of {repair.model.name}: {headline(repair)}", "  ")
+    head += [line for words in first_words(repair) for line in wrapped(words, "  ")]
+    parts = {"head": [head], "tested": _tested(repair)}
     if repair.verdict is not None:
-        lines += [*_found(repair), *_where(repair), *_unknown(repair), *_gap(repair)]
-        lines += [*_shifts(repair), *_equation(repair), *_not_found(repair)]
-        lines += _not_applicable(repair)
-    notes = [line for note in repair.messages[:_NOTES] for line in wrapped(f"Note: {note}", "      ")]
-    last = wrapped(f"Next: {next_step(repair)}", "      ")
-    kept = lines[: LINES - len(last) - min(len(notes), 6)]
-    return "\n".join(line.rstrip()[:100] for line in [*kept, *notes[:6], *last])
+        parts |= {
+            "found": _found(repair), "where": [[*_where(repair), *_unknown(repair)]], "gap": _gap(repair),
+            "shifts": _shifts(repair), "equation": _equation(repair), "not found": _not_found(repair),
+            "not applicable": _not_applicable(repair),
+        }  # fmt: skip
+    parts["notes"] = _notes(repair)
+    parts["next"] = [wrapped(f"Next: {next_step(repair)}", "      ")]
+    parts = {name: [in_columns(form) for form in forms] for name, forms in parts.items()}
+    order = [(name, left) for name, left in _GIVES_WAY if name in parts]
+    return "\n".join(fitted(parts, order, LINES))
 
 
-def _tested(repair: Repair) -> list[str]:
+def _notes(repair: Repair) -> list[Lines]:
+    """What the user should know, the first notes first."""
+
+    def form(most: int) -> Lines:
+        rest = len(repair.messages) - most
+        more = [f"Note: {count(rest)} more in repair.messages"] if rest > 0 else []
+        return [line for n in repair.messages[:most] for line in wrapped(f"Note: {n}", "      ")] + more
+
+    return [form(k) for k in range(min(len(repair.messages), _NOTES), -1, -1)]
+
+
+def _tested(repair: Repair) -> list[Lines]:
+    """Data, noise and number of tests; fewer of many outputs."""
+    noise = [] if repair.noise is None else _noise(repair)
+    return shortened(lambda most: _tested_lines(repair, listed(noise, most)), len(noise), 6, 3, 1)
+
+
+def _tested_lines(repair: Repair, noise: list[str]) -> Lines:
     names = ", ".join(record.name for record in repair.data)
     fresh = ", ".join(record.name for record in repair.fresh)
     within = {record.name for record in repair.data}
     kind = f" ({held_out(repair)} held out)" if within.intersection(r.name for r in repair.fresh) else ""
     lines = [f"  data       {names}; fresh: {fresh or 'none'}{kind if fresh else ''}"]
-    if repair.noise is not None:
-        lines += wrapped(f"  noise      {'; '.join(_noise(repair))}", "             ")
+    lines += wrapped(f"  noise      {'; '.join(noise)}", "             ") if noise else []
     if repair.threshold is not None:
         rate = f"false alarms {100 * repair.alpha:.3g} % over all tests"
         limit = f", |z| > {repair.threshold:.2f}" if repair.candidates else ""
@@ -83,35 +114,40 @@ def _noise(repair: Repair) -> list[str]:
     return words + [f"{kind} scatters by {100 * tau:.2g} %" for kind, tau in repair.noise.scatter.items()]
 
 
-def _found(repair: Repair) -> list[str]:
+def _found(repair: Repair) -> list[Lines]:
+    """Effects found and withdrawn; fewer members of large classes."""
+    classes = [len(one.members) - 1 for one in (*repair.effects, *repair.withdrawn)]
+    return shortened(lambda most: _found_lines(repair, most), max(classes, default=0), 6, 3, 1)
+
+
+def _found_lines(repair: Repair, most: int) -> Lines:
     lines: list[str] = []
-    for title, effects in (
-        ("Found", repair.effects),
-        (f"Withdrawn: {why_withdrawn(repair)}", repair.withdrawn),
-    ):
+    gone = dict.fromkeys(one.why_withdrawn for one in repair.withdrawn)
+    titles = {f"Withdrawn: {why}": [e for e in repair.withdrawn if e.why_withdrawn == why] for why in gone}
+    for title, effects in {"Found": repair.effects, **titles}.items():
         if effects:
             lines += [title]
         for one in effects:
-            lines += _effect(one, repair)
+            lines += _effect(one, repair, most)
     return lines
 
 
-def _effect(one: FoundEffect, repair: Repair) -> list[str]:
+def _effect(one: FoundEffect, repair: Repair, most: int) -> Lines:
     chance = "p < 1e-300" if one.p_value < 1e-300 else f"p = {one.p_value:.2g}"
     share = f"explains {100 * one.share_explained:.0f} % of the gap"
     lines = wrapped(f"  {one.sentence}: z = {one.z:.1f}, {chance}, {share}", "    ")
-    lines += [
-        f"    {name} = {told(e, in_unit(e.unit))}{acts_as(one, name, repair.model)}"
-        for name, e in one.parameters.items()
-    ]
+    for k, (name, found) in enumerate(one.parameters.items()):
+        e, more = clock_of(repair.model).told(found, always=k > 0)
+        lines.append(f"    {name} = {told(e, in_unit(e.unit))}{more}{acts_as(one, name, repair.model)}")
     changed = right_value(one, repair)
-    lines += [f"    {changed}"] if changed else []
+    lines += wrapped(f"    {changed}", "      ") if changed else []
     lines += [f"    {one.key}.{name} = {value:.6g} (held)" for name, value in one.constants.items()]
     if len(one.members) > 1:
-        text = ", ".join(f"{m.label} ({100 * m.probability:.0f} %, {m.rho:+.3f})" for m in one.members[1:])
+        others = [f"{m.label} ({100 * m.probability:.0f} %, {m.rho:+.3f})" for m in one.members[1:]]
+        text = ", ".join(listed(others, most))
         own = f"{100 * one.members[0].probability:.0f} %"
         words = f"    probability {own}; not excluded in its place (probability, correlation with it): {text}"
-        lines += wrapped(words, "      ")
+        lines += wrapped(f"{words}; {why_leads(one)}" if why_leads(one) else words, "      ")
     return lines
 
 
@@ -119,7 +155,7 @@ def _where(repair: Repair) -> list[str]:
     where = repair.where
     if where is None:
         return []
-    words = [f"record {where.record} {clock(repair.model, *where.time)}"]
+    words = [f"record {where.record} {clock_of(repair.model).span(*where.time)}"]
     words += [] if where.cycles is None else [f"cycles {', '.join(map(str, where.cycles[:8]))}"]
     if where.crank_angle is not None:
         low, high = (math.degrees(a) for a in where.crank_angle)
@@ -141,15 +177,23 @@ def _unknown(repair: Repair) -> list[str]:
     return wrapped(f"{head}: {repair.unknown.sentence}" + (f" ({tests})" if tests else ""), "  ")
 
 
-def _gap(repair: Repair) -> list[str]:
+def _gap(repair: Repair) -> list[Lines]:
+    """The gap before and after; of many outputs the first ones."""
+    outputs = 0 if repair.gaps is None else len(repair.gaps.estimation_before.gap.rmse)
+    return shortened(lambda most: _gap_lines(repair, most), outputs, 6, 3, 1) if outputs else []
+
+
+def _gap_lines(repair: Repair, most: int) -> Lines:
     gaps = repair.gaps
-    if gaps is None:
-        return []
+    assert gaps is not None
     heads = ("sigma", "rmse", "after", "fit %", "after", "chi2/N", "after")
-    lines = [f"{'Gap':<12}{'output':<12}" + "".join(f"{head:>10}" for head in heads)]
-    lines += _gap_rows("found on", repair, gaps.estimation_before, gaps.estimation_after)
+    width = min(max([11, *(len(name) for name in gaps.estimation_before.gap.rmse)]), _OUTPUT - 1) + 1
+    lines = [f"{'Gap':<12}{'output':<{width}}" + "".join(f"{head:>10}" for head in heads)]
+    lines += _gap_rows("found on", repair, gaps.estimation_before, gaps.estimation_after, most, width)
     if gaps.validation_before is not None and gaps.validation_after is not None:
-        lines += _gap_rows("fresh", repair, gaps.validation_before, gaps.validation_after)
+        lines += _gap_rows("fresh", repair, gaps.validation_before, gaps.validation_after, most, width)
+    rest = len(gaps.estimation_before.gap.rmse) - most
+    lines += [f"  and {count(rest)} more outputs in repair.gaps"] if rest > 0 else []
     lines += wrapped(f"  {noise_of_chi2(repair)}", "    ") if noise_of_chi2(repair) else []
     gain = gaps.gain_per_cycle
     if gain is not None and gain.mean is not None:
@@ -185,60 +229,90 @@ def noise_of_chi2(repair: Repair) -> str:
     return f"chi2/N counts by {' and '.join(what)}: judge the gap by rmse beside sigma" if what else ""
 
 
-def _gap_rows(title: str, repair: Repair, before: Side, after: Side) -> list[str]:
+def _gap_rows(title: str, repair: Repair, before: Side, after: Side, most: int, width: int) -> Lines:
     lines, sigma = [], levels(repair)
-    for k, output in enumerate(before.gap.rmse):
+    for k, output in enumerate(list(before.gap.rmse)[:most]):
         old, new = before.gap, after.gap
         chi2 = f"{old.chi2_per_sample:>10.4g}{new.chi2_per_sample:>10.4g}" if k == 0 else ""
         lines.append(
-            f"  {title if k == 0 else '':<10}{output:<12}{number(sigma.get(output), '.4g'):>10}"
+            f"  {title if k == 0 else '':<10}{short(output, width - 1):<{width}}{number(sigma.get(output), '.4g'):>10}"
             f"{old.rmse[output]:>10.4g}{new.rmse[output]:>10.4g}"
             f"{old.fit_percent[output]:>10.3f}{new.fit_percent[output]:>10.3f}{chi2}"
         )
     return lines
 
 
-def _shifts(repair: Repair) -> list[str]:
+def _shifts(repair: Repair) -> list[Lines]:
+    """Parameters without the effects and with them, those that moved most first."""
     if not repair.effects:
         return []
     old, new = repair.null_fit, repair.fit
     names = [name for name in old.free if name in new.estimates and not is_carried(name)]
     size = {n: abs(new.values[n] - old.values[n]) / max(old.stderr.get(n) or math.inf, 1e-300) for n in names}
-    lines = [f"{'Parameters':<20}{'without':>22}{'with':>22}"]
-    for name in sorted(names, key=lambda n: -size[n])[:_SHIFTS]:
+    lines = [f"{'Parameters':<{_WIDE}}{'without':>22}{'with':>22}"]
+    for name in sorted(names, key=lambda n: -size[n]):
         before, after = old.estimates[name], new.estimates[name]
-        lines.append(f"  {name:<18} {told(before):>21} {told(after):>21}{si(after.unit)}")
-    return lines
+        lines.append(f"  {name:<{_WIDE - 2}} {told(before):>21} {told(after):>21}{si(after.unit)}")
+
+    def form(most: int) -> Lines:
+        rest = f"{count(len(names) - most)} more: print(repair.fit)" if len(names) > most else ""
+        if most == 0:  # a head alone says nothing
+            return [f"Parameters: {count(len(names))}, in print(repair.fit)"]
+        return lines[: most + 1] + ([f"  and {rest}"] if rest else [])
+
+    return [form(k) for k in range(min(len(names), _SHIFTS), -1, -1)] if names else []
 
 
-def _equation(repair: Repair) -> list[str]:
+def _equation(repair: Repair) -> list[Lines]:
+    """Equations that the repair changed, each whole or by its name alone."""
     if repair.equation is None:
         return []
-    lines = ["Equation"]
-    for term in repair.equation.terms[:_TERMS]:
-        shown = wrapped(f"  {term.strip()}", "      ")
-        lines += shown[:_LONG] + (["      ..."] if len(shown) > _LONG else [])
-    return lines
+    shown = [wrapped(f"  {term.strip()}", "      ") for term in repair.equation.terms]
+    shown = [
+        lines
+        if len(lines) <= _LONG
+        else [f"  {lines[0].strip().partition(' = ')[0]} = (long: print(repair.equation.text))"]
+        for lines in shown
+    ]
+
+    def form(most: int) -> Lines:
+        rest = len(shown) - most
+        if most == 0:
+            return ["Equation: print(repair.equation.text)"]
+        more = [f"  and {count(rest)} more: print(repair.equation.text)"] if rest > 0 else []
+        return ["Equation", *(line for lines in shown[:most] for line in lines), *more]
+
+    return [form(k) for k in range(min(len(shown), _TERMS), -1, -1)] if shown else []
 
 
-def _not_found(repair: Repair) -> list[str]:
+def _not_found(repair: Repair) -> list[Lines]:
     """Sizes that would have been found; what these data say little of stands behind, in words. None along a model that
     lacks what was not named."""
-    if repair.verdict == "unnamed":
+    if repair.verdict == "unnamed" or not repair.not_found:
         return []
     told = [one for one in repair.not_found if one.excluded and not one.twin]
+    forms = shortened(lambda most: _sizes(repair, told, most), min(len(told), LISTED), 3, 1)
+    return [
+        *forms,
+        [f"Smallest detectable sizes (95 % power): {count(len(repair.not_found))} in repair.not_found"],
+    ]
+
+
+def _sizes(repair: Repair, told: list[NotFound], most: int) -> Lines:
     alike = [one for one in repair.not_found if one.excluded and one.twin]
     beyond = [one for one in repair.not_found if one.testable and not one.excluded]
     rest = sum(not one.testable for one in repair.not_found)
-    shown = told[:LISTED]
-    parts = [f"{one.name} at {one.at} {one.smallest_detectable:.2g}{si(one.unit)}" for one in shown]
-    parts += [f"and {count(len(told) - LISTED)} more"] if len(told) > LISTED else []
+    sizes = [Estimate(one.smallest_detectable, None, one.unit) for one in told]
+    sizes = [clock_of(repair.model).told(size, always=False)[0] for size in sizes]
+    parts = [f"{one.name} at {one.at} {e.value:.2g}{si(e.unit)}" for one, e in zip(told, sizes, strict=True)]
+    parts = listed(parts, most)
     parts += [_not_told_apart(alike)] if alike else []
     parts += [f"no plausible size is excluded of {_listed(beyond)}"] if beyond else []
     parts += [f"{rest} not testable with these data"] if rest else []
-    vague = " (some in units that were not stated)" if any(one.unit == NOT_STATED for one in shown) else ""
-    words = f"Smallest detectable sizes (95 % power){vague}: {'; '.join(parts)}"
-    return wrapped(words, "  ") if parts else []
+    vague = (
+        " (some in units that were not stated)" if any(one.unit == NOT_STATED for one in told[:most]) else ""
+    )
+    return wrapped(f"Smallest detectable sizes (95 % power){vague}: {'; '.join(parts)}", "  ")
 
 
 def _not_told_apart(alike: list[NotFound]) -> str:
@@ -255,11 +329,15 @@ def _listed(some: list[NotFound]) -> str:
     return " and ".join(", ".join([*names, *more]).rsplit(", ", 1))
 
 
-def _not_applicable(repair: Repair) -> list[str]:
+def _not_applicable(repair: Repair) -> list[Lines]:
     """Effects that a port lacks signals for; those that have no port of their kind are counted."""
     at_ports = [one for one in repair.not_applicable if one.at]
     rest = len(repair.not_applicable) - len(at_ports)
-    parts = [str(one) for one in at_ports[:LISTED]]
-    parts += [f"{count(len(at_ports) - LISTED)} more at other ports"] if len(at_ports) > LISTED else []
-    parts += [f"{count(rest)} without a port of the right kind"] if rest else []
-    return wrapped(f"Not applicable: {'; '.join(parts)}", "  ") if at_ports else []
+
+    def form(most: int) -> Lines:
+        parts = listed([str(one) for one in at_ports], most, "more at other ports")
+        parts += [f"{count(rest)} without a port of the right kind"] if rest else []
+        return wrapped(f"Not applicable: {'; '.join(parts)}", "  ")
+
+    last = [f"Not applicable: {count(len(repair.not_applicable))} in repair.not_applicable"]
+    return [*shortened(form, min(len(at_ports), LISTED), 3, 1), last] if at_ports else []

@@ -139,14 +139,33 @@ def next_step(repair: Repair) -> str:
         return _of_class(repair)
     if repair.unknown is not None:
         return "look at the figures of the residuals after the repair: they hold more"
-    unjudged = bool(repair.stopped) or any("not judged" in words for words in repair.messages)
-    if repair.confirmed is None and repair.fresh and unjudged:
-        return "give it more time, budget=..., or shorter fresh records: the fresh data have not judged it"
     if repair.confirmed is None:
-        return "test it on data it has not seen: --validate FILE, or ce.repair(..., fresh=other_record)"
+        return _unconfirmed(repair)
     if repair.confirmed is False:
         return "test it on more fresh data before you use it: those that were given do not confirm it"
     return "go on with repair.fit, the repaired model: print(repair.fit)"
+
+
+def _unconfirmed(repair: Repair) -> str:
+    """What to do with an answer that fresh data neither confirm nor refuse."""
+    given = given_fresh(repair)
+    unjudged = bool(repair.stopped) or any("not judged" in words for words in repair.messages)
+    if repair.fresh and unjudged:
+        return "give it more time, budget=..., or shorter fresh records: the fresh data have not judged it"
+    if given:
+        names = ", ".join(given)
+        return (
+            f"test it on more fresh data: those that were given ({names}) neither confirm nor refuse it, as the notes "
+            "say"
+        )
+    return "test it on data it has not seen: --validate FILE, or ce.repair(..., fresh=other_record)"
+
+
+def given_fresh(repair: Repair) -> list[str]:
+    """Names of the fresh records that the user gave; none where a part of the data was held out."""
+    whole = repair.gaps is not None and repair.gaps.source == "records"
+    own = set() if whole else {record.name for record in repair.data}
+    return [record.name for record in repair.fresh if record.name not in own]
 
 
 def _more_in_fresh(repair: Repair) -> bool:
@@ -195,13 +214,3 @@ def _of_class(repair: Repair) -> str:
         alike = f"{', '.join(names[:-1])} and {names[-1]} are one and the same in data of this kind"
         return f"{alike} (correlation 1 or -1), and {tried}: {choose}"
     return f"{tried}; a record of another kind may, or {choose}"
-
-
-def why_withdrawn(repair: Repair) -> str:
-    """Why effects that were found are no answer."""
-    if more_probable(repair.unknown) and not repair.effects:
-        return "less probable than an unknown law"
-    said = "" if repair.unknown is None else repair.unknown.sentence
-    if "closes" in said and all(f"{one.name} at {one.at}" in said for one in repair.withdrawn):
-        return "closing too little of the gap"
-    return "contradicted by fresh data"

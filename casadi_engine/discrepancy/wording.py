@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -9,7 +10,6 @@ import casadi as ca
 from casadi_engine.discrepancy.exchanged_units import exchanges
 from casadi_engine.estimation.summary import BOUND_WORDS, count, number, with_error
 from casadi_engine.experiment.units import NOT_STATED
-from casadi_engine.model.declared_units import seconds_in
 from casadi_engine.model.port_units import is_speed
 
 if TYPE_CHECKING:
@@ -144,6 +144,19 @@ def twins(one: FoundEffect) -> tuple[Member, ...]:
     return tuple(m for m in one.members[1:] if abs(m.rho) > _TWINS and not m.more)
 
 
+def why_leads(one: FoundEffect) -> str:
+    """Why a class is led by one that is not its most probable member; "" where it is."""
+    own, most = one.members[0].probability, max(m.probability for m in one.members)
+    if own >= most:
+        return ""
+    if own > most / math.e:
+        return "within a factor of e the data tell none apart: the simplest leads, or the one found first"
+    return (
+        "what is more probable does not lead where its fit did not end, its size is within its errors, or fresh data "
+        "refuse it"
+    )
+
+
 def what_acts(model: Model, port: str) -> tuple[str, str]:
     """What an unknown law at a port is a part of, and its unit: a torque, or the value of an input or a sensor."""
     if port not in model.ports.names:
@@ -215,11 +228,3 @@ def _other_unit(one: FoundEffect, model: Model) -> str:
             times_large = with_error(factor, error)
             return f"{name} is {times_large} times as large, as numbers in {right} labelled {label} would be"
     return ""
-
-
-def clock(model: Model, first: float, last: float) -> str:
-    """``from 16 to 20.9 h``: a part of a record [s] in the model's unit of time."""
-    unit = seconds_in(model.time_unit)
-    first, last = first / unit, last / unit
-    span = f"from {first:.4g} to {last:.4g}" if first < last else f"at {first:.4g}"
-    return f"{span} {model.time_unit}"

@@ -221,7 +221,7 @@ class Port:
 
     @property
     def quantity(self) -> str:
-        """What acts there: torque, force, volume flow ..., "rate" or "term"."""
+        """What acts there: torque, force, volume flow ..., else a "rate" or, not by time, a "term"."""
         return quantity(self.unit)
 
     @property

@@ -169,15 +169,18 @@ def named(unit: str) -> str:
 
 
 def quantity(unit: str) -> str:
-    """What has this unit, in one word or two: "rate" for any other, "term" where it was not stated.
+    """What has this unit, in one word or two: "rate" for any other that is by time, else "term", as where it was not
+    stated.
 
-    >>> quantity("kN"), quantity("L/min"), quantity("mg/(L h)"), quantity("-")
-    ('force', 'volume flow', 'rate', 'term')
+    >>> quantity("kN"), quantity("L/min"), quantity("mg/(L h)"), quantity("-"), quantity("m")
+    ('force', 'volume flow', 'rate', 'term', 'term')
     """
     if unit == NOT_STATED:
         return "term"
     own = _dimension(unit)
-    return next((words for name, words in _QUANTITIES.items() if _dimension(name) == own), "rate")
+    by_time = any(power == -1 and read_unit(name).si == "s" for name, power in read_unit(unit).written)
+    other = "rate" if by_time or dict(own).get("s") == -1 else "term"
+    return next((words for name, words in _QUANTITIES.items() if _dimension(name) == own), other)
 
 
 def follows_port(unit: str) -> bool:

@@ -36,7 +36,8 @@ def equation_pairs(model: Model, style: Style) -> tuple[list[tuple[str, str]], l
     for row, drive in enumerate(model.drives):
         value = model.drive_expressions[row]
         if not (value.is_symbolic() and value.name() == drive.name):
-            left.append(style.symbol(drive.name))
+            remark, value = _of_its_own_name(style, drive.name, value, "acting")
+            left.append(style.symbol(drive.name) + remark)
             right.append(value)
     for row in acting:
         left.append(style.symbol(model.w[row].name()))
@@ -45,12 +46,13 @@ def equation_pairs(model: Model, style: Style) -> tuple[list[tuple[str, str]], l
         output: (name, model.p[model.parameter_names.index(name)]) for output, name in delays(model).items()
     }
     for row, output in enumerate(model.outputs):
-        shown, name = model.output_expressions[row], style.symbol(output.name)
+        name = style.symbol(output.name)
+        remark, shown = _of_its_own_name(style, output.name, model.output_expressions[row], "measured")
         if output.name in late:  # the law is what holds it at one instant
             delay, symbol = late[output.name]
             shown = ca.substitute(shown, symbol, dict(model.lags).get(output.name, 0.0))
             name = f"{name}({style.symbol('t')} + {style.symbol(delay)})"
-        left.append(name)
+        left.append(name + remark)
         right.append(without_idle(shown))
     written = write_expressions(right, style=style, named=_known_parts(model))
     rates = [
@@ -59,6 +61,17 @@ def equation_pairs(model: Model, style: Style) -> tuple[list[tuple[str, str]], l
         if any(ca.depends_on(value, model.channel_rates[row]) for value in right)
     ]
     return [*zip(left, written.texts, strict=True), *rates], list(written.shared)
+
+
+def _of_its_own_name(style: Style, name: str, value: Any, words: str) -> tuple[str, Any]:
+    """A remark and a right side for what is made of something of its own name, such as a channel that acts by another
+    gain, ``T (acting) = T*(1 + gain)``: no symbol stands for two things. No remark for others."""
+    own = next((one for one in ca.symvar(value) if one.name() == name), None)
+    if own is None or value.is_symbolic():
+        return "", value
+    slope = ca.jacobian(value, own)
+    is_gain = not ca.depends_on(slope, own) and ca.substitute(value, own, ca.SX(0)).is_zero()
+    return style.remark(words), own * slope if is_gain else value
 
 
 def _known_parts(model: Model) -> dict[str, Any]:

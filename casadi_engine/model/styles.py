@@ -44,6 +44,7 @@ class Style(Protocol):
     def function(self, name: str, arguments: Sequence[Piece]) -> Piece: ...
     def relation(self, name: str, left: Piece, right: Piece) -> Piece: ...
     def derivative(self, name: str) -> str: ...
+    def remark(self, words: str) -> str: ...
 
 
 def signed(piece: Piece) -> str:
@@ -115,6 +116,10 @@ class TextStyle:
         """The derivative of a state by time."""
         return f"d({name})/dt"
 
+    def remark(self, words: str) -> str:
+        """Words behind a symbol, in brackets."""
+        return f" ({words})"
+
 
 class LatexStyle(TextStyle):
     """LaTeX mathematics, without surrounding dollar signs."""
@@ -135,6 +140,10 @@ class LatexStyle(TextStyle):
         return (
             f"{base}_{{{words}}}" if len(tail) == 1 or tail.isdigit() else rf"{base}_{{\mathrm{{{words}}}}}"
         )
+
+    def remark(self, words: str) -> str:
+        """Words behind a symbol, in brackets."""
+        return rf"\,\text{{({words})}}"
 
     def number(self, value: float) -> Piece:
         """A number, multiples of π as fractions, powers of ten as such."""

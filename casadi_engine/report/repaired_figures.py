@@ -6,6 +6,8 @@ from functools import partial
 
 import numpy as np
 
+from casadi_engine.discrepancy.clocks import clock_of
+from casadi_engine.discrepancy.random_families import TIME
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair
 from casadi_engine.report import panels
 from casadi_engine.report.figures import Maker, figures
@@ -185,7 +187,7 @@ def _latent(repair: Repair, port: str) -> Sketch:
     sketch = Sketch(11, 3.0 * down + 0.3, (down, _ACROSS), key=True)
     cells = sketch.cells()
     for one in shown:
-        draw_over_time(next(cells), one, words, acting(repair, port))
+        draw_over_time(next(cells), one, words, acting(repair, port), clock_of(repair.model))
     for signal in signals:
         draw_over(next(cells), records, signal, words, axis_of(repair, port, signal), acting(repair, port))
     return sketch
@@ -200,8 +202,9 @@ def _unknown(repair: Repair) -> Sketch:
     sketch = Sketch(6.5, 3.4)
     panel = sketch.panel()
     low, high = course.mean - 2 * course.band, course.mean + 2 * course.band
-    panel.fill_between(course.signal, low, high, color=panels.BAND, linewidth=0, label="±2 standard errors")
-    panel.plot(course.signal, course.mean, color=panels.SIMULATED, linewidth=1.3, label="most likely course")
+    signal = clock_of(repair.model).of(course.signal) if course.family.signal == TIME else course.signal
+    panel.fill_between(signal, low, high, color=panels.BAND, linewidth=0, label="±2 standard errors")
+    panel.plot(signal, course.mean, color=panels.SIMULATED, linewidth=1.3, label="most likely course")
     panel.axhline(0.0, color="0.6", linewidth=0.6)
     alike = next(iter(course.looks_like.items()), None)
     port = str(unknown.port)

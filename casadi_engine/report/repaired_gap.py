@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.discrepancy.clocks import SECONDS, Clock, clock_of
 from casadi_engine.discrepancy.repaired import Repair, Side
 from casadi_engine.estimation.fit import Trace
 from casadi_engine.report import panels
@@ -32,7 +33,7 @@ class Pair:
 
     before, after : (N,) measured less simulated, in ``unit``, NaN where a sample does not count
     theta : (N,) rad, or None without a crank angle; sigma : of the noise; fresh : not used to find the repair
-    changed : False where nothing was added, and before and after are the same
+    changed : False where nothing was added, and before and after are the same; clock : the unit of the times shown
     """
 
     record: str
@@ -45,6 +46,7 @@ class Pair:
     theta: Array | None
     fresh: bool
     changed: bool
+    clock: Clock = SECONDS
 
     @property
     def title(self) -> str:
@@ -92,6 +94,7 @@ def _pairs(repair: Repair, before: Side, after: Side, *, fresh: bool) -> Iterato
                 None if angle is None else np.interp(old.time, angle.time, angle.values),
                 fresh,
                 bool(repair.effects),
+                clock_of(repair.model),
             )
 
 
@@ -178,16 +181,17 @@ def draw_folded(panel: Panel, pair: Pair) -> None:
     if not len(count):
         panel.note = "no sample counts"
         return
+    clock = pair.clock if pair.theta is None else SECONDS
     band = 2 * pair.sigma / np.sqrt(count)
     words = "±2σ of the noise in this mean"
-    panel.fill_between(place, -band, band, color=panels.BAND, linewidth=0, label=words)
+    panel.fill_between(clock.of(place), -band, band, color=panels.BAND, linewidth=0, label=words)
     panel.axhline(0.0, color="0.6", linewidth=0.6)
     for label, colour, residual in pair.shown:
         where, mean, _ = folded(pair, residual)
-        panel.plot(where, mean, color=colour, linewidth=1.2, label=label)
+        panel.plot(clock.of(where), mean, color=colour, linewidth=1.2, label=label)
     gap = f"{pair.output}: measured − simulated [{pair.unit}]"
     if pair.theta is None:
-        panels.dress(panel, x="time [s], mean of pieces", y=gap, title=pair.title)
+        panels.dress(panel, x=f"{clock.axis}, mean of pieces", y=gap, title=pair.title)
         return
     words = f"mean of {pair.cycles} cycles" if pair.cycles > 1 else "one cycle"
     panels.dress(panel, x=f"crank angle [deg], {words}", y=gap, title=pair.title)
@@ -242,12 +246,12 @@ def draw_course(panel: Panel, pair: Pair, which: int) -> None:
     """One residual over time with the band ±2σ of the noise, and the share of samples inside."""
     label, colour, residual = pair.shown[which]
     panel.axhspan(-2 * pair.sigma, 2 * pair.sigma, color=panels.BAND, linewidth=0)
-    panel.plot(pair.time, residual, color=colour, linewidth=0.6)
+    panel.plot(pair.clock.of(pair.time), residual, color=colour, linewidth=0.6)
     for edge in (-2 * pair.sigma, 2 * pair.sigma):
         panel.axhline(edge, color="black", linewidth=0.8, linestyle="--", zorder=3)
     share = 100 * inside_share(pair, residual)
     title = f"{pair.title}, {label}: {share:.1f} % inside ±2σ (noise: 95.4 %)"
-    panels.dress(panel, x="time [s]", y=f"residual [{pair.unit}]", title=title)
+    panels.dress(panel, x=pair.clock.axis, y=f"residual [{pair.unit}]", title=title)
     panel.linked, panel.margin = pair.title, 0.01
 
 

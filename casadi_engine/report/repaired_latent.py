@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.discrepancy.clocks import SECONDS, Clock, clock_of
 from casadi_engine.discrepancy.latent_torque import LatentCourse, LatentTorque
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair
 from casadi_engine.discrepancy.wording import what_acts
@@ -54,7 +55,7 @@ def acting(repair: Repair, port: str, unit: bool = True) -> str:
 def axis_of(repair: Repair, port: str, signal: str) -> str:
     """A signal of a port with its unit: ``speed [rad/s]``."""
     if signal in ("crank_angle", "time"):
-        return {"crank_angle": "crank angle [deg]", "time": "time [s]"}[signal]
+        return {"crank_angle": "crank angle [deg]", "time": clock_of(repair.model).axis}[signal]
     known = repair.model.ports[port] if port in repair.model.ports.names else None
     if known is None:
         return signal.replace("_", " ")
@@ -165,11 +166,13 @@ def binned(signal: Array, value: Array, band: Array) -> tuple[Array, Array, Arra
 # ---- panels -------------------------------------------------------------------------------------------
 
 
-def draw_over_time(panel: Panel, one: Seen, law: str, acts: str = "torque [N m]") -> None:
+def draw_over_time(
+    panel: Panel, one: Seen, law: str, acts: str = "torque [N m]", clock: Clock = SECONDS
+) -> None:
     """The latent torque with its band over the last engine cycles, and the law."""
     start = _first_shown(one)
     inside = one.time >= start
-    time, mean, band = one.time[inside], one.mean[inside], 2 * one.band[inside]
+    time, mean, band = clock.of(one.time[inside]), one.mean[inside], 2 * one.band[inside]
     words = "±2 standard errors"
     panel.fill_between(time, mean - band, mean + band, color=panels.BAND, linewidth=0, label=words)
     panel.plot(
@@ -178,8 +181,8 @@ def draw_over_time(panel: Panel, one: Seen, law: str, acts: str = "torque [N m]"
     if one.law is not None:
         panel.plot(time, one.law[inside], color=LAW, linewidth=1.2, label=law)
     panel.axhline(0.0, color="0.6", linewidth=0.6)
-    title = f"{one.record}, its last {time[-1] - start:.2g} s"
-    panels.dress(panel, x="time [s]", y=acts, title=title)
+    title = f"{one.record}, its last {time[-1] - clock.of(start):.2g} {clock.unit}"
+    panels.dress(panel, x=clock.axis, y=acts, title=title)
 
 
 def _first_shown(one: Seen) -> float:

@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from casadi_engine.discrepancy.clocks import clock_of
 from casadi_engine.discrepancy.repaired import NotFound, Repair
 from casadi_engine.discrepancy.wording import held_out, in_unit, is_blind, twins
 from casadi_engine.estimation.summary import number, with_error
@@ -120,10 +121,10 @@ def _effects(result: Repair) -> Section:
             f"{100 * one.selection_frequency:.0f} %" if alone and one.selection_frequency is not None else "-"
         )
         said = (f"{one.z:.1f}", p_text(one.p_value), f"{100 * one.share_explained:.3g} %", frequency)
-        for name, estimate in one.parameters.items():
-            rows.append(
-                (name, f"{with_error(estimate.value, estimate.stderr)}{in_unit(estimate.unit)}", *said)
-            )
+        for k, (name, found) in enumerate(one.parameters.items()):
+            estimate, more = clock_of(result.model).told(found, always=k > 0)
+            size = f"{with_error(estimate.value, estimate.stderr)}{in_unit(estimate.unit)}{more}"
+            rows.append((name, size, *said))
             said = ("", "", "", "")
     header = ("parameter", "value ± standard error", "z", "p, whole library", "of the gap", "stability")
     words = "Effects found; stability: share of random halves of the data in which the score is the best"
@@ -231,7 +232,7 @@ def _where(result: Repair) -> Section:
     place = result.where
     rows = []
     if place is not None:
-        rows = [("record", place.record), ("time", f"{place.time[0]:.4g} to {place.time[1]:.4g} s")]
+        rows = [("record", place.record), ("time", clock_of(result.model).span(*place.time))]
         if place.cycles:
             rows.append(("engine cycles", ", ".join(map(str, place.cycles))))
         if place.crank_angle is not None:

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import math
 
+from casadi_engine.discrepancy.clocks import clock_of
 from casadi_engine.discrepancy.confirmation import share_closed
 from casadi_engine.discrepancy.fresh_misfit import fresh_doubt, fresh_misfit
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair
-from casadi_engine.discrepancy.verdict_words import may_hide, next_step, why_withdrawn
+from casadi_engine.discrepancy.verdict_words import given_fresh, may_hide, next_step
 from casadi_engine.discrepancy.wording import (
     acting_at,
-    clock,
     first_words,
     in_unit,
     is_blind,
     names_own_law,
     right_value,
+    why_leads,
 )
 from casadi_engine.estimation.summary import number, with_error
 from casadi_engine.report.panels import half_width
@@ -37,8 +38,9 @@ def verdict_lines(repair: Repair) -> list[str]:
     moved = moved_parameters(repair)
     if moved:
         lines.append(f"Without it the model had these wrong: {moved}.")
-    why = why_withdrawn(repair)
-    lines += [f"Found first and withdrawn, {why}: {one.name} at {one.at}." for one in repair.withdrawn]
+    lines += [
+        f"Found first and withdrawn, {one.why_withdrawn}: {one.name} at {one.at}." for one in repair.withdrawn
+    ]
     lines += [_sentence(text) for text in repair.messages]
     lines.append(f"Next: {next_step(repair)}.")
     return [line for line in lines if line]
@@ -81,14 +83,16 @@ def effect_words(effect: FoundEffect, repair: Repair) -> str:
     name = next(iter(effect.parameters)).rpartition(".")[2]
     known = model.ports[effect.at] if effect.at in model.ports.names else None
     name = known.quantity if known is not None and name == "torque" else name
-    size = f"{name} {with_error(effect.amplitude.value, effect.amplitude.stderr)}"
-    size = f"{size}{in_unit(effect.amplitude.unit)}"
+    found, _ = clock_of(model).told(effect.amplitude, always=False)
+    size = f"{name} {with_error(found.value, found.stderr)}{in_unit(found.unit)}"
     changed = right_value(effect, repair)
     return f"{effect.sentence} ({effect.name} at {effect.at}), {changed or size}"
 
 
 def _class(effect: FoundEffect) -> str:
     others = ", ".join(f"{one.label} ({100 * one.probability:.2g} %)" for one in effect.members)
+    why = why_leads(effect)
+    others += f"; {why}" if why else ""
     return f"These data do not tell apart {len(effect.members)} effects that explain it as well: {others}."
 
 
@@ -107,7 +111,7 @@ def _where(repair: Repair) -> str:
     place = repair.where
     if place is None:
         return ""
-    words = [f"in {place.record} {clock(repair.model, *place.time)}"]
+    words = [f"in {place.record} {clock_of(repair.model).span(*place.time)}"]
     if place.cycles:
         words.append(f"cycle{'s' if len(place.cycles) > 1 else ''} {_numbers(place.cycles)}")
     if place.crank_angle is not None:
@@ -140,17 +144,21 @@ def _confirmed(repair: Repair) -> str:
     if not repair.effects or gaps is None:
         return ""
     gain = gaps.gain_per_cycle
-    if repair.confirmed is None:
+    if repair.confirmed is None and (gain is None or gain.why or gain.mean is None):
         why = "there are no fresh data" if gain is None or gain.why is None else gain.why
+        if gain is None and given_fresh(repair):
+            why = f"the fresh data that were given ({', '.join(given_fresh(repair))}) were not judged"
         return f"Not confirmed: {why}."
     part = "cycle" if any(one.name == "theta" for one in repair.model.inputs) else "piece"
     kind = "fresh records" if gaps.source == "records" else f"{part}s that were held out"
     size = ""
     if gain is not None and gain.mean is not None and gain.se is not None:
         size = f", gain of chi-squared {gain.mean:.3g} ± {gain.se:.2g} per {part} over {gain.cycles} {part}s"
-    word = "Confirmed" if repair.confirmed else "Contradicted"
-    if not repair.confirmed and gain is not None and gain.mean is not None and gain.mean > 0:
-        word = "Not confirmed"
+    if repair.confirmed is None:
+        return f"Neither confirmed nor refused by {kind}{size}, as said below."
+    word = "Confirmed" if repair.confirmed else "Not confirmed"
+    if not repair.confirmed and gain is not None and gain.refused:
+        word = "Contradicted"
     return f"{word} by {kind}{size}."
 
 

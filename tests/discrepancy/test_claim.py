@@ -9,7 +9,7 @@ import pytest
 from casadi_engine.discrepancy import claim as module
 from casadi_engine.discrepancy.claim import Claim, reason_to_withdraw
 from casadi_engine.discrepancy.confirmation import Gap
-from casadi_engine.discrepancy.repaired import Unknown
+from casadi_engine.discrepancy.repaired import TOO_LITTLE, Unknown
 
 
 def stub(**known):
@@ -151,8 +151,9 @@ def test_fresh_data_that_confirm_tell_how_much_is_closed(monkeypatch, fresh, con
 def test_what_is_withdrawn_leaves_the_model_without_effects(monkeypatch):
     monkeypatch.setattr(module, "replace", lambda proof, **new: stub(**(vars(proof) | new)))
     claim, null = claimed(monkeypatch, before=3.0, after=2.9, tests={})
-    found = claim.withdrawn_for(Unknown("why", {}), null)
+    found = claim.withdrawn_for(Unknown("why", {}), null, TOO_LITTLE)
     assert (found.last, found.found, [one.key for one in found.withdrawn]) == (null, (), ["load.drag"])
+    assert found.withdrawn[0].why_withdrawn == "closing too little of the gap"
     assert (found.proof.kept, found.proof.after, found.unknown.sentence) == (
         (null,),
         claim.proof.before,

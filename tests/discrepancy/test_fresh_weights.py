@@ -38,11 +38,13 @@ def test_fresh_data_are_as_probable_as_noise_and_errors_of_the_parameters_make_t
 
 
 def tried(name, log, *, beyond=10.0):
-    """A structure of one effect, or of none for an empty name, with a log evidence."""
+    """A structure of one effect, or of none for an empty name, with a log evidence; a number more for each +."""
+    effect = stub(nuisance=dict.fromkeys(range(name.count("+")), stub(whole=False)), key=f"p.{name}")
+    effect.candidate = stub(source=stub(effect=stub(limit="")))
     one = stub(
-        key=frozenset([(name, "p")] if name else []), effects=(name,) if name else (), label=name, fresh=0.0
+        key=frozenset([(name, "p")] if name else []), effects=(effect,) if name else (), label=name, fresh=0.0
     )
-    one.beyond, one.evidence = beyond, log
+    one.beyond, one.evidence, one.arrived = beyond, log, stub(values={})
     return one
 
 
@@ -89,6 +91,18 @@ def test_rivals_are_told_apart_by_fresh_data(monkeypatch):
     best, said, _ = weighed(monkeypatch, {"a": 0.0, "b": -1.0, "": -50.0}, {"a": -9.0, "b": -2.0})
     assert best == "b"
     assert said == ["fresh data tell b from a: with them it is 4e+02 times as probable"]
+
+
+@pytest.mark.parametrize(("logs", "fresh", "lead"), [
+    ({"a": 0.0, "b": -0.7}, {"a": -1.2, "b": 0.0}, "b"),  # not told apart, and as simple: the more probable one
+    ({"a": 0.0, "b+": -0.7}, {"a": -1.2, "b+": 0.0}, "a"),  # the simpler one
+    ({"a+": 0.0, "b": -0.7}, {"a+": -0.2, "b": 0.0}, "b"),
+    ({"a": 0.0, "b+": -0.7}, {"a": -2.2, "b+": 0.0}, "b+"),  # told apart
+])  # fmt: skip
+def test_of_what_fresh_data_do_not_tell_apart_the_simplest_leads_and_else_the_most_probable(
+    monkeypatch, logs, fresh, lead
+):
+    assert weighed(monkeypatch, {**logs, "": -50.0}, fresh)[0] == lead
 
 
 def test_fresh_data_that_no_structure_knows_tell_none_apart(monkeypatch):

@@ -24,7 +24,7 @@ def pool_of(**logs):
     known = {"dry": DRY, "drag": DRAG, "step": STEP, "offset": OFFSET, "none": None}
     return {
         frozenset(known[part] for part in name.split("_") if known[part]): SimpleNamespace(
-            log=log, effects=()
+            log=log, effects=(), beyond=9.0
         )
         for name, log in logs.items()
     }
@@ -122,3 +122,9 @@ def test_an_effect_has_the_candidate_of_its_label_or_else_the_best_one():
     assert number_of(screened, STEP, "b") == 1
     assert number_of(screened, STEP, "another") == 2
     assert number_of(screened, DRY) == 0
+
+
+def test_an_effect_of_which_its_refit_left_nothing_is_no_rival():
+    pool = pool_of(none=0.0, dry=-1.0, drag=0.5, step=0.2)
+    pool[frozenset({DRAG})].beyond = 0.0
+    assert names(class_of(pool, frozenset({DRY}), effect(DRY), 20.0, PRICE)) == ["dry", "step"]

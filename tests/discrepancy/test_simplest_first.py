@@ -36,7 +36,9 @@ class Added:
 def tried(effect, log, **values):
     one = Added(effect)
     arrived = SimpleNamespace(values={f"{one.key}.{name}": value for name, value in values.items()})
-    return SimpleNamespace(effects=(one,), key=frozenset([one.candidate.key]), log=log, arrived=arrived)
+    return SimpleNamespace(
+        effects=(one,), key=frozenset([one.candidate.key]), log=log, arrived=arrived, beyond=9.0
+    )
 
 
 DRY, FADING, STEP = CoulombFriction(), StribeckFriction(fastest=10.0), LoadStep()

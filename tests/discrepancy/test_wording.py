@@ -8,9 +8,13 @@ import pytest
 
 import casadi_engine as ce
 from casadi_engine.discrepancy import wording
+from casadi_engine.discrepancy.candidate import Candidate
+from casadi_engine.discrepancy.clocks import Clock, clock_of
 from casadi_engine.discrepancy.verdict_words import headline
-from casadi_engine.discrepancy.wording import acts_as, clock, told
+from casadi_engine.discrepancy.wording import acts_as, told
 from casadi_engine.estimation import Estimate
+from casadi_engine.report.figures import figures
+from casadi_engine.report.repaired_gap import pairs
 
 
 @pytest.fixture(scope="module")
@@ -62,8 +66,8 @@ def test_a_wrong_value_is_told_in_its_own_unit(heavier):
 
 
 def test_time_is_told_as_the_model_has_it(cart, heavier):
-    assert clock(cart, 60.0, 90.0) == "from 1 to 1.5 min"
-    assert clock(ce.one_inertia(), 2.0, 2.0) == "at 2 s"
+    assert clock_of(cart).span(60.0, 90.0) == "from 1 to 1.5 min"
+    assert clock_of(ce.one_inertia()).span(2.0, 2.0) == "at 2 s"
     assert " min; " in joined(heavier).partition("Gap widest in record run from ")[2][:40]
 
 
@@ -130,3 +134,44 @@ def test_a_sensor_that_is_early_is_told_what_it_may_be(delay, stderr, said):
     )
     repair = SimpleNamespace(model=SimpleNamespace(ports=SimpleNamespace(names=())))
     assert ("no sensor is early" in wording.right_value(one, repair)) == said
+
+
+def test_times_are_told_in_the_unit_of_the_models_time():
+    hours, seconds = Clock("h"), Clock()
+    late, more = hours.told(Estimate(170_280.0, 180.0, "s", interval=(169_920.0, 170_640.0)))
+    assert (late.value, late.stderr, late.unit, more) == (pytest.approx(47.3), 0.05, "h", "")
+    assert late.interval == pytest.approx((47.2, 47.4))
+    # a delay of a moment stays in s, a speed what it is; long times in s are said in hours too
+    moment, speed = Estimate(0.2, 0.01, "s"), Estimate(170_280.0, None, "rad/s")
+    assert hours.told(moment, always=False) == (moment, "")
+    assert hours.told(moment)[0].unit == "h"
+    assert hours.told(speed) == (speed, "")
+    assert seconds.told(Estimate(170_280.0, 180.0, "s"))[1] == " (47.3 h)"
+    assert seconds.span(311_400.0, 345_000.0) == "from 311400 to 345000 s (86.5 to 95.83 h)"
+    assert (hours.axis, seconds.axis) == ("time [h]", "time [s]")
+    assert hours.of(np.array([3600.0, 7200.0])).tolist() == [1.0, 2.0]
+
+
+def test_an_event_is_told_in_minutes_on_the_screen_and_in_figures(heavier):
+    step = Estimate(9.0, 0.3, "s")
+    amplitude = Estimate(0.5, 0.1, "N")
+    one = replace(
+        heavier.effects[0], name="load_step", at="cart", sentence="a force",
+        parameters={"cart.load_step.torque": amplitude, "cart.load_step.time": step},
+    )  # fmt: skip
+    changed = replace(heavier, effects=(one,))
+    assert "cart.load_step.time = 0.1500 ± 0.0050 min" in joined(changed)
+    assert pairs(changed)[0].clock.unit == "min"
+    sketch = figures(changed)["gap run speed"]()
+    assert {panel.x for panel in sketch.panels if panel.x.startswith("time")} == {
+        "time [min]", "time [min], mean of pieces"
+    }  # fmt: skip
+    course = next(panel for panel in sketch.panels if panel.x == "time [min]")
+    assert course.limits("x")[1] < 1.0  # 16 s
+
+
+def test_candidates_of_events_are_named_with_their_time(cart):
+    for clock, model in (("min", cart), ("s", ce.one_inertia())):
+        made = SimpleNamespace(effect=ce.effects.LoadStep(), model=model)
+        one = Candidate("load_step", "cart", {}, {"time": 9.0}, source=made)
+        assert one.label == f"load_step at cart (time {'0.15 min' if clock == 'min' else '9'})"

@@ -138,3 +138,20 @@ def test_a_number_that_converts_units_is_seen_where_nothing_is_added_to_the_slot
     b.ode("w", factor * b.port("here", "inertia", {"speed": w}) / inertia)
     b.output("y", w, unit=speed)
     assert b.model().ports["here"].unit == unit
+
+
+def test_a_head_of_water_is_no_rate():
+    """What is added to heads in m in the ode of a flow is a term, and what is added to a rate is a rate."""
+    b = ce.Blueprint("penstock")
+    g, length = b.parameter("g", 9.81, unit="m/s2"), b.parameter("L", 400.0, unit="m")
+    area, head = b.parameter("A", 0.8, unit="m2"), b.parameter("H_0", 60.0, unit="m")
+    flow, level = b.state("Q", unit="m3/s"), b.state("c", unit="mol/L")
+    water = b.port("penstock", "inertia", {"speed": flow})
+    made = b.port("species", "inertia", {"speed": level})
+    b.ode("Q", g * area / length * (head - flow**2 + water))
+    b.ode("c", made - b.parameter("k", 0.1, unit="1/s") * level)
+    b.output("Q_m", flow, unit="m3/s")
+    ports = b.model().ports
+    assert (ports["penstock"].unit, ports["penstock"].quantity) == ("m", "term")
+    assert (ports["species"].unit, ports["species"].quantity) == ("mol/(L s)", "rate")
+    assert ce.effects.ConstantTorque().worded(ports["penstock"]) == "a constant term into penstock"

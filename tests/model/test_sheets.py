@@ -2,6 +2,7 @@
 
 import math
 
+from casadi_engine.effects import InputGain, SensorDelay, SensorGain, SensorOffset
 from casadi_engine.model import Blueprint, one_inertia, two_mass
 
 
@@ -98,3 +99,24 @@ def test_html_is_escaped():
     assert "a &lt; b &amp; c" in html
     assert "&lt;i&gt;" in html
     assert "<caption>states</caption>" in html
+
+
+def test_what_is_made_of_its_own_name_is_told_from_it():
+    """The channel T that acts by another gain, and a sensor that has the name of a state."""
+    b = Blueprint("rotor")
+    inertia, speed = b.parameter("J", 1.0, unit="kg m2"), b.state("w", unit="rad/s")
+    torque, port = b.input("T", unit="N m"), b.port("rotor", "inertia", {"speed": speed})
+    b.ode("w", (2 * torque + port) / inertia)
+    b.output("w", speed, unit="rad/s")
+    model = b.model()
+    assert model.equations().splitlines() == ["d(w)/dt = 2*T/J", "w = w"]
+
+    def line(effect, at):
+        return model.with_effect(effect, at=at).equations().splitlines()[1 if at == "input_T" else -1]
+
+    assert line(InputGain(), "input_T") == "T (acting) = T*(1 + input_T.input_gain.gain)"
+    assert line(SensorGain(), "sensor_w") == "w (measured) = w*(1 + sensor_w.sensor_gain.gain)"
+    assert line(SensorOffset(), "sensor_w") == "w (measured) = w + sensor_w.sensor_offset.offset"
+    assert line(SensorDelay(), "sensor_w") == "w(t + sensor_w.sensor_delay.delay) (measured) = w"
+    latex = model.with_effect(InputGain(), at="input_T").latex()
+    assert r"T\,\text{(acting)} &= T \, \left(1 + " in latex

@@ -7,7 +7,7 @@ import pytest
 from casadi_engine.discrepancy.by_chance import held_to_chance
 from casadi_engine.discrepancy.confirmation import PairedGain
 from casadi_engine.discrepancy.fresh_misfit import fresh_misfit, held_to_fresh_data
-from casadi_engine.discrepancy.repaired import Member, NextExperiment, Unknown
+from casadi_engine.discrepancy.repaired import REFUSED, UNCONFIRMED, Member, NextExperiment, Unknown
 from casadi_engine.discrepancy.verdict_words import headline, next_step
 from casadi_engine.estimation.fit import Estimate
 from casadi_engine.report.repaired_words import (
@@ -98,23 +98,50 @@ def test_a_class_names_its_members_and_what_would_split_it(repaired):
         (None, None, None, "Not confirmed: there are no fresh data."),
         (None, PairedGain(2.0, None, 2, None, "2 cycles: at least 3 are needed"), "records",
          "Not confirmed: 2 cycles: at least 3 are needed."),
+        (False, PairedGain(-40.0, 3.0, 5, False), "cycles",
+         "Contradicted by cycles that were held out, gain of chi-squared -40 ± 3 per cycle over 5 cycles."),
         (False, PairedGain(-4.0, 3.0, 5, False), "cycles",
-         "Contradicted by cycles that were held out, gain of chi-squared -4 ± 3 per cycle over 5 cycles."),
+         "Not confirmed by cycles that were held out, gain of chi-squared -4 ± 3 per cycle over 5 cycles."),
     ],
 )  # fmt: skip
 def test_what_fresh_data_say(repaired, confirmed, gain, source, words):
     gaps = replace(repaired.gaps, gain_per_cycle=gain, source=source)
-    changed = replace(repaired, confirmed=confirmed, gaps=gaps)
+    fresh = repaired.fresh if source == "records" else ()
+    changed = replace(repaired, confirmed=confirmed, gaps=gaps, fresh=fresh)
     assert words in verdict_lines(changed)
     assert mood(changed) == ("poor" if confirmed is False else "good")
-    if confirmed is None:
+    if confirmed is None and not fresh:
         assert next_step(changed) == (
             "test it on data it has not seen: --validate FILE, or ce.repair(..., fresh=other_record)"
         )
 
 
+def test_fresh_data_that_were_given_and_decide_nothing_are_named_and_not_asked_for(repaired):
+    """A gain beyond chance, and more of the gap left than closed, in colour: neither confirmed nor refused."""
+    words = "what is left of the fresh data is coloured, and more than what was closed"
+    changed = replace(repaired, confirmed=None, messages=(words,))
+    assert next_step(changed) == (
+        "test it on more fresh data: those that were given (normal_1400rpm) neither confirm nor refuse it, as the "
+        "notes say"
+    )
+    said = verdict_lines(changed)
+    assert (
+        "Neither confirmed nor refused by fresh records, gain of chi-squared 339 ± 36 per cycle over 10 cycles, as "
+        "said below."
+    ) in said
+    assert "there are no fresh data" not in " ".join(said)
+    lost = replace(changed, gaps=replace(changed.gaps, gain_per_cycle=None))
+    assert "Not confirmed: the fresh data that were given (normal_1400rpm) were not judged." in verdict_lines(
+        lost
+    )
+    # what was held out of the data was not given
+    held = replace(changed, fresh=changed.data, gaps=replace(changed.gaps, source="cycles"))
+    assert next_step(held).startswith("test it on data it has not seen: ")
+
+
 def test_more_than_the_effects_explain_is_said(repaired, unnamed):
-    changed = replace(repaired, unknown=unnamed.unknown, withdrawn=repaired.effects, messages=("a note",))
+    gone = tuple(replace(one, why_withdrawn=REFUSED) for one in repaired.effects)
+    changed = replace(repaired, unknown=unnamed.unknown, withdrawn=gone, messages=("a note",))
     lines = verdict_lines(changed)
     assert (
         "The residuals still hold more: a torque at the coupling that depends on its twist and looks cubic."
@@ -380,7 +407,9 @@ def test_errors_of_sensors_are_named_where_fresh_data_confirm_them(repaired, at,
     found = held_to_fresh_data(replace(repaired, effects=(one,), confirmed=confirmed, unknown=None))
     assert (found.verdict == repaired.verdict) == named
     if not named:
-        assert (found.verdict, found.effects, found.withdrawn) == ("unnamed", (), (one,))
+        assert (found.verdict, found.effects) == ("unnamed", ())
+        assert [e.key for e in found.withdrawn] == [one.key]
+        assert found.withdrawn[0].why_withdrawn == "not confirmed by fresh data"
         assert found.fit is repaired.null_fit
         assert found.gaps.validation_after is repaired.gaps.validation_before
         assert "fresh data do not confirm that a sensor is at fault" in found.unknown.sentence
@@ -396,3 +425,54 @@ def test_errors_of_the_parameters_that_explain_little_are_not_blamed(white):
         fresh = replace(own, gap=wide, within_errors=within, parameters_p=0.2)
         changed = replace(white, gaps=replace(gaps, estimation_after=own, validation_after=fresh))
         assert ("within the errors of its parameters" in headline(changed)) == said
+
+
+@pytest.mark.parametrize(
+    ("gain", "words"),
+    [
+        (PairedGain(1.8, 1.3, 10, False), "not confirmed by fresh data"),
+        (PairedGain(-2.0, 1.3, 10, False), "not confirmed by fresh data"),
+        (PairedGain(-20.0, 1.3, 10, False), "contradicted by fresh data"),
+    ],
+)
+def test_only_a_loss_beyond_chance_contradicts_what_is_withdrawn(repaired, gain, words):
+    one = replace(repaired.effects[0], at="sensor_omega", name="sensor_offset")
+    gaps = replace(repaired.gaps, gain_per_cycle=gain)
+    found = held_to_fresh_data(replace(repaired, effects=(one,), confirmed=False, unknown=None, gaps=gaps))
+    assert f"Withdrawn: {words}" in str(found).splitlines()
+    assert f"Found first and withdrawn, {words}: sensor_offset at sensor_omega." in verdict_lines(found)
+
+
+def test_effects_that_were_withdrawn_for_other_reasons_stand_apart(repaired):
+    first, then = (
+        replace(repaired.effects[0], name=name, why_withdrawn=why)
+        for name, why in (("backlash", REFUSED), ("load_step", UNCONFIRMED))
+    )
+    lines = str(replace(repaired, withdrawn=(first, then))).splitlines()
+    titles = [line for line in lines if line.startswith(("Found", "Withdrawn"))]
+    assert titles == [
+        "Found",
+        "Withdrawn: contradicted by fresh data",
+        "Withdrawn: not confirmed by fresh data",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("lead", "words"),
+    [
+        (0.7, ""),
+        (0.4, "within a factor of e the data tell none apart: the simplest leads, or the one found first"),
+        (
+            0.1,
+            "what is more probable does not lead where its fit did not end, its size is within its errors, or",
+        ),
+    ],
+)
+def test_a_lead_that_is_not_the_most_probable_is_explained(repaired, lead, words):
+    members = (
+        Member("coulomb_friction", "coupling", 1.0, lead),
+        Member("backlash", "coupling", 0.98, 1 - lead),
+    )
+    changed = replace(repaired, verdict="class", effects=(replace(repaired.effects[0], members=members),))
+    for text in (" ".join(str(changed).split()), verdict_lines(changed)[1]):
+        assert (f"; {words}" in text) if words else " lead" not in text
