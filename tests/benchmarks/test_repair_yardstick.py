@@ -49,6 +49,7 @@ def test_the_refit_is_a_minimum(records, left):
     assert left[2].mu <= np.linalg.norm(e) + 1e-9  # the refit's first state is better than the true one
 
 
+@pytest.mark.slow
 def test_parameters_stay_within_the_bounds_of_a_user(records, left, monkeypatch):
     monkeypatch.setattr(plant, "STARTS", plant.STARTS[:1])
     monkeypatch.setattr(plant, "HIGH", np.array([4.0, 2.0, 20_000.0, 50.0, 0.2]))

@@ -50,6 +50,7 @@ def test_a_declared_event_has_a_time_of_its_own_in_fresh_records(own):
     assert found.gaps.validation_before.gap.chi2_per_sample < 1.2
 
 
+@pytest.mark.slow
 def test_what_is_missing_is_not_taken_for_an_event():
     data, fresh = record("a", 1, 7.9), record("b", 2, 3.3)
     other = ce.Experiment.from_arrays(

@@ -61,7 +61,9 @@ def answer(law, seed=1):
     return ce.repair(stage(), data, fresh=fresh, starts=1, progress=False)
 
 
-@pytest.mark.parametrize(("law", "signal"), [(cogging, "angle"), (wave, "speed")])
+@pytest.mark.parametrize(
+    ("law", "signal"), [(cogging, "angle"), pytest.param(wave, "speed", marks=pytest.mark.slow)]
+)
 def test_a_large_law_is_found_where_it_acts(law, signal):
     found = answer(law)
     assert found.verdict == "unnamed"
@@ -105,6 +107,7 @@ def test_a_port_at_which_nothing_can_act_has_no_law():
     assert [p.kind for p in model.ports if p.kind in law_refit._KINDS] == ["inertia", "input"]
 
 
+@pytest.mark.slow
 def test_an_input_that_saturates_is_found_as_one():
     """A bend of the input that leads the linear search to names of other things."""
     rng = np.random.default_rng(4)

@@ -46,6 +46,7 @@ def said(record, **asked):
     return ce.repair(model(), record, starts=1, progress=False, **asked)
 
 
+@pytest.mark.slow
 def test_a_limit_that_was_left_out_is_told(record):
     """Where it fades least, friction that fades is dry friction."""
     found = said(record, effects=["stribeck_friction", "viscous_friction"])

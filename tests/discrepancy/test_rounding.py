@@ -94,6 +94,7 @@ def test_nothing_is_missing_where_only_the_sensor_rounds(frequency, step):
     assert found.verdict == "nothing missing"
 
 
+@pytest.mark.slow
 def test_friction_is_found_behind_steps():
     found = ce.repair(
         _spring(),

@@ -122,6 +122,7 @@ def axis():
     return b.model()
 
 
+@pytest.mark.slow
 def test_play_and_friction_are_found_within_their_errors(axis, record):
     fit = ce.estimate(axis, record, noise=ce.Noise(**LEVELS), progress=False)
     assert fit.converged
