@@ -8,7 +8,7 @@ from typing import Any
 
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.model import Model
-from casadi_engine.model.lags import delays, with_nearest_lags
+from casadi_engine.model.lags import delays, far_from_lags, with_nearest_lags
 
 # Times that samples are read anew. A delay as long as the motion takes to turn arrives after three.
 _AGAIN = 8
@@ -29,8 +29,14 @@ def follow_delays(fit: Fit, again: Callable[[dict[str, Any]], Fit]) -> Fit:
     for _ in range(_AGAIN):
         model = with_nearest_lags(fit.model, fit.values, fit.data)
         if model is fit.model:
-            return fit
+            break
         fit = again({"model": model, "warm": fit})
-    late = ", ".join(f"{name} = {fit.values[name]:.4g} s" for name in delays(fit.model).values())
-    words = f"the delay does not settle ({late}): it counts to second order of its distance from where it was read"
+    far = far_from_lags(fit.model, fit.values, fit.data)
+    if not far:
+        return fit
+    late = ", ".join(f"{name} = {fit.values[name]:.4g} s" for name in far)
+    words = (
+        f"the samples of a late sensor are not read where they belong ({late}): a delay counts to second order beyond a "
+        "quarter of the shortest record, and where it does not settle"
+    )
     return replace(fit, messages=(words, *fit.messages))

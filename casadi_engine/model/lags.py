@@ -60,6 +60,16 @@ def nearest_lags(
     return found
 
 
+def far_from_lags(model: Model, values: Mapping[str, float], records: Sequence[Experiment]) -> list[str]:
+    """The delays that no lag is near, as they are longer than samples are moved by: the law holds the rest poorly."""
+    lags, found = dict(model.lags), []
+    for output, name in delays(model).items():
+        step = max(_step(record, output)[0] for record in records)
+        if name in values and abs(values[name] - lags.get(output, 0.0)) > 2 * step:
+            found.append(name)
+    return found
+
+
 def lagged(model: Model, lags: Mapping[str, float]) -> Model:
     """The model whose late outputs are read at these lags, those left out at none; the same one if it has them."""
     from casadi_engine.model.attach import replaced

@@ -211,3 +211,18 @@ def test_a_long_delay_is_found_from_no_delay(late):
     assert np.isnan(fit.traces["run"]["x"].residual).sum() == 1000 - fit.n
     run = ce.simulate(fit, data)["x"].values
     assert np.abs(run - np.cos(turn * (t - late)))[(t > late) & (t < t[-1] + late)].max() < 0.01
+
+
+def test_a_delay_of_more_than_a_quarter_of_the_record_says_that_it_is_not_exact():
+    t = np.arange(200) * 5e-3
+    data = ce.Experiment.from_arrays("run", time=t, units={"x": "1"}, x=np.cos(4 * np.pi * t))
+    model = swing(12.0).with_effect(SensorDelay(), at="sensor_x", values={"delay": 0.4})
+    pars = model.parameters()
+    pars.fix("sensor_x.sensor_delay.delay", 0.4)
+    fit = ce.estimate(model, data, parameters=pars, progress=False)
+    assert any(
+        "(sensor_x.sensor_delay.delay = 0.4 s): a delay counts to second order" in one for one in fit.messages
+    )
+    pars.fix("sensor_x.sensor_delay.delay", 0.2)
+    near = ce.estimate(model, data, parameters=pars, progress=False)
+    assert not any("counts to second order" in one for one in near.messages)
