@@ -20,6 +20,8 @@ def fitted(parts: Mapping[str, Sequence[Lines]], order: Sequence[tuple[str, int]
     ['a 1', 'a 2', 'b 1']
     >>> fitted(parts, [("b", 1), ("a", 0), ("b", 0)], 1)
     ['a: 2']
+    >>> fitted(parts | {"c": [["c 1", "c 2", "c 3"], []]}, [("b", 1), ("c", 0)], 4)
+    ['a 1', 'a 2', 'b 1', 'b 2']
     """
     chosen = dict.fromkeys(parts, 0)
 
@@ -29,6 +31,12 @@ def fitted(parts: Mapping[str, Sequence[Lines]], order: Sequence[tuple[str, int]
     for name, left in order:
         while len(lines()) > most and chosen[name] + 1 + left < len(parts[name]):
             chosen[name] += 1
+    for name in dict.fromkeys(name for name, _ in reversed(order)):  # room that the last cut left over
+        while (
+            chosen[name]
+            and len(lines()) - len(parts[name][chosen[name]]) + len(parts[name][chosen[name] - 1]) <= most
+        ):
+            chosen[name] -= 1
     return lines()
 
 

@@ -59,22 +59,26 @@ def test_an_effect_that_fresh_data_refuse_is_withdrawn(repaired):
 
 
 def test_the_next_structure_by_evidence_stands_where_the_first_is_refused(repaired, monkeypatch):
-    real, asked = FreshChoice._of_structure, []
+    real, asked, refused = FreshChoice._of_structure, [], []
 
     def of_structure(self, stations, before):
         label = stations[-1].effects[-1].label
         asked.extend([label] if label not in asked else [])
         judged, after = real(self, stations, before)
-        return (Judgement(None, False, True, "refused by hand") if label == asked[0] else judged), after
+        if label != self.search.pool[self.search.best].label:
+            return judged, after
+        refused.append(label)
+        return Judgement(None, False, True, "refused by hand"), after
 
     monkeypatch.setattr(FreshChoice, "_of_structure", of_structure)
     found = repaired(effects=["coulomb_friction", Brake(), "quadratic_drag"])
     assert sorted(asked) == ["brake at pivot", "coulomb_friction at pivot"]
     (one,) = found.effects
-    assert f"{one.name} at {one.at}" == asked[1]
+    assert [f"{one.name} at {one.at}"] == [label for label in asked if label != refused[-1]]
     assert found.confirmed is True
-    assert [f"{e.name} at {e.at}" for e in found.withdrawn] == [asked[0]]
-    assert f"{asked[0]}: refused by hand" in found.messages
+    assert [f"{e.name} at {e.at}" for e in found.withdrawn] == [refused[-1]]
+    assert found.withdrawn[0].why_withdrawn == "contradicted by fresh data"
+    assert f"{refused[-1]}: refused by hand" in found.messages
 
 
 def test_fresh_data_that_the_repaired_model_cannot_be_simulated_on_judge_nothing(repaired, monkeypatch):

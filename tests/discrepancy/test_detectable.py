@@ -81,9 +81,10 @@ def test_the_plausible_size_is_that_which_moves_an_output_by_its_variation():
 
 def printed(some, said="nothing missing"):
     class Found:
-        not_found, verdict = tuple(some), said
+        not_found, verdict, model = tuple(some), said, ce.one_inertia()
 
-    return " ".join(" ".join(_not_found(Found())).split())
+    forms = _not_found(Found())
+    return " ".join(" ".join(forms[0] if forms else ()).split())
 
 
 def test_the_screen_says_it_in_words():
