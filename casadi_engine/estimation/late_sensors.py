@@ -36,7 +36,7 @@ def follow_delays(fit: Fit, again: Callable[[dict[str, Any]], Fit]) -> Fit:
         return fit
     late = ", ".join(f"{name} = {fit.values[name]:.4g} s" for name in far)
     words = (
-        f"the samples of a late sensor are not read where they belong ({late}): a delay counts to second order beyond a "
-        "quarter of the shortest record, and where it does not settle"
+        f"the samples of a late sensor are not read where they belong ({late}): a delay counts to second order beyond "
+        "a quarter of the shortest record, and where it does not settle"
     )
     return replace(fit, messages=(words, *fit.messages))
