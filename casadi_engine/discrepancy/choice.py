@@ -38,7 +38,8 @@ _FIT, _COLOUR = 0.35, 0.45
 _KEPT = 1.0
 # Share of the time that is left which sharper corners may take: without them there is an answer too.
 _SHARP = 0.5
-_NO_FIT = "its fit of all data does not converge"
+NO_FIT = "its fit of all data does not converge"
+_IDLE = "one of its effects does nothing of its own beside the others"
 _NOTHING_LEFT = "its fit of all data leaves nothing of it"
 # Share of where its search started at which an amplitude is none.
 _GONE = 1e-6
@@ -121,7 +122,7 @@ class Choice:
             if late() or top is now:
                 return
             if self._station(top) is None:
-                self.failed.setdefault(top.label, _NO_FIT)
+                self.failed.setdefault(top.label, NO_FIT)
                 top.failed = True
             else:
                 self.best = top.key
@@ -283,7 +284,7 @@ class Choice:
             if self.refits.blunted():
                 here, tried = self.pool[here.key], [self.pool[one.key] for one in tried]
                 continue
-            self.failed.setdefault(best.label, _NO_FIT if arrived is None else _NOTHING_LEFT)
+            self.failed.setdefault(best.label, NO_FIT if arrived is None else _NOTHING_LEFT)
             best.failed = True
             ask()
         self._told(here, tried, best)
@@ -450,6 +451,7 @@ class Choice:
         for count in range(1, len(effects) + 1):
             own = effects[:count]
             if all(c.key != own[-1].candidate.key for c in found[-1].screened.candidates):
+                self.failed.setdefault(self.pool[key].label, _IDLE)
                 return None
             if key_of(own) not in self.pool:
                 there = self.pool[key].arrived

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 from casadi_engine.deadline import Deadline, TimeUp, late
 from casadi_engine.discrepancy.certificate import unknown_of
-from casadi_engine.discrepancy.choice import TIME_UP, Choice
+from casadi_engine.discrepancy.choice import NO_FIT, TIME_UP, Choice
 from casadi_engine.discrepancy.confirmation import CHANCE
 from casadi_engine.discrepancy.fresh import Judgement, Portions, gap_of, judge
 from casadi_engine.discrepancy.fresh_fits import fresh_sides
@@ -96,7 +96,8 @@ class FreshChoice:
         for key in search.ranked():
             stations = search.way(key)
             if stations is None:
-                self.messages.append(f"{search.pool[key].label}: its fit of all data does not converge")
+                label = search.pool[key].label
+                self.messages.append(f"{label}: {search.failed.get(label, NO_FIT)}")
                 continue
             first = stations if first is None else first
             if blind is not None and len(stations) == 1:
