@@ -163,12 +163,13 @@ def test_where_no_better_optimum_was_found_nothing_is_fitted(monkeypatch):
 # ---- the way to a structure
 
 
-def on_the_way(monkeypatch, known):
+def on_the_way(monkeypatch, known, waits=True):
     """Effects a and b, of which a is the more telling; known : names of effects -> names of candidates there."""
     structures = [tried(log=-50.0), tried("a", log=-20.0), tried("b", log=-30.0), tried("a", "b", log=0.0)]
     found = choice_of(monkeypatch, *structures)
     for names, candidates in known.items():
-        screened = stub(candidates=[stub(key=(name, "p")) for name in candidates])
+        own = [stub(key=(name, "p")) for name in candidates]
+        screened = stub(candidates=own, choice=stub(waits=waits))
         found._stations[key_of(*names)] = stub(fit=names, screened=screened)
     monkeypatch.setattr(module, "reached", lambda before, station, own, members: station)
     return found
@@ -178,6 +179,16 @@ def test_the_way_has_a_station_for_every_effect(monkeypatch):
     found = on_the_way(monkeypatch, {(): "ab", ("a",): "b", ("a", "b"): ""})
     assert [one.fit for one in found.way(key_of("a", "b"))] == [(), ("a",), ("a", "b")]
     assert [one.fit for one in found.way(NONE)] == [()]
+
+
+def test_what_fresh_data_prefer_is_scored_in_the_colour_of_its_noise_as_the_chosen_one_is(monkeypatch):
+    found = on_the_way(monkeypatch, {(): "ab", ("a",): "b", ("a", "b"): ""}, waits=False)
+    coloured = []
+    monkeypatch.setattr(Choice, "_in_colour", lambda self, key: coloured.append(key))
+    found.way(key_of("a", "b"))
+    assert coloured == [key_of("a", "b")]
+    found.way(NONE)
+    assert coloured[1:] == [NONE]
 
 
 @pytest.mark.parametrize(
