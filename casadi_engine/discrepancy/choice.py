@@ -73,8 +73,7 @@ class Choice:
         here = self.refits.none(null_fit)
         with self.deadline.spared(-_KEPT):  # time for what judges the answer
             self._rounds(here)
-        if TIME_UP in self.failed.values():
-            self._most_probable_of_all()
+        self._most_probable_of_all()
         self._with_colour()
 
     def _rounds(self, here: Tried) -> None:
@@ -130,14 +129,15 @@ class Choice:
                 return
 
     def _most_probable_of_all(self) -> None:
-        """Let the structure that is far the most probable of all that were refitted take the place of the one that the
-        last whole round had chosen, where the time was up in the next."""
+        """Let the structure that is far the most probable of all that were refitted take the place of the chosen one:
+        any where the time was up in a round, and one of fewer effects, which rounds add up to pass by, at any time."""
 
         def log(one: Tried) -> float:
             return one.log - self.price * len(one.effects)
 
-        now = self.pool[self.best]
+        now, any_size = self.pool[self.best], TIME_UP in self.failed.values()
         ready = [t for t in self.pool.values() if t.effects and t.beyond > BEYOND]
+        ready = [t for t in ready if any_size or len(t.effects) < len(now.effects)]
         top = max(ready, key=log, default=now)
         if log(top) > log(now) + math.log(FACTOR) and self._station(top) is not None:
             self.best = top.key

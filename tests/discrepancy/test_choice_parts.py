@@ -59,6 +59,7 @@ def test_a_structure_that_is_far_more_probable_leads_where_the_time_was_up(monke
     more = PRICE + gain * math.log(FACTOR)
     structures = tried(log=-500.0), tried("a", log=-100.0), tried("a", "b", log=-100.0 + more)
     found = choice_of(monkeypatch, *structures, best=key_of("a"))
+    found.failed["a round"] = TIME_UP
     found._most_probable_of_all()
     assert found.best == (key_of("a", "b") if leads else key_of("a"))
     assert found.asked == ([key_of("a", "b")] if leads else [])
@@ -72,6 +73,7 @@ def test_the_most_probable_is_so_after_its_effects_are_paid_for(monkeypatch):
         tried("c", log=0.6 * PRICE),
     )
     found = choice_of(monkeypatch, *structures)
+    found.failed["a round"] = TIME_UP
     found._most_probable_of_all()
     assert found.best == key_of("c")
 
@@ -80,6 +82,7 @@ def test_a_structure_of_which_an_effect_is_none_does_not_lead(monkeypatch):
     found = choice_of(
         monkeypatch, tried(log=-50.0), tried("a", log=-10.0), tried("a", "b", log=0.0, beyond=BEYOND)
     )
+    found.failed["a round"] = TIME_UP
     found._most_probable_of_all()
     assert found.best == key_of("a")
 
@@ -89,14 +92,26 @@ def test_a_structure_whose_whole_fit_does_not_converge_does_not_lead(monkeypatch
         monkeypatch, tried(log=-50.0), tried("a", log=-20.0), tried("b", log=0.0), best=key_of("a"),
         refused=[key_of("b")],
     )  # fmt: skip
+    found.failed["a round"] = TIME_UP
     found._most_probable_of_all()
     assert (found.best, found.asked) == (key_of("a"), [key_of("b")])
 
 
 def test_where_nothing_else_was_refitted_the_model_stays(monkeypatch):
     found = choice_of(monkeypatch, tried(log=-50.0))
+    found.failed["a round"] = TIME_UP
     found._most_probable_of_all()
     assert (found.best, found.asked) == (NONE, [])
+
+
+@pytest.mark.parametrize(("gain", "leads"), [(1.01, True), (0.99, False)])
+def test_where_it_was_not_one_of_fewer_effects_leads_that_is_far_more_probable(monkeypatch, gain, leads):
+    """Rounds add effects, and pass by what two others do as well as three."""
+    three = tried("a", "b", "c", log=0.0)
+    two = tried("d", "c", log=gain * math.log(FACTOR) - PRICE)
+    found = choice_of(monkeypatch, tried(log=-500.0), tried("e", log=-300.0), two, three, best=three.key)
+    found._most_probable_of_all()
+    assert found.best == (two.key if leads else three.key)
 
 
 FEW = ["coulomb_friction", "constant_torque"]
