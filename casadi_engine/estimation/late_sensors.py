@@ -37,6 +37,6 @@ def follow_delays(fit: Fit, again: Callable[[dict[str, Any]], Fit]) -> Fit:
     late = ", ".join(f"{name} = {fit.values[name]:.4g} s" for name in far)
     words = (
         f"the samples of a late sensor are not read where they belong ({late}): a delay counts to second order beyond "
-        "a quarter of the shortest record, and where it does not settle"
+        "half of the longest record or nine tenths of the shortest, and where it does not settle"
     )
     return replace(fit, messages=(words, *fit.messages))

@@ -226,6 +226,7 @@ class RecordTerm:
             )
         else:
             alike = known is not None and isinstance(known, type(fineness_of(propagator)))
+            alike = alike and hasattr(propagator, "refined")  # events take steps as they come
         if alike:
             self.propagator = propagator.refined(known)
 

@@ -133,7 +133,8 @@ def simulate(
         given = _fitted_start(model, data, values, given, method)
     of_fit = bool(measured) and all(isinstance(value, Estimate) for value in given.values())
     data = begun_at(data, given, model, ())
-    model = with_nearest_lags(model, dict(zip(model.parameter_names, values.tolist(), strict=True)), (data,))
+    known = dict(zip(model.parameter_names, values.tolist(), strict=True))
+    model = with_nearest_lags(model, known, (data,), most=math.inf)
     grid = (_fitted_grid if of_fit else _whole_grid)(
         lagged(model, {}), data
     )  # a late sensor is shifted at the end

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 # Steps by which a delay may be off the lag that its samples are read at: beyond it a lag nearer by is there.
 _NEAR = 0.6
-# Share of a record that samples are moved by at most: of one that is late by more, little would be left.
-_MOST = 0.25
+# Shares of the longest and of the shortest record that samples are moved by at most, so that some are left.
+_MOST, _LEFT = 0.5, 0.9
 
 
 def delays(model: Model) -> dict[str, str]:
@@ -38,9 +38,11 @@ def delays(model: Model) -> dict[str, str]:
 
 
 def nearest_lags(
-    model: Model, values: Mapping[str, float], records: Sequence[Experiment]
+    model: Model, values: Mapping[str, float], records: Sequence[Experiment], *, most: float = _MOST
 ) -> dict[str, float]:
-    """Late output -> lag [s] at these values of the parameters: of whole steps of its slowest record, or 0.
+    """Late output -> lag [s] at these values of the parameters: of whole steps of the slowest record's grid, or 0.
+
+    most : share of the longest record that samples are moved by at most; inf for any, where none has to be left
 
     A lag that the model has is kept as long as the delay is near it. Where an input jumps at a sample and then holds,
     lags are up to a step longer than the delay: the law looks ahead from a sample then, over what the input does.
@@ -48,14 +50,15 @@ def nearest_lags(
     before, found = dict(model.lags), {}
     middle = 0.5 if _jumps(model, records) else 0.0
     for output, name in delays(model).items():
-        steps = [_step(record, output) for record in records]
+        steps = [_step(model, record, output) for record in records]
         if name not in values or not steps or not np.isfinite(values[name]):
             continue
-        step, shortest = max(step for step, _ in steps), min(span for _, span in steps)
+        step, spans = max(step for step, _ in steps), [span for _, span in steps]
         lag = before.get(output, 0.0)
         if abs(values[name] / step - (lag / step - middle)) > _NEAR:
-            most = np.floor(_MOST * shortest / step)
-            lag = float(np.clip(np.rint(values[name] / step + middle), -most, most) * step)
+            left = _LEFT * min(spans) if np.isfinite(most) else np.inf
+            far = np.floor(min(most * max(spans), left) / step + 1e-6)
+            lag = float(np.clip(np.rint(values[name] / step + middle), -far, far) * step)
         found[output] = lag
     return found
 
@@ -64,7 +67,7 @@ def far_from_lags(model: Model, values: Mapping[str, float], records: Sequence[E
     """The delays that no lag is near, as they are longer than samples are moved by: the law holds the rest poorly."""
     lags, found = dict(model.lags), []
     for output, name in delays(model).items():
-        step = max(_step(record, output)[0] for record in records)
+        step = max(_step(model, record, output)[0] for record in records)
         if name in values and abs(values[name] - lags.get(output, 0.0)) > 2 * step:
             found.append(name)
     return found
@@ -111,9 +114,11 @@ def with_delays(model: Model, *, of_rates: bool = True) -> Model:
     return replace(plain, output_expressions=shown)
 
 
-def with_nearest_lags(model: Model, values: Mapping[str, float], records: Sequence[Experiment]) -> Model:
-    """The model with the lags that these values of its delays ask for."""
-    return lagged(model, nearest_lags(model, values, records)) if delays(model) else model
+def with_nearest_lags(
+    model: Model, values: Mapping[str, float], records: Sequence[Experiment], *, most: float = _MOST
+) -> Model:
+    """The model with the lags that these values of its delays ask for; most : as in ``nearest_lags``."""
+    return lagged(model, nearest_lags(model, values, records, most=most)) if delays(model) else model
 
 
 def _jumps(model: Model, records: Sequence[Experiment]) -> bool:
@@ -122,11 +127,11 @@ def _jumps(model: Model, records: Sequence[Experiment]) -> bool:
     return any(record[name].hold == "zero" for record in records for name in inputs if name in record)
 
 
-def _step(record: Experiment, output: str) -> tuple[float, float]:
-    """The typical step of an output's samples, of those of the fastest channel where it was not measured, and how long
-    they last [s]."""
-    names = [output] if output in record else record.names
-    times = [record[name].time for name in names]
+def _step(model: Model, record: Experiment, output: str) -> tuple[float, float]:
+    """The typical step of the fastest of an output and the inputs, whose points samples may be moved to, and how long
+    the output's last, or that one's where it was not measured [s]."""
+    names = [name for name in (output, *(variable.name for variable in model.inputs)) if name in record]
+    times = [record[name].time for name in names or record.names]
     steps = [float(np.median(np.diff(time))) for time in times]
-    fastest = int(np.argmin(steps))
-    return steps[fastest], float(times[fastest][-1] - times[fastest][0])
+    long = times[0] if output in record else times[int(np.argmin(steps))]
+    return min(steps), float(long[-1] - long[0])

@@ -112,27 +112,36 @@ def test_one_input_that_is_held_in_one_record_is_enough_to_look_ahead():
     assert nearest_lags(late(), {DELAY: 0.103}, [stair])["y"] == pytest.approx(0.10)
 
 
-@pytest.mark.parametrize(("delay", "sign"), [(0.9, 1), (1e12, 1), (-0.9, -1), (-1e12, -1)])
-def test_a_lag_leaves_three_quarters_of_the_shortest_record(delay, sign):
-    long, short = record("a", y=STEP, count=801), record("b", y=STEP, count=102)
-    assert nearest_lags(late(), {DELAY: delay}, [long, short])["y"] == pytest.approx(sign * 25 * STEP)
+@pytest.mark.parametrize(("delay", "sign"), [(7.0, 1), (1e12, 1), (-7.0, -1), (-1e12, -1)])
+def test_a_lag_leaves_half_of_the_longest_record_and_a_tenth_of_the_shortest(delay, sign):
+    long, short = record("a", y=STEP, count=801), record("b", y=STEP, count=101)
+    assert nearest_lags(late(), {DELAY: delay}, [long])["y"] == pytest.approx(sign * 400 * STEP)
+    assert nearest_lags(late(), {DELAY: delay}, [long, short])["y"] == pytest.approx(sign * 90 * STEP)
+    # a simulation has nothing to leave
+    assert nearest_lags(late(), {DELAY: delay}, [short], most=math.inf)["y"] == pytest.approx(delay)
 
 
 def test_several_records_take_whole_steps_of_the_slowest():
-    data = [record("a", y=0.01), record("b", y=0.04), record("c", y=0.02)]
+    data = [record("a", step=0.01, y=0.01), record("b", step=0.04, y=0.04), record("c", step=0.02, y=0.02)]
     assert nearest_lags(late(), {DELAY: 0.074}, data)["y"] == pytest.approx(0.08)
     assert nearest_lags(late(), {DELAY: 0.074}, [data[0], data[2]])["y"] == pytest.approx(0.08)
     assert nearest_lags(late(), {DELAY: 0.074}, data[:1])["y"] == pytest.approx(0.07)
 
 
+def test_samples_are_moved_by_steps_of_the_inputs_where_these_are_faster():
+    """Of an output that is read every 0.2 s a part of a sample is long; on the inputs' points it is exact too."""
+    assert nearest_lags(late(), {DELAY: 0.113}, [record(step=0.01, y=0.2)])["y"] == pytest.approx(0.11)
+    assert nearest_lags(late(), {DELAY: 0.113}, [record(step=0.2, y=0.01)])["y"] == pytest.approx(0.11)
+
+
 def test_every_output_has_the_lag_of_its_own_delay_and_rate():
-    found = nearest_lags(late(2), {DELAY: 0.033, OTHER: 0.033}, [record(y=0.01, z=0.02)])
+    found = nearest_lags(late(2), {DELAY: 0.033, OTHER: 0.033}, [record(step=0.04, y=0.01, z=0.02)])
     assert found == {"y": pytest.approx(0.03), "z": pytest.approx(0.04)}
 
 
-def test_an_output_that_was_not_measured_has_steps_of_the_fastest_channel():
+def test_an_output_that_was_not_measured_has_steps_of_the_inputs():
     assert nearest_lags(late(2), {OTHER: 0.047}, [record(step=0.01, y=0.02)]) == {"z": pytest.approx(0.05)}
-    assert nearest_lags(late(2), {OTHER: 0.047}, [record(step=0.05, y=0.02)]) == {"z": pytest.approx(0.04)}
+    assert nearest_lags(late(2), {OTHER: 0.047}, [record(step=0.05, y=0.02)]) == {"z": pytest.approx(0.05)}
 
 
 @pytest.mark.parametrize("values", [{}, {DELAY: math.nan}, {DELAY: math.inf}, {DELAY: -math.inf}])
