@@ -85,6 +85,9 @@ def simulate(
         initial states make, without and with the noise. In place of the fit a posterior (an object with ``fit`` and
         ``draws``, name -> (n,)) may be given, whose draws are then simulated
 
+    What a late sensor shows before it shows the first instant was before the record: it is guessed, as the first samples
+    go on backwards, and the history says for how long.
+
     Returns an Experiment with the input channels and one derived channel for each output, on the inputs' grid, in
     the units that the model declares.
     Raises SimulationError if initial states are missing and no output was measured; ExperimentError, ModelError.
@@ -265,5 +268,9 @@ def _run(
             Channel(out.name, channel_unit(out, data), time=grid.time, values=row, origin="derived")
         )
     about = found.integration.to_dict()
+    if any(lag for _, lag in model.lags):
+        about["guessed before the first instant is shown"] = {
+            name: f"{abs(lag):.6g} s" for name, lag in model.lags if lag
+        }
     step = Step("simulate", {"model": model.name, **about}, grid.samples, grid.samples)
     return replace(result, history=(*result.history, step))
