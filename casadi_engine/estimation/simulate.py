@@ -85,8 +85,8 @@ def simulate(
         initial states make, without and with the noise. In place of the fit a posterior (an object with ``fit`` and
         ``draws``, name -> (n,)) may be given, whose draws are then simulated
 
-    What a late sensor shows before it shows the first instant was before the record: it is guessed, as the first samples
-    go on backwards, and the history says for how long.
+    What a late sensor shows before it shows the first instant was before the record: it is guessed, as the first
+    samples go on backwards, and the history says for how long.
 
     Returns an Experiment with the input channels and one derived channel for each output, on the inputs' grid, in
     the units that the model declares.
