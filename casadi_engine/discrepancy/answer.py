@@ -28,7 +28,7 @@ from casadi_engine.discrepancy.claim import (
     reason_to_withdraw,
 )
 from casadi_engine.discrepancy.coloured_errors import with_coloured_errors
-from casadi_engine.discrepancy.confirmation import PairedGain
+from casadi_engine.discrepancy.confirmation import CHANCE, PairedGain
 from casadi_engine.discrepancy.detectable import not_found
 from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.families import BEYOND
@@ -159,12 +159,21 @@ class Answer:
                 law, rival = far, told
         if rival is None or law is None:
             return claim
+        if not found and unknown is None and law.log < self._clear:  # by their odds alone
+            return claim
         claim = replace(claim, unknown=rival if law.log >= 0 or unknown is None else unknown)
         judged = claim.proof.judgement  # what fresh data deny is no name for the law that is more probable
         denied = judged is not None and judged.confirmed is False and law.log >= math.log(FACTOR)
         if law.excludes or denied:
             return claim.withdrawn_for(claim.unknown, null, BEHIND_LAW)
         return claim
+
+    @property
+    def _clear(self) -> float:
+        """Log odds that something is missing has where nothing else says so: as rare by chance as what tests find, and
+        what fresh data confirm where these were asked."""
+        asked = bool(self.portion.fresh)
+        return -math.log(self.alpha * (CHANCE if asked else 1.0))
 
     def _finished(self, blank: Repair, null: Station, last: Station, proof: Confirmation) -> Repair:
         screened = null.screened

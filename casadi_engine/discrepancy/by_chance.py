@@ -23,10 +23,11 @@ def held_to_chance(repair: Repair) -> Repair:
         return repair
     gaps = repair.gaps
     assert gaps is not None
-    best = min((*repair.effects, *repair.withdrawn), key=lambda one: one.p_value)
+    tests = _tests(repair)
+    what = min(tests, key=lambda name: tests[name])
     words = (
-        f"{best.name} at {best.at} is beyond chance on the data of the search (p = {best.p_value:.2g}), and fresh data "
-        f"do not confirm it: then it has to be as improbable as what they confirm, p < {CHANCE * repair.alpha:.2g}"
+        f"{what} is beyond chance on the data of the search (p = {tests[what]:.2g}), and fresh data do not confirm it: "
+        f"then it has to be as improbable as what they confirm, p < {CHANCE * repair.alpha:.2g}"
     )
     bare = replace(
         repair,
@@ -50,15 +51,22 @@ def _may_be_chance(repair: Repair) -> bool:
     A fresh residual that is not white says something is missing, whatever its name; where the noise is coloured,
     nothing can be told from that.
     """
-    gaps, found = repair.gaps, (*repair.effects, *repair.withdrawn)
-    if gaps is None or gaps.validation_before is None or repair.confirmed or repair.stopped or not found:
+    gaps = repair.gaps
+    if gaps is None or gaps.validation_before is None or repair.confirmed or repair.stopped:
         return False
     if repair.noise is None or repair.verdict not in ("unnamed", "named", "class"):
         return False
-    tests = [one.p_value for one in found]
-    if repair.unknown is not None:
-        own = repair.unknown.p_value
-        tests += [*repair.unknown.tests.values(), *([] if own is None else [own])]
+    tests = _tests(repair)
     white = [p for one in gaps.validation_before.whiteness_p.values() for p in one.values() if p is not None]
     quiet = bool(repair.noise.colour) or min(white, default=1.0) >= SURE
-    return quiet and min(tests) >= CHANCE * repair.alpha
+    return bool(tests) and quiet and min(tests.values()) >= CHANCE * repair.alpha
+
+
+def _tests(repair: Repair) -> dict[str, float]:
+    """What says that something is missing -> its p-value: effects, scores, tests of the residual."""
+    found = {f"{one.name} at {one.at}": one.p_value for one in (*repair.effects, *repair.withdrawn)}
+    if repair.unknown is None:
+        return found
+    own = repair.unknown.p_value
+    law = {} if own is None else {f"a law at {repair.unknown.port} of {repair.unknown.signal}": own}
+    return {**found, **repair.unknown.tests, **law}

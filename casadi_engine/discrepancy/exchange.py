@@ -26,15 +26,16 @@ Tell = Callable[[str], None]
 
 def special_cases(refits: Refits, best: Key, screened: Screened, tell: Tell) -> None:
     """Refit the most probable structures with a law's special case in its place, where that was not tried beside
-    the other effects: what the law has more may be what one of these does."""
+    the other effects, as what the law has more may be what one of these does, or where its refit had not arrived."""
     now, families = refits.pool[best], families_of(screened)
     least = now.log - math.log(FACTOR)
-    for one in [t for t in refits.pool.values() if len(t.key) == len(now.key) > 1 and t.log > least]:
+    for one in [t for t in refits.pool.values() if len(t.key) == len(now.key) > 0 and t.log > least]:
         for member in one.effects:
             limit = (member.candidate.source.effect.limit, member.candidate.port)
             if limit in one.key or limit not in families:
                 continue
-            if one.key - {member.candidate.key} | {limit} in refits.pool:
+            known = refits.pool.get(one.key - {member.candidate.key} | {limit})
+            if known is not None and (known.arrived.settled or len(one.key) > 1):
                 continue
             ask()
             tell(f"{limit[0]} in place of {member.label}, in {one.label}")

@@ -349,6 +349,16 @@ def test_what_fresh_data_do_not_confirm_may_be_chance(repaired):
     ):
         assert kept.verdict == repaired.verdict
         assert kept.effects
+    # scores and tests of the residual without any effect alike
+    alone = {"effects": (), "withdrawn": (), "verdict": "unnamed", "gaps": gaps}
+    asked = replace(repaired, noise=noise, confirmed=None, stopped="", **alone)
+    scored = held_to_chance(replace(asked, unknown=Unknown("it scores", {"drag at shaft": 3e-3})))
+    assert (scored.verdict, scored.unknown) == ("nothing missing", None)
+    assert scored.messages[0].startswith(
+        "drag at shaft is beyond chance on the data of the search (p = 0.003)"
+    )
+    assert held_to_chance(replace(asked, unknown=Unknown("it scores", {"drag at shaft": 3e-5}))).unknown
+    assert held_to_chance(replace(asked, unknown=Unknown("it is coloured", {}))).unknown
     # colour of the noise says nothing of fresh whiteness
     colour = replace(noise, colour={"misfire_1200rpm/omega": 2})
     swings = replace(own, whiteness_p={"fresh": {"omega": 1e-9}})
