@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -59,6 +59,9 @@ class Choice:
     timing: dict[str, float] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
     best: Key = frozenset()
+    misfit: float = (
+        1.0  # chi-squared per sample of fresh data over that of the search, where that is no chance
+    )
     _stations: dict[Key, Station] = field(default_factory=dict, repr=False)
     _asked: set[tuple[Key, Key]] = field(default_factory=set, repr=False)
     _left_out: tuple[tuple[str, float], ...] = ()
@@ -141,6 +144,27 @@ class Choice:
         top = max(ready, key=log, default=now)
         if log(top) > log(now) + math.log(FACTOR) and self._station(top) is not None:
             self.best = top.key
+
+    def prefer(self, key: Key, *, without: Collection[tuple[str, str]]) -> None:
+        """Let a structure that was refitted be the chosen one, or the simplest of as many effects as it that the data
+        do not tell from the most probable; none that has effects more, and one of those that are left out."""
+        for one in self.pool.values():
+            one.failed |= len(one.key) > len(key) and not one.key.isdisjoint(without)
+        self.refits.weigh()
+        ready = self._alike(self.pool[key])
+        top = max(ready, key=lambda one: one.log, default=self.pool[key])
+        fitted = (one.key for one in (simpler(top, ready, FACTOR), top) if self._station(one) is not None)
+        self.best = next(fitted, key)
+
+    def special_cases_of(self, key: Key) -> list[Key]:
+        """The structures that were refitted with the special case of one of the laws in its place."""
+        found = []
+        for one in self.pool[key].effects:
+            limit = (one.candidate.source.effect.limit, one.candidate.port)
+            case = self.pool.get(key - {one.candidate.key} | {limit})
+            if case is not None and case.beyond > BEYOND:
+                found.append(case.key)
+        return found
 
     def _alike(self, one: Tried) -> list[Tried]:
         """The structures of as many effects as one that are findings."""
@@ -461,7 +485,7 @@ class Choice:
             if station is None:
                 return None
             station = self._as_chosen(key) if count == len(effects) else station
-            members = class_of(self.pool, key, own[-1], FACTOR, self.price)
+            members = class_of(self.pool, key, own[-1], FACTOR, self.price, self.misfit)
             found.append(reached(found[-1], station, own, members))
         return found
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from casadi_engine.discrepancy.certificate import unknown_of
 from casadi_engine.discrepancy.confirmation import share_closed
 from casadi_engine.discrepancy.fresh import gap_of
-from casadi_engine.discrepancy.fresh_choice import SEEN, Confirmation
-from casadi_engine.discrepancy.fresh_misfit import HALF
+from casadi_engine.discrepancy.fresh_choice import Confirmation
+from casadi_engine.discrepancy.fresh_misfit import HALF, SEEN
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.repaired import FoundEffect, Unknown

@@ -6,15 +6,21 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from casadi_engine.deadline import Deadline, TimeUp, late
 from casadi_engine.discrepancy.certificate import unknown_of
 from casadi_engine.discrepancy.choice import NO_FIT, TIME_UP, Choice
-from casadi_engine.discrepancy.confirmation import CHANCE
-from casadi_engine.discrepancy.fresh import Judgement, Portions, gap_of, judge
+from casadi_engine.discrepancy.confirmation import CHANCE, share_closed
+from casadi_engine.discrepancy.fresh import Judgement, Portions, gap_of, judge, residuals
 from casadi_engine.discrepancy.fresh_fits import fresh_sides
+from casadi_engine.discrepancy.fresh_misfit import SEEN, beyond_chance
 from casadi_engine.discrepancy.fresh_weights import FreshWeights
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
+from casadi_engine.discrepancy.parameter_doubt import doubted, within_errors
+from casadi_engine.discrepancy.path import FAILURES
+from casadi_engine.discrepancy.refits import key_of
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.estimation import Fit
 
@@ -22,8 +28,6 @@ NO_RUN = "the repaired model cannot be simulated on the fresh data, which neithe
 _UNSETTLED = (
     "its initial states on the fresh data had not settled, so that these neither confirm nor refuse it"
 )
-# A change of a gap that a person would see.
-SEEN = 0.1
 # Share of the spare time behind a budget at which fresh data have to be judged; evaluations of the model that they may
 # cost at least.
 _JUDGED, _EVALUATIONS = 0.6, 5000
@@ -83,6 +87,7 @@ class FreshChoice:
         before = self._on_fresh(null) if self.portion.fresh else None
         if self.portion.fresh and before is None and not self._costly:
             self.messages.append("the model without effects cannot be simulated on the fresh data")
+        self._shortened(before)
         if self.portion.fresh and not null.screened.choice.scatter:
             sure = self._confirms(before)
             try:
@@ -122,27 +127,101 @@ class FreshChoice:
             return self._kept(blind, first or blind, before, Judgement(None, None, False, NO_RUN))
         return self._kept([null], first or [null], before)
 
+    def _shortened(self, before: Pairs | None) -> None:
+        """Let the most probable structure of the effects that stand by themselves take the place of the chosen one, and
+        a law's special case that of the law where this is not seen to do more."""
+        search = self.search
+        while before is not None and not late():
+            stations = search.way(search.best)
+            if stations is None or len(stations) == 1:
+                return
+            kept = self._each_confirmed(stations)
+            search.misfit = self._misfit(kept[-1], self._on_fresh(kept[-1]))
+            if len(kept) < len(stations):
+                gone = {one.candidate.key for one in stations[-1].effects[len(kept) - 1 :]}
+                search.prefer(key_of(kept[-1].effects), without=gone)
+            elif not self._in_special_case(stations[-1]):
+                return
+
+    def _in_special_case(self, last: Station) -> bool:
+        """Let a law's special case take its place where more is missing than effects explain, and on fresh data the law
+        closes no more than a person would see: what it has more may imitate the rest."""
+        after = self._on_fresh(last)
+        if after is None or not (unknown_of(last.screened) or self.search.misfit > 1):
+            return False
+        for one in self.search.special_cases_of(key_of(last.effects)):
+            stations = self.search.way(one)
+            case = None if stations is None else self._on_fresh(stations[-1])
+            if case is not None and not self._seen(case, after, last):
+                self.search.best = one
+                return True
+        return False
+
     def _each_confirmed(self, stations: list[Station]) -> list[Station]:
-        """The stations up to the last effect that stands by itself: chance does as much less often than what fresh data
-        confirm, and no more is missing than effects explain, which others would imitate; or fresh data confirm it."""
+        """The stations up to the last effect that stands by itself.
+
+        It stands where chance does as much less often than what fresh data confirm, and no more is missing than
+        effects explain, which others would imitate, in these data or the fresh ones; or where fresh data confirm it,
+        and where more is missing it closes a part of their gap that a person would see.
+        """
         while len(stations) > 2:
             base, last = stations[-2:]
             one, screened = last.effects[-1], base.screened
             weak = last.lead is not None and screened.pooled(last.lead) >= CHANCE * screened.alpha
-            imitates = not one.moves and unknown_of(last.screened) is not None
-            if not weak and not imitates:
-                break
             part, after = self._on_fresh(base), self._on_fresh(last)
-            judged = None if part is None or after is None else self._judged(part, after, last)
-            # an event of one record is confirmed by no other
-            if judged is None or judged.confirmed or (judged.confirmed is None and not (weak and one.moves)):
+            more = unknown_of(last.screened) is not None or self._misfit(last, after) > 1
+            if (not weak and not more) or part is None or after is None:
                 break
-            why = "chance may make it" if weak else "more is missing than effects explain"
-            self.messages.append(
-                f"{one.label} is left out: {why}, and fresh data do not confirm it by itself"
+            judged = self._judged(part, after, last)
+            # an event of one record is confirmed by no other
+            stands = judged.confirmed or (judged.confirmed is None and not (weak and one.moves))
+            if more and not weak:
+                stands = self._seen(part, after, last) if judged.confirmed else stands
+                if one.moves and not judged.confirmed:
+                    stands = _seen_by_itself(base, last)
+            if stands:
+                break
+            why = "more is missing than effects explain" if more and not weak else "chance may make it"
+            said = (
+                "fresh data show next to nothing of it"
+                if judged.confirmed
+                else "fresh data do not confirm it by itself"
             )
+            self.messages.append(f"{one.label} is left out: {why}, and {said}")
             stations = stations[:-1]
         return stations
+
+    def _misfit(self, station: Station, pairs: Pairs | None) -> float:
+        """Chi-squared per sample of the fresh data over that of the search, where that is beyond chance and beyond what
+        errors of the parameters do; else 1."""
+        noise = station.screened.noise
+        if not pairs or noise.scatter:
+            return 1.0
+        own, fresh = gap_of([station.screened.null], noise), gap_of([null for _, null in pairs], noise)
+
+        def ratio(found: float) -> float:
+            beyond = beyond_chance(found, fresh.samples, own, coloured=bool(noise.colour))
+            return found / own.chi2_per_sample if beyond else 1.0
+
+        whole = ratio(fresh.chi2_per_sample)
+        if whole == 1.0:
+            return whole
+        try:
+            with np.errstate(all="ignore"):
+                nulls = [doubted(station.fit, held) for held, _ in pairs]
+                parts = [within_errors(station.fit, null, residuals([null], noise)) for null in nulls]
+        except FAILURES:
+            return whole
+        left = sum(part.value + float(part.noise @ part.noise) for part in parts)
+        return ratio(left / sum(len(part.noise) for part in parts))
+
+    @staticmethod
+    def _seen(old: Pairs, new: Pairs, here: Station) -> bool:
+        """True if a structure closes a part of the gap on fresh data, above the noise, that a person would see."""
+        noise = here.screened.noise
+        first, then = (gap_of([null for _, null in pairs], noise) for pairs in (old, new))
+        closed = share_closed(first, then, noise.sigma, coloured=bool(noise.colour))
+        return closed >= 1 - (1 - SEEN) ** 2
 
     def _confirms(self, before: Pairs | None) -> bool:
         """True if fresh data confirm the chosen structure."""
@@ -240,6 +319,13 @@ def _of_parameters(search: Choice) -> bool:
     """True if the chosen structure says that stated numbers are wrong, and nothing else."""
     effects = search.pool[search.best].effects
     return bool(effects) and all(one.kind == "parameter" for one in effects)
+
+
+def _seen_by_itself(base: Station, last: Station) -> bool:
+    """True if the last effect closes a part of the whole gap on the data of the search that a person would see."""
+    noise = last.screened.noise
+    first, then = (gap_of([one.screened.null], noise).chi2_per_sample for one in (base, last))
+    return then <= (1 - SEEN) ** 2 * first
 
 
 def _rmse(pairs: Pairs, noise: NoiseModel) -> float:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from casadi_engine.discrepancy.confirmation import share_closed
+from casadi_engine.discrepancy.confirmation import Gap, share_closed
 from casadi_engine.discrepancy.repaired import REFUSED, UNCONFIRMED, Unknown
 from casadi_engine.distributions import f_sf
 
@@ -21,6 +22,8 @@ _LOUDEST = 25.0
 _EXPLAINED = 0.5
 # Share of the gap's squares above the noise that effects have to close where what they leave is no white noise.
 HALF = 0.5
+# A change of a gap that a person would see.
+SEEN = 0.1
 _TINY = 1e-300
 # The test by which something is missing that the fresh data alone show.
 FRESH = "fresh data"
@@ -93,11 +96,21 @@ def _beyond(repair: Repair, found: float, own: float | None = None, outputs: int
     gaps, noise = repair.gaps, repair.noise
     if gaps is None or gaps.validation_after is None or noise is None:
         return False
-    first = gaps.estimation_after.gap
+    first, fresh = gaps.estimation_after.gap, gaps.validation_after.gap
+    return beyond_chance(found, fresh.samples, first, coloured=bool(noise.colour), own=own, outputs=outputs)
+
+
+def beyond_chance(
+    found: float, samples: int, first: Gap, *, coloured: bool, own: float | None = None, outputs: int = 1
+) -> bool:
+    """True if a chi-squared per sample of so many fresh ones is larger than that of the search, beyond chance.
+
+    first : the gap of the search; own : chi-squared per sample there of one of so many outputs; None for that of all
+    """
     own = first.chi2_per_sample if own is None else own
     # where rounding counts as a larger noise, the residual is worth fewer samples by as much
-    memory = max(MEMORY if noise.colour else 1.0, 1 / max(first.chi2_per_sample, _TINY))
-    fresh, known = (max(gap.samples / outputs / memory, 1.0) for gap in (gaps.validation_after.gap, first))
+    memory = max(MEMORY if coloured else 1.0, 1 / max(first.chi2_per_sample, _TINY))
+    fresh, known = (max(count / outputs / memory, 1.0) for count in (samples, first.samples))
     ratio = found / own if own > 0 else 0.0
     return ratio > LARGER and outputs * f_sf(ratio, fresh, known) < SURE
 
@@ -197,8 +210,10 @@ def _held(repair: Repair) -> Repair:
     confirmed = repair.confirmed
     if repair.verdict == "nothing missing" and (p := _more_than_noise(repair)) is not None:
         return replace(repair, verdict="unnamed", unknown=Unknown(misfit, {FRESH: p}))
-    # several effects together bend to what none of them is
-    if confirmed and (_mostly_left(repair) or (len(repair.effects) > 1 and not is_louder(repair))):
+    if confirmed and _mostly_left(repair):
+        confirmed = False
+    # several effects together bend to what none of them is, unless they close all that a person sees
+    if confirmed and len(repair.effects) > 1 and not is_louder(repair) and _left(repair) > SEEN:
         confirmed = False
     return replace(repair, confirmed=confirmed, messages=(misfit, *repair.messages))
 
@@ -213,6 +228,16 @@ def _coloured_doubt(repair: Repair) -> str | None:
     )
 
 
+def _left(repair: Repair) -> float:
+    """The gap on fresh data with the effects, by its root mean square, over that without."""
+    gaps = repair.gaps
+    before = None if gaps is None else gaps.validation_before
+    after = None if gaps is None else gaps.validation_after
+    if before is None or after is None or not before.gap.chi2_per_sample > 0:
+        return 1.0
+    return math.sqrt(after.gap.chi2_per_sample / before.gap.chi2_per_sample)
+
+
 def _mostly_left(repair: Repair) -> bool:
     """True if more of the gap on fresh data is left than the effects closed, by its root mean square."""
     gaps = repair.gaps
@@ -221,6 +246,6 @@ def _mostly_left(repair: Repair) -> bool:
     if before is None or after is None:
         return True
     if repair.noise is None or not repair.noise.colour:
-        return 4 * after.gap.chi2_per_sample > before.gap.chi2_per_sample
+        return _left(repair) > HALF
     sigma = {name: level for name, (level, _) in repair.noise.sigma.items()}
     return share_closed(before.gap, after.gap, sigma, coloured=True) < HALF

@@ -83,17 +83,18 @@ def reached(
 
 
 def class_of(
-    pool: Mapping[Any, Any], key: Key, one: Addition, factor: float, price: float
+    pool: Mapping[Any, Any], key: Key, one: Addition, factor: float, price: float, misfit: float = 1.0
 ) -> tuple[Member, ...]:
     """The effects that are not excluded in the place of one of a structure, with their probabilities, itself first.
 
     Two effects may stand in the place of it, and one in the place of it and another; price : of one effect more. An
-    effect of which its refit has left nothing explains nothing in its place.
+    effect of which its refit has left nothing explains nothing in its place. misfit : chi-squared per sample of fresh
+    data over that of the search: where it is more, no structure is right, and evidence counts by as much less.
     """
     own = one.candidate.key
     rest = key - {own}
     known = {
-        other: float(found.log) for other, found in pool.items()
+        other: float(found.log) / misfit for other, found in pool.items()
         if found.log > -math.inf and (other <= key or found.beyond > _NOTHING)
     }  # fmt: skip
     logs = {

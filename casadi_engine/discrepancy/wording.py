@@ -153,7 +153,7 @@ def why_leads(one: FoundEffect) -> str:
         return "within a factor of e the data tell none apart: the simplest leads, or the one found first"
     return (
         "what is more probable does not lead where its fit did not end, its size is within its errors, or fresh data "
-        "refuse it"
+        "refuse it or show nothing of what it does more"
     )
 
 

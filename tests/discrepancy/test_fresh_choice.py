@@ -21,11 +21,12 @@ def stations_of(names, events=()):
     ]
 
 
-def confirmed(monkeypatch, stations, says, *, missing=True, lost=()):
+def confirmed(monkeypatch, stations, says, *, missing=True, unfit=False, unseen=(), lost=()):
     """What is left of the stations, what is said, and which were held against each other.
 
     says : name of the last effect -> what fresh data say of it; missing : whether more is missing than effects
-    explain; lost : fits that cannot be simulated on the fresh data
+    explain, in the data of the search; unfit : in the fresh ones; unseen : names of those that close nothing that a
+    person sees; lost : fits that cannot be simulated on the fresh data
     """
     asked = []
 
@@ -39,6 +40,11 @@ def confirmed(monkeypatch, stations, says, *, missing=True, lost=()):
     )
     monkeypatch.setattr(FreshChoice, "_on_fresh", lambda self, one: None if one.fit in lost else one.fit)
     monkeypatch.setattr(FreshChoice, "_judged", judged)
+    monkeypatch.setattr(FreshChoice, "_misfit", lambda self, one, pairs: 2.0 if unfit else 1.0)
+    monkeypatch.setattr(
+        FreshChoice, "_seen", lambda self, old, new, here: here.effects[-1].label not in unseen
+    )
+    monkeypatch.setattr(module, "_seen_by_itself", lambda base, last: last.effects[-1].label not in unseen)
     said = []
     found = FreshChoice(None, None, print, said)._each_confirmed(stations)
     assert all(one in [station.screened for station in stations] for one in seen)
@@ -85,7 +91,31 @@ def test_what_fresh_data_confirm_or_cannot_tell_of_stays(monkeypatch, answer):
 
 def test_an_event_stays_which_no_other_record_can_confirm(monkeypatch):
     stations = stations_of(["dry", "load"], events=["load"])
-    assert confirmed(monkeypatch, stations, {"load": False}) == (stations, [], [])
+    assert confirmed(monkeypatch, stations, {"load": None})[:2] == (stations, [])
+
+
+@pytest.mark.parametrize("missing", [True, False])
+def test_where_more_is_missing_an_effect_stays_only_if_a_person_sees_it(monkeypatch, missing):
+    """What is beyond chance, and a hundredth of what nothing explains, bends to that."""
+    stations = stations_of(["dry", "drag"])
+    given = {"missing": missing, "unfit": not missing, "unseen": ["drag"]}
+    found, said, _ = confirmed(monkeypatch, stations, {"drag": True}, **given)
+    assert found == stations[:2]
+    assert said == [
+        "drag is left out: more is missing than effects explain, and fresh data show next to nothing of it"
+    ]
+    load = stations_of(["dry", "load"], events=["load"])
+    found, said, _ = confirmed(
+        monkeypatch, load, {"load": None}, missing=missing, unfit=True, unseen=["load"]
+    )
+    assert found == load[:2]
+    assert said == [WORDS.format("load")]
+
+
+def test_where_nothing_more_is_missing_nobody_has_to_see_it(monkeypatch):
+    stations = stations_of(["dry", "drag"])
+    found, _, _ = confirmed(monkeypatch, stations, {"drag": True}, missing=False, unseen=["drag"])
+    assert found == stations
 
 
 @pytest.mark.parametrize("lost", ["fit 1", "fit 2"])
@@ -129,6 +159,7 @@ def test_weights_that_were_not_all_asked_weigh_nothing(monkeypatch):
     asked, unasked = stub(fresh=-12.0), stub(fresh=0.0)
     search = stub(
         null=null,
+        best="none",
         pool={"asked": asked, "unasked": unasked},
         ranked=lambda: iter(["none"]),
         way=lambda key: [null],
