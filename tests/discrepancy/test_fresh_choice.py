@@ -150,6 +150,72 @@ def test_the_stations_that_were_given_stay_as_they_are(monkeypatch):
     assert len(stations) == 3
 
 
+# ---- what takes the place of the chosen structure
+
+
+class Search:
+    """Structures by the names of their effects in order, all of them fitted; ``cases`` : law -> its special case."""
+
+    def __init__(self, best, **cases):
+        self.best, self.cases, self.misfit, self.preferred = frozenset(best), cases, 1.0, []
+        self.ways = {frozenset(best): stations_of(best)}
+        self.known(best[:1])
+
+    def known(self, names):
+        self.ways[frozenset(names)] = stations_of(names)
+
+    def way(self, key):
+        found = self.ways[frozenset(key)]
+        for station in found:
+            for one in station.effects:
+                one.candidate = stub(key=one.label)
+            station.fit = " + ".join(one.label for one in station.effects) or "none"
+        return found
+
+    def prefer(self, key, *, without):
+        self.preferred.append((set(key), set(without)))
+        self.best = key
+
+    def special_cases_of(self, key):
+        return [key - {law} | {case} for law, case in self.cases.items() if law in key]
+
+
+def shortened(monkeypatch, search, *, misfit, stand=1, seen=True):
+    """The chosen structure after ``_shortened``, of which the first ``stand`` effects stand by themselves."""
+    monkeypatch.setattr(FreshChoice, "_on_fresh", lambda self, one: one.fit)
+    monkeypatch.setattr(FreshChoice, "_misfit", lambda self, one, pairs: misfit)
+    monkeypatch.setattr(FreshChoice, "_seen", lambda self, old, new, here: seen)
+    monkeypatch.setattr(FreshChoice, "_each_confirmed", lambda self, stations: stations[: stand + 1])
+    monkeypatch.setattr(module, "unknown_of", lambda one: None)
+    FreshChoice(search, None, print, [])._shortened(["without effects"])
+    return set(search.best)
+
+
+def test_what_is_left_of_a_structure_is_preferred_without_what_was_left_out(monkeypatch):
+    search = Search(["dry", "offset", "load"])
+    assert shortened(monkeypatch, search, misfit=7.0) == {"dry"}
+    assert search.preferred == [({"dry"}, {"offset", "load"})]
+    assert search.misfit == 7.0  # evidence counts by as much less
+
+
+@pytest.mark.parametrize(
+    ("misfit", "seen", "named"), [(7.0, False, "dry"), (7.0, True, "uneven"), (1.0, False, "uneven")]
+)
+def test_a_law_gives_way_to_its_special_case_where_it_is_not_seen_to_do_more(
+    monkeypatch, misfit, seen, named
+):
+    """Where the fresh data are described, its further numbers stay what they are: beyond chance."""
+    search = Search(["uneven"], uneven="dry")
+    search.known(["dry"])
+    assert shortened(monkeypatch, search, misfit=misfit, seen=seen) == {named}
+
+
+def test_without_fresh_data_nothing_takes_its_place(monkeypatch):
+    search = Search(["uneven"], uneven="dry")
+    FreshChoice(search, None, print, [])._shortened(None)
+    assert search.best == {"uneven"}
+
+
 # ---- weights that the time does not allow
 
 

@@ -52,6 +52,13 @@ def test_effects_that_are_as_probable_share_their_class():
     assert [m.probability for m in found] == pytest.approx([0.5, 0.5])
 
 
+def test_evidence_counts_less_where_no_structure_describes_the_fresh_data():
+    pool = pool_of(dry=7.0, drag=3.0)
+    assert names(class_of(pool, frozenset({DRY}), effect(DRY), 20.0, PRICE)) == ["dry"]
+    found = class_of(pool, frozenset({DRY}), effect(DRY), 20.0, PRICE, 4.0)
+    assert [m.probability for m in found] == pytest.approx([1 / (1 + math.exp(-1)), 1 / (1 + math.e)])
+
+
 @pytest.mark.parametrize(("times", "inside"), [(19.0, True), (21.0, False)])
 def test_an_effect_that_is_a_factor_less_probable_is_excluded(times, inside):
     pool = pool_of(dry=7.0, drag=7.0 - math.log(times))
