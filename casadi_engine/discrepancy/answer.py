@@ -24,6 +24,7 @@ from casadi_engine.discrepancy.claim import (
     Claim,
     at_own_port,
     behind_a_sensor,
+    far_less_probable,
     missing_beside,
     reason_to_withdraw,
 )
@@ -48,6 +49,7 @@ from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.refits import key_of
 from casadi_engine.discrepancy.repaired import (
     BEHIND_LAW,
+    BEHIND_OTHERS,
     REFUSED,
     TOO_LITTLE,
     UNCONFIRMED,
@@ -141,6 +143,9 @@ class Answer:
                 unknown = behind_a_sensor(null, way[1])
         claim = Claim(proof, last, found, withdrawn, unknown)
         sure = proof.judgement is not None and bool(proof.judgement.confirmed)
+        behind = None if sure else far_less_probable(found)
+        if behind is not None:
+            return claim.withdrawn_for(behind, null, BEHIND_OTHERS)
         doubt = reason_to_withdraw(claim, null, sure) if found else None
         return claim if doubt is None else claim.withdrawn_for(doubt, null, TOO_LITTLE)
 
