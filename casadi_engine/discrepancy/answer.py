@@ -134,7 +134,7 @@ class Answer:
         cut = TIME_UP in self.search.failed.values()
         unknown = None if found else Unknown(_UNTOLD, {})
         if self._in_time("leftover", lambda: last.screened.leftover, _TESTS) is not None:
-            unknown = missing_beside(last, null, found, withdrawn, cut=cut)
+            unknown = missing_beside(last, null, found, withdrawn, cut=cut, least=self._rare)
             if unknown is None and not found and (words := _so_far(self.search)):
                 unknown = Unknown(words[0], {})
         if null.screened.request.blind and not found and not at_own_port(null, unknown):
@@ -164,7 +164,7 @@ class Answer:
                 law, rival = far, told
         if rival is None or law is None:
             return claim
-        if not found and unknown is None and law.log < self._clear:  # by their odds alone
+        if not found and unknown is None and law.log < -math.log(self._rare):  # by their odds alone
             return claim
         claim = replace(claim, unknown=rival if law.log >= 0 or unknown is None else unknown)
         judged = claim.proof.judgement  # what fresh data deny is no name for the law that is more probable
@@ -174,11 +174,10 @@ class Answer:
         return claim
 
     @property
-    def _clear(self) -> float:
-        """Log odds that something is missing has where nothing else says so: as rare by chance as what tests find, and
-        what fresh data confirm where these were asked."""
-        asked = bool(self.portion.fresh)
-        return -math.log(self.alpha * (CHANCE if asked else 1.0))
+    def _rare(self) -> float:
+        """How rare by chance that has to be, a score or odds, which nothing else bears out: as what tests find, and as
+        what fresh data confirm where there are some."""
+        return self.alpha * (CHANCE if self.portion.fresh else 1.0)
 
     def _finished(self, blank: Repair, null: Station, last: Station, proof: Confirmation) -> Repair:
         screened = null.screened

@@ -54,12 +54,16 @@ def _may_be_chance(repair: Repair) -> bool:
     gaps = repair.gaps
     if gaps is None or gaps.validation_before is None or repair.confirmed or repair.stopped:
         return False
+    if (
+        not repair.effects and not repair.withdrawn
+    ):  # tests beside the library have a false-alarm rate of their own
+        return False
     if repair.noise is None or repair.verdict not in ("unnamed", "named", "class"):
         return False
     tests = _tests(repair)
     white = [p for one in gaps.validation_before.whiteness_p.values() for p in one.values() if p is not None]
     quiet = bool(repair.noise.colour) or min(white, default=1.0) >= SURE
-    return bool(tests) and quiet and min(tests.values()) >= CHANCE * repair.alpha
+    return quiet and min(tests.values()) >= CHANCE * repair.alpha
 
 
 def _tests(repair: Repair) -> dict[str, float]:

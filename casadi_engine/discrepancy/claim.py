@@ -97,8 +97,10 @@ def missing_beside(
     withdrawn: Sequence[FoundEffect],
     *,
     cut: bool = False,
+    least: float = 1.0,
 ) -> Unknown | None:
-    """What is missing beside the effects found; cut : the search ended before all were refitted."""
+    """What is missing beside the effects found; cut : the search ended before all were refitted; least : p-value that a
+    score has to be below which no refit bears out."""
     unknown = unknown_of(last.screened)
     if unknown is not None or found:
         return unknown
@@ -106,7 +108,7 @@ def missing_beside(
         words = f"{withdrawn[0].name} at {withdrawn[0].at} explains these data best, but fresh data refuse it"
         return Unknown(words, {})
     screened = null.screened
-    if screened.significant:
+    if screened.significant and (cut or screened.pooled(screened.significant[0]) < least):
         best = screened.significant[0]
         label = screened.candidates[best].label
         words = f"{label} scores beyond chance, but no refit with it is better than none"

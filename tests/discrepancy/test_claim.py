@@ -42,6 +42,9 @@ def test_what_is_missing_where_nothing_else_tells(monkeypatch, withdrawn, signif
     found = module.missing_beside(station, station, (), withdrawn)
     assert (found and found.sentence) == words
     assert module.missing_beside(station, station, [stub()], withdrawn) is None
+    if significant:  # a score that no refit bears out has to be rarer where there are fresh data
+        assert module.missing_beside(station, stub(screened=screened, fit=None), (), (), least=1e-4) is None
+        assert module.missing_beside(station, station, (), (), least=1e-4, cut=True) is not None
 
 
 @pytest.mark.parametrize(("turns", "said"), [(1, True), (200, False)])

@@ -349,16 +349,12 @@ def test_what_fresh_data_do_not_confirm_may_be_chance(repaired):
     ):
         assert kept.verdict == repaired.verdict
         assert kept.effects
-    # scores and tests of the residual without any effect alike
-    alone = {"effects": (), "withdrawn": (), "verdict": "unnamed", "gaps": gaps}
-    asked = replace(repaired, noise=noise, confirmed=None, stopped="", **alone)
-    scored = held_to_chance(replace(asked, unknown=Unknown("it scores", {"drag at shaft": 3e-3})))
-    assert (scored.verdict, scored.unknown) == ("nothing missing", None)
-    assert scored.messages[0].startswith(
-        "drag at shaft is beyond chance on the data of the search (p = 0.003)"
+    # tests beside the library have a false-alarm rate of their own
+    alone = replace(
+        repaired, noise=noise, confirmed=None, stopped="", effects=(), withdrawn=(), verdict="unnamed"
     )
-    assert held_to_chance(replace(asked, unknown=Unknown("it scores", {"drag at shaft": 3e-5}))).unknown
-    assert held_to_chance(replace(asked, unknown=Unknown("it is coloured", {}))).unknown
+    asked = replace(alone, gaps=gaps, unknown=Unknown("a law", {"a function of speed at load": 3e-3}))
+    assert held_to_chance(asked) is asked
     # colour of the noise says nothing of fresh whiteness
     colour = replace(noise, colour={"misfire_1200rpm/omega": 2})
     swings = replace(own, whiteness_p={"fresh": {"omega": 1e-9}})
