@@ -1,11 +1,13 @@
 """Windows of a record: the least squares that are left when their states are projected out."""
 
+import itertools
+
 import numpy as np
 import pytest
 
 import casadi_engine.estimation.windows as windows_module
 from casadi_engine.estimation.refit_problem import RefitProblem
-from casadi_engine.estimation.windows import Windows
+from casadi_engine.estimation.windows import Windows, chained
 
 
 @pytest.fixture
@@ -93,3 +95,16 @@ def test_a_point_without_values_is_none(problem):
     before = windows.best
     assert windows(np.full(len(v), np.nan)) is None
     assert windows.best is before
+
+
+@pytest.mark.parametrize("starts", [[0], [0, 17, 180], [0, 1, 2, 150], list(range(0, 301, 7))])
+def test_windows_are_chained_in_blocks_as_one_by_one(starts):
+    rng = np.random.default_rng(3)
+    steps = 0.5 * rng.standard_normal((301, 2, 5))
+    found = chained(steps, np.array(starts))
+    for window, end in itertools.pairwise([*starts, 301]):
+        now = np.hstack([np.eye(2), np.zeros((2, 3))])
+        for k in range(window, end):
+            assert found[k] == pytest.approx(now, rel=1e-9, abs=1e-12)
+            now = steps[k, :, :2] @ now
+            now[:, 2:] += steps[k, :, 2:]
