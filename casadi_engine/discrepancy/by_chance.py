@@ -1,17 +1,19 @@
 """What chance may have made of the data of the search, and fresh data do not show.
 
 A finding that fresh data confirm is one that chance makes with probability alpha on the data of the search, and in
-2.3 % on the fresh ones. What these do not confirm has to be as improbable by itself: else nothing is missing that these
-data could show.
+2.3 % on the fresh ones. What these do not confirm has to be as improbable by both together: else nothing is missing
+that these data could show.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from casadi_engine.discrepancy.confirmation import CHANCE
 from casadi_engine.discrepancy.fresh_misfit import SURE, fresh_misfit
+from casadi_engine.distributions import t_sf
 
 if TYPE_CHECKING:
     from casadi_engine.discrepancy.repaired import Repair
@@ -23,11 +25,12 @@ def held_to_chance(repair: Repair) -> Repair:
         return repair
     gaps = repair.gaps
     assert gaps is not None
-    tests = _tests(repair)
+    tests, fresh = _tests(repair), _p_of_fresh_data(repair)
     what = min(tests, key=lambda name: tests[name])
+    against = "" if fresh is None else f" (p = {fresh:.2g}, of both together {_both(tests[what], fresh):.2g})"
     words = (
-        f"{what} is beyond chance on the data of the search (p = {tests[what]:.2g}), and fresh data do not confirm it: "
-        f"then it has to be as improbable as what they confirm, p < {CHANCE * repair.alpha:.2g}"
+        f"{what} is beyond chance on the data of the search (p = {tests[what]:.2g}), and fresh data do not confirm "
+        f"it{against}: then it has to be as improbable as what they confirm, p < {CHANCE * repair.alpha:.2g}"
     )
     bare = replace(
         repair,
@@ -63,7 +66,23 @@ def _may_be_chance(repair: Repair) -> bool:
     tests = _tests(repair)
     white = [p for one in gaps.validation_before.whiteness_p.values() for p in one.values() if p is not None]
     quiet = bool(repair.noise.colour) or min(white, default=1.0) >= SURE
-    return quiet and min(tests.values()) >= CHANCE * repair.alpha
+    fresh = _p_of_fresh_data(repair)
+    least = min(tests.values())
+    return quiet and (least if fresh is None else _both(least, fresh)) >= CHANCE * repair.alpha
+
+
+def _p_of_fresh_data(repair: Repair) -> float | None:
+    """How often chance makes a gain on fresh data as large as that found; None where they cannot tell."""
+    gain = None if repair.gaps is None else repair.gaps.gain_per_cycle
+    if gain is None or gain.mean is None or gain.se is None:
+        return None
+    return float(t_sf(gain.mean / max(gain.se, 1e-300), gain.cycles - 1))
+
+
+def _both(one: float, other: float) -> float:
+    """The p-value of two independent tests together (Fisher 1925: -2 ln of their product is chi-squared of 4)."""
+    product = max(one * other, 1e-300)
+    return product * (1 - math.log(product))
 
 
 def _tests(repair: Repair) -> dict[str, float]:

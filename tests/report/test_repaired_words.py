@@ -319,7 +319,9 @@ def test_what_fresh_data_do_not_confirm_may_be_chance(repaired):
     gaps, noise = repaired.gaps, replace(repaired.noise, scatter={}, colour={})
     calm = replace(gaps.estimation_before.gap, chi2_per_sample=1.0, samples=400)
     own = replace(gaps.estimation_before, gap=calm, whiteness_p={"fresh": {"omega": 0.4}})
-    gaps = replace(gaps, estimation_before=own, validation_before=own, validation_after=own)
+    gaps = replace(
+        gaps, estimation_before=own, validation_before=own, validation_after=own, gain_per_cycle=None
+    )
 
     def judged(p, *, confirmed=False, tests=None, **changed):
         effects = tuple(replace(one, p_value=p) for one in repaired.effects)
@@ -349,6 +351,10 @@ def test_what_fresh_data_do_not_confirm_may_be_chance(repaired):
     ):
         assert kept.verdict == repaired.verdict
         assert kept.effects
+    # fresh data that show nothing of it, and such as nearly confirm it: both together count
+    for mean, verdict in ((-2.0, "nothing missing"), (5.0, repaired.verdict)):
+        paired = replace(gaps, gain_per_cycle=PairedGain(mean, 4.0, 12, confirmed=False))
+        assert judged(7e-5, gaps=paired).verdict == verdict
     # tests beside the library have a false-alarm rate of their own
     alone = replace(
         repaired, noise=noise, confirmed=None, stopped="", effects=(), withdrawn=(), verdict="unnamed"
