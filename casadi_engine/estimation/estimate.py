@@ -162,7 +162,7 @@ def estimate(
             raise
         raise KeyboardInterrupt from None  # there is no point yet
     again = lambda changed: run(arguments | changed, 1, 0, begun)  # noqa: E731
-    fit = in_time(lambda: follow_delays(fit, again), lambda: fit)
+    fit = in_time(lambda: follow_delays(fit, arguments["parameters"], again), lambda: fit)
     arguments["model"] = fit.model
     return _with_sharp_corners(fit, arguments, again)
 

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
+from casadi_engine.deadline import late
+from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.model import Model
 from casadi_engine.model.lags import delays, far_from_lags, with_nearest_lags
+from casadi_engine.parameters import Parameters
 
 # Times that samples are read anew. A delay as long as the motion takes to turn arrives after three.
 _AGAIN = 8
+# Optima that are followed, and the share of a delay up to which two of them are one.
+_OPTIMA, _ALIKE = 4, 0.02
 
 
 def begun_late(arguments: Mapping[str, Any]) -> Model:
@@ -24,8 +31,58 @@ def begun_late(arguments: Mapping[str, Any]) -> Model:
     return with_nearest_lags(model, known, arguments["data"])
 
 
-def follow_delays(fit: Fit, again: Callable[[dict[str, Any]], Fit]) -> Fit:
-    """The fit with lags within a sample of its delays; again(changed arguments) : makes a fit."""
+def follow_delays(fit: Fit, parameters: Parameters, again: Callable[[dict[str, Any]], Fit]) -> Fit:
+    """The fit with lags within a sample of its delays; again(changed arguments) : makes a fit.
+
+    By the lags of the start, the law of a long delay is far off, and so may be the lowest of several optima: each of
+    them is followed, and the best end is the answer.
+    """
+    names = set(delays(fit.model).values())
+    if not names:
+        return fit
+    ends = [_followed(fit, again)]
+    for other in fit.optima[1:]:
+        if late() or len(ends) == _OPTIMA:
+            break
+        if not all(_apart(other.values, one.values, names) for one in (fit, *ends)):
+            continue
+        begun = parameters.copy()
+        for name, value in other.values.items():
+            if name in begun:
+                begun[name].set(value)
+        model = with_nearest_lags(fit.model, other.values, fit.data)
+        with suppress(CasadiEngineError, FloatingPointError):
+            made = again({"model": model, "parameters": begun, "warm": None})
+            ends.append(_followed(made, again))
+    return _best(ends)
+
+
+def _best(ends: list[Fit]) -> Fit:
+    """Of the fits that describe their samples equally well, within chance, that of the most samples: what lies before
+    the record by a delay, or behind it by a sensor that is early, is not counted."""
+    ready = [one for one in ends if one.converged] or ends
+    least = min(one.cost / one.n for one in ready)
+    alike = [one for one in ready if one.cost / one.n <= least * (1 + 3 * math.sqrt(2 / one.n))]
+    most = max(one.n for one in alike)
+    best = min((one for one in alike if one.n == most), key=lambda one: one.cost)
+    if len(ends) == 1:
+        return best
+    names = set(delays(best.model).values())
+    optima = [best.optima[0]]
+    for one in sorted(ends, key=lambda one: one.cost / one.n):
+        if all(_apart(one.values, known.values, names) for known in optima):
+            words = ", ".join(f"{name} = {one.values[name]:.4g} s" for name in sorted(names))
+            optima.append(replace(one.optima[0], apart=words))
+    return replace(best, optima=tuple(optima))
+
+
+def _apart(one: Mapping[str, float], other: Mapping[str, float], names: Iterable[str]) -> bool:
+    """True if the delays of two optima differ."""
+    return any(abs(one[name] - other[name]) > _ALIKE * abs(other[name]) for name in names)
+
+
+def _followed(fit: Fit, again: Callable[[dict[str, Any]], Fit]) -> Fit:
+    """The fit of one optimum, its samples read anew as the delays turn out."""
     for _ in range(_AGAIN):
         model = with_nearest_lags(fit.model, fit.values, fit.data)
         if model is fit.model:

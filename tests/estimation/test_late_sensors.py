@@ -1,0 +1,54 @@
+"""Several starts of a fit whose sensor is late: the lowest optimum by the lags of the start may be the wrong one."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import casadi_engine as ce
+
+J, C, NOISE = 0.02, 0.05, 0.02
+
+
+def late_rotor():
+    b = ce.Blueprint("rotor")
+    inertia = b.parameter("J", 0.03, unit="kg m2", min=1e-3, max=1)
+    damping = b.parameter("c", 0.08, unit="N m s/rad", min=0, max=5)
+    w, u = b.state("w", unit="rad/s"), b.input("u", unit="N m")
+    b.ode("w", (u - damping * w) / inertia)
+    b.output("w", w, unit="rad/s")
+    return b.model().with_effect(ce.effects.SensorDelay(), at="sensor_w")
+
+
+def record(delay):
+    t, rng = np.linspace(0, 12, 600), np.random.default_rng(1)
+
+    def torque(s):
+        return 0.3 * np.sin(1.3 * s) + 0.2 * np.sin(3.1 * s) + 0.1
+
+    run = solve_ivp(
+        lambda s, x: (torque(s) - C * x) / J, (-3, 12), [0.0], dense_output=True, rtol=1e-9, atol=1e-11
+    )
+    shown = run.sol(t - delay)[0] + NOISE * rng.standard_normal(len(t))
+    return ce.Experiment.from_arrays("run", time=t, units={"u": "N m", "w": "rad/s"}, u=torque(t), w=shown)
+
+
+@pytest.mark.parametrize("starts", [1, 6])
+def test_a_delay_of_half_a_second_is_found_from_none(starts):
+    """A sensor that is 3.8 s early, by the period of the drive, explains the samples that it leaves as well."""
+    fit = ce.estimate(
+        late_rotor(), record(0.5), starts=starts, noise=ce.Noise(w="estimate"), jobs=1, progress=False
+    )
+    found = fit.estimates["sensor_w.sensor_delay.delay"]
+    assert found.value == pytest.approx(0.5, abs=4 * found.stderr)
+    assert fit.values["J"] == pytest.approx(J, rel=1e-2)
+    assert fit.n > 550
+    assert fit.optima[0].values["J"] == pytest.approx(fit.values["J"])
+    for other in fit.optima[1:]:  # the others are told by their delays
+        assert "sensor_w.sensor_delay.delay = " in other.apart
+
+
+def test_the_optima_are_apart():
+    fit = ce.estimate(late_rotor(), record(0.2), starts=4, jobs=1, progress=False)
+    ends = [one.values["sensor_w.sensor_delay.delay"] for one in fit.optima]
+    assert ends[0] == pytest.approx(0.2, abs=2e-3)
+    assert all(abs(one - ends[0]) > 0.01 for one in ends[1:])
