@@ -24,6 +24,7 @@ from casadi_engine.discrepancy.exchanged_units import impossible_gain
 from casadi_engine.discrepancy.families import BEYOND, chosen_of, families_of
 from casadi_engine.discrepancy.membership import class_of, ordered, reached, simpler
 from casadi_engine.discrepancy.pairs import price_of, tried_in_two, with_one_more
+from casadi_engine.discrepancy.path import Arrived
 from casadi_engine.discrepancy.refit import Addition, Refitter
 from casadi_engine.discrepancy.refits import FACTOR, Key, Refits, Tried, key_of
 from casadi_engine.discrepancy.repaired import Round
@@ -63,6 +64,7 @@ class Choice:
         1.0  # chi-squared per sample of fresh data over that of the search, where that is no chance
     )
     _stations: dict[Key, Station] = field(default_factory=dict, repr=False)
+    _fits: dict[Key, tuple[Arrived, Fit | None]] = field(default_factory=dict, repr=False)
     _asked: set[tuple[Key, Key]] = field(default_factory=set, repr=False)
     _left_out: tuple[tuple[str, float], ...] = ()
 
@@ -431,23 +433,45 @@ class Choice:
 
     def _fitted(self, tried: Tried) -> Station | None:
         if tried.key not in self._stations:
-            self.tell(f"fit with {tried.label}")
-            there = tried.arrived
-            start = Start(there.values, there.initial, {}, there.settled, fineness=there.refit.fineness)
-            fit = self._timed("fit", lambda: self.refitter(self.null_fit, tried.effects, start=start))
-            if fit is None or not fit.converged:
+            fit = self._whole(tried)
+            if fit is None:
                 return None
-            if impossible_gain(tried.effects, fit.values, self.refitter.model):
-                return None  # it was none where the refit ended
+            screened = self._timed("score", lambda: self._screened(fit))
+            self.refits.rounded.update(screened.choice.rounded)
+            self._stations[tried.key] = Station(fit, tried.effects, screened)
+        return self._stations[tried.key]
+
+    def _whole(self, tried: Tried) -> Fit | None:
+        """The structure fitted as the null model is; None where that does not converge."""
+        there, known = tried.arrived, self._fits.get(tried.key)
+        if known is not None and known[0] is there:
+            return known[1]
+        self.tell(f"fit with {tried.label}")
+        start = Start(there.values, there.initial, {}, there.settled, fineness=there.refit.fineness)
+        fit = self._timed("fit", lambda: self.refitter(self.null_fit, tried.effects, start=start))
+        if fit is not None and (
+            not fit.converged or impossible_gain(tried.effects, fit.values, self.refitter.model)
+        ):
+            fit = None  # the gain was a possible one where the refit ended
+        if fit is not None:
             # before, the scatter of assumed pressures had to stand for the effect
             own, options = self.refitter.noise, self.refitter.options
             fit, _ = self._timed(
                 "fit", lambda: settle_scatter(fit, fit.parameters, noise=own, options=options)
             )
-            screened = self._timed("score", lambda: self._screened(fit))
-            self.refits.rounded.update(screened.choice.rounded)
-            self._stations[tried.key] = Station(fit, tried.effects, screened)
-        return self._stations[tried.key]
+        self._fits[tried.key] = there, fit
+        return fit
+
+    def fit_of(self, tried: Tried) -> Fit | None:
+        """The whole fit of a structure, which is not scored: enough to foretell fresh data."""
+        if tried.key in self._stations:
+            return self._stations[tried.key].fit
+        try:
+            with self.deadline.spared(_FIT):
+                return self._whole(tried)
+        except TimeUp:
+            self.failed[tried.label] = TIME_UP
+            return None
 
     def ranked(self) -> Iterator[Key]:
         """The structures in the order in which fresh data are asked: the chosen one, its rivals, its parts, none."""

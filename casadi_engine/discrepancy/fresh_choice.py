@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,6 +20,7 @@ from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.parameter_doubt import doubted, within_errors
 from casadi_engine.discrepancy.path import FAILURES
+from casadi_engine.discrepancy.refit import Addition
 from casadi_engine.discrepancy.refits import key_of
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.estimation import Fit
@@ -64,7 +65,7 @@ class FreshChoice:
     work: float = math.inf
     _costly: bool = field(default=False, init=False)
     _denied: bool = field(default=False, init=False)
-    _known: dict[Fit, Pairs | None] = field(default_factory=dict, init=False)
+    _known: dict[tuple[Fit, NoiseModel], Pairs | None] = field(default_factory=dict, init=False)
 
     def run(self) -> Confirmation:
         """The first structure, in order of evidence, that fresh data do not refuse; unjudged once the time is over."""
@@ -91,7 +92,7 @@ class FreshChoice:
         if self.portion.fresh and not null.screened.choice.scatter:
             sure = self._confirms(before)
             try:
-                FreshWeights(search, self._on_fresh, self.messages).run(sure=sure)
+                FreshWeights(search, self._sides, self.messages).run(sure=sure)
             except TimeUp:
                 for one in search.pool.values():
                     one.fresh = 0.0
@@ -253,21 +254,25 @@ class FreshChoice:
 
     def _on_fresh(self, station: Station) -> Pairs | None:
         """A station on the fresh data; None where it cannot be simulated there, or at too high a cost."""
-        if station.fit not in self._known:
-            self._known[station.fit] = self._found_on_fresh(station)
-        return self._known[station.fit]
+        return self._sides(station.fit, station.effects, station.screened.noise)
 
-    def _found_on_fresh(self, station: Station) -> Pairs | None:
+    def _sides(self, fit: Fit, effects: Sequence[Addition], noise: NoiseModel | None = None) -> Pairs | None:
+        """A fit with its effects on the fresh data; noise : None for that of the chosen structure."""
+        noise = self.search.chosen.screened.noise if noise is None else noise
+        if (fit, noise) not in self._known:
+            self._known[fit, noise] = self._found_on_fresh(fit, effects, noise)
+        return self._known[fit, noise]
+
+    def _found_on_fresh(self, fit: Fit, effects: Sequence[Addition], noise: NoiseModel) -> Pairs | None:
         self.tell("fresh data")
-        noise = station.screened.noise
         try:
             with Deadline(work=self._allowed, best=True):
-                return fresh_sides(station.fit, station.effects, self.portion, noise, self.search.refitter)
+                return fresh_sides(fit, effects, self.portion, noise, self.search.refitter)
         except TimeUp:
             if late():
                 raise
             self._costly = True
-            names = " + ".join(one.label for one in station.effects) or "the model without effects"
+            names = " + ".join(one.label for one in effects) or "the model without effects"
             self.messages.append(
                 f"{names} was not judged on the fresh data: looking for its initial states there had cost too "
                 "much; give shorter fresh records"

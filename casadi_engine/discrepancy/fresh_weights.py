@@ -8,7 +8,7 @@ data of the search found that something is missing and could not say what.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,8 +22,8 @@ from casadi_engine.discrepancy.membership import simpler
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.parameter_doubt import doubted, left_within_errors, log_foretold
 from casadi_engine.discrepancy.path import FAILURES
+from casadi_engine.discrepancy.refit import Addition
 from casadi_engine.discrepancy.refits import Key, Tried
-from casadi_engine.discrepancy.station import Station
 from casadi_engine.estimation import Fit
 
 # Structures that are asked at most.
@@ -36,11 +36,11 @@ Pairs = list[tuple[Fit, NullModel]]
 
 @dataclass
 class FreshWeights:
-    """search : whose structures are weighed, and whose best one is what this leaves as such; sides : a station on fresh
-    data, or None; messages : takes what fresh data exclude"""
+    """search : whose structures are weighed, and whose best one is what this leaves as such; sides : a fit with its
+    effects on fresh data, or None; messages : takes what fresh data exclude"""
 
     search: Choice
-    sides: Callable[[Station], Pairs | None]
+    sides: Callable[[Fit, Sequence[Addition]], Pairs | None]
     messages: list[str]
     _near: float = math.log(FACTOR)
 
@@ -90,13 +90,13 @@ class FreshWeights:
 
     def _asked(self, one: Tried) -> tuple[Fit, list[NullModel]] | None:
         """A structure's fit, and its residuals on fresh data with slopes; None where either fails."""
-        stations = self.search.way(one.key)
-        pairs = None if stations is None else self.sides(stations[-1])
-        if stations is None or not pairs or not all(fit.converged for fit, _ in pairs):
+        fit = self.search.fit_of(one)
+        pairs = None if fit is None else self.sides(fit, one.effects)
+        if fit is None or not pairs or not all(held.converged for held, _ in pairs):
             return None
         try:
             with np.errstate(all="ignore"):
-                return stations[-1].fit, [doubted(stations[-1].fit, held) for held, _ in pairs]
+                return fit, [doubted(fit, held) for held, _ in pairs]
         except FAILURES:
             return None
 
@@ -126,11 +126,13 @@ class FreshWeights:
             for key in asked:  # one alone is held against nothing
                 search.pool[key].fresh = 0.0
             return
-        best = max((search.pool[key] for key in asked), key=lambda t: t.log)
+        ready = sorted((search.pool[key] for key in asked), key=lambda t: -t.log)
+        best = ready[0]
         if now.effects:  # all of them are fitted: of those that are not told apart the simplest costs nothing
-            search.best = simpler(best, [search.pool[key] for key in asked], FACTOR).key
-        elif best.log > now.log + self._wanted:
-            search.best = best.key
+            order = [simpler(best, ready, FACTOR), *ready]
+        else:
+            order = [best] if best.log > now.log + self._wanted else []
+        search.best = next((one.key for one in order if search.way(one.key) is not None), search.best)
         top = search.pool[search.best]
         for key in asked:
             one = search.pool[key]

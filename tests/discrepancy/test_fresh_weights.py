@@ -71,6 +71,7 @@ def weighed(monkeypatch, logs, fresh, *, sure=True, significant=True, left=1.0):
     search = stub(
         pool=pool, best=best, price=2.0, refits=stub(levels=levels),
         null=stub(screened=stub(significant=significant)), way=lambda key: [stub(fit=fits[key])],
+        fit_of=lambda one: fits[one.key],
     )  # fmt: skip
     record = stub(residual={"y": np.ones(10)})
     monkeypatch.setattr(module, "doubted", lambda fit, held: stub(records=(record,)))
@@ -83,7 +84,7 @@ def weighed(monkeypatch, logs, fresh, *, sure=True, significant=True, left=1.0):
     monkeypatch.setattr(module, "log_foretold", foretold)
     monkeypatch.setattr(module, "left_within_errors", lambda *_: left)
     said = []
-    FreshWeights(search, lambda station: [(stub(converged=True), None)], said).run(sure=sure)
+    FreshWeights(search, lambda fit, effects: [(stub(converged=True), None)], said).run(sure=sure)
     return pool[search.best].label, said, set(asked)
 
 
