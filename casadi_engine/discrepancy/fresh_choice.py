@@ -147,10 +147,11 @@ class FreshChoice:
     def _in_special_case(self, last: Station) -> bool:
         """Let a law's special case take its place where more is missing than effects explain, and on fresh data the law
         closes no more than a person would see: what it has more may imitate the rest."""
-        after = self._on_fresh(last)
-        if after is None or not (unknown_of(last.screened) or self.search.misfit > 1):
+        cases = self.search.special_cases_of(key_of(last.effects))
+        after = self._on_fresh(last) if cases else None
+        if after is None or not (self.search.misfit > 1 or unknown_of(last.screened)):
             return False
-        for one in self.search.special_cases_of(key_of(last.effects)):
+        for one in cases:
             stations = self.search.way(one)
             case = None if stations is None else self._on_fresh(stations[-1])
             if case is not None and not self._seen(case, after, last):
