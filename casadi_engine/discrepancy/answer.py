@@ -321,7 +321,7 @@ def _so_far(search: Choice) -> list[str]:
     if top is now:
         return []
     gone = f"chi-squared {top.evidence.cost:.4g} in place of {now.evidence.cost:.4g}"
-    return [f"the most probable so far is {top.label} ({gone}), which was not fitted to its end"]
+    return [f"the most probable so far is {top.name} ({gone}), which was not fitted to its end"]
 
 
 def _without_answer(search: Choice) -> list[str]:

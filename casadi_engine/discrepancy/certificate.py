@@ -201,7 +201,7 @@ def in_place_of(last: Station, law: UnknownLaw) -> Unknown | None:
         return None
     family, odds = law.course.family, math.exp(min(law.log, _SAID))
     words = law_words(last.fit.model, family)
-    names = " and ".join(one.label for one in last.effects)
+    names = " and ".join(one.name for one in last.effects)
     much = f"{odds:.2g} times" if law.log < _SAID else "far"
     if not names:
         rest = "noise of that colour" if last.screened.noise.colour else "noise alone"

@@ -144,7 +144,8 @@ class Choice:
         ready = [t for t in self.pool.values() if t.effects and t.beyond > BEYOND]
         ready = [t for t in ready if any_size or len(t.effects) < len(now.effects)]
         top = max(ready, key=log, default=now)
-        if log(top) > log(now) + math.log(FACTOR) and self._station(top) is not None:
+        enough = 1.0 if len(top.effects) == len(now.effects) else math.log(FACTOR)
+        if log(top) > log(now) + enough and self._station(top) is not None:
             self.best = top.key
 
     def prefer(self, key: Key, *, without: Collection[tuple[str, str]]) -> None:

@@ -122,7 +122,7 @@ class FreshChoice:
                     self.messages.append(judged.why)
                 return self._kept(stations, first, before, judged, after)
             self._denied = True
-            self.messages.append(f"{search.pool[key].label}: {judged.why}")
+            self.messages.append(f"{search.pool[key].name}: {judged.why}")
         if blind is not None:
             self.messages += [] if self._costly else [NO_RUN]
             return self._kept(blind, first or blind, before, Judgement(None, None, False, NO_RUN))
@@ -189,7 +189,7 @@ class FreshChoice:
                 if judged.confirmed
                 else "fresh data do not confirm it by itself"
             )
-            self.messages.append(f"{one.label} is left out: {why}, and {said}")
+            self.messages.append(f"{one.name} is left out: {why}, and {said}")
             stations = stations[:-1]
         return stations
 
@@ -273,7 +273,7 @@ class FreshChoice:
             if late():
                 raise
             self._costly = True
-            names = " + ".join(one.label for one in effects) or "the model without effects"
+            names = " + ".join(one.name for one in effects) or "the model without effects"
             self.messages.append(
                 f"{names} was not judged on the fresh data: looking for its initial states there had cost too "
                 "much; give shorter fresh records"
@@ -317,7 +317,7 @@ class FreshChoice:
                 judged = replace(judged, confirmed=False, refused=True, why=why)
         if event and not judged.confirmed and not judged.refused:
             why = "it is an event of one record, which no other record can confirm"
-            return replace(judged, confirmed=None, why=f"{here.effects[-1].label}: {why}")
+            return replace(judged, confirmed=None, why=f"{here.effects[-1].name}: {why}")
         return judged
 
 

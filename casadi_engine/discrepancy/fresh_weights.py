@@ -138,7 +138,7 @@ class FreshWeights:
             one = search.pool[key]
             if one is not top and top.effects and one.effects and one.log < top.log - math.log(FACTOR):
                 self.messages.append(
-                    f"fresh data tell {top.label} from {one.label}: with them it is {_times(top.log - one.log)} "
+                    f"fresh data tell {top.name} from {one.name}: with them it is {_times(top.log - one.log)} "
                     "as probable"
                 )
 

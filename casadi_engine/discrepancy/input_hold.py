@@ -25,8 +25,9 @@ from casadi_engine.experiment import Experiment
 from casadi_engine.problem.noise import Noise
 
 _DELAY = "sensor_delay"
-# A delay is about half a sample within so many standard errors and this share of it: the fits decide.
-_ERRORS, _SHARE = 3.0, 0.05
+# A delay is about half a sample within so many standard errors and this share of it, as what else is missing moves it:
+# the fits decide.
+_ERRORS, _SHARE = 3.0, 0.25
 # Logarithm of the largest odds that are told.
 _MOST = 100.0
 _WORDS = {"zero": "held between its samples", "first": "joined by lines between its samples"}
@@ -57,8 +58,8 @@ class OtherHold:
         odds = f"{math.exp(min(0.5 * self.gain, _MOST)):.2g} times"
         if again:
             words = (
-                f"{names}: the records are {odds} more probable so than with the delay of half a sample that they ask "
-                f"for as they were read. This answer is for record.with_hold({read})"
+                f"{names}: the records are {odds} more probable so than as they were read, when they asked for a delay "
+                f"of half a sample. This answer is for record.with_hold({read})"
             )
         else:
             words = (
@@ -71,12 +72,12 @@ class OtherHold:
 def other_hold(
     repair: Repair, noise: Noise | None, options: Mapping[str, Any], memory: float
 ) -> OtherHold | None:
-    """The hold of inputs that does what the delays of half a sample do that were found; None where there are no such
-    delays, or the data exclude it.
+    """The hold of inputs that does what the delays of half a sample do that were found, or found and withdrawn; None
+    where there are no such delays, or the data exclude it.
 
     noise, options : as the fits were made; memory : how many samples count for one
     """
-    delays = [one for one in repair.effects if one.name == _DELAY]
+    delays = [one for one in (*repair.effects, *repair.withdrawn) if one.name == _DELAY]
     if not delays:
         return None
     best: OtherHold | None = None
@@ -126,7 +127,7 @@ def _gain(
     """Twice the log of the odds of the records with this hold and no delay; None where they cannot be fitted."""
     fit = repair.fit
     pars = fit.parameters.copy()
-    gone = [name for one in delays for name in one.parameters]
+    gone = [name for one in delays for name in one.parameters if name in pars]
     for name in gone:
         pars.fix(name, 0.0)
     values = {name: value for name, value in fit.values.items() if name not in gone}

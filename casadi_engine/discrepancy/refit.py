@@ -62,6 +62,11 @@ class Addition:
         return self.candidate.label
 
     @property
+    def name(self) -> str:
+        """Effect and port, without where its search began."""
+        return f"{self.candidate.effect} at {self.candidate.port}"
+
+    @property
     def key(self) -> str:
         """``port.effect``, the stem of its parameters' names."""
         return f"{self.candidate.port}.{self.candidate.effect}"

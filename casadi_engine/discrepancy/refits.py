@@ -92,6 +92,11 @@ class Tried:
         return -math.inf if self.failed else self.evidence.log + self.fresh
 
     @property
+    def name(self) -> str:
+        """The effects and their ports."""
+        return " + ".join(one.name for one in self.effects) or "no effects"
+
+    @property
     def beyond(self) -> float:
         """The least certain amplitude in its standard errors."""
         return min(map(self.certainty, self.effects), default=math.inf)

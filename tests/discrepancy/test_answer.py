@@ -120,7 +120,7 @@ def test_an_event_of_one_record_waits_for_no_confirmation(repaired, monkeypatch)
     assert one.name == "load_step"
     assert found.confirmed is None
     words = "it is an event of one record, which no other record can confirm"
-    assert found.messages == (f"load_step at pivot (time {one.values['time']:.4g}): {words}",)
+    assert found.messages == (f"load_step at pivot: {words}",)
 
 
 def test_an_event_that_is_not_in_the_fresh_data_does_not_spoil_them(repaired):
@@ -161,7 +161,12 @@ def test_what_the_time_left_unfitted_is_told_where_it_is_far_more_probable():
     def tried(label, log, cost, *, beyond=9.0, failed=False):
         own = SimpleNamespace(log=log, cost=cost)
         return SimpleNamespace(
-            label=label, evidence=own, log=-np.inf if failed else log, beyond=beyond, failed=failed
+            label=label,
+            name=label,
+            evidence=own,
+            log=-np.inf if failed else log,
+            beyond=beyond,
+            failed=failed,
         )
 
     pool = {

@@ -14,7 +14,7 @@ WORDS = "{} is left out: more is missing than effects explain, and fresh data do
 
 def stations_of(names, events=()):
     """The model without effects, and one with each further effect."""
-    effects = tuple(stub(label=name, moves=name in events) for name in names)
+    effects = tuple(stub(label=name, name=name, moves=name in events) for name in names)
     return [
         stub(fit=f"fit {count}", effects=effects[:count], screened=f"screened {count}", lead=None)
         for count in range(len(names) + 1)

@@ -42,7 +42,11 @@ def tried(name, log, *, beyond=10.0):
     effect = stub(nuisance=dict.fromkeys(range(name.count("+")), stub(whole=False)), key=f"p.{name}")
     effect.candidate = stub(source=stub(effect=stub(limit="")))
     one = stub(
-        key=frozenset([(name, "p")] if name else []), effects=(effect,) if name else (), label=name, fresh=0.0
+        key=frozenset([(name, "p")] if name else []),
+        effects=(effect,) if name else (),
+        label=name,
+        name=name,
+        fresh=0.0,
     )
     one.beyond, one.evidence, one.arrived = beyond, log, stub(values={})
     return one

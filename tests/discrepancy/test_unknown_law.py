@@ -137,7 +137,7 @@ def test_a_share_above_all_that_a_law_does_is_not_said(share, said):
     family = Family("engine", "speed", (0,), np.ones(1), 0.0, 1.0, np.ones(61))
     course = SimpleNamespace(family=family, looks_like={})
     last = SimpleNamespace(
-        fit=SimpleNamespace(model=ce.one_inertia()), effects=(SimpleNamespace(label="drag at engine"),)
+        fit=SimpleNamespace(model=ce.one_inertia()), effects=(SimpleNamespace(name="drag at engine"),)
     )
     words = in_place_of(last, UnknownLaw(course, 9.5, share)).sentence
     assert words.endswith("the nearest of the library, which explains 90 % of what that does") is said
