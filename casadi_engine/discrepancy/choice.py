@@ -22,15 +22,16 @@ from casadi_engine.discrepancy.assumed_pressure import settle_scatter
 from casadi_engine.discrepancy.exchange import exchanged, special_cases, weak_beside_colour
 from casadi_engine.discrepancy.exchanged_units import impossible_gain
 from casadi_engine.discrepancy.families import BEYOND, chosen_of, families_of
-from casadi_engine.discrepancy.membership import class_of, ordered, reached, simpler
+from casadi_engine.discrepancy.membership import simpler
 from casadi_engine.discrepancy.pairs import price_of, tried_in_two, with_one_more
 from casadi_engine.discrepancy.path import Arrived
 from casadi_engine.discrepancy.refit import Addition, Refitter
-from casadi_engine.discrepancy.refits import FACTOR, Key, Refits, Tried, key_of
+from casadi_engine.discrepancy.refits import FACTOR, Key, Refits, Tried
 from casadi_engine.discrepancy.repaired import Round
 from casadi_engine.discrepancy.screening import Screened, coloured
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.discrepancy.station import Station
+from casadi_engine.discrepancy.ways import way
 from casadi_engine.estimation import Fit
 
 # Shares of the spare time behind a budget at which whole fits, and the search for the colour of the noise, have to end.
@@ -40,7 +41,6 @@ _KEPT = 1.0
 # Share of the time that is left which sharper corners may take: without them there is an answer too.
 _SHARP = 0.5
 NO_FIT = "its fit of all data does not converge"
-_IDLE = "one of its effects does nothing of its own beside the others"
 _NOTHING_LEFT = "its fit of all data leaves nothing of it"
 # Share of where its search started at which an amplitude is none.
 _GONE = 1e-6
@@ -63,7 +63,7 @@ class Choice:
     misfit: float = (
         1.0  # chi-squared per sample of fresh data over that of the search, where that is no chance
     )
-    _stations: dict[Key, Station] = field(default_factory=dict, repr=False)
+    stations: dict[Key, Station] = field(default_factory=dict, repr=False)
     _fits: dict[Key, tuple[Arrived, Fit | None]] = field(default_factory=dict, repr=False)
     _asked: set[tuple[Key, Key]] = field(default_factory=set, repr=False)
     _left_out: tuple[tuple[str, float], ...] = ()
@@ -72,7 +72,7 @@ class Choice:
         """Add, drop and exchange effects until no change is worth it."""
         self.null_fit = null_fit
         first = self._timed("score", lambda: self._screened(null_fit))
-        self._stations[frozenset()] = Station(null_fit, (), first)
+        self.stations[frozenset()] = Station(null_fit, (), first)
         self.refits = Refits(self.refitter, null_fit, first.noise, cylinders=self.cylinders, tell=self.tell)
         self.refits.rounded.update(first.choice.rounded)
         here = self.refits.none(null_fit)
@@ -86,7 +86,7 @@ class Choice:
         beside = ""
         try:
             for _ in range(self.most):
-                station = self._stations[here.key]
+                station = self.stations[here.key]
                 if not self._asks(station.screened):
                     break
                 if not here.effects:
@@ -125,7 +125,7 @@ class Choice:
             top = top if told else simpler(now, alike, FACTOR)
             if late() or top is now:
                 return
-            if self._station(top) is None:
+            if self.station_of(top) is None:
                 self.failed.setdefault(top.label, NO_FIT)
                 top.failed = True
             else:
@@ -145,7 +145,7 @@ class Choice:
         ready = [t for t in ready if any_size or len(t.effects) < len(now.effects)]
         top = max(ready, key=log, default=now)
         enough = 1.0 if len(top.effects) == len(now.effects) else math.log(FACTOR)
-        if log(top) > log(now) + enough and self._station(top) is not None:
+        if log(top) > log(now) + enough and self.station_of(top) is not None:
             self.best = top.key
 
     def prefer(self, key: Key, *, without: Collection[tuple[str, str]]) -> None:
@@ -156,7 +156,7 @@ class Choice:
         self.refits.weigh()
         ready = self._alike(self.pool[key])
         top = max(ready, key=lambda one: one.log, default=self.pool[key])
-        fitted = (one.key for one in (simpler(top, ready, FACTOR), top) if self._station(one) is not None)
+        fitted = (one.key for one in (simpler(top, ready, FACTOR), top) if self.station_of(one) is not None)
         self.best = next(fitted, key)
 
     def special_cases_of(self, key: Key) -> list[Key]:
@@ -178,7 +178,7 @@ class Choice:
         now = self.pool[self.best]
         if not now.effects or len(now.effects) >= self.most or late():
             return
-        screened = self._stations[frozenset()].screened
+        screened = self.stations[frozenset()].screened
         families = families_of(screened)
         made = self._timed("exchange", lambda: tried_in_two(
             self.refits, now, screened, families, partial(chosen_of, screened), self.tell
@@ -186,13 +186,13 @@ class Choice:
         self.refits.weigh()
         ready = [one for one in made if one.beyond > BEYOND and one.log - self.price > now.log]
         for one in sorted(ready, key=lambda t: -t.log)[:1]:
-            if self._station(one) is not None:
+            if self.station_of(one) is not None:
                 self.best = one.key
 
     @property
     def price(self) -> float:
         """What a further effect has to gain in log probability."""
-        return price_of(families_of(self._stations[frozenset()].screened))
+        return price_of(families_of(self.stations[frozenset()].screened))
 
     def _with_colour(self) -> None:
         """Score beside the chosen structure with the colour that its residual has, where that waited."""
@@ -206,18 +206,18 @@ class Choice:
 
     def _in_colour(self, key: Key) -> Screened:
         """A structure's scores with the colour that its residual has, where that waited."""
-        station = self._stations[key]
+        station = self.stations[key]
         if station.screened.choice.waits:
             screened = self._timed("score", lambda: coloured(station.screened, station.fit))
-            self._stations[key] = replace(station, screened=screened)
-        return self._stations[key].screened
+            self.stations[key] = replace(station, screened=screened)
+        return self.stations[key].screened
 
-    def _as_chosen(self, key: Key) -> Station:
+    def as_chosen(self, key: Key) -> Station:
         """A structure's station, scored in the colour of its noise where the chosen one's is: fresh data may prefer
         it."""
         if not self.chosen.screened.choice.waits:
             self._in_colour(key)
-        return self._stations[key]
+        return self.stations[key]
 
     def _scores_in_colour(self, here: Tried, best: Tried, tried: Sequence[Tried]) -> bool:
         """True if the calibrated test in coloured noise finds the most probable effect, or one that it does not
@@ -232,7 +232,7 @@ class Choice:
     @property
     def pool(self) -> dict[Key, Tried]:
         """Every structure that was refitted."""
-        return self.refits.pool if self._stations else {}
+        return self.refits.pool if self.stations else {}
 
     @property
     def scored(self) -> bool:
@@ -242,17 +242,17 @@ class Choice:
     @property
     def null(self) -> Station:
         """The model without effects."""
-        return self._stations[frozenset()]
+        return self.stations[frozenset()]
 
     @property
     def chosen(self) -> Station:
         """The model of the best structure so far."""
-        return self._stations[self.best]
+        return self.stations[self.best]
 
     @property
     def fit(self) -> Fit:
         """The fit of the best structure so far; before any is scored, of the model without effects."""
-        return self._stations[self.best].fit if self._stations else self.null_fit
+        return self.stations[self.best].fit if self.stations else self.null_fit
 
     # ---- one round
 
@@ -304,7 +304,7 @@ class Choice:
             if weak_beside_colour(self.refits, best):
                 best.failed = True
                 continue
-            arrived = self._station(best)
+            arrived = self.station_of(best)
             if arrived is not None and not vanished(best.effects, arrived.fit):
                 self.refits.settled()
                 break
@@ -323,12 +323,12 @@ class Choice:
         if here.key not in self.refits.improved:
             return None
         self.refits.improved.clear()
-        before, found = self._stations.pop(here.key), None
+        before, found = self.stations.pop(here.key), None
         try:
-            found = self._station(self.refits.pool[here.key])
+            found = self.station_of(self.refits.pool[here.key])
         finally:  # whatever ends it: the answer so far is asked of the stations
             if found is None:
-                self._stations[here.key] = before
+                self.stations[here.key] = before
         if found is not None:
             for one in self.pool.values():  # what was no answer beside a poor optimum is asked again
                 one.failed = False
@@ -355,7 +355,7 @@ class Choice:
         where there is none. Of two that are missing, the one that is added first leaves what the other does."""
         if len(one.effects) >= self.most or late():
             return None
-        screened = self._stations[frozenset()].screened
+        screened = self.stations[frozenset()].screened
         families = families_of(screened)
         others = {key: own for key, own in families.items() if key not in one.key}
         chosen = partial(chosen_of, screened)
@@ -423,7 +423,7 @@ class Choice:
         self.tell("scores of all effects at all ports")
         return self.screen(fit)
 
-    def _station(self, tried: Tried) -> Station | None:
+    def station_of(self, tried: Tried) -> Station | None:
         """The structure fitted as the null model is, and screened; None where that does not converge, or in time."""
         try:
             with self.deadline.spared(_FIT):
@@ -433,14 +433,14 @@ class Choice:
             return None
 
     def _fitted(self, tried: Tried) -> Station | None:
-        if tried.key not in self._stations:
+        if tried.key not in self.stations:
             fit = self._whole(tried)
             if fit is None:
                 return None
             screened = self._timed("score", lambda: self._screened(fit))
             self.refits.rounded.update(screened.choice.rounded)
-            self._stations[tried.key] = Station(fit, tried.effects, screened)
-        return self._stations[tried.key]
+            self.stations[tried.key] = Station(fit, tried.effects, screened)
+        return self.stations[tried.key]
 
     def _whole(self, tried: Tried) -> Fit | None:
         """The structure fitted as the null model is; None where that does not converge."""
@@ -465,8 +465,8 @@ class Choice:
 
     def fit_of(self, tried: Tried) -> Fit | None:
         """The whole fit of a structure, which is not scored: enough to foretell fresh data."""
-        if tried.key in self._stations:
-            return self._stations[tried.key].fit
+        if tried.key in self.stations:
+            return self.stations[tried.key].fit
         try:
             with self.deadline.spared(_FIT):
                 return self._whole(tried)
@@ -490,29 +490,8 @@ class Choice:
             yield frozenset()
 
     def way(self, key: Key) -> list[Station] | None:
-        """The stations on the way to a structure, effect by effect, the most telling first; None where a fit of one
-        does not converge, or an effect does nothing of its own beside the others (what differs by direction, once the
-        motion has one direction alone)."""
-        effects = ordered(self.pool[key].effects, self.pool)
-        if not effects:
-            self._as_chosen(key)
-        found = [self._stations[frozenset()]]
-        for count in range(1, len(effects) + 1):
-            own = effects[:count]
-            if all(c.key != own[-1].candidate.key for c in found[-1].screened.candidates):
-                self.failed.setdefault(self.pool[key].label, _IDLE)
-                return None
-            if key_of(own) not in self.pool:
-                there = self.pool[key].arrived
-                self.refits.tried(own, Start(there.values, there.initial))
-            part = self.pool.get(key_of(own))
-            station = None if part is None else self._station(part)
-            if station is None:
-                return None
-            station = self._as_chosen(key) if count == len(effects) else station
-            members = class_of(self.pool, key, own[-1], FACTOR, self.price, self.misfit)
-            found.append(reached(found[-1], station, own, members))
-        return found
+        """See ``ways.way``."""
+        return way(self, key)
 
     def _timed(self, what, work):  # type: ignore[no-untyped-def]
         begun = time.perf_counter()

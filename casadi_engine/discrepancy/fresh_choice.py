@@ -23,6 +23,7 @@ from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.refit import Addition
 from casadi_engine.discrepancy.refits import key_of
 from casadi_engine.discrepancy.station import Station
+from casadi_engine.discrepancy.ways import way_so_far
 from casadi_engine.estimation import Fit
 
 NO_RUN = "the repaired model cannot be simulated on the fresh data, which neither confirms nor refuses it"
@@ -76,7 +77,8 @@ class FreshChoice:
         except TimeUp:
             self.messages.append("the fresh data were not looked at to their end, as the time was up")
             search.failed["the fresh data"] = TIME_UP
-            stations = search.way(search.best) or [search.null]
+            stations = way_so_far(search)
+            search.best = key_of(stations[-1].effects)
             return self._kept(stations, stations, None)
 
     def _judged_in_order(self) -> Confirmation:

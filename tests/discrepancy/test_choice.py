@@ -12,11 +12,11 @@ from casadi_engine.deadline import Deadline
 from casadi_engine.discrepancy import choice as module
 from casadi_engine.discrepancy import refits
 from casadi_engine.discrepancy.additions import Additions
-from casadi_engine.discrepancy.choice import Choice, key_of
+from casadi_engine.discrepancy.choice import Choice
 from casadi_engine.discrepancy.fresh import Portions
 from casadi_engine.discrepancy.fresh_choice import FreshChoice
 from casadi_engine.discrepancy.refit import Refitter, addition
-from casadi_engine.discrepancy.refits import PART
+from casadi_engine.discrepancy.refits import PART, key_of
 from casadi_engine.discrepancy.screening import screen
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.effects import Amplitude, Effect
@@ -332,13 +332,13 @@ def test_every_effect_is_refitted_once_before_any_is_refitted_from_elsewhere(pre
 
 def test_where_whole_fits_fail_with_sharp_corners_the_wider_ones_count_again(prepared, monkeypatch):
     made = prepared(rubbing, ["coulomb_friction"], most=1)
-    real, shares = Choice._station, []
+    real, shares = Choice.station_of, []
 
     def station(self, tried):
         shares.append(self.refitter.share)
         return None if shares[-1] < 1 else real(self, tried)
 
-    monkeypatch.setattr(Choice, "_station", station)
+    monkeypatch.setattr(Choice, "station_of", station)
     monkeypatch.setattr("casadi_engine.discrepancy.path.FELT", 1e-9)  # whatever the data say
     made.choice.run(made.fit)
     assert shares[0] < 1 == shares[1]
@@ -367,7 +367,7 @@ def test_a_structure_that_is_fitted_anew_keeps_its_fit_where_that_is_ended(prepa
         raise KeyboardInterrupt
 
     choice.refits.improved.add(choice.best)
-    monkeypatch.setattr(Choice, "_station", ended)
+    monkeypatch.setattr(Choice, "station_of", ended)
     with pytest.raises(KeyboardInterrupt):
         choice._renewed(choice.pool[choice.best])
     assert choice.fit is kept
@@ -376,13 +376,13 @@ def test_a_structure_that_is_fitted_anew_keeps_its_fit_where_that_is_ended(prepa
 def test_a_structure_whose_whole_fit_fails_gives_way_to_the_next(prepared, monkeypatch):
     """And is said to have failed."""
     made = prepared(rubbing, ["coulomb_friction", Alike()], most=1)
-    real, asked = Choice._station, []
+    real, asked = Choice.station_of, []
 
     def station(self, tried):
         asked.append(tried.key)
         return None if tried.key == asked[0] else real(self, tried)
 
-    monkeypatch.setattr(Choice, "_station", station)
+    monkeypatch.setattr(Choice, "station_of", station)
     monkeypatch.setattr(refits.Refits, "sharpened", lambda self, best: False)
     made.choice.run(made.fit)
     first, then = made.choice.pool[asked[0]], made.choice.best

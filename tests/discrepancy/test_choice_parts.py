@@ -8,7 +8,7 @@ import pytest
 
 import casadi_engine as ce
 from casadi_engine.deadline import Deadline, TimeUp
-from casadi_engine.discrepancy import choice as module
+from casadi_engine.discrepancy import ways
 from casadi_engine.discrepancy.choice import BEYOND, FACTOR, TIME_UP, Choice
 from casadi_engine.discrepancy.screening import screen
 
@@ -22,7 +22,9 @@ def key_of(*names):
 
 def tried(*names, log=0.0, beyond=BEYOND + 1, failed=False):
     """A structure of effects of these names."""
-    effects = tuple(stub(candidate=stub(key=(name, "p")), key=f"p.{name}", label=name) for name in names)
+    effects = tuple(
+        stub(candidate=stub(key=(name, "p")), key=f"p.{name}", label=name, nuisance={}) for name in names
+    )
     arrived = stub(values={}, initial={})
     return stub(
         key=key_of(*names), effects=effects, log=log, beyond=beyond, failed=failed, arrived=arrived,
@@ -35,17 +37,17 @@ def choice_of(monkeypatch, *structures, best=NONE, refused=()):
     does not converge."""
     found = Choice(None, None, 4, print)
     found.refits = stub(pool={one.key: one for one in structures}, improved=set(), tried=lambda *_: [])
-    found._stations[NONE] = stub(fit="null fit", screened=stub(candidates=[]))
+    found.stations[NONE] = stub(fit="null fit", screened=stub(candidates=[]))
     found.best = best
     found.asked = []
 
     def station(self, one):
         self.asked.append(one.key)
-        if one.key not in refused and one.key not in self._stations:
-            self._stations[one.key] = stub(fit=f"fit of {one.label}", screened=stub(candidates=[]))
-        return self._stations.get(one.key)
+        if one.key not in refused and one.key not in self.stations:
+            self.stations[one.key] = stub(fit=f"fit of {one.label}", screened=stub(candidates=[]))
+        return self.stations.get(one.key)
 
-    monkeypatch.setattr(Choice, "_station", station)
+    monkeypatch.setattr(Choice, "station_of", station)
     monkeypatch.setattr(Choice, "price", PRICE)
     return found
 
@@ -147,10 +149,10 @@ def test_a_round_that_the_time_ends_leaves_what_it_has_refitted(pendulum, monkey
 def test_what_failed_beside_a_poor_optimum_is_asked_again_beside_a_better_one(monkeypatch):
     here, other = tried("a"), tried("b", failed=True)
     found = choice_of(monkeypatch, tried(), here, other, best=here.key)
-    found._stations[here.key] = "the poor one"
+    found.stations[here.key] = "the poor one"
     found.refits.improved |= {here.key, other.key}
     assert found._renewed(here).fit == "fit of a"
-    assert found._stations[here.key].fit == "fit of a"
+    assert found.stations[here.key].fit == "fit of a"
     assert not other.failed
     assert found.refits.improved == set()
 
@@ -158,17 +160,17 @@ def test_what_failed_beside_a_poor_optimum_is_asked_again_beside_a_better_one(mo
 def test_where_that_fit_does_not_converge_everything_stays(monkeypatch):
     here, other = tried("a"), tried("b", failed=True)
     found = choice_of(monkeypatch, tried(), here, other, best=here.key, refused=[here.key])
-    found._stations[here.key] = "the poor one"
+    found.stations[here.key] = "the poor one"
     found.refits.improved.add(here.key)
     assert found._renewed(here) is None
-    assert found._stations[here.key] == "the poor one"
+    assert found.stations[here.key] == "the poor one"
     assert other.failed
 
 
 def test_where_no_better_optimum_was_found_nothing_is_fitted(monkeypatch):
     here, other = tried("a"), tried("b", failed=True)
     found = choice_of(monkeypatch, tried(), here, other, best=here.key)
-    found._stations[here.key] = "as it was"
+    found.stations[here.key] = "as it was"
     found.refits.improved.add(other.key)
     assert found._renewed(here) is None
     assert (found.asked, other.failed) == ([], True)
@@ -185,8 +187,8 @@ def on_the_way(monkeypatch, known, waits=True):
     for names, candidates in known.items():
         own = [stub(key=(name, "p")) for name in candidates]
         screened = stub(candidates=own, choice=stub(waits=waits))
-        found._stations[key_of(*names)] = stub(fit=names, screened=screened)
-    monkeypatch.setattr(module, "reached", lambda before, station, own, members: station)
+        found.stations[key_of(*names)] = stub(fit=names, screened=screened)
+    monkeypatch.setattr(ways, "reached", lambda before, station, own, members: station)
     return found
 
 
@@ -194,6 +196,19 @@ def test_the_way_has_a_station_for_every_effect(monkeypatch):
     found = on_the_way(monkeypatch, {(): "ab", ("a",): "b", ("a", "b"): ""})
     assert [one.fit for one in found.way(key_of("a", "b"))] == [(), ("a",), ("a", "b")]
     assert [one.fit for one in found.way(NONE)] == [()]
+
+
+def test_where_the_time_is_up_the_way_is_the_best_of_which_every_part_is_fitted(monkeypatch):
+    """No fit is made: in another order the parts may be there, and else a structure of fewer effects is the answer."""
+    found = on_the_way(monkeypatch, {(): "ab", ("b",): "a", ("a", "b"): ""})
+    assert [one.fit for one in ways.way_so_far(found)] == [(), ("b",), ("a", "b")]
+    found = on_the_way(monkeypatch, {(): "ab", ("b",): "a"})
+    assert [one.fit for one in ways.way_so_far(found)] == [(), ("b",)]
+    found = on_the_way(monkeypatch, {(): "ab", ("a", "b"): ""})  # neither of its parts is
+    assert [one.fit for one in ways.way_so_far(found)] == [()]
+    found = on_the_way(monkeypatch, {(): "b", ("a",): ""})  # an effect that does nothing of its own
+    assert [one.fit for one in ways.way_so_far(found)] == [()]
+    assert found.asked == []
 
 
 def test_what_fresh_data_prefer_is_scored_in_the_colour_of_its_noise_as_the_chosen_one_is(monkeypatch):
@@ -218,5 +233,5 @@ def test_there_is_no_way_by_an_effect_that_is_no_candidate_at_the_station_before
 
 def test_there_is_no_way_by_a_fit_that_does_not_converge(monkeypatch):
     found = on_the_way(monkeypatch, {(): "ab"})
-    monkeypatch.setattr(Choice, "_station", lambda self, one: None)
+    monkeypatch.setattr(Choice, "station_of", lambda self, one: None)
     assert found.way(key_of("a", "b")) is None

@@ -75,7 +75,7 @@ def test_ctrl_c_in_the_fit_of_a_structure_leaves_what_was_kept_before(repaired, 
         self.tell("fit of all data")
         ask()
 
-    monkeypatch.setattr(Choice, "_station", station)
+    monkeypatch.setattr(Choice, "station_of", station)
     found = repaired("fit of all data")
     assert (found.status, found.stopped, found.effects) == ("answered", "the user", ())
     assert found.not_searched == ("any effect",)

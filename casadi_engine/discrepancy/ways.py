@@ -1,0 +1,89 @@
+"""The way to a structure of several effects: the models in between, one effect more each, fitted and scored."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from casadi_engine.discrepancy.evidence import FACTOR
+from casadi_engine.discrepancy.families import BEYOND
+from casadi_engine.discrepancy.membership import class_of, ordered, reached
+from casadi_engine.discrepancy.refit import Addition
+from casadi_engine.discrepancy.refits import Key, key_of
+from casadi_engine.discrepancy.start import Start
+from casadi_engine.discrepancy.station import Station
+
+if TYPE_CHECKING:
+    from casadi_engine.discrepancy.choice import Choice
+
+_IDLE = "one of its effects does nothing of its own beside the others"
+
+
+def way(search: Choice, key: Key) -> list[Station] | None:
+    """The stations on the way to a structure, effect by effect, the most telling first; None where a fit of one does
+    not converge, or an effect does nothing of its own beside the others (what differs by direction, once the motion
+    has one direction alone)."""
+    effects = ordered(search.pool[key].effects, search.pool)
+    if not effects:
+        search.as_chosen(key)
+    found = [search.null]
+    for count in range(1, len(effects) + 1):
+        own = effects[:count]
+        if _idle(found[-1], own[-1]):
+            search.failed.setdefault(search.pool[key].label, _IDLE)
+            return None
+        if key_of(own) not in search.pool:
+            there = search.pool[key].arrived
+            search.refits.tried(own, Start(there.values, there.initial))
+        part = search.pool.get(key_of(own))
+        station = None if part is None else search.station_of(part)
+        if station is None:
+            return None
+        station = search.as_chosen(key) if count == len(effects) else station
+        found.append(_reached(search, found[-1], station, key, own))
+    return found
+
+
+def way_so_far(search: Choice) -> list[Station]:
+    """The stations on the way to the most probable structure to which all of them are there: no fit is made."""
+
+    def log(key: Key) -> float:
+        return search.pool[key].log - search.price * len(key)
+
+    known = [key for key in search.stations if key in search.pool and search.pool[key].beyond > BEYOND]
+    for key in sorted(known, key=log, reverse=True):
+        effects = _order_so_far(search, search.pool[key].effects)
+        found = [search.null]
+        for count in range(1, len(effects or ()) + 1):
+            assert effects is not None
+            own = effects[:count]
+            if _idle(found[-1], own[-1]):
+                break
+            found.append(_reached(search, found[-1], search.stations[key_of(own)], key, own))
+        if effects is not None and len(found) == len(effects) + 1:
+            return found
+    return [search.null]
+
+
+def _order_so_far(search: Choice, effects: tuple[Addition, ...]) -> tuple[Addition, ...] | None:
+    """Effects in an order in which each beginning is fitted; None where there is none."""
+    if not effects:
+        return ()
+    if key_of(effects) not in search.stations:
+        return None
+    for last in reversed(ordered(effects, search.pool)):
+        first = _order_so_far(search, tuple(one for one in effects if one is not last))
+        if first is not None:
+            return (*first, last)
+    return None
+
+
+def _idle(before: Station, one: Addition) -> bool:
+    """True for an effect that is no candidate beside the ones before."""
+    return all(c.key != one.candidate.key for c in before.screened.candidates)
+
+
+def _reached(
+    search: Choice, before: Station, station: Station, key: Key, own: tuple[Addition, ...]
+) -> Station:
+    members = class_of(search.pool, key, own[-1], FACTOR, search.price, search.misfit)
+    return reached(before, station, own, members)
