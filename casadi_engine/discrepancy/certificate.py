@@ -13,7 +13,7 @@ from casadi_engine.discrepancy.confirmation import share_closed
 from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.fresh import gap_of
 from casadi_engine.discrepancy.latent_torque import LatentTorque
-from casadi_engine.discrepancy.linear_algebra import Array
+from casadi_engine.discrepancy.linear_algebra import Array, without
 from casadi_engine.discrepancy.localisation import where_in_data
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
@@ -40,6 +40,8 @@ _MATRIX = 24
 _LIKE = 0.8
 # Log odds beyond which no number is said.
 _SAID = 9.0
+# Share of the squares of what was measured from which it swings at a frequency itself.
+_SWINGS = 0.25
 
 
 def score_rows(screened: Screened) -> tuple[ScoreRow, ...]:
@@ -185,13 +187,29 @@ def unknown_of(screened: Screened) -> Unknown | None:
     family, course = leftover.family, leftover.course
     if leftover.line is not None:
         record, output, line = leftover.line.rsplit("/", 2)
-        words = f"the spectrum of the residual of {output} in {record} has a {line}: something acts, or is picked up"
-        return Unknown(f"{words} by the sensor, at that frequency", alarms)
+        words = f"the spectrum of the residual of {output} in {record} has a {line}"
+        if _swings_at(screened, record, output, float(line.split()[-2])):
+            return Unknown(
+                f"{words}, at which {output} itself swings: something changes how it is driven or dies out",
+                alarms,
+            )
+        return Unknown(f"{words}: something acts, or is picked up by the sensor, at that frequency", alarms)
     if family is None or course is None or family.name not in alarms:
         first = next(iter(alarms)).rsplit("/", 2)
         return Unknown(f"the residual of {first[1]} in {first[0]} is not white", alarms)
     words = f"{law_words(screened.null.model, family)}{likeness_words(course)}"
     return Unknown(words, alarms, family.port, family.signal, leftover.family_p, course)
+
+
+def _swings_at(screened: Screened, name: str, output: str, frequency: float) -> bool:
+    """True if a good part of what was measured swings at a frequency [Hz], as finely as the record tells it."""
+    record = next(one for one in screened.null.records if one.name == name)
+    time, measured = record.time[output], record.path.grid.measured[output].values
+    turns = 2 * math.pi * np.outer(time - time[0], frequency + np.array([-1, 0, 1]) / (time[-1] - time[0]))
+    waves = np.column_stack([np.ones(len(time)), np.cos(turns), np.sin(turns)])
+    spread = measured - measured.mean()
+    left = without(np.linalg.qr(waves)[0], spread[:, None])
+    return float(np.sum(left**2)) <= (1 - _SWINGS) * float(spread @ spread)
 
 
 def in_place_of(last: Station, law: UnknownLaw) -> Unknown | None:

@@ -1,5 +1,7 @@
 """A line is found in white and in coloured noise, and coloured noise has none more often than the test says."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -7,6 +9,7 @@ from scipy.signal import lfilter
 from scipy.signal.windows import dpss
 
 import casadi_engine as ce
+from casadi_engine.discrepancy.certificate import unknown_of
 from casadi_engine.discrepancy.spectral_line import _tapers, strongest_line
 
 SAMPLES = 600
@@ -96,3 +99,19 @@ def test_a_torque_that_comes_back_is_not_called_noise(hole, options):
     assert found.verdict == "unnamed"
     assert "the spectrum of the residual of omega in run has a line at 1.7" in found.unknown.sentence
     assert "something acts, or is picked up by the sensor, at that frequency" in found.unknown.sentence
+
+
+@pytest.mark.parametrize(("own", "words"), [
+    (0.91, "at which phi itself swings: something changes how it is driven or dies out"),
+    (0.2, "has a line at 0.90 Hz: something acts, or is picked up by the sensor, at that frequency"),
+])  # fmt: skip
+def test_a_line_where_the_output_itself_swings_is_no_foreign_one(own, words):
+    """As of a pendulum whose friction is another one: nothing acts at its own frequency."""
+    t = np.arange(0, 17, 0.02)
+    measured = np.exp(-0.1 * t) * np.cos(2 * np.pi * own * t)
+    path = SimpleNamespace(grid=SimpleNamespace(measured={"phi": SimpleNamespace(values=measured)}))
+    record = SimpleNamespace(name="run", time={"phi": t}, path=path)
+    name = "run/phi/line at 0.90 Hz"
+    found = SimpleNamespace(alarms={name: 1e-9}, line=name, family=None, course=None)
+    screened = SimpleNamespace(leftover=found, null=SimpleNamespace(records=[record]))
+    assert words in unknown_of(screened).sentence
