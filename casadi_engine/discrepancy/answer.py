@@ -24,7 +24,6 @@ from casadi_engine.discrepancy.claim import (
     Claim,
     at_own_port,
     behind_a_sensor,
-    far_less_probable,
     missing_beside,
     reason_to_withdraw,
 )
@@ -49,7 +48,6 @@ from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.refits import key_of
 from casadi_engine.discrepancy.repaired import (
     BEHIND_LAW,
-    BEHIND_OTHERS,
     REFUSED,
     TOO_LITTLE,
     UNCONFIRMED,
@@ -64,6 +62,7 @@ from casadi_engine.discrepancy.station import Station
 from casadi_engine.discrepancy.unknown_law import UnknownLaw, unknown_law
 from casadi_engine.discrepancy.vanishing import may_vanish
 from casadi_engine.discrepancy.verdict_words import may_hide
+from casadi_engine.discrepancy.withdrawal import held_to_rivals
 
 _MAY_HIDE = (
     "what the noise is taken to be is coloured: an effect that the library lacks may hide in it; a level of the noise "
@@ -143,9 +142,6 @@ class Answer:
                 unknown = behind_a_sensor(null, way[1])
         claim = Claim(proof, last, found, withdrawn, unknown)
         sure = proof.judgement is not None and bool(proof.judgement.confirmed)
-        behind = None if sure else far_less_probable(found)
-        if behind is not None:
-            return claim.withdrawn_for(behind, null, BEHIND_OTHERS)
         doubt = reason_to_withdraw(claim, null, sure) if found else None
         return claim if doubt is None else claim.withdrawn_for(doubt, null, TOO_LITTLE)
 
@@ -207,7 +203,7 @@ class Answer:
         )
         if may_hide(done):
             done = replace(done, messages=(*done.messages, _MAY_HIDE))
-        return held_to_fresh_data(held_to_chance(done))
+        return held_to_rivals(held_to_fresh_data(held_to_chance(done)))
 
     def _law(self, last: Station, told: Callable[..., UnknownLaw | None]) -> UnknownLaw | None:
         """A law that no effect names, in the place of those found, that these do not exclude."""

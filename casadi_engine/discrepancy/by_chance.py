@@ -8,23 +8,18 @@ that these data could show.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from casadi_engine.discrepancy.confirmation import CHANCE
 from casadi_engine.discrepancy.fresh_misfit import SURE, fresh_misfit
+from casadi_engine.discrepancy.repaired import UNCONFIRMED, Repair
+from casadi_engine.discrepancy.withdrawal import withdrawn
 from casadi_engine.distributions import t_sf
-
-if TYPE_CHECKING:
-    from casadi_engine.discrepancy.repaired import Repair
 
 
 def held_to_chance(repair: Repair) -> Repair:
     """The repair without what chance may have made, where fresh data were asked and show nothing of it."""
     if not _may_be_chance(repair):
         return repair
-    gaps = repair.gaps
-    assert gaps is not None
     tests, fresh = _tests(repair), _p_of_fresh_data(repair)
     what = min(tests, key=lambda name: tests[name])
     against = "" if fresh is None else f" (p = {fresh:.2g}, of both together {_both(tests[what], fresh):.2g})"
@@ -32,19 +27,7 @@ def held_to_chance(repair: Repair) -> Repair:
         f"{what} is beyond chance on the data of the search (p = {tests[what]:.2g}), and fresh data do not confirm "
         f"it{against}: then it has to be as improbable as what they confirm, p < {CHANCE * repair.alpha:.2g}"
     )
-    bare = replace(
-        repair,
-        verdict="nothing missing",
-        confirmed=None,
-        fit=repair.null_fit,
-        effects=(),
-        withdrawn=(*repair.effects, *repair.withdrawn),
-        unknown=None,
-        gaps=replace(gaps, estimation_after=gaps.estimation_before, validation_after=gaps.validation_before),
-        equation=None,
-        next_experiment=None,
-        messages=(words, *repair.messages),
-    )
+    bare = withdrawn(repair, UNCONFIRMED, None, words)
     return repair if fresh_misfit(bare) is not None else bare
 
 

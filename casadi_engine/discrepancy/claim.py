@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 from casadi_engine.discrepancy.certificate import unknown_of
 from casadi_engine.discrepancy.confirmation import share_closed
-from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.fresh import gap_of
 from casadi_engine.discrepancy.fresh_choice import Confirmation
 from casadi_engine.discrepancy.fresh_misfit import HALF, SEEN
@@ -69,20 +68,6 @@ def reason_to_withdraw(claim: Claim, null: Station, confirmed: bool) -> Unknown 
     words = f"{names} explains the gap best and closes {more}, which is no noise"
     unknown = claim.unknown or Unknown("what is left is coloured", {})
     return replace(unknown, sentence=f"{unknown.sentence}; {words}")
-
-
-def far_less_probable(found: Sequence[FoundEffect]) -> Unknown | None:
-    """Why effects that nothing confirms are no answer: the data exclude one of them beside another in its place, which
-    does not lead as its fit did not end; None where they exclude none."""
-    for one in found:
-        most = max(one.members, key=lambda member: member.probability)
-        if one.members[0].probability * FACTOR < most.probability:
-            words = (
-                f"{most.name} at {most.at}{most.more} is far more probable than {one.name} at {one.at}, but no whole "
-                "fit with it was reached, or fresh data do not stand by it"
-            )
-            return Unknown(words, {one.key: one.p_value})
-    return None
 
 
 def _closed(before: Sequence[NullModel], after: Sequence[NullModel], noise: NoiseModel) -> float:

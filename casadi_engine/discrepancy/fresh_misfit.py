@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from casadi_engine.discrepancy.confirmation import Gap, share_closed
 from casadi_engine.discrepancy.repaired import REFUSED, UNCONFIRMED, Unknown
+from casadi_engine.discrepancy.withdrawal import withdrawn
 from casadi_engine.distributions import f_sf
 
 if TYPE_CHECKING:
@@ -174,22 +175,10 @@ def held_to_fresh_data(repair: Repair) -> Repair:
     fits = held.confirmed is not False and (fresh_misfit(repair) is None or is_louder(repair))
     if fits or not judged or set(at) != {"sensor"}:
         return held
-    gaps, null = held.gaps, held.null_fit
-    assert gaps is not None  # as it was judged
     names = " and ".join(f"{one.name} at {one.at}" for one in held.effects)
     words = f"{names} describes the gap best, but fresh data do not confirm that a sensor is at fault"
-    return replace(
-        held,
-        verdict="unnamed",
-        confirmed=None,
-        fit=null,
-        effects=(),
-        withdrawn=(*[replace(e, why_withdrawn=_why(held)) for e in held.effects], *held.withdrawn),
-        unknown=held.unknown or Unknown(words, {one.key: one.p_value for one in held.effects}),
-        gaps=replace(gaps, estimation_after=gaps.estimation_before, validation_after=gaps.validation_before),
-        equation=None,
-        next_experiment=None,
-    )
+    unknown = held.unknown or Unknown(words, {one.key: one.p_value for one in held.effects})
+    return withdrawn(held, _why(held), unknown)
 
 
 def _why(repair: Repair) -> str:
