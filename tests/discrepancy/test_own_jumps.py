@@ -32,7 +32,7 @@ def throttle():
 
 @pytest.fixture(scope="module")
 def record():
-    times, rng = np.arange(250) * 0.01, np.random.default_rng(4)
+    times, rng = np.arange(500) * 0.01, np.random.default_rng(4)
     torque = sum(0.3 * np.sin(2 * np.pi * f * times + p) for f, p in ((0.35, 0.2), (0.9, 1.7), (1.9, 3.0)))
 
     def rates(t, x):
