@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+import casadi_engine as ce
 from casadi_engine.discrepancy.confirmation import Gap
 from casadi_engine.discrepancy.repaired import FoundEffect, Gaps, Member, NotFound, Repair, Side, Unknown
 from casadi_engine.estimation import Estimate
@@ -15,10 +16,27 @@ ROOT = Path(__file__).resolve().parents[1]
 BLOCKS = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
 
 
-@pytest.mark.parametrize("number", range(len(BLOCKS)))
-def test_block(number, tmp_path, monkeypatch, capsys):
+# In the quick run a repair is of one cycle of its records: that of the main job is in tests/problems.
+WHOLE = pytest.param(True, marks=pytest.mark.slow, id="as it stands")
+RUNS = [
+    pytest.param(number, *whole.values, marks=whole.marks, id=f"{number}{'-whole' if whole.marks else ''}")
+    for number, block in enumerate(BLOCKS)
+    for whole in ([pytest.param(False), WHOLE] if "ce.repair" in block else [pytest.param(False)])
+]
+
+
+@pytest.mark.parametrize(("number", "whole"), RUNS)
+def test_block(number, whole, tmp_path, monkeypatch, capsys):
     (tmp_path / "data").symlink_to(ROOT / "data")
     monkeypatch.chdir(tmp_path)
+    real = ce.repair
+
+    def of_one_cycle(model, record, *, fresh, **options):
+        record, fresh = record.cycles(1, 1), fresh.cycles(1, 1)
+        return real(model, record, fresh=fresh, starts=1, **options)
+
+    if not whole:
+        monkeypatch.setattr(ce, "repair", of_one_cycle)
     exec(compile("import casadi_engine as ce\n" + BLOCKS[number], f"README.md block {number}", "exec"), {})  # noqa: S102
     if "ce.report" in BLOCKS[number]:
         assert os.path.getsize("report.html") > 10_000

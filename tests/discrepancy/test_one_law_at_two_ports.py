@@ -65,7 +65,7 @@ def moved(force):
 @pytest.fixture(scope="module")
 def record():
     rng = np.random.default_rng(3)
-    force = np.repeat(rng.uniform(-8, 8, 12), 50)
+    force = np.repeat(rng.uniform(-8, 8, 8), 50)
     time = STEP * np.arange(len(force))
     pos = moved(force) + 3e-4 * rng.standard_normal(len(force))
     units = {"F": "N", "pos": "m"}

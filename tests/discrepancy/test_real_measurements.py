@@ -46,9 +46,9 @@ def driven():
 
 @pytest.fixture(scope="module")
 def drive():
-    """Model, records in blocks of 10 ms, twice as long as those of the page, and the fit without friction."""
+    """Model, records in blocks of 20 ms, four times as long as those of the page, and the fit without friction."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(page("emps"), "EVERY", 10)
+        patch.setattr(page("emps"), "EVERY", 20)
         records = driven()
     model = page("emps").model()
     pars = page("emps").parameters(model)

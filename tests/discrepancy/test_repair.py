@@ -64,17 +64,17 @@ def drive():
     return model, pars
 
 
-# Effects among which these are looked for; the others, and these in the slow run, among the whole library, as
-# tests/cli/test_repair_command.py does in the quick run too. The quick run keeps one whole repair; classes are also
-# held by test_choice.py and tests/effects/test_sensor_gain.py, a misfire's cycle by test_assumed_pressure.py, and
-# repairs with events by test_events.py.
+# Effects among which these are looked for in the slow run, which looks among the whole library too. The quick run has
+# its repair of an engine with a friction that is named in tests/problems/test_hidden_effect.py, with every part of the
+# answer, and the one of an engine that lacks nothing here; classes are also held by test_choice.py and
+# tests/effects/test_sensor_gain.py, a misfire's cycle by test_assumed_pressure.py, and repairs with events by
+# test_events.py.
 FEW = {
     "coulomb": ["coulomb_friction", "cubic_stiffness", "viscous_friction"],
     "constant": ["coulomb_friction", "constant_torque", "viscous_friction", "cubic_stiffness"],
     "misfire": ["misfire", "cylinder_imbalance", "coulomb_friction"],
 }
 WHOLE = pytest.param({"effects": None}, marks=pytest.mark.slow, id="the whole library")
-AMONG = [pytest.param({}, id="few"), WHOLE]
 SLOW = [pytest.param({}, marks=pytest.mark.slow, id="few"), WHOLE]
 
 
@@ -98,7 +98,7 @@ def repaired(records, drive):
     return of
 
 
-@pytest.mark.parametrize("among", AMONG)
+@pytest.mark.parametrize("among", SLOW)
 def test_dry_friction_in_the_coupling_is_named_and_confirmed(repaired, among):
     found = repaired("coulomb", **among)
     assert found.verdict == "named"
@@ -121,52 +121,6 @@ def test_dry_friction_in_the_coupling_is_named_and_confirmed(repaired, among):
     assert found.latent[0].port == "coupling"
 
 
-def test_the_repaired_model_is_as_good_as_noise_on_fresh_data(repaired):
-    gaps = repaired("coulomb").gaps
-    assert gaps.source == "records"
-    assert gaps.validation_after.gap.chi2_per_sample == pytest.approx(1, abs=0.06)
-    assert gaps.validation_before.gap.chi2_per_sample > gaps.validation_after.gap.chi2_per_sample + 0.02
-    assert gaps.gain_per_cycle.mean > 2 * gaps.gain_per_cycle.se
-    assert gaps.gain_per_cycle.cycles == 6
-    assert gaps.validation_after.whiteness_p["coulomb_1400"]["omega"] > 1e-3
-    assert set(gaps.validation_after.traces) == {"coulomb_1400"}
-
-
-def test_the_shift_of_the_damping_was_predicted(repaired):
-    """The damper had stood for the friction; the stiffness, far off too, moves farther than one step tells."""
-    (one,) = repaired("coulomb").effects
-    assert one.found_shift["C_el"] < -10
-    assert one.predicted_shift["C_el"] == pytest.approx(one.found_shift["C_el"], rel=0.5)
-
-
-def test_the_equations_of_the_repaired_model_show_the_term(repaired):
-    found = repaired("coulomb")
-    assert any("coupling.coulomb_friction.torque" in line for line in found.equation.terms)
-    assert found.equation.text == found.model.equations()
-    assert "coupling.coulomb_friction.torque" in found.parameters
-
-
-def test_what_was_not_found_comes_with_the_size_that_would_have_been(repaired):
-    found = repaired("coulomb")
-    missed = {(m.name, m.at): m for m in found.not_found}
-    assert ("coulomb_friction", "coupling") not in missed
-    cubic = missed["cubic_stiffness", "coupling"]
-    assert cubic.testable
-    assert 1e5 < cubic.smallest_detectable < 1e8
-    assert cubic.unit == "N m/rad3"
-    lost = missed["viscous_friction", "engine"]  # it is one of the parameters
-    assert not lost.testable
-    assert lost.smallest_detectable == np.inf
-
-
-def test_the_law_is_there_over_time(repaired):
-    found = repaired("coulomb")
-    time, law = found.effects[0].course["coulomb_1200"]
-    assert time[0] == found.latent[0].courses["coulomb_1200"].time[0]
-    assert np.abs(law).max() == pytest.approx(found.effects[0].amplitude.value, rel=0.01)
-    assert law.min() < 0 < law.max()
-
-
 def test_nothing_is_missing_where_nothing_is(repaired):
     found = repaired("nothing")
     assert found.verdict == "nothing missing"
@@ -181,7 +135,7 @@ def test_nothing_is_missing_where_nothing_is(repaired):
 
 def test_the_last_engine_cycles_are_held_out_where_no_fresh_record_is_given(records, drive):
     model, _ = drive
-    (record, _) = records("coulomb")
+    (record, _) = records("nothing")
     made = portions(model, (record,), (), share=0.3)
     (kept,), (held,) = made.data, made.fresh
     assert made.source == "cycles"
@@ -205,7 +159,7 @@ def test_an_effect_is_confirmed_on_the_cycles_held_out(records, drive):
 
 
 def test_a_load_that_hums_is_missing_and_no_effect_names_it(shaft):
-    data = shaft.data(hidden=lambda t, x: np.array([0, 5 * np.sin(2 * np.pi * 21.7 * t)]), n=600)
+    data = shaft.data(hidden=lambda t, x: np.array([0, 5 * np.sin(2 * np.pi * 21.7 * t)]), n=400)
     noise = ce.Noise(**shaft.sigma)
     found = ce.repair(shaft.model, data, noise=noise, starts=1, progress=False)
     assert found.verdict == "unnamed"
@@ -239,32 +193,25 @@ def test_a_lost_combustion_is_named_with_its_cycle(repaired, among):
     assert found.gaps.estimation_after.gap.chi2_per_sample < 1.15
 
 
-SLOW_RECORDS = [pytest.param(name, marks=pytest.mark.slow) for name in ("constant", "misfire")]
+SLOW_RECORDS = [pytest.param(name, marks=pytest.mark.slow) for name in ("coulomb", "constant", "misfire")]
 
 
-@pytest.mark.parametrize("name", ["coulomb", "nothing", *SLOW_RECORDS])
+@pytest.mark.parametrize("name", ["nothing", *SLOW_RECORDS])
 def test_the_summary_fits_one_screen(repaired, name):
     lines = str(repaired(name)).splitlines()
     assert len(lines) <= 45
     assert max(map(len, lines)) <= 100
     assert lines[-1].startswith(("Next: ", "      "))
-
-
-def test_the_summary_says_what_was_found(repaired):
-    text = str(repaired("coulomb"))
-    assert text.startswith(
-        "Repair of two_mass: coulomb_friction at coupling is missing, confirmed on fresh data"
-    )
-    assert "coupling.coulomb_friction.torque = " in text
-    assert "fresh data: 2 ln(likelihood) changes by " in text
-    assert "nothing is missing that these data could show" in str(repaired("nothing"))
+    if name == "nothing":
+        assert "nothing is missing that these data could show" in str(repaired(name))
 
 
 def test_one_cycle_says_what_it_cannot_tell(records, drive):
     model, pars = drive
     record = records("nothing")[0].cycles(2, 2)
     noise = ce.Noise(omega=0.1, omega_load=0.1)
-    found = ce.repair(model, record, parameters=pars, noise=noise, starts=1, progress=False)
+    options = {"effects": FEW["coulomb"], "starts": 1, "progress": False}
+    found = ce.repair(model, record, parameters=pars, noise=noise, **options)
     assert found.verdict == "nothing missing"
     assert found.confirmed is None
     assert found.gaps.validation_after is None

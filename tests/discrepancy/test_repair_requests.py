@@ -104,6 +104,7 @@ def test_pieces_stand_for_cycles_where_there_is_no_crank_angle(repaired):
     assert repaired.effects[0].key == "coupling.coulomb_friction"
     assert repaired.gaps.source == "cycles"
     assert repaired.gaps.gain_per_cycle.mean > 0
+    assert repaired.effects[0].selection_frequency > 0.9
     assert repaired.options["alpha"] == 0.01
     assert repaired.timing["total"] > 0
 

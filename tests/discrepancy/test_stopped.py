@@ -142,8 +142,8 @@ def slow(monkeypatch):
 def test_behind_its_budget_a_slow_repair_answers_within_two_seconds_of_the_processor(repaired, slow):
     slow(0.02)
     begun = time.process_time()
-    found = repaired(budget=1.0)
-    assert time.process_time() - begun < 1.0 + 2.0 + 0.5
+    found = repaired(budget=0.5)
+    assert time.process_time() - begun < 0.5 + 2.0 + 0.5
     assert found.stopped == "the time budget"
     assert found.not_searched
     assert "give it more time, budget=..." in str(found)
@@ -153,8 +153,8 @@ def test_a_slow_fit_without_effects_gives_its_best_point(repaired, slow):
     """There is no verdict then, and a fit to go on from."""
     slow(0.15)
     begun = time.process_time()
-    found = repaired(budget=1.0)
-    assert time.process_time() - begun < 1.0 + 2.0 + 0.5
+    found = repaired(budget=0.5)
+    assert time.process_time() - begun < 0.5 + 2.0 + 0.5
     assert (found.status, found.verdict, found.stopped) == ("interrupted", None, "the time budget")
     assert np.isfinite(list(found.fit.values.values())).all()
 
@@ -176,9 +176,9 @@ def test_ctrl_c_within_an_evaluation_is_answered_within_two_seconds(repaired, sl
         pressed.append(time.process_time())
         os.kill(os.getpid(), signal.SIGINT)
 
-    slow(0.05)
+    slow(0.025)
     pressed = []
-    timer = threading.Timer(2.0, press)
+    timer = threading.Timer(1.0, press)
     timer.start()
     found = repaired()
     timer.join()

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import io
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 import casadi_engine as ce
@@ -41,17 +45,99 @@ def check(result, secret, *, errors=4.5):
     assert all(p > 0.001 for outputs in gap["after"]["whiteness_p"].values() for p in outputs.values())
 
 
-def test_the_hidden_effect_is_named_in_three_cycles(secret, tmp_path, monkeypatch, capsys):
-    # Figures take seconds; the tests of the report room draw them.
-    room = importlib.import_module("casadi_engine.report")
-    monkeypatch.setattr(room, "report", lambda result, path, **options: path.touch())
+@pytest.fixture(scope="module")
+def repaired(tmp_path_factory):
+    """The command on three cycles of each record: exit code, what it complained of, its result.json, the answer."""
+    folder, kept, complained = tmp_path_factory.mktemp("three_cycles"), [], io.StringIO()
     for name in ("misfire_1200rpm", "normal_1400rpm"):
-        ce.read_experiment(DATA / f"{name}.csv.gz").cycles(1, 3).to_csv(tmp_path / f"{name}.csv")
-    files = ["--data", tmp_path / "misfire_1200rpm.csv", "--validate", tmp_path / "normal_1400rpm.csv"]
-    code = cli.main(["repair", str(PAGE), *map(str, files), "--out", str(tmp_path / "out")])
-    told = capsys.readouterr()
-    assert (code, told.err) == (0, "")
-    check(json.loads((tmp_path / "out" / "result.json").read_text()), secret)
+        ce.read_experiment(DATA / f"{name}.csv.gz").cycles(1, 3).to_csv(folder / f"{name}.csv")
+    files = ["--data", folder / "misfire_1200rpm.csv", "--validate", folder / "normal_1400rpm.csv"]
+
+    def page(result, path, **options):
+        # Figures take seconds; the tests of the report room draw them.
+        kept.append(result)
+        path.touch()
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(importlib.import_module("casadi_engine.report"), "report", page)
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(complained):
+            code = cli.main(["repair", str(PAGE), *map(str, files), "--out", str(folder / "out")])
+    result = json.loads((folder / "out" / "result.json").read_text())
+    return SimpleNamespace(code=code, complained=complained.getvalue(), result=result, answer=kept[0])
+
+
+@pytest.fixture
+def found(repaired):
+    return repaired.answer
+
+
+def test_the_hidden_effect_is_named_in_three_cycles(repaired, secret):
+    assert (repaired.code, repaired.complained) == (0, "")
+    check(repaired.result, secret)
+
+
+def test_the_effect_stands_alone_at_its_place(found):
+    (one,) = found.effects
+    assert one.key == "coupling.coulomb_friction"
+    assert one.sentence == "dry friction at coupling"
+    assert one.p_value < 1e-10
+    assert one.share_explained > 0.9
+    assert [m.name for m in one.members] == ["coulomb_friction"]
+    assert found.where.location == "coupling"
+    assert found.latent[0].port == "coupling"
+
+
+def test_the_repaired_model_is_as_good_as_noise_on_fresh_data(found):
+    gaps = found.gaps
+    assert gaps.source == "records"
+    assert gaps.gain_per_cycle.mean > 2 * gaps.gain_per_cycle.se
+    assert gaps.gain_per_cycle.cycles == 3
+    assert set(gaps.validation_after.traces) == {"normal_1400rpm"}
+
+
+def test_the_shift_of_the_damping_was_predicted(found):
+    """The damper had stood for the friction."""
+    (one,) = found.effects
+    assert one.found_shift["C_el"] < -2
+    assert one.predicted_shift["C_el"] == pytest.approx(one.found_shift["C_el"], rel=0.5)
+
+
+def test_the_equations_of_the_repaired_model_show_the_term(found):
+    assert any("coupling.coulomb_friction.torque" in line for line in found.equation.terms)
+    assert found.equation.text == found.model.equations()
+    assert "coupling.coulomb_friction.torque" in found.parameters
+
+
+def test_what_was_not_found_comes_with_the_size_that_would_have_been(found):
+    missed = {(m.name, m.at): m for m in found.not_found}
+    assert ("coulomb_friction", "coupling") not in missed
+    cubic = missed["cubic_stiffness", "coupling"]
+    assert cubic.testable
+    assert 1e3 < cubic.smallest_detectable < 1e6
+    assert cubic.unit == "N m/rad3"
+    lost = missed["viscous_friction", "engine"]  # it is one of the parameters
+    assert not lost.testable
+    assert lost.smallest_detectable == np.inf
+
+
+def test_the_law_is_there_over_time(found):
+    time, law = found.effects[0].course["misfire_1200rpm"]
+    assert time[0] == found.latent[0].courses["misfire_1200rpm"].time[0]
+    assert np.abs(law).max() == pytest.approx(found.effects[0].amplitude.value, rel=0.01)
+    assert law.min() < 0 < law.max()
+
+
+def test_the_summary_fits_one_screen_and_says_what_was_found(found):
+    text = str(found)
+    lines = text.splitlines()
+    assert len(lines) <= 45
+    assert max(map(len, lines)) <= 100
+    assert lines[-1].startswith(("Next: ", "      "))
+    assert text.startswith(
+        "Repair of two_mass: coulomb_friction at coupling is missing, confirmed on fresh data"
+    )
+    assert "coupling.coulomb_friction.torque = " in text
+    assert "fresh data: 2 ln(likelihood) changes by " in text
 
 
 @pytest.mark.slow
