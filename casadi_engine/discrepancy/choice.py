@@ -60,9 +60,7 @@ class Choice:
     timing: dict[str, float] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
     best: Key = frozenset()
-    misfit: float = (
-        1.0  # chi-squared per sample of fresh data over that of the search, where that is no chance
-    )
+    misfit: float = 1.0  # chi-squared per sample of fresh data, where more than 1 is no chance
     stations: dict[Key, Station] = field(default_factory=dict, repr=False)
     _fits: dict[Key, tuple[Arrived, Fit | None]] = field(default_factory=dict, repr=False)
     _asked: set[tuple[Key, Key]] = field(default_factory=set, repr=False)

@@ -196,8 +196,8 @@ class FreshChoice:
         return stations
 
     def _misfit(self, station: Station, pairs: Pairs | None) -> float:
-        """Chi-squared per sample of the fresh data over that of the search, where that is beyond chance and beyond what
-        errors of the parameters do; else 1."""
+        """Chi-squared per sample of the fresh data, over that of the noise or of the search, where it is beyond chance
+        and beyond what errors of the parameters do; else 1."""
         noise = station.screened.noise
         if not pairs or noise.scatter:
             return 1.0
@@ -205,7 +205,7 @@ class FreshChoice:
 
         def ratio(found: float) -> float:
             beyond = beyond_chance(found, fresh.samples, own, coloured=bool(noise.colour))
-            return found / own.chi2_per_sample if beyond else 1.0
+            return found / min(own.chi2_per_sample, 1.0) if beyond else 1.0
 
         whole = ratio(fresh.chi2_per_sample)
         if whole == 1.0:

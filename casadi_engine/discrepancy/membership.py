@@ -89,7 +89,7 @@ def class_of(
 
     Two effects may stand in the place of it, and one in the place of it and another; price : of one effect more. An
     effect of which its refit has left nothing explains nothing in its place. misfit : chi-squared per sample of fresh
-    data over that of the search: where it is more, no structure is right, and evidence counts by as much less.
+    data, in the noise's: where it is more than 1 no structure is right, and evidence counts by as much less.
     """
     own = one.candidate.key
     rest = key - {own}
