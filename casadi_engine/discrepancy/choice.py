@@ -183,9 +183,13 @@ class Choice:
         ))  # fmt: skip
         self.refits.weigh()
         ready = [one for one in made if one.beyond > BEYOND and one.log - self.price > now.log]
-        for one in sorted(ready, key=lambda t: -t.log)[:1]:
+        for one in sorted(ready, key=lambda t: -t.log):
+            if weak_beside_colour(self.refits, one):
+                one.failed = True  # nor is it in the class of what stands
+                continue
             if self.station_of(one) is not None:
                 self.best = one.key
+            return
 
     @property
     def price(self) -> float:

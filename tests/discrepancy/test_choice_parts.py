@@ -8,6 +8,7 @@ import pytest
 
 import casadi_engine as ce
 from casadi_engine.deadline import Deadline, TimeUp
+from casadi_engine.discrepancy import choice as module
 from casadi_engine.discrepancy import ways
 from casadi_engine.discrepancy.choice import BEYOND, FACTOR, TIME_UP, Choice
 from casadi_engine.discrepancy.screening import screen
@@ -235,3 +236,21 @@ def test_there_is_no_way_by_a_fit_that_does_not_converge(monkeypatch):
     found = on_the_way(monkeypatch, {(): "ab"})
     monkeypatch.setattr(Choice, "station_of", lambda self, one: None)
     assert found.way(key_of("a", "b")) is None
+
+
+@pytest.mark.parametrize(("weak", "leads"), [((), "b"), (("b",), "c"), (("b", "c"), "a")])
+def test_two_effects_that_are_no_findings_beside_their_colour_stand_in_no_ones_place(
+    monkeypatch, weak, leads
+):
+    """A force and a load, each within twice its error, were more probable than the friction that does the same."""
+    one = tried("a", log=-100.0)
+    pairs = {"b": tried("b", "d", log=-50.0), "c": tried("c", "d", log=-60.0)}
+    found = choice_of(monkeypatch, tried(log=-500.0), one, *pairs.values(), best=one.key)
+    found.refits.weigh = lambda: None
+    monkeypatch.setattr(module, "families_of", lambda screened: {})
+    monkeypatch.setattr(module, "tried_in_two", lambda *_: list(pairs.values()))
+    gone = [pairs[name] for name in weak]
+    monkeypatch.setattr(module, "weak_beside_colour", lambda refits, other: other in gone)
+    found._in_two()
+    assert found.best == (one if leads == "a" else pairs[leads]).key
+    assert [name for name in pairs if pairs[name].failed] == list(weak)
