@@ -4,7 +4,7 @@ Slow are those whose claims the tests of the rooms hold on shorter records or wi
 misfires, also those found from crank speed alone (tests/detection, tests/discrepancy/test_real_measurements.py),
 reduction, engine orders, the crankshaft's modes and fit (tests/model/test_chain.py and test_crankshaft_problem.py),
 experiments that are chosen (tests/identifiability), the two-mass fits from starts that are far off and with C_el free
-(tests/estimation/test_two_mass_recovery.py, test_integration.py), and pages on records that are kept beside the project.
+(tests/estimation/test_two_mass_recovery.py), and pages on records that are kept beside the project.
 """
 
 import importlib
