@@ -62,11 +62,9 @@ def test_the_import_loads_nothing_but_itself():
     }
 
 
-@pytest.mark.parametrize(
-    "code", ["ce.two_mass()", "ce.crankshaft", "ce.Problem", f"ce.read_experiment({str(RECORD)!r})"]
-)
-def test_models_problems_and_records_are_made_without_heavy_packages(code):
-    assert heavy(loaded(f"import casadi_engine as ce\n{code}")) == set()
+def test_models_problems_and_records_are_made_without_heavy_packages():
+    made = f"ce.two_mass()\nce.crankshaft\nce.Problem\nce.read_experiment({str(RECORD)!r})"
+    assert heavy(loaded(f"import casadi_engine as ce\n{made}")) == set()
 
 
 def test_a_linear_model_is_fitted_without_the_large_modules_of_scipy():
@@ -77,10 +75,9 @@ def test_a_linear_model_is_fitted_without_the_large_modules_of_scipy():
     assert modules & large == set()
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["fit", "--help"], ["--version"]])
-def test_the_help_of_the_command_computes_nothing(arguments):
-    code = f"from casadi_engine import cli\nassert cli.main({arguments!r}) == 0"
-    modules = loaded(code)
+def test_the_help_of_the_command_computes_nothing():
+    asked = "for arguments in (['--help'], ['fit', '--help'], ['--version']):\n    assert cli.main(arguments) == 0"
+    modules = loaded(f"from casadi_engine import cli\n{asked}")
     assert "typer" in modules
     assert modules & {"numpy", "casadi", "scipy", "pandas", "matplotlib", "jinja2"} == set()
 

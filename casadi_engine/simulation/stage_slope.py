@@ -46,7 +46,7 @@ class StageSlope:
         self.first = ArrayFunction(symbols, [self.expression, by_x, by_z])
         self._second: ArrayFunction | None = None
         # functions made of the slope, by whoever needs them
-        self.made: dict[tuple[str, str], Any] = {}
+        self.made: dict[tuple[str | int, ...], Any] = {}
 
     @property
     def parts(self) -> int:

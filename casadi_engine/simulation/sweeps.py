@@ -76,9 +76,7 @@ class Sweeps:
             real = place[k] < layout.steps
             place[k + 1, real] = layout.after[place[k, real]]
         size = min(_SWEEP, steps)
-        sweep = _machine_step(self.slope, self.scheme).mapaccum(size)
-        if count > 1:
-            sweep = sweep.map(count)
+        sweep = _machine_sweep(self.slope, self.scheme, size, count)
         many = np.repeat(z[:, None], count * size, axis=1)
         for k in range(0, steps, size):
             # The last sweep steps back over what is done rather than being of another length.
@@ -308,4 +306,13 @@ def _machine_step(slope: StageSlope, scheme: Tableau) -> ca.Function:
     if key not in slope.made:
         inputs, end = _step_symbols(slope, scheme)
         slope.made[key] = ca.Function("step", inputs, [end])
+    return slope.made[key]
+
+
+def _machine_sweep(slope: StageSlope, scheme: Tableau, size: int, count: int) -> ca.Function:
+    """So many steps of so many intervals; made once, as an evaluation of few steps costs less than making it."""
+    key = ("sweep", scheme.name, size, count)
+    if key not in slope.made:
+        sweep = _machine_step(slope, scheme).mapaccum(size)
+        slope.made[key] = sweep.map(count) if count > 1 else sweep
     return slope.made[key]

@@ -1,6 +1,8 @@
 """A model that is written with jumps: what a repair gives back where nothing is missing."""
 
 from dataclasses import replace
+from importlib import import_module
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -8,6 +10,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
+from casadi_engine.discrepancy import own_jumps
+from casadi_engine.discrepancy.own_jumps import with_own_jumps
 from casadi_engine.errors import ExperimentError
 
 TRUTH = {"J": 0.004, "c": 0.03, "k": 0.06, "spring": 0.15}
@@ -47,22 +51,38 @@ def record():
     return ce.Experiment.from_arrays("swing", time=times, units=units, T=torque, angle=measured)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def parameters():
     made = throttle().parameters()
     made.fix("J")
     return made
 
 
-def test_where_nothing_is_missing_the_fit_is_of_the_equations_as_they_were_written(record, parameters):
-    found = ce.repair(
-        throttle(),
-        record,
-        parameters=parameters,
-        effects=["coulomb_friction", "constant_torque"],
-        starts=1,
-        progress=False,
-    )
+@pytest.fixture(scope="module")
+def repaired(record, parameters):
+    """The answer, and what it was made of: the answer with rounded jumps, and the arguments beside it."""
+    asked = []
+
+    def noted(*arguments):
+        asked.extend(arguments)
+        return with_own_jumps(*arguments)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(import_module("casadi_engine.discrepancy.repair"), "with_own_jumps", noted)
+        found = ce.repair(
+            throttle(),
+            record,
+            parameters=parameters,
+            effects=["coulomb_friction", "constant_torque"],
+            starts=1,
+            progress=False,
+        )
+    rounded, *rest = asked
+    return SimpleNamespace(found=found, rounded=rounded, rest=rest)
+
+
+def test_where_nothing_is_missing_the_fit_is_of_the_equations_as_they_were_written(repaired):
+    found = repaired.found
     assert found.verdict == "nothing missing"
     assert not found.model.corners
     assert found.fit is found.null_fit
@@ -73,15 +93,12 @@ def test_where_nothing_is_missing_the_fit_is_of_the_equations_as_they_were_writt
         assert abs(one.value - TRUTH[name]) < 3.5 * one.stderr
 
 
-def test_where_the_written_equations_do_not_fit_as_well_the_rounded_ones_stay(
-    record, parameters, monkeypatch
-):
-    import casadi_engine.discrepancy.own_jumps as own_jumps
-
+def test_where_the_written_equations_do_not_fit_as_well_the_rounded_ones_stay(repaired, monkeypatch):
+    monkeypatch.setattr(own_jumps, "estimate", lambda *_, **options: repaired.found.fit)
+    assert with_own_jumps(repaired.rounded, *repaired.rest).fit.values == repaired.found.fit.values
     monkeypatch.setattr(own_jumps, "FELT", -1e6)
-    found = ce.repair(
-        throttle(), record, parameters=parameters, effects=["constant_torque"], starts=1, progress=False
-    )
+    found = with_own_jumps(repaired.rounded, *repaired.rest)
+    assert found is repaired.rounded
     assert found.model.corners
     assert "tanh stands in place of their jumps" in str(found)
 

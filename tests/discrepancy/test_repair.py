@@ -158,6 +158,7 @@ def test_an_effect_is_confirmed_on_the_cycles_held_out(records, drive):
     assert found.gaps.gain_per_cycle.cycles == 3
 
 
+@pytest.mark.slow  # test_spectral_line.py and test_law_refit.py have torques that no effect names in the quick run
 def test_a_load_that_hums_is_missing_and_no_effect_names_it(shaft):
     data = shaft.data(hidden=lambda t, x: np.array([0, 5 * np.sin(2 * np.pi * 21.7 * t)]), n=400)
     noise = ce.Noise(**shaft.sigma)

@@ -84,3 +84,20 @@ def test_the_nonlinear_form_gives_the_same_answer(clean):
     )
     assert fit.converged
     assert np.abs((fit.z - TRUTH) / np.sqrt(np.diag(fit.covariance))).max() < 4
+
+
+def test_a_start_that_is_taken_as_known_loses_the_damper(clean):
+    """The speeds as measured and the coupling relaxed, as the thesis had it: the damping is lost, all else is not."""
+    speed = float(clean["omega"][0])
+    channels = {name: clean[name] for name in UNITS}
+    data = ce.Experiment.from_arrays("misfire", time=clean["time"], units=UNITS, **channels)
+    known = {"omega_eng": speed, "omega_load": speed, "twist": 0.0}
+    off = {}
+    for initial in (known, None):
+        model = ce.two_mass(reciprocating_speed="measured")
+        fit = ce.estimate(model, data, noise=ce.Noise(omega=0.1), initial=initial, progress=False)
+        off[initial is None] = np.abs(fit.z / TRUTH - 1)
+    damper = NAMES.index("C_el")
+    assert off[False][damper] > 0.3
+    assert off[False].argmax() == damper
+    assert off[True].max() < 0.01

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from small_models import CASES
-from small_outcome import linearised, recovered, simulated
+from small_outcome import expected_error, kept_errors, linearised, recovered, simulated, size_of
 from small_truth import Pieces, solve
 
 import casadi_engine as ce
@@ -80,6 +80,23 @@ def test_expected_errors_are_those_of_least_squares():
     jacobian = np.array(columns).T / sigma
     known = np.sqrt(np.linalg.inv(jacobian.T @ jacobian)[0, 0])
     assert abs(linearised(case) / known - 1) < 1e-3
+
+
+# The quick run works out anew what is quickly done, and whether the table is that of the cases as they are.
+QUICK = {"michaelis_menten", "three_walls"}
+
+
+@pytest.mark.parametrize(
+    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
+)
+def test_expected_errors_are_kept_as_they_are(name):
+    assert expected_error(CASES[name]) == pytest.approx(linearised(CASES[name]), rel=1e-3)
+
+
+def test_the_table_of_expected_errors_is_of_these_cases():
+    assert {name: pytest.approx(size_of(case), rel=1e-6) for name, case in CASES.items()} == {
+        name: size for name, (size, _) in kept_errors().items()
+    }
 
 
 @pytest.mark.parametrize("name", list(CASES))

@@ -1,8 +1,10 @@
 """The pages of problems/thesis: each in its quick form, its conclusions and the numbers that the thesis gives.
 
 Slow are those whose claims the tests of the rooms hold on shorter records or without any: residual tests, repair,
-misfires, reduction, engine orders, the crankshaft's modes and fit (tests/model/test_chain.py and
-test_crankshaft_problem.py), experiments that are chosen (tests/identifiability).
+misfires, also those found from crank speed alone (tests/detection, tests/discrepancy/test_real_measurements.py),
+reduction, engine orders, the crankshaft's modes and fit (tests/model/test_chain.py and test_crankshaft_problem.py),
+experiments that are chosen (tests/identifiability), the two-mass fits from starts that are far off and with C_el free
+(tests/estimation/test_two_mass_recovery.py), and pages on records that are kept beside the project.
 """
 
 import importlib
@@ -57,6 +59,7 @@ def test_a_page_is_short_says_what_it_is_and_where_its_records_come_from(name):
         assert line.count(".") <= 1, "names of a room come from the room, not from its files"
 
 
+@pytest.mark.slow
 def test_tables_4_3_to_4_5(quick):
     lines = quick("two_mass_tables")
     assert len(lines) == 10
@@ -114,6 +117,7 @@ def test_the_pressure_model(quick):
     assert lines["chapter 6 (a)", "an analytic pressure model"].ours == "simulated trace: peak -0.2 %, +0 deg"
 
 
+@pytest.mark.slow
 def test_the_pressure_model_on_real_traces(quick):
     """A record that lacks an edge of the wheel in each turn is a tooth off; its peak then comes right, too."""
     quick("pressure_model")
@@ -128,6 +132,7 @@ def test_the_pressure_model_on_real_traces(quick):
     assert [round(intake, 1) for _, _, intake in found.values()] == [1.0, 0.8, 0.5]
 
 
+@pytest.mark.slow
 def test_crank_speed_alone(quick):
     lines = quick("speed_alone")
     assert lines["chapter 6 (a)", "misfire detection without pressure"].ours.startswith(
