@@ -93,6 +93,7 @@ def class_of(
     """
     own = one.candidate.key
     rest = key - {own}
+    price = price / misfit  # or what is paid for alone would make fewer effects the more probable ones
     known = {
         other: float(found.log) / misfit for other, found in pool.items()
         if found.log > -math.inf and (other <= key or found.beyond > _NOTHING)

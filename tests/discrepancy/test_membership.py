@@ -57,6 +57,10 @@ def test_evidence_counts_less_where_no_structure_describes_the_fresh_data():
     assert names(class_of(pool, frozenset({DRY}), effect(DRY), 20.0, PRICE)) == ["dry"]
     found = class_of(pool, frozenset({DRY}), effect(DRY), 20.0, PRICE, 4.0)
     assert [m.probability for m in found] == pytest.approx([1 / (1 + math.exp(-1)), 1 / (1 + math.e)])
+    # what an effect more has to gain counts by as much less: one alone that is far worse does not lead by that
+    both, alone = pool_of(none=0.0, dry=5.0, drag=9.0, dry_drag=20.0), frozenset({DRY, DRAG})
+    own = class_of(both, alone, effect(DRY), 20.0, PRICE, 100.0)
+    assert own[0].probability == max(m.probability for m in own)
 
 
 @pytest.mark.parametrize(("times", "inside"), [(19.0, True), (21.0, False)])
