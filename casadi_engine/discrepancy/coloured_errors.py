@@ -40,13 +40,17 @@ def with_coloured_errors(
     if not (noise.colour or louder) or null.parameters != fit.free:
         return fit, ""
     of_parameters, of_starts = _ratios({name: level for name, (level, _) in fit.noise.items()}, null, noise)
-    ratio = dict(zip(fit.free, of_parameters.tolist(), strict=True))
+    own = fit.own_noise  # what the errors of the fit count with already
+    ratio = {n: max(r / own.get(n, 1.0), 1.0) for n, r in zip(fit.free, of_parameters.tolist(), strict=True)}
     most = max(ratio.values(), default=1.0)
     if most < 1 + _SEEN:
         return fit, ""
     estimates = {name: _wider(one, ratio.get(name, most)) for name, one in fit.estimates.items()}
     initial = {
-        record: {state: _wider(one, of_starts.get((record, state), 1.0)) for state, one in states.items()}
+        record: {
+            state: _wider(one, of_starts.get((record, state), 1.0) / own.get(f"{record}/{state}", 1.0))
+            for state, one in states.items()
+        }
         for record, states in fit.initial.items()
     }
     scale = np.array([ratio[name] for name in fit.free])

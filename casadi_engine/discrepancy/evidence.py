@@ -25,7 +25,7 @@ from casadi_engine.discrepancy.noise_choice import is_white
 from casadi_engine.discrepancy.noise_model import NoiseModel, estimated_noise
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.selection import effective_samples
-from casadi_engine.validation.autoregression import autoregression
+from casadi_engine.estimation.autoregression import autoregression
 
 # Prior standard deviation of a first state, in the state's scale.
 _STATE = 10.0

@@ -20,7 +20,7 @@ from casadi_engine.discrepancy.combustion_scatter import scatter_level
 from casadi_engine.discrepancy.linear_algebra import REPEATED, Array, basis, triangle, without
 from casadi_engine.discrepancy.null_model import Index, NullModel, RecordNull, above_rounding
 from casadi_engine.discrepancy.wander import Spectrum, Wander, information, spectrum, wander_of
-from casadi_engine.validation.autoregression import autoregression
+from casadi_engine.estimation.autoregression import autoregression
 from casadi_engine.validation.whitening import Whitener
 
 _LOWEST = 1e-6

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -19,6 +19,7 @@ from casadi_engine.estimation.innovations import SizedPriors, loop_of
 from casadi_engine.estimation.integration import integration_of
 from casadi_engine.estimation.predictor import output_stride
 from casadi_engine.estimation.record import RecordTerm
+from casadi_engine.estimation.residual_noise import OwnNoise, own_noise, with_own_noise
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty, uncertainty
 from casadi_engine.simulation.error_estimate import ErrorEstimate
@@ -26,10 +27,6 @@ from casadi_engine.simulation.propagator import fineness_of
 
 Array = NDArray[np.float64]
 
-# A sum of squares that chance makes so rarely is not of the stated noise level.
-_IMPOSSIBLE = 1e-9
-# Lag-one correlation, in its standard errors, from which a residual counts as coloured; least samples to say so.
-_COLOUR, _FEW = 5.0, 30
 # An integration error that may move an estimate by this share of its standard error is said.
 _FELT = 0.1
 
@@ -74,9 +71,14 @@ def make_fit(
     if status != best.solution.status:
         errors, optima = replace(errors, optimal=status == "converged"), relabelled(optima, status)
         best = replace(best, solution=replace(best.solution, status=status))
-    found = judged(search, best, errors, optima, residuals, check=None if stopped else check)
+    noises, white = own_noise(search, best), errors
+    ratio = np.ones(len(white.covariance.matrix))
+    if check is not None and not stopped:
+        errors, ratio = with_own_noise(search, best, white, noises)
+    found = judged(search, best, white, errors, optima, residuals, check=None if stopped else check)
     cost = printed_cost(search, v, residuals)
-    said = _messages(search, best, errors, reason, optima, stopped)
+    noise_words = _noise_words(search, noises, ratio, counted=errors is not white)
+    said = _messages(search, best, errors, reason, optima, stopped, noise_words)
     for (
         record
     ) in search.records:  # last, for the drives of a long record take as much memory as what came before
@@ -123,6 +125,7 @@ def make_fit(
         innovations=predictor,
         integration=integration,
         errors=errors.as_prior(),
+        own_noise=_by_name(search, ratio),
         fineness={record.experiment.name: fineness_of(record.propagator) for record in search.records},
     )
 
@@ -256,6 +259,7 @@ def _messages(
     reason: str | None,
     optima: tuple[Optimum, ...],
     stopped: str,
+    noise_words: Sequence[str],
 ) -> tuple[str, ...]:
     found = [] if reason is None else [cure(reason)]
     if best.solution.status != "converged":
@@ -275,8 +279,7 @@ def _messages(
     if violated:
         found.append(f"not met: {', '.join(violated)}")
     found += _rates(search)
-    found += _beyond_noise(search, best)
-    found += _coloured(search, best)
+    found += noise_words
     if stopped:
         done = sum(optimum.starts for optimum in optima if optimum.status == "converged")
         what = f"the best of {done} optima so far" if done else "the best point so far, not an optimum"
@@ -297,51 +300,35 @@ def _rates(search: Search) -> list[str]:
     ]
 
 
-def _beyond_noise(search: Search, best: Attempt) -> list[str]:
-    """Outputs whose residuals are far larger than the level that was stated for them."""
-    found = []
-    point = search.problem.at(best.solution.x)
-    names = search.records[0].outputs
-    for name, estimated, sigma in zip(names, search.levels.estimated, search.sigma, strict=True):
-        rows = [
-            _counted(record, part.r, name)
-            for record, part in zip(search.records, point.records, strict=True)
-            if name in record.observation.where
-        ]
-        left = sum(map(len, rows)) - search.free_count
-        if estimated or search.loss.robust or left < 1:
-            continue
-        from scipy.special import chdtrc
+def _by_name(search: Search, ratio: Array) -> dict[str, float]:
+    """Free parameter, or record/state for an initial state -> its entry of (N,)."""
+    states = [f"{r.experiment.name}/{s.name}" for r in search.records for s in search.model.states]
+    return dict(zip([*search.pmap.free, *states], ratio.tolist(), strict=True))
 
-        square = float(sum(r @ r for r in rows))
-        if chdtrc(left, square) < _IMPOSSIBLE:
+
+def _noise_words(search: Search, noises: Sequence[OwnNoise], ratio: Array, *, counted: bool) -> list[str]:
+    """Outputs whose residuals are larger than stated or not white, and what that does to the standard errors.
+
+    ratio : (N,) by how much the errors are larger than those of white noise, where they were counted so
+    """
+    if counted:
+        most = float(ratio.max(initial=1.0))
+        then = f"the standard errors count with that: they are up to {most:.2g} times those of white noise"
+    else:
+        then = "the standard errors are too small"
+    found = []
+    for one in noises:
+        key = f"{search.records[one.at].experiment.name}/{one.output}"
+        if one.level is not None:
+            sigma = float(search.sigma[search.levels.outputs.index(one.output)])
             found.append(
-                f"the residual of {name} is {math.sqrt(square / left):.3g} times the stated noise level of "
-                f"{sigma:.3g}: the level (its unit?) or the model is wrong, or the search ended at a "
-                "local optimum (try starts=10); the standard errors are too small"
+                f"the residual of {one.output} is {one.level:.3g} times the stated noise level of {sigma:.3g}: the "
+                "level (its unit?) or the model is wrong, or the search ended at a local optimum (try starts=10); "
+                + then.replace("white noise", "that level")
             )
-    return found
-
-
-def _counted(record: RecordTerm, r: Array, name: str) -> Array:
-    """The residuals (K, M) of the samples of one output that count, in time order."""
-    counts, rows = (record.observation.series(values, name) for values in (record.observation.valid, r))
-    return rows if counts.all() else rows[counts]
-
-
-def _coloured(search: Search, best: Attempt) -> list[str]:
-    """Outputs whose neighbouring residuals go together: their standard errors, made for white noise, are too small."""
-    found = []
-    point = search.problem.at(best.solution.x)
-    for record, part in zip(search.records, point.records, strict=True):
-        for name in record.observation.where:
-            r = _counted(record, part.r, name)
-            if len(r) < _FEW or search.levels.rounding(name, r, search.sigma):
-                continue
-            share = float(r[1:] @ r[:-1] / (r @ r))
-            if share * np.sqrt(len(r)) > _COLOUR:
-                found.append(
-                    f"the residual of {record.experiment.name}/{name} is not white (neighbours correlate by "
-                    f"{share:.2f}): the model lacks something, and the standard errors are too small; see validate"
-                )
-    return found
+        if one.neighbours is not None:
+            found.append(
+                f"the residual of {key} is not white (neighbours correlate by {one.neighbours:.2f}): the model lacks "
+                f"something, and {then}; see validate"
+            )
+    return list(dict.fromkeys(found))

@@ -33,25 +33,30 @@ class Judged:
 def judged(
     search: Search,
     best: Attempt,
+    white: Uncertainty,
     errors: Uncertainty,
     optima: Sequence[Optimum],
     residuals: Sequence[Array],
     *,
     check: float | None,
 ) -> Judged:
-    """The estimates of an optimum; see ``doubts_of``. check : seconds of processor time for intervals by profile, None
-    for the errors of the quadratic as they are."""
+    """The estimates of an optimum; see ``doubts_of``.
+
+    white : the errors that the likelihood has, which is asked about its shape; errors : those that count with the noise
+    of the residuals; check : seconds of processor time for intervals by profile, None for the errors of the quadratic
+    as they are
+    """
     estimates, initial = errors.estimates(), errors.initial_estimates()
-    doubts = doubts_of(search, best, errors, optima, residuals) if check is not None else ()
+    doubts = doubts_of(search, best, white, optima, residuals, wider=errors) if check is not None else ()
     if not doubts or check is None:
         return Judged(estimates, initial)
-    matrix, slopes = errors.covariance.matrix, errors.slopes()
+    matrix, slopes = white.covariance.matrix, errors.slopes()
     with_error = [name for name, one in estimates.items() if one.stderr]
     free = [name for name in search.pmap.free if name in with_error and _of(doubts, slopes[name], matrix)]
     ends: dict[str, tuple[float, float]] = {}
     alike: set[str] = set()
     if all(doubt.profiles for doubt in doubts):
-        profiles = Profiles(search, best, errors, seconds=check)
+        profiles = Profiles(search, best, white, seconds=check, stretch=_stretch(white, errors))
         try:
             ends = profiles.intervals(free)
         except LowerOptimumError:
@@ -75,6 +80,13 @@ def judged(
     left = [name for name in free if about[name] is not None]
     felt = [doubt for doubt in doubts if any(doubt is about[name] for name in with_error)]
     return Judged(estimates, initial, tuple(words_of(felt, [name for name in left if name not in ends])))
+
+
+def _stretch(white: Uncertainty, errors: Uncertainty) -> Array:
+    """(nv,) by how much the errors of the parameters are larger than those of the likelihood."""
+    nv = len(white.v)
+    own, wide = (np.sqrt(np.diag(one.covariance.matrix)[:nv]) for one in (white, errors))
+    return np.where(own > 0, wide / np.where(own > 0, own, 1.0), 1.0)
 
 
 def _only(search: Search, slope: Array) -> str | None:

@@ -92,10 +92,13 @@ def doubts_of(
     errors: Uncertainty,
     optima: Sequence[Optimum],
     residuals: Sequence[Array],
+    *,
+    wider: Uncertainty | None = None,
 ) -> tuple[Doubt, ...]:
     """What speaks against the standard errors at an optimum.
 
-    residuals : (K, M) of each record there, simulated from the printed values
+    errors : those of the likelihood; residuals : (K, M) of each record there, simulated from the printed values;
+    wider : the errors that are printed, where they are larger
     """
     if not errors.optimal or not search.problem.nv or not np.isfinite(errors.covariance.matrix).all():
         return ()
@@ -103,7 +106,7 @@ def doubts_of(
     around = _Around(search, best, errors, residuals)
     for move in _moves(errors, search.problem.nv, 1 if around.long else _DIRECTIONS):
         found += around.doubts(move)
-    found += _bounds(search, errors)
+    found += _bounds(search, wider or errors)
     return tuple(found)
 
 

@@ -135,6 +135,8 @@ class Fit:
     innovations : the predictor, with K and its errors, None for output error; with process noise ``noise`` holds the
     levels of the measurement alone
     errors : the errors of z as a prior for other data, whatever directions are not determined; None without an optimum
+    own_noise : free parameter, or record/state for an initial state -> by how much its error is larger than that of
+    white noise of the fit's levels, as the residual is coloured or larger than stated; 1 where it is neither
     fineness : record -> how finely it was integrated, for a fit that goes on from here
     """
 
@@ -167,6 +169,7 @@ class Fit:
     innovations: Innovations | None = None
     integration: Mapping[str, ErrorEstimate] = field(default_factory=dict)
     errors: ParameterErrors | None = None
+    own_noise: Mapping[str, float] = field(default_factory=dict)
     fineness: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
     def __str__(self) -> str:

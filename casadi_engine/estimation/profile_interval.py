@@ -36,10 +36,13 @@ class LowerOptimumError(Exception):
 class Profiles:
     """Intervals of the free parameters around an optimum.
 
-    seconds : of processor time that may be spent
+    seconds : of processor time that may be spent; stretch : (nv,) by how much the errors of the parameters are larger
+    than the likelihood says, so that chi-squared may rise by as much more
     """
 
-    def __init__(self, search: Search, best: Attempt, errors: Uncertainty, *, seconds: float) -> None:
+    def __init__(
+        self, search: Search, best: Attempt, errors: Uncertainty, *, seconds: float, stretch: Array
+    ) -> None:
         self.search, self.best, self.errors = search, best, errors
         search.mute()
         search.problem.forget()
@@ -50,6 +53,7 @@ class Profiles:
         estimated = any(search.levels.estimated) and freedom > 0
         beyond = 1 - LEVEL
         self.root = float(np.sqrt(f_isf(beyond, 1, freedom) if estimated else chi2_isf(beyond, 1)))
+        self.stretch = stretch
         self.seconds, self._spent, self._done = seconds, 0.0, 0
         self._left, self._ended = 0, 0  # sides of a parameter that are to be found, and of all that were
 
@@ -85,10 +89,10 @@ class Profiles:
     def _end(self, k: int, sign: float) -> float | None:
         """Where the profile of entry k reaches the threshold on one side, or its bound; None where it does not."""
         errors, search = self.errors, self.search
-        size = float(np.sqrt(errors.covariance.matrix[k, k]))
+        size, root = float(np.sqrt(errors.covariance.matrix[k, k])), self.root * float(self.stretch[k])
         limit = float(search.lower[k] if sign < 0 else search.upper[k])
         x, here, height, inner = self.best.solution.x, float(errors.v[k]), 0.0, float(errors.v[k])
-        there = here + sign * self.root * size
+        there = here + sign * root * size
         outer: tuple[float, float] | None = None
         for _ in range(_MOST):
             there = min(there, limit) if sign > 0 else max(there, limit)
@@ -96,23 +100,23 @@ class Profiles:
             if refit is None or self._late():
                 return None
             risen = float(np.sqrt(refit[1]))
-            if abs(risen - self.root) < _CLOSE * self.root:
-                return there + (self.root - risen) * (there - inner) / max(risen - height, 1e-9)
-            if risen < self.root:
+            if abs(risen - root) < _CLOSE * root:
+                return there + (root - risen) * (there - inner) / max(risen - height, 1e-9)
+            if risen < root:
                 if there == limit:
                     return limit
                 slope = (risen - height) / (there - inner) if risen > height else 0.0
                 x, inner, height = refit[0], there, risen
-                reach = sign * _FAR * self.root * size
+                reach = sign * _FAR * root * size
                 if abs(there - here) > abs(reach):
                     return None  # open: the data set no limit here
-                there = inner + (self.root - height) / slope if slope else inner + 0.5 * reach
+                there = inner + (root - height) / slope if slope else inner + 0.5 * reach
                 there = sign * min(sign * there, sign * (inner + reach))
                 if outer is not None and sign * there >= sign * outer[0]:
                     there = 0.5 * (inner + outer[0])
             else:
                 outer = (there, risen)
-                there = inner + (there - inner) * (self.root - height) / (risen - height)
+                there = inner + (there - inner) * (root - height) / (risen - height)
         return None
 
     def _refit(self, k: int, value: float, x: Array) -> tuple[Array, float] | None:

@@ -75,6 +75,13 @@ class Uncertainty:
         """What the data do not determine, in words."""
         return tuple(Direction(*in_words(d, _names(self.search))) for d in self.covariance.directions)
 
+    def widened(self, more: Array) -> Uncertainty:
+        """The same where the slopes of the loss scatter by ``more`` (N, N) than the information says."""
+        known = self.released
+        if known is not None:
+            known = replace(known, covariance=_widened(known.covariance, more))
+        return replace(self, covariance=_widened(self.covariance, more), released=known)
+
     def of_parameters(self) -> Array:
         """(nz, nz) covariance in the parameters' units; NaN where the data do not determine an entry."""
         scale = self.search.coordinates.slope(self.v)
@@ -171,6 +178,10 @@ class Uncertainty:
         return found
 
 
+def _widened(known: Covariance, more: Array) -> Covariance:
+    return replace(known, matrix=known.matrix + known.matrix @ more @ known.matrix)
+
+
 def uncertainty(search: Search, best: Attempt) -> Uncertainty:
     """Errors at the best point, with the noise levels that the search is weighted by."""
     information, gradient = _information(search, best)
@@ -259,7 +270,7 @@ def _information(search: Search, best: Attempt) -> tuple[Array, Array]:
     for record, found, lay in zip(search.records, point.records, problem.layouts, strict=True):
         # Huber's information is that of least squares times the efficiency of the clipped residuals.
         blocks = record.gauss_newton(found)
-        own = chained_information(record, found, blocks) * _efficiency(
+        own = chained_information(record, found, blocks) * efficiency(
             search.loss, found.r[record.observation.valid]
         )
         where = np.concatenate([record.active, np.arange(at, at + record.n)])
@@ -269,7 +280,7 @@ def _information(search: Search, best: Attempt) -> tuple[Array, Array]:
     return information, gradient
 
 
-def _efficiency(loss: Loss, r: Array) -> float:
+def efficiency(loss: Loss, r: Array) -> float:
     """(mean rho'')^2 / mean rho'^2: 1 for least squares with unit residuals (Huber 1981, section 7.6).
 
     No more than 1: residuals that are smaller than the noise is known or can be make no estimate better than the noise.

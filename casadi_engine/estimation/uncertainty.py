@@ -38,6 +38,17 @@ class Covariance:
 
 def chained_information(record: RecordTerm, point: RecordPoint, blocks: Blocks) -> Array:
     """Information matrix (nz+n, nz+n) of a record's active parameters and initial state, nodes eliminated."""
+    nz, chain = len(record.active), chained(record, point)
+    total = np.einsum("mia,mij,mjb->ab", chain, blocks.ss, chain, optimize=True)
+    mixed = np.einsum("zam,mab->zb", blocks.zs, chain, optimize=True)
+    total[:nz] += mixed
+    total[:, :nz] += mixed.T
+    total[:nz, :nz] += blocks.zz
+    return total
+
+
+def chained(record: RecordTerm, point: RecordPoint) -> Array:
+    """What a record's active parameters and initial state do to the starts of its intervals, (M, n, nz + n)."""
     nz, n, m = len(record.active), record.n, record.plan.m
     end_z, end_s = point.path.end_z, point.path.end_s
     chain = np.empty((m, n, nz + n))
@@ -45,12 +56,7 @@ def chained_information(record: RecordTerm, point: RecordPoint, blocks: Blocks) 
     for i in range(m - 1):
         np.matmul(end_s[i if len(end_s) > 1 else 0], chain[i], out=chain[i + 1])
         chain[i + 1, :, :nz] += end_z[:, :, i].T
-    total = np.einsum("mia,mij,mjb->ab", chain, blocks.ss, chain, optimize=True)
-    mixed = np.einsum("zam,mab->zb", blocks.zs, chain, optimize=True)
-    total[:nz] += mixed
-    total[:, :nz] += mixed.T
-    total[:nz, :nz] += blocks.zz
-    return total
+    return chain
 
 
 def chained_gradient(record: RecordTerm, point: RecordPoint, slope: Array) -> Array:

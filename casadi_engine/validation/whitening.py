@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casadi_engine.estimation.fit_percent import BoolArray, FloatArray
-from casadi_engine.validation.autoregression import autoregression
+from casadi_engine.estimation.autoregression import autoregression
 
 if TYPE_CHECKING:
     from scipy import sparse

@@ -15,7 +15,8 @@ REST = {"x": 0.0}
 
 
 def fitted(model, data, parameters=None, **options):
-    options = {"noise": KNOWN, "initial": REST, "progress": False, **options}
+    """With the errors of the curvature: constraints, bounds and priors here speak against the data."""
+    options = {"noise": KNOWN, "initial": REST, "progress": False, "errors": "quadratic", **options}
     return ce.estimate(model, data, parameters=parameters, **options)
 
 

@@ -76,7 +76,8 @@ def fits():
             ce.effects.CoulombFriction(), at="axis", values={"torque": 1.8}
         )
         assert model.parameters()[WIDTH].value == 0.5
-        return ce.estimate(model, record(rate, 1e-9), noise=ce.Noise(speed=0.01), progress=False)
+        noise = ce.Noise(speed=0.01)
+        return ce.estimate(model, record(rate, 1e-9), noise=noise, progress=False, errors="quadratic")
 
     return of
 

@@ -1,5 +1,7 @@
 """Bounds, priors, per-experiment parameters and what the data do not determine, against closed forms."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,8 @@ REST = {"x": 0.0}
 
 
 def fitted(model, data, parameters=None, **options):
-    options = {"noise": KNOWN, "initial": REST, "progress": False, **options}
+    """With the errors of the curvature: constraints, bounds and priors here speak against the data."""
+    options = {"noise": KNOWN, "initial": REST, "progress": False, "errors": "quadratic", **options}
     return ce.estimate(model, data, parameters=parameters, **options)
 
 
@@ -286,7 +289,14 @@ def test_a_residual_that_is_not_white_is_said_to_be(run_up):
     fit = ce.estimate(ce.one_inertia(), run_up(), parameters=pars, progress=False)
     (message,) = fit.messages
     assert message.startswith("the residual of run_up/omega is not white (neighbours correlate by 0.9")
-    assert message.endswith("and the standard errors are too small; see validate")
+    assert re.search(
+        r"and the standard errors count with that: they are up to [\d.]+ times those of white noise; see validate$", message
+    )
+    plain = ce.estimate(ce.one_inertia(), run_up(), parameters=pars, progress=False, errors="quadratic")
+    assert plain.messages[0].endswith("and the standard errors are too small; see validate")
+    assert fit.stderr["C_eng"] == pytest.approx(fit.own_noise["C_eng"] * plain.stderr["C_eng"])
+    assert fit.own_noise["C_eng"] > 3
+    assert plain.own_noise["C_eng"] == 1
 
 
 def test_scales_of_torque_and_inertia_cannot_be_told_apart(run_up):

@@ -58,9 +58,12 @@ def test_where_the_search_ran_out_there_are_no_standard_errors(model):
     assert said(fit, "this is not an optimum")
 
 
-def test_a_coloured_residual_is_said_to_make_the_errors_too_small(model):
-    assert said(ce.estimate(model, run_up(colour=0.9)), "the standard errors are too small")
-    assert not said(ce.estimate(model, run_up()), "the standard errors are too small")
+def test_a_coloured_residual_is_said_to_make_the_errors_larger(model):
+    words = "the standard errors count with that"
+    assert said(ce.estimate(model, run_up(colour=0.9)), words)
+    assert not said(ce.estimate(model, run_up()), words)
+    curvature = ce.estimate(model, run_up(colour=0.9), errors="quadratic")
+    assert said(curvature, "the standard errors are too small")
 
 
 @pytest.mark.skipif(

@@ -50,7 +50,8 @@ def test_directions_that_one_side_alone_tells_are_not_compared():
     assert split.dof == 1
     assert split.value == pytest.approx(free**2 / (5 + 1 / float(column[:, 0] @ column[:, 0])))
     nothing = PriorSplit.of(r, slopes, np.zeros((0, 2)), np.zeros(0))
-    assert (nothing.dof, nothing.value, nothing.p_value(INF, INF)) == (0, 0.0, None)
+    assert (nothing.dof, nothing.p_value(INF, INF)) == (0, None)
+    assert nothing.value == pytest.approx(0.0, abs=1e-12)  # rounding, other on other processors
 
 
 def test_errors_as_a_prior_leave_out_what_is_not_determined():

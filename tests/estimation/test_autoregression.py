@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from casadi_engine.validation.autoregression import _products
+from casadi_engine.estimation.autoregression import _products
 
 
 @pytest.mark.parametrize("order", [0, 1, 7])

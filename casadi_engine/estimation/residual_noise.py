@@ -1,0 +1,195 @@
+"""The noise that a fit's residuals show, where it is not the one that its errors count with: white, of these levels.
+
+A fit weighs all samples alike. With J the weighted slopes of the outputs and V the covariance of the weighted noise, its
+estimates scatter by A^-1 B A^-1, A = J'J and B = J'VJ, priors in both; A^-1 is right for V = 1 alone. V is that of an
+autoregression of the residual where neighbours go together, and the mean square of the residual where this is larger
+than stated. Estimates take part of the noise out of the residual, the more the slower it is; what they took is known
+from their errors: those of white noise first, and once more those with the colour. No error becomes smaller than that
+of white noise of the fit's levels.
+
+Source: White, Econometrica 48 (1980) 817; with autoregressions, den Haan & Levin (1997).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.distributions import chi2_sf
+from casadi_engine.estimation.autoregression import autoregression
+from casadi_engine.estimation.loss import Loss
+from casadi_engine.estimation.record import RecordPoint, RecordTerm
+from casadi_engine.estimation.search import Attempt, Search
+from casadi_engine.estimation.standard_errors import Uncertainty, efficiency
+from casadi_engine.estimation.uncertainty import chained
+
+Array = NDArray[np.float64]
+
+# Lag-one correlation, in its standard errors, from which a residual counts as coloured; least samples to say so.
+_COLOUR, _FEW = 5.0, 30
+# A sum of squares that chance makes so rarely is not of the stated noise level.
+_IMPOSSIBLE = 1e-9
+# Errors and colour are found in turn so often: were it until they settle, a residual that is one slow arc, of a model
+# that is far off, would have no end.
+_ROUNDS = 2
+# Share of its first value below which the noise's memory has died out.
+_LITTLE = 1e-3
+# Share of the information below which a direction is not seen.
+_BLIND = 1e-12
+# A record with more samples times estimates is so long that these take nothing of its noise that would be seen.
+_LONG = 2_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class OwnNoise:
+    """The residual of one output of a record, in its levels, where it is not white noise of the level 1.
+
+    at : number of the record; residual : (n,) along its channel, 0 where not valid (n,); neighbours : their
+    correlation, None where it is white; level : root mean square where the output is louder than stated, else None
+    """
+
+    at: int
+    output: str
+    residual: Array
+    valid: NDArray[np.bool_]
+    neighbours: float | None
+    level: float | None
+
+
+def own_noise(search: Search, best: Attempt) -> tuple[OwnNoise, ...]:
+    """The outputs of all records whose residuals are coloured or larger than stated."""
+    points = search.problem.at(best.solution.x).records
+    louder = _louder(search, points)
+    found = []
+    for at, (record, point) in enumerate(zip(search.records, points, strict=True)):
+        for name in record.observation.where:
+            r = _counted(record, point.r, name)
+            neighbours = None
+            if len(r) >= _FEW and not search.levels.rounding(name, r, search.sigma):
+                share = float(r[1:] @ r[:-1] / (r @ r))
+                neighbours = share if share * np.sqrt(len(r)) > _COLOUR else None
+            if neighbours is not None or name in louder:
+                residual, valid = _along(record, point, name, search.loss)
+                found.append(OwnNoise(at, name, residual, valid, neighbours, louder.get(name)))
+    return tuple(found)
+
+
+def _louder(search: Search, points: Sequence[RecordPoint]) -> dict[str, float]:
+    """Output -> its residual's size in the level that was stated for it, where this is larger than chance allows."""
+    found = {}
+    for name, estimated in zip(search.records[0].outputs, search.levels.estimated, strict=True):
+        rows = [
+            _counted(record, point.r, name)
+            for record, point in zip(search.records, points, strict=True)
+            if name in record.observation.where
+        ]
+        left = sum(map(len, rows)) - search.free_count
+        if estimated or search.loss.robust or left < 1:
+            continue
+        square = float(sum(r @ r for r in rows))
+        if chi2_sf(square, left) < _IMPOSSIBLE:
+            found[name] = math.sqrt(square / left)
+    return found
+
+
+def _counted(record: RecordTerm, r: Array, name: str) -> Array:
+    """The residuals (K, M) of the samples of one output that count, in time order."""
+    counts, rows = (record.observation.series(values, name) for values in (record.observation.valid, r))
+    return rows if counts.all() else rows[counts]
+
+
+def _along(
+    record: RecordTerm, point: RecordPoint, name: str, loss: Loss
+) -> tuple[Array, NDArray[np.bool_]]:
+    """The residual (n,) along the channel of an output, and which of its samples count; of a robust loss the clipped
+    one, of unit size."""
+    size, index = len(record.experiment[name].time), record.grid.measured[name].index
+    residual, valid = np.zeros(size), np.zeros(size, dtype=bool)
+    valid[index] = record.observation.series(record.observation.valid, name)
+    residual[index] = record.observation.series(point.r, name)
+    residual = np.where(valid, loss.slope(residual), 0.0)
+    return residual / (np.sqrt(np.mean(residual[valid] ** 2)) if loss.robust else 1.0), valid
+
+
+def with_own_noise(
+    search: Search, best: Attempt, errors: Uncertainty, noises: Sequence[OwnNoise]
+) -> tuple[Uncertainty, Array]:
+    """The errors that count with the noise as the residuals show it, and by how much they are larger (N,) than before:
+    of the parameters in the search's coordinates and the initial states."""
+    white = errors.covariance.matrix
+    ratio = np.ones(len(white))
+    if not noises or not errors.optimal or not np.isfinite(white).all():
+        return errors, ratio
+    points, size = search.problem.at(best.solution.x).records, np.sqrt(np.maximum(np.diag(white), 0.0))
+    slopes = [_slopes(search.records[one.at], points[one.at], one, search.loss) for one in noises]
+    places = [_entries(search, one.at) for one in noises]
+    matrix, more = white, np.zeros_like(white)
+    for _ in range(_ROUNDS):
+        more = np.zeros_like(white)
+        for one, own, at in zip(noises, slopes, places, strict=True):
+            more[np.ix_(at, at)] += _beyond(_scatter(one, own, matrix[np.ix_(at, at)]), own.T @ own)
+        matrix = white + white @ more @ white
+    here = size > 0
+    ratio[here] = np.sqrt(np.maximum(np.diag(matrix)[here], 0.0)) / size[here]
+    return errors.widened(more), ratio
+
+
+def _entries(search: Search, at: int) -> NDArray[np.intp]:
+    """Where a record's active parameters and initial states are in [v; initial states]."""
+    begin = search.problem.nv + sum(record.n for record in search.records[:at])
+    record = search.records[at]
+    return np.concatenate([record.active, np.arange(begin, begin + record.n)])
+
+
+def _slopes(record: RecordTerm, point: RecordPoint, one: OwnNoise, loss: Loss) -> Array:
+    """(n, nz + states) weighted slopes of an output along its channel, 0 where its samples do not count; of a robust
+    loss, of what its clipped residuals see."""
+    nz, chain, name = len(record.active), chained(record, point), one.output
+    row, interval = np.divmod(record.observation.where[name], record.plan.m)
+    weight = np.asarray(record.weight)[row, interval]
+    js = point.js[row] if point.js.ndim == 2 else point.js[row, interval]
+    index = record.grid.measured[name].index
+    found = np.zeros((len(one.valid), nz + record.n))
+    for column in range(nz + record.n):
+        found[index, column] = np.einsum("kn,kn->k", js, chain[interval, :, column]) * weight
+    if nz:
+        found[index, :nz] += point.jz[:, row, interval].T
+    return found * math.sqrt(efficiency(loss, point.r[record.observation.valid]))
+
+
+def _scatter(one: OwnNoise, slopes: Array, errors: Array) -> Array:
+    """J'VJ of an output with these slopes (n, k), errors (k, k) of what they are slopes in."""
+    if one.neighbours is None:
+        return slopes.T @ slopes * (one.level or 1.0) ** 2
+    from scipy.signal import lfilter
+
+    columns = one.residual[:, None]
+    if slopes.size <= _LONG:
+        values, vectors = np.linalg.eigh(errors)
+        taken = slopes @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+        columns = np.concatenate([columns, taken], axis=1)
+    noise = autoregression(columns, one.valid)
+    predictor = noise.predictors[-1]
+    answer = lfilter([1.0], predictor, np.eye(1, len(slopes))[0])
+    level = math.sqrt(float((columns**2).sum()) / max(one.valid.sum(), 1) / float((answer**2).sum()))
+    # the noise was there before the record began
+    before = int(np.flatnonzero(np.abs(answer) > _LITTLE).max(initial=0))
+    backwards = np.concatenate([slopes[::-1], np.zeros((before, slopes.shape[1]))])
+    passed = lfilter([level], predictor, backwards, axis=0)
+    return np.asarray(passed.T @ passed)
+
+
+def _beyond(scatter: Array, white: Array) -> Array:
+    """What J'VJ has more than J'J, in the directions in which it has."""
+    size = np.sqrt(np.maximum(np.diag(white), 1e-300))
+    values, vectors = np.linalg.eigh(white / np.outer(size, size))
+    seen = values > _BLIND * values.max(initial=0.0)
+    root = (vectors[:, seen] * np.sqrt(values[seen])).T * size
+    back = (vectors[:, seen] / np.sqrt(values[seen])).T / size
+    more, turn = np.linalg.eigh(back @ scatter @ back.T - np.eye(len(back)))
+    own = (turn * np.sqrt(np.maximum(more, 0.0))).T @ root
+    return np.asarray(own.T @ own)
