@@ -21,6 +21,8 @@ from casadi_engine.problem.noise import Noise
 
 Array = NDArray[np.float64]
 
+# Errors that are larger than those of white noise by this factor are said to be.
+_SEEN = 1.05
 # Steps of the root of the cost's rise, as shares of the threshold's root, and how far a side is followed in them.
 _BEYOND, _MOST_REFITS = 1.5, 40
 # A step never moves the parameter by more than this factor of what the quadratic of the fit foresees.
@@ -46,7 +48,8 @@ class Interval:
 class ProfileLine:
     """The profile of one parameter.
 
-    values : (P,) rising, in its unit; rise : (P,) of the cost above the fit's, the other parameters refitted
+    values : (P,) rising, in its unit; rise : (P,) of the cost above the fit's, the other parameters refitted, divided by
+    ``fit.own_noise[name]`` squared where the residual is not the white noise that the cost counts with
     others : name -> (P,), the other free parameters along the profile
     estimate : the fit's. threshold : rise at the ends of the interval
     """
@@ -124,7 +127,8 @@ def profile(
 
     The interval ends where the cost, with the noise level of the fit, has risen by the chi-squared quantile with one
     degree of freedom; where the noise level was estimated, by the F quantile with the fit's degrees of freedom,
-    which for many samples is the same.
+    which for many samples is the same. Where the residual is coloured or larger than stated, the rise is divided by the
+    square of what this makes of the error (``fit.own_noise``), as the interval of ± is.
     Returns a Profile. Raises EstimationError for a fit that did not converge, a robust loss, or an unknown name.
     Source: Raue et al., Bioinformatics 25, 2009; Bates & Watts, Nonlinear Regression Analysis, 1988.
 
@@ -192,6 +196,12 @@ class _Walker:
         if fit.gain is not None:
             self.messages.append("the predictor's gain is held at the fit's, not estimated again")
         self.base = fit.cost
+        most = max((fit.own_noise.get(name, 1.0) for name in fit.free), default=1.0)
+        if most > _SEEN:
+            self.messages.append(
+                "the residual is not white noise of the fit's level: the rise of the cost is divided by what that makes "
+                f"of the squared errors, up to {most**2:.2g}"
+            )
 
     def line(self, name: str) -> ProfileLine:
         own = self.fit.estimates[name]
@@ -294,7 +304,7 @@ class _Walker:
             self.progress(name, self.refits)
         if not fit.converged:
             return f"the refit did not converge: {fit.status}"
-        rise = fit.cost - self.base
+        rise = (fit.cost - self.base) / own.own_noise.get(name, 1.0) ** 2
         if rise < -_BETTER * max(1.0, self.threshold):
             self.messages.append(
                 f"a refit with {name} = {value:.6g} costs {-rise:.3g} less than the fit: start again there"

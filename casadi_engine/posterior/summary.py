@@ -14,6 +14,8 @@ _SMALL, _SHOWN = 0.01, 4
 _LEVELS = (50, 80, 95)
 # Share of the prior in a 95 % interval of the posterior from which the records tell hardly anything.
 _UNTOLD = 0.8
+# By what factor the errors of the residual's own noise are larger from which intervals are said to be too narrow.
+_NARROW = 1.1
 
 
 def table(post: Posterior) -> str:
@@ -69,7 +71,7 @@ def summary(post: Posterior) -> str:
     lines += _modes(post)
     lines.append(f"log evidence: {post.log_evidence:.2f} ± {post.log_evidence_error:.2g}")
     lines.append(f"prior: {_priors(post)}")
-    lines += _untold(post) + _elsewhere(post)
+    lines += _untold(post) + _elsewhere(post) + _noise(post)
     lines.append(_quality(post))
     return "\n".join(lines)
 
@@ -84,6 +86,18 @@ def _untold(post: Posterior) -> list[str]:
         if untold
         else []
     )
+
+
+def _noise(post: Posterior) -> list[str]:
+    """That the likelihood counts with white noise, where the residual is none."""
+    fit = post.fit
+    most = max((fit.own_noise.get(name, 1.0) for name in fit.free), default=1.0)
+    if most < _NARROW:
+        return []
+    return [
+        "the residual is coloured or larger than stated, and the likelihood counts with white noise: intervals are up to "
+        f"{most:.2g} times too narrow; the fit's ± and ce.profile(fit) count with the residual as it is"
+    ]
 
 
 def _elsewhere(post: Posterior) -> list[str]:
