@@ -12,8 +12,8 @@ The record is an .npz with the decoded wheel and the pressure, each with its own
     python problems/run_down.py RECORD.npz        the scatter of J_eng between engine cycles
 
 The gas torque gives the scale: an error of the pressure's scale is one of J_eng and T_f, and no test sees it.
-The residual is not white (what is left repeats with the crank angle), so the printed standard errors are too
-small; the scatter between cycles does not assume it. T_f follows TDC (-0.25 N m per degree), J_eng hardly.
+The residual is not white (what is left repeats with the crank angle): the printed standard errors count with it as
+coloured noise; the scatter between cycles assumes nothing of it. T_f follows TDC (-0.25 N m per degree), J_eng hardly.
 """
 
 import sys

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -27,6 +28,8 @@ from casadi_engine.simulation.propagator import fineness_of
 
 Array = NDArray[np.float64]
 
+# Independent samples with fewer of which the colour of a residual is hardly known.
+_EFFECTIVE = 20
 # An integration error that may move an estimate by this share of its standard error is said.
 _FELT = 0.1
 
@@ -72,12 +75,12 @@ def make_fit(
         errors, optima = replace(errors, optimal=status == "converged"), relabelled(optima, status)
         best = replace(best, solution=replace(best.solution, status=status))
     noises, white = own_noise(search, best), errors
-    ratio = np.ones(len(white.covariance.matrix))
+    ratio, effective = np.ones(len(white.covariance.matrix)), math.inf
     if check is not None and not stopped:
-        errors, ratio = with_own_noise(search, best, white, noises)
+        errors, ratio, effective = with_own_noise(search, best, white, noises)
     found = judged(search, best, white, errors, optima, residuals, check=None if stopped else check)
     cost = printed_cost(search, v, residuals)
-    noise_words = _noise_words(search, noises, ratio, counted=errors is not white)
+    noise_words = _noise_words(search, noises, ratio if errors is not white else None, effective)
     said = _messages(search, best, errors, reason, optima, stopped, noise_words)
     for (
         record
@@ -306,16 +309,21 @@ def _by_name(search: Search, ratio: Array) -> dict[str, float]:
     return dict(zip([*search.pmap.free, *states], ratio.tolist(), strict=True))
 
 
-def _noise_words(search: Search, noises: Sequence[OwnNoise], ratio: Array, *, counted: bool) -> list[str]:
+def _noise_words(
+    search: Search, noises: Sequence[OwnNoise], ratio: Array | None, effective: float
+) -> list[str]:
     """Outputs whose residuals are larger than stated or not white, and what that does to the standard errors.
 
-    ratio : (N,) by how much the errors are larger than those of white noise, where they were counted so
+    ratio : (N,) by how much the errors are larger than those of white noise, None where they do not count with it
+    effective : independent samples that the most coloured one is worth
     """
-    if counted:
+    then = "the standard errors are too small"
+    if ratio is not None:
         most = float(ratio.max(initial=1.0))
         then = f"the standard errors count with that: they are up to {most:.2g} times those of white noise"
-    else:
-        then = "the standard errors are too small"
+        if effective < _EFFECTIVE:
+            few = f"the residual is worth about {max(round(effective), 1)} independent samples"
+            then += f", and may still be too small, as {few}"
     found = []
     for one in noises:
         key = f"{search.records[one.at].experiment.name}/{one.output}"

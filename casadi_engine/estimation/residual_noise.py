@@ -4,8 +4,8 @@ A fit weighs all samples alike. With J the weighted slopes of the outputs and V 
 estimates scatter by A^-1 B A^-1, A = J'J and B = J'VJ, priors in both; A^-1 is right for V = 1 alone. V is that of an
 autoregression of the residual where neighbours go together, and the mean square of the residual where this is larger
 than stated. Estimates take part of the noise out of the residual, the more the slower it is; what they took is known
-from their errors: those of white noise first, and once more those with the colour. No error becomes smaller than that
-of white noise of the fit's levels.
+from their errors, so that both are found in turn. No error becomes smaller than that of white noise of the fit's
+levels.
 
 Source: White, Econometrica 48 (1980) 817; with autoregressions, den Haan & Levin (1997).
 """
@@ -29,13 +29,14 @@ from casadi_engine.estimation.uncertainty import chained
 
 Array = NDArray[np.float64]
 
-# Lag-one correlation, in its standard errors, from which a residual counts as coloured; least samples to say so.
-_COLOUR, _FEW = 5.0, 30
+# Lag-one correlation, in its standard errors, from which a residual counts as coloured: once in 700 of white ones, whose
+# errors are then larger by a tenth; least samples to say so.
+_COLOUR, _FEW = 3.0, 30
 # A sum of squares that chance makes so rarely is not of the stated noise level.
 _IMPOSSIBLE = 1e-9
-# Errors and colour are found in turn so often: were it until they settle, a residual that is one slow arc, of a model
-# that is far off, would have no end.
-_ROUNDS = 2
+# Errors and colour are found in turn until no error moves by this share, or so often: of a residual that is one slow
+# arc, as that of a model that is far off, each round adds as much again.
+_SETTLED, _ROUNDS = 0.01, 5
 # Share of its first value below which the noise's memory has died out.
 _LITTLE = 1e-3
 # Share of the information below which a direction is not seen.
@@ -117,25 +118,31 @@ def _along(
 
 def with_own_noise(
     search: Search, best: Attempt, errors: Uncertainty, noises: Sequence[OwnNoise]
-) -> tuple[Uncertainty, Array]:
-    """The errors that count with the noise as the residuals show it, and by how much they are larger (N,) than before:
-    of the parameters in the search's coordinates and the initial states."""
+) -> tuple[Uncertainty, Array, float]:
+    """The errors that count with the noise as the residuals show it; by how much they are larger (N,) than before, of
+    the parameters in the search's coordinates and the initial states; and how many independent samples the most
+    coloured output is worth."""
     white = errors.covariance.matrix
     ratio = np.ones(len(white))
     if not noises or not errors.optimal or not np.isfinite(white).all():
-        return errors, ratio
+        return errors, ratio, math.inf
     points, size = search.problem.at(best.solution.x).records, np.sqrt(np.maximum(np.diag(white), 0.0))
     slopes = [_slopes(search.records[one.at], points[one.at], one, search.loss) for one in noises]
     places = [_entries(search, one.at) for one in noises]
     matrix, more = white, np.zeros_like(white)
     for _ in range(_ROUNDS):
-        more = np.zeros_like(white)
+        before, more, few = matrix, np.zeros_like(white), math.inf
         for one, own, at in zip(noises, slopes, places, strict=True):
-            more[np.ix_(at, at)] += _beyond(_scatter(one, own, matrix[np.ix_(at, at)]), own.T @ own)
+            scatter, samples = _scatter(one, own, matrix[np.ix_(at, at)])
+            more[np.ix_(at, at)] += _beyond(scatter, own.T @ own)
+            few = min(few, samples)
         matrix = white + white @ more @ white
+        then, now = (np.sqrt(np.maximum(np.diag(a), 0.0)) for a in (before, matrix))
+        if (np.abs(now - then) <= _SETTLED * size).all():
+            break
     here = size > 0
     ratio[here] = np.sqrt(np.maximum(np.diag(matrix)[here], 0.0)) / size[here]
-    return errors.widened(more), ratio
+    return errors.widened(more), ratio, few
 
 
 def _entries(search: Search, at: int) -> NDArray[np.intp]:
@@ -161,10 +168,11 @@ def _slopes(record: RecordTerm, point: RecordPoint, one: OwnNoise, loss: Loss) -
     return found * math.sqrt(efficiency(loss, point.r[record.observation.valid]))
 
 
-def _scatter(one: OwnNoise, slopes: Array, errors: Array) -> Array:
-    """J'VJ of an output with these slopes (n, k), errors (k, k) of what they are slopes in."""
+def _scatter(one: OwnNoise, slopes: Array, errors: Array) -> tuple[Array, float]:
+    """J'VJ of an output with these slopes (n, k), errors (k, k) of what they are slopes in; and how many independent
+    samples tell as much of a mean."""
     if one.neighbours is None:
-        return slopes.T @ slopes * (one.level or 1.0) ** 2
+        return slopes.T @ slopes * (one.level or 1.0) ** 2, math.inf
     from scipy.signal import lfilter
 
     columns = one.residual[:, None]
@@ -173,14 +181,22 @@ def _scatter(one: OwnNoise, slopes: Array, errors: Array) -> Array:
         taken = slopes @ (vectors * np.sqrt(np.maximum(values, 0.0)))
         columns = np.concatenate([columns, taken], axis=1)
     noise = autoregression(columns, one.valid)
-    predictor = noise.predictors[-1]
+    predictor = _lasting(noise.predictors[-1], len(slopes))
     answer = lfilter([1.0], predictor, np.eye(1, len(slopes))[0])
-    level = math.sqrt(float((columns**2).sum()) / max(one.valid.sum(), 1) / float((answer**2).sum()))
+    count, power = int(one.valid.sum()), float((answer**2).sum())
+    level = math.sqrt(float((columns**2).sum()) / count / power)
     # the noise was there before the record began
     before = int(np.flatnonzero(np.abs(answer) > _LITTLE).max(initial=0))
     backwards = np.concatenate([slopes[::-1], np.zeros((before, slopes.shape[1]))])
     passed = lfilter([level], predictor, backwards, axis=0)
-    return np.asarray(passed.T @ passed)
+    return np.asarray(passed.T @ passed), count * power * float(predictor.sum()) ** 2
+
+
+def _lasting(predictor: Array, samples: int) -> Array:
+    """The predictor with a memory of no more than the record: least squares may find one that grows."""
+    largest = float(np.abs(np.roots(predictor)).max(initial=0.0))
+    limit = 1 - 1 / samples
+    return predictor if largest <= limit else predictor * (limit / largest) ** np.arange(len(predictor))
 
 
 def _beyond(scatter: Array, white: Array) -> Array:

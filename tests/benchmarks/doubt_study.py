@@ -93,9 +93,9 @@ def row(piece: dict[str, Any]) -> dict[str, Any]:
     """One fit as plain numbers: z of the quadratic, and for each parameter what was printed."""
     spent, asked = [0.0], doubted.doubts_of
 
-    def timed(*arguments: Any) -> Any:
+    def timed(*arguments: Any, **options: Any) -> Any:
         begun = time.process_time()
-        found = asked(*arguments)
+        found = asked(*arguments, **options)
         spent[0] += time.process_time() - begun
         return found
 

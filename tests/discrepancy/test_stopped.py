@@ -78,7 +78,9 @@ def test_ctrl_c_in_the_fit_of_a_structure_leaves_what_was_kept_before(repaired, 
     monkeypatch.setattr(Choice, "station_of", station)
     found = repaired("fit of all data")
     assert (found.status, found.stopped, found.effects) == ("answered", "the user", ())
-    assert found.not_searched == ("any effect",)
+    # on a slow processor the structure whose fit was ended is listed too
+    assert found.not_searched[0] == "any effect"
+    assert set(found.not_searched) <= {"any effect", "coulomb_friction at pivot"}
 
 
 def test_a_second_ctrl_c_ends_at_once(repaired):

@@ -95,7 +95,7 @@ def test_a_model_that_is_far_off_has_errors_of_its_own_size():
     pars.fix("J_eng", 1.0)
     fit = fitted(record(np.zeros(len(TIME))), parameters=pars)
     low, high = fit.estimates["C_eng"].interval
-    assert 0 < low < 0.4 < high < 1.5
+    assert 0 <= low < 0.4 < high < 1.5
     assert 3 < fit.own_noise["C_eng"] < np.sqrt(len(TIME))
 
 
