@@ -14,8 +14,9 @@ import casadi as ca
 import numpy as np
 
 from casadi_engine.deadline import ask
-from casadi_engine.simulation.adaptive_steps import cvodes, dormand_prince, error_norm
+from casadi_engine.simulation.adaptive_steps import cvodes, dormand_prince, error_norm, error_norms
 from casadi_engine.simulation.jets import Array
+from casadi_engine.simulation.swept_steps import FEWEST, Sweeps
 from casadi_engine.simulation.switched_field import Mode, Segment, SwitchedField
 
 # Steps whose length times the fastest mode exceed this are limited by stability: the scheme's limit is about 6.
@@ -100,10 +101,17 @@ class Adaptive:
         # Without channels and switches nothing asks for a fresh start at a knot.
         self._span = float(time[-1] - time[0])
         self._free = not len(low) and not self.field.switches
+        sweeps = Sweeps(self.field) if not self.field.switches and len(time) > FEWEST else None
         done = 0
         for k in range(len(time) - 1):
             if k + 1 < done:
                 continue
+            if sweeps and k and not self.stiff:
+                found = self._swept(sweeps, x, time[k:], low[:, k:], high[:, k:])
+                if len(found):
+                    done, x = k + len(found) + 1, found[-1]
+                    states[k + 1 : done] = found
+                    continue
             length = time[k + 1] - time[k]
             segment = Segment(time[k], low[:, k], (high[:, k] - low[:, k]) / length, self.z).row
             jumped = k == 0 or bool((low[:, k] != high[:, k - 1]).any())
@@ -131,10 +139,13 @@ class Adaptive:
     def _values(self, x: Array, t: float, segment: Array) -> Array:
         return self.field.nodes(x, t, segment) if len(self.field.owner) else self.b
 
-    def _weights(self, x: Array) -> Array:
-        size = np.abs(x) + 1e-3 * self.peak + self._floor
-        size[self.field.n :] += _FELT * np.outer(self._per, self.peak[: self.field.n]).ravel()
-        return self.tolerance * size
+    def _weights(self, x: Array, peak: Array) -> Array:
+        """What states x (..., size) may be off by, beside the largest ones so far."""
+        n = self.field.n
+        size = np.abs(x) + 1e-3 * peak + self._floor
+        felt = _FELT * self._per[:, None] * peak[..., None, :n]
+        size[..., n:] += felt.reshape(*peak.shape[:-1], -1)
+        return np.asarray(self.tolerance * size)
 
     def _piece(self, x: Array, t: float, end: float, segment: Array) -> Array:
         """From one knot to the next."""
@@ -164,6 +175,32 @@ class Adaptive:
 
     # ---- explicit steps
 
+    @np.errstate(all="ignore")
+    def _swept(self, sweeps: Sweeps, x: Array, time: Array, low: Array, high: Array) -> Array:
+        """(K, size) states at the next knots, as far as steps of one sweep meet the tolerance; none where none does."""
+        made = sweeps.of(x, time, low, high, self.h, self.z)
+        if made is None:
+            return np.zeros((0, len(x)))
+        lengths, ends, fifth, third, parts = made
+        ask(len(lengths))
+        sizes = np.abs(np.concatenate([x[None], ends]))
+        peaks = np.maximum.accumulate(np.concatenate([self.peak[None], sizes[1:]]), axis=0)
+        weights = self._weights(np.maximum(sizes[:-1], sizes[1:]), peaks[:-1])
+        errors = error_norms(fifth / weights, third / weights)
+        good = np.isfinite(ends).all(axis=1) & (errors <= 1)
+        count = len(good) if good.all() else int(np.argmin(good))
+        sweeps.went(count, len(good))
+        count -= count % parts
+        if not count:
+            return np.zeros((0, len(x)))
+        grown = lengths[:count] * np.minimum(_MOST, _SAFETY * np.maximum(errors[:count], 1e-10) ** (-1 / 8))
+        self.h = float(grown.min())
+        self.steps += count
+        self.peak = peaks[count]
+        if self.steps > MOST_STEPS:
+            raise FloatingPointError(TOO_MANY)
+        return np.asarray(ends[parts - 1 : count : parts])
+
     def _step(self, x: Array, t: float, h: float, segment: Array) -> list[Array]:
         return self.field.stepper(self.mode, dormand_prince)(x, t, h, segment, self.b, self.c)
 
@@ -173,7 +210,7 @@ class Adaptive:
         while True:
             ahead, fifth, third, share, passing5, passing3, *ends = self._step(x, t, h, segment)
             self._rates, self._ends = ends[:2], ends[2:]
-            weight = self._weights(np.maximum(np.abs(x), np.abs(ahead)))
+            weight = self._weights(np.maximum(np.abs(x), np.abs(ahead)), self.peak)
             weight[: self.field.n] += _ROUNDING * h * self._held
             finite = bool(np.isfinite(ahead).all())
             error = error_norm(fifth / weight, third / weight)

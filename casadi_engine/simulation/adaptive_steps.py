@@ -49,6 +49,13 @@ def error_norm(fifth: Array, third: Array) -> float:
     return five / float(np.sqrt((five + 0.01 * three) * len(fifth))) if five else 0.0 if five == 0 else np.nan
 
 
+def error_norms(fifth: Array, third: Array) -> Array:
+    """The same (K,) of K steps, errors (K, size)."""
+    five, three = (fifth**2).sum(axis=1), (third**2).sum(axis=1)
+    whole = np.sqrt((five + 0.01 * three) * fifth.shape[1])
+    return np.where(five == 0, 0.0, five / np.where(five == 0, 1.0, whole))
+
+
 def cvodes(field: ca.Function, tolerance: float, at: Array | None = None) -> ca.Function:
     """(x0 / scale, p = [t, h, segment, b, c, scale]) -> the states at t + h s for s in ``at`` (None: 1), by CVODES."""
     n = field.size1_in(0)
