@@ -81,30 +81,40 @@ _UNTOLD = "the time was up before it could be told whether anything is missing"
 
 @dataclass
 class Answer:
-    """What the search found, to be put to the test and into words; work : of a start of the fit without effects."""
+    """What the search found, to be put to the test of fresh data and into words."""
 
-    search: Choice
-    portion: Portions
+    fresh: FreshChoice
     alpha: float
     options: dict[str, Any]
     timing: dict[str, float]
     begun: float
     tell: Any
-    messages: list[str] = field(default_factory=list)
-    work: float = math.inf
+    messages: list[str] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.messages = self.fresh.messages
+
+    @property
+    def search(self) -> Choice:
+        """The search."""
+        return self.fresh.search
+
+    @property
+    def portion(self) -> Portions:
+        """The records that were searched, and fresh ones."""
+        return self.fresh.portion
 
     def made(self) -> Repair:
         """The Repair."""
         null = self.search.null
         if self.portion.why is not None:
             self.messages.append(self.portion.why)
-        choice = FreshChoice(self.search, self.portion, self.tell, self.messages, self.work)
-        proof = self._timed("confirm", choice.run)
+        proof = self._timed("confirm", self.fresh.run)
         proof, last = self._honest(proof)
         claim = self._held_to_laws(self._claimed(proof, last), null)
         found, last, proof = claim.found, claim.last, claim.proof
         if not found:  # there is no repaired model
-            self.messages = [words for words in self.messages if words != NO_RUN]
+            self.messages[:] = [words for words in self.messages if words != NO_RUN]
         verdict = _verdict(found, claim.unknown)
         self._say(null, last, proof)
         blank = Repair(

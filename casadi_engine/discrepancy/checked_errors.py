@@ -20,6 +20,8 @@ from casadi_engine.problem.noise import Noise
 
 # Rise or fall of chi-squared with which an optimum is still the same.
 _SAME = 0.1
+# Errors that are larger by this factor are said to be.
+_SEEN = 1.1
 # Processor time that intervals by profile may take [s]: they are the last step of much work.
 FOR_INTERVALS = 20.0
 _UNCHECKED = "the standard errors are those of the curvature at the optimum; they were not checked"
@@ -53,9 +55,9 @@ def with_checked_errors(
         name: _with_error_of(one, found.estimates.get(name), _limits(fit, name))
         for name, one in fit.estimates.items()
     }
-    checked = replace(fit, estimates=estimates)
+    checked = no_smaller_errors(replace(fit, estimates=estimates), found)
     effects = tuple(with_errors_of(one, checked) for one in repair.effects)
-    said = (*repair.messages, *_doubts(estimates))
+    said = (*repair.messages, *_doubts(estimates), *_larger(estimates, checked.estimates))
     return replace(repair, fit=checked, effects=effects, messages=said)
 
 
@@ -117,6 +119,19 @@ def no_smaller_errors(fit: Fit, known: Fit) -> Fit:
                 one, quadratic=then, interval=_stretched(one, then / own, _limits(fit, name))
             )
     return replace(fit, estimates=found)
+
+
+def _larger(before: Mapping[str, Estimate], after: Mapping[str, Estimate]) -> list[str]:
+    """That errors count with a residual that is coloured, or larger than the noise that structures were compared by."""
+    pairs = [(one.stderr or one.quadratic, after[name]) for name, one in before.items()]
+    ratios = [(own.stderr or own.quadratic or then) / then for then, own in pairs if then]
+    most = max(ratios, default=1.0)
+    if most < _SEEN:
+        return []
+    return [
+        "the standard errors count with the residual of the repaired model as it is: they are up to "
+        f"{most:.2g} times those of the noise that structures were compared by"
+    ]
 
 
 def _doubts(estimates: Mapping[str, Estimate]) -> list[str]:

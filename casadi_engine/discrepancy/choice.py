@@ -61,6 +61,8 @@ class Choice:
     failed: dict[str, str] = field(default_factory=dict)
     best: Key = frozenset()
     misfit: float = 1.0  # chi-squared per sample of fresh data, where more than 1 is no chance
+    # the effects of a structure that fresh data would leave out of it in the end
+    idle_on_fresh: Callable[[Key], Key] = field(default=lambda _: frozenset(), repr=False)
     stations: dict[Key, Station] = field(default_factory=dict, repr=False)
     _fits: dict[Key, tuple[Arrived, Fit | None]] = field(default_factory=dict, repr=False)
     _asked: set[tuple[Key, Key]] = field(default_factory=set, repr=False)
@@ -96,6 +98,10 @@ class Choice:
                 ask()
                 made = self._round(here, station)
                 if made is None:
+                    break
+                idle = self._timed("confirm", partial(self.idle_on_fresh, made.key)) if here.effects else None
+                if idle:  # nor is what would come after it
+                    self.prefer(made.key - idle, without=idle)
                     break
                 here = made
                 self.best = here.key

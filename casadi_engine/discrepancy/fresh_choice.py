@@ -21,7 +21,7 @@ from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.parameter_doubt import doubted, within_errors
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.refit import Addition
-from casadi_engine.discrepancy.refits import key_of
+from casadi_engine.discrepancy.refits import Key, key_of
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.discrepancy.ways import way_so_far
 from casadi_engine.estimation import Fit
@@ -80,6 +80,16 @@ class FreshChoice:
             stations = way_so_far(search)
             search.best = key_of(stations[-1].effects)
             return self._kept(stations, stations, None)
+
+    def idle(self, key: Key) -> Key:
+        """The effects that would be left out of a structure in the end; see ``_each_confirmed``."""
+        if not self.portion.fresh or self.search.null.screened.request.blind:
+            return frozenset()
+        stations = self.search.way(key)
+        if stations is None:
+            return frozenset()
+        kept = key_of(self._each_confirmed(stations)[-1].effects)
+        return key - kept if kept in self.search.pool else frozenset()
 
     def _judged_in_order(self) -> Confirmation:
         search = self.search

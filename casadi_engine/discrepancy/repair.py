@@ -18,6 +18,7 @@ from casadi_engine.discrepancy.assumed_pressure import carry, remarks, settle_sc
 from casadi_engine.discrepancy.checked_errors import with_checked_errors
 from casadi_engine.discrepancy.choice import TIME_UP, Choice
 from casadi_engine.discrepancy.fresh import Portions, portions
+from casadi_engine.discrepancy.fresh_choice import FreshChoice
 from casadi_engine.discrepancy.fresh_misfit import FRESH
 from casadi_engine.discrepancy.input_hold import other_hold
 from casadi_engine.discrepancy.lost_fit import explained, found_again
@@ -291,6 +292,8 @@ class _Job:
             )
             refitter = Refitter(self.model, pars, searched.data, own_noise, options)
             self.search = search = Choice(refitter, scores, most, self.tell, self.deadline, scatter)
+            fresh = FreshChoice(search, searched, self.tell, [], work)
+            search.idle_on_fresh = fresh.idle
             self._searched(search, null_fit if lower is None else lower.fit)
         self.timing |= search.timing
         if not null_fit.converged and not search.best:
@@ -304,7 +307,8 @@ class _Job:
             told.append(
                 f"the fit without effects has {null_fit.status}; effects were looked for from where it ended"
             )
-        answer = Answer(search, searched, alpha, self.asked, self.timing, self.begun, self.tell, told, work)
+        fresh.messages[:0] = told
+        answer = Answer(fresh, alpha, self.asked, self.timing, self.begun, self.tell)
         with self.deadline.spared(math.inf):  # what it can do without asks the time itself
             made = answer.made()
         if lower is not None:

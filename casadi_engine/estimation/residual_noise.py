@@ -1,10 +1,10 @@
 """The noise that a fit's residuals show, where it is not the one that its errors count with: white, of these levels.
 
-A fit weighs all samples alike. With J the weighted slopes of the outputs and V the covariance of the weighted noise, its
-estimates scatter by A^-1 B A^-1, A = J'J and B = J'VJ, priors in both; A^-1 is right for V = 1 alone. V is that of an
-autoregression of the residual where neighbours go together, and the mean square of the residual where this is larger
-than stated. Estimates take part of the noise out of the residual, the more the slower it is; what they took is known
-from their errors, so that both are found in turn. No error becomes smaller than that of white noise of the fit's
+A fit weighs all samples alike. With J the weighted slopes of the outputs and V the covariance of the weighted noise,
+its estimates scatter by A^-1 B A^-1, A = J'J and B = J'VJ, priors in both; A^-1 is right for V = 1 alone. V is that of
+an autoregression of the residual where neighbours go together, and the mean square of the residual where this is
+larger than stated. Estimates take part of the noise out of the residual, the more the slower it is; what they took is
+known from their errors, so that both are found in turn. No error becomes smaller than that of white noise of the fit's
 levels.
 
 Source: White, Econometrica 48 (1980) 817; with autoregressions, den Haan & Levin (1997).
@@ -29,8 +29,8 @@ from casadi_engine.estimation.uncertainty import chained
 
 Array = NDArray[np.float64]
 
-# Lag-one correlation, in its standard errors, from which a residual counts as coloured: once in 700 of white ones, whose
-# errors are then larger by a tenth; least samples to say so.
+# Lag-one correlation, in its standard errors, from which a residual counts as coloured: once in 700 of white ones,
+# whose errors are then larger by a tenth; least samples to say so.
 _COLOUR, _FEW = 3.0, 30
 # A sum of squares that chance makes so rarely is not of the stated noise level.
 _IMPOSSIBLE = 1e-9
@@ -103,9 +103,7 @@ def _counted(record: RecordTerm, r: Array, name: str) -> Array:
     return rows if counts.all() else rows[counts]
 
 
-def _along(
-    record: RecordTerm, point: RecordPoint, name: str, loss: Loss
-) -> tuple[Array, NDArray[np.bool_]]:
+def _along(record: RecordTerm, point: RecordPoint, name: str, loss: Loss) -> tuple[Array, NDArray[np.bool_]]:
     """The residual (n,) along the channel of an output, and which of its samples count; of a robust loss the clipped
     one, of unit size."""
     size, index = len(record.experiment[name].time), record.grid.measured[name].index

@@ -48,8 +48,8 @@ class Interval:
 class ProfileLine:
     """The profile of one parameter.
 
-    values : (P,) rising, in its unit; rise : (P,) of the cost above the fit's, the other parameters refitted, divided by
-    ``fit.own_noise[name]`` squared where the residual is not the white noise that the cost counts with
+    values : (P,) rising, in its unit; rise : (P,) of the cost above the fit's, the other parameters refitted, divided
+    by ``fit.own_noise[name]`` squared where the residual is not the white noise that the cost counts with
     others : name -> (P,), the other free parameters along the profile
     estimate : the fit's. threshold : rise at the ends of the interval
     """
@@ -199,8 +199,8 @@ class _Walker:
         most = max((fit.own_noise.get(name, 1.0) for name in fit.free), default=1.0)
         if most > _SEEN:
             self.messages.append(
-                "the residual is not white noise of the fit's level: the rise of the cost is divided by what that makes "
-                f"of the squared errors, up to {most**2:.2g}"
+                "the residual is not white noise of the fit's level: the rise of the cost is divided by what that "
+                f"makes of the squared errors, up to {most**2:.2g}"
             )
 
     def line(self, name: str) -> ProfileLine:

@@ -95,8 +95,8 @@ def _noise(post: Posterior) -> list[str]:
     if most < _NARROW:
         return []
     return [
-        "the residual is coloured or larger than stated, and the likelihood counts with white noise: intervals are up to "
-        f"{most:.2g} times too narrow; the fit's ± and ce.profile(fit) count with the residual as it is"
+        "the residual is coloured or larger than stated, and the likelihood counts with white noise: intervals are up "
+        f"to {most:.2g} times too narrow; the fit's ± and ce.profile(fit) count with the residual as it is"
     ]
 
 

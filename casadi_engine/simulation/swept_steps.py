@@ -71,8 +71,8 @@ def _swept(room: int) -> Callable[[ca.Function], ca.Function]:
     def made(field: ca.Function) -> ca.Function:
         step = dormand_prince(field)
         symbols = step.sx_in()
-        short = ca.Function("short", symbols, step(*symbols)[:3])
-        return short.mapaccum(room)
+        found: list[ca.SX] = list(step(*symbols))[:3]
+        return ca.Function("short", symbols, found).mapaccum(room)
 
     made.__name__ = f"swept_{room}"
     return made

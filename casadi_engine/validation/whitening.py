@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casadi_engine.estimation.fit_percent import BoolArray, FloatArray
 from casadi_engine.estimation.autoregression import autoregression
+from casadi_engine.estimation.fit_percent import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from scipy import sparse

@@ -1,12 +1,12 @@
 """Do estimates scatter in coloured noise as their errors say?
 
-    OPENBLAS_NUM_THREADS=1 python tests/benchmarks/coloured_errors_study.py [NAME ...] [--fits N] [--folder PLACE] [--write]
+    python tests/benchmarks/coloured_errors_study.py [NAME ...] [--fits N] [--folder PLACE] [--write]
 
 NAME : rotor (linear, driven), pendulum (swung to 2.5 rad, its angle measured), servo (an axis on a spring, position and
 speed measured, two records), tank (a level that empties through a hole, 150 samples), each in noise of several colours.
-Records come from SciPy; levels of the noise are estimated by the fits. Counted is how often the printed interval of 95 %
-holds the truth, and the root mean square error in printed standard errors, beside those of the curvature. Finished fits
-are kept in `coloured-*.jsonl`; ``--write`` puts the dated table into CALIBRATION.md.
+Records come from SciPy; levels of the noise are estimated by the fits. Counted is how often the printed interval of 95
+% holds the truth, and the root mean square error in printed standard errors, beside those of the curvature. Finished
+fits are kept in `coloured-*.jsonl`; ``--write`` puts the dated table into CALIBRATION.md.
 """
 
 from __future__ import annotations

@@ -62,7 +62,9 @@ def test_one_record_is_the_closed_form(run_up, method, tolerance, interval):
 @pytest.mark.parametrize(("method", "tolerance"), [("euler", 1e-8), ("exact", 1e-6)])
 def test_two_records_jointly(run_up, method, tolerance):
     data = [run_up("slow", sigma=SIGMA), run_up("fast", n=250, seed=3, start=60.0, sigma=SIGMA)]
-    fit = ce.estimate(ce.one_inertia(), data, noise=PREDICTOR, method=method, progress=False, errors="quadratic")
+    fit = ce.estimate(
+        ce.one_inertia(), data, noise=PREDICTOR, method=method, progress=False, errors="quadratic"
+    )
     compare(fit, data, method, tolerance)
 
 
@@ -86,7 +88,9 @@ def test_missing_samples_in_two_records(run_up):
 def test_the_estimated_noise_level_is_that_of_the_regression(run_up):
     data = run_up(sigma=SIGMA)
     known = ce.estimate(ce.one_inertia(), data, noise=PREDICTOR, progress=False, errors="quadratic")
-    fit = ce.estimate(ce.one_inertia(), data, noise=ce.Noise(gain=[[1.0]]), progress=False, errors="quadratic")
+    fit = ce.estimate(
+        ce.one_inertia(), data, noise=ce.Noise(gain=[[1.0]]), progress=False, errors="quadratic"
+    )
     _, _, cost, pairs = closed_form([data], "exact")
     assert fit.noise["omega"] == (pytest.approx(SIGMA * np.sqrt(cost / (pairs - 2)), rel=1e-9), True)
     ratio = fit.noise["omega"][0] / SIGMA

@@ -290,7 +290,8 @@ def test_a_residual_that_is_not_white_is_said_to_be(run_up):
     (message,) = fit.messages
     assert message.startswith("the residual of run_up/omega is not white (neighbours correlate by 0.9")
     assert re.search(
-        r"and the standard errors count with that: they are up to [\d.]+ times those of white noise; see validate$", message
+        r"and the standard errors count with that: they are up to [\d.]+ times those of white noise; see validate$",
+        message,
     )
     plain = ce.estimate(ce.one_inertia(), run_up(), parameters=pars, progress=False, errors="quadratic")
     assert plain.messages[0].endswith("and the standard errors are too small; see validate")

@@ -125,7 +125,9 @@ def test_a_linear_model(shaft, shaft_model):
     for name in ("J_eng", "K_el"):
         pars[name].set(made.truth[name] * 1.2)
     levels = {"omega": 0.05, "omega_load": 0.05}
-    fit = ce.estimate(model, made.data, parameters=pars, noise=ce.Noise(**levels), progress=False, errors="quadratic")
+    fit = ce.estimate(
+        model, made.data, parameters=pars, noise=ce.Noise(**levels), progress=False, errors="quadratic"
+    )
     found = refit(model, [made.data], pars, levels=levels)
     agree(found, fit)
 
