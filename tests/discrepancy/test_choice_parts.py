@@ -254,3 +254,38 @@ def test_two_effects_that_are_no_findings_beside_their_colour_stand_in_no_ones_p
     found._in_two()
     assert found.best == (one if leads == "a" else pairs[leads]).key
     assert [name for name in pairs if pairs[name].failed] == list(weak)
+
+
+# ---- a round whose effect does nothing on fresh data
+
+
+@pytest.mark.parametrize("idle", [False, True])
+def test_a_round_whose_effect_fresh_data_would_leave_out_is_the_last(monkeypatch, idle):
+    one, two, three = tried("a", log=-100.0), tried("a", "b", log=-50.0), tried("a", "b", "c", log=-10.0)
+    found = choice_of(monkeypatch, tried(log=-500.0), one, two, three)
+    found.stations |= {t.key: stub(screened=stub()) for t in (one, two, three)}
+    found.refits.weigh = found.refits.exactly = lambda *_: None
+    made, preferred = iter((one, two, three, None)), []
+    monkeypatch.setattr(Choice, "_asks", lambda *_: True)
+    monkeypatch.setattr(Choice, "_by_windows", lambda *_: None)
+    monkeypatch.setattr(Choice, "_round", lambda *_: next(made))
+    monkeypatch.setattr(Choice, "_most_probable_first", lambda *_: None)
+    monkeypatch.setattr(Choice, "_in_two", lambda *_: None)
+    monkeypatch.setattr(module, "special_cases", lambda *_: None)
+    monkeypatch.setattr(Choice, "prefer", lambda self, key, without: preferred.append((key, without)))
+    asked = []
+
+    def told(key):
+        asked.append(key)
+        return key_of("b") if idle else NONE
+
+    found.idle_on_fresh = told
+    found._rounds(found.pool[NONE])
+    if idle:
+        assert asked == [key_of("a", "b")]  # the first effect is judged in the end alone
+        assert preferred == [(key_of("a"), key_of("b"))]
+        assert found.best == key_of("a")
+    else:
+        assert asked == [key_of("a", "b"), key_of("a", "b", "c")]
+        assert preferred == []
+        assert found.best == key_of("a", "b", "c")

@@ -243,3 +243,30 @@ def test_weights_that_were_not_all_asked_weigh_nothing(monkeypatch):
     assert said == ["fresh data weigh no structure against another, as the time was up"]
     assert found.kept == (null,)
     assert found.before == ["the model without effects there"]
+
+
+# ---- while the search goes on
+
+
+@pytest.mark.parametrize(
+    ("says", "idle"), [({"drag": True}, set()), ({"drag": False}, {"drag"}), (None, set())]
+)
+def test_the_effects_that_would_be_left_out_in_the_end_are_told_to_the_search(monkeypatch, says, idle):
+    """Without a way to the structure (says None) nothing is told of it."""
+    stations = stations_of(["dry", "drag"])
+    for name, one in zip(("dry", "drag"), stations[-1].effects, strict=True):
+        one.candidate = stub(key=name)
+    monkeypatch.setattr(module, "unknown_of", lambda one: "something")
+    monkeypatch.setattr(FreshChoice, "_on_fresh", lambda self, one: one.fit)
+    monkeypatch.setattr(FreshChoice, "_judged", lambda self, old, new, here: Judgement(None, says["drag"]))
+    monkeypatch.setattr(FreshChoice, "_misfit", lambda self, one, pairs: 1.0)
+    monkeypatch.setattr(FreshChoice, "_seen", lambda *_: True)
+    null = stub(screened=stub(request=stub(blind=False)))
+    search = stub(
+        null=null, pool={frozenset({"dry"}): stub()}, way=lambda key: None if says is None else stations
+    )
+    choice = FreshChoice(search, stub(fresh=("a record",)), print, [])
+    assert choice.idle(frozenset({"dry", "drag"})) == idle
+    assert FreshChoice(search, stub(fresh=()), print, []).idle(frozenset({"dry", "drag"})) == set()
+    null.screened.request.blind = True  # of sensors and stated numbers alone: never judged
+    assert choice.idle(frozenset({"dry", "drag"})) == set()
