@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 METHODS = ("auto", "importance", "ensemble")
 # Shares of the information that may be left out of the likelihood that is drawn from, one tried after the other.
 LEFT_OUT = (0.1, 0.02, 0.0)
+# Where a quadratic does not foretell what was left out, so many times less is left out of what all draws are seen with.
+NEARER = 5.0
 # Searches for other optima that start around the fit's, for each dimension; where an evaluation is a simulation, none.
 WIDE = 4
 # Share of an output below which its estimated noise is that of rounding.
@@ -130,7 +132,13 @@ def _found(
         modes, found = _met(drawing, fit, weak[:2], left_out)
         if isinstance(found, Drawn):
             tell("looking at all data")
-            drawn, scatter = with_all_data(target, found, drawing.random)
+            points, bins = [*modes.at[:OPTIMA, : target.nv], *weak[:2]], target.likelihood.bins
+
+            def nearer(points: list[Array] = points, left_out: float = left_out / NEARER) -> None:
+                target.choose(points, left_out)
+
+            drawn, scatter = with_all_data(target, found, drawing.random, nearer)
+            modes = modes if target.likelihood.bins == bins else modes.again(target)
             if scatter <= SCATTER:
                 break
     return modes, drawn
