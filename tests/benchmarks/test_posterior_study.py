@@ -114,3 +114,12 @@ def test_dampers_with_a_normal_prior_are_drawn_from_it():
     draws = np.array([posterior_study.drawn("B21", seed)[1][normal] for seed in range(1, 6)])
     assert (draws > 0).all()
     assert 0.5 < draws.std() < 2.0
+
+
+def test_intervals_that_go_together_count_as_few():
+    apart = [[True, False], [False, True], [True, True], [True, True]]
+    together = [[True, True], [False, False], [True, True], [True, True]]
+    assert doubt_study._share(apart) == "0.750 ± 0.063"
+    assert doubt_study._share(together) == "0.750 ± 0.109"
+    assert doubt_study._share([[True, True]] * 4) == "1.000 ± 0.109"
+    assert doubt_study._share([[], []]) == "-"
