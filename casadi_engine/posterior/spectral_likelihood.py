@@ -42,8 +42,8 @@ class SpectralLikelihood:
     """
 
     def __init__(self, records: Sequence[RecordTerm], size: int, states: Sequence[StatePrior]) -> None:
-        """size : nv, of the vector of parameters; states : the prior of those of each record"""
-        self.states = [one.of_sum() for one in states]
+        """size : nv, of the vector of parameters; states : of each record, the prior of t"""
+        self.states = list(states)
         self._records = [SpectralRecord(record) for record in records]
         self._size = size
         self._fixed = [not len(_linear(record.record).drives_active) for record in self._records]
