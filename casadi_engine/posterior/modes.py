@@ -85,46 +85,18 @@ def find_modes(
     if first is None or not _definite(first.matrix):
         return None
     starts, around = _starts(target, fit, inverse(first.matrix), random, wide)
-    nv = target.nv
-    low, high = target.low[:nv], target.high[:nv]
-    found: list[tuple[Array, Array, float]] = []
-    ended: list[int] = []
-    tried = 0
-
-    def search(start: Array) -> bool:
-        """Whether it ends in a new optimum that is near the best."""
-        nonlocal tried
-        tried += 1
-        end = minimise(target.squares, np.clip(start, low, high), low, high, fall=_FALL, steps=_STEPS)
-        if end is None or not end.converged or not _definite(end.squares.matrix):
-            return False
-        same = _place(found, end.x)
-        if same is not None:
-            ended[same] += 1
-            return False
-        found.append((end.x, _held(end, low, high), end.squares.cost))
-        ended.append(1)
-        return end.squares.cost < min(cost for _, _, cost in found) + _NEAR
-
-    def search_all(some: Sequence[Array]) -> None:
-        """One after another, until they meet nothing new."""
-        idle = 0
-        for start in some:
-            idle = 0 if search(start) else idle + 1
-            if idle == IDLE:
-                break
-
+    searches = _Searches(target)
     for start in [*starts, *met]:
-        search(start)
-    search_all(around)
+        searches.one(start)
+    searches.until_idle(around)
+    found = searches.found
     if wide and len(found) > 1:  # from the rivals, as from the fit's own
-        lowest = min(cost for _, _, cost in found)
-        rivals = sorted((one for one in found[1:] if one[2] < lowest + _NEAR), key=lambda one: one[2])
-        search_all([at for x, matrix, _ in rivals[:_AGAIN] for at in along(x, inverse(matrix))])
+        rivals = sorted((one for one in found[1:] if searches.near(one[2])), key=lambda one: one[2])
+        searches.until_idle([at for x, matrix, _ in rivals[:_AGAIN] for at in along(x, inverse(matrix))])
     best = sorted(found, key=lambda one: one[2])[: _AGAIN if wide else 1]
     paths = [valleys(target, x, matrix, _DIRECTIONS if wide else 1) for x, matrix, _ in best]
     for start in (one for path in paths for one in path.onwards[:_AGAIN]):
-        search(start)
+        searches.one(start)
     ends = [(x, matrix) for x, matrix, _ in found]
     at, information, height = _dense(target, ends)
     near = np.flatnonzero(height > height.max(initial=-np.inf) - _FAR)
@@ -135,9 +107,47 @@ def find_modes(
         one for path in paths for one in zip(path.at, path.information, strict=True) if _definite(one[1])
     ]
     return Modes(
-        at[order], information[order], height[order], np.array(ended)[order], tried,
+        at[order], information[order], height[order], np.array(searches.ended)[order], searches.tried,
         _dense(target, along_valleys),
     )  # fmt: skip
+
+
+class _Searches:
+    """Optima (v, information, cost) that searches ended in, how many ended in each, and how many were tried."""
+
+    def __init__(self, target: Target) -> None:
+        self._target = target
+        self._low, self._high = target.low[: target.nv], target.high[: target.nv]
+        self.found: list[tuple[Array, Array, float]] = []
+        self.ended: list[int] = []
+        self.tried = 0
+
+    def near(self, cost: float) -> bool:
+        """Whether a cost is near the best one's."""
+        return cost < min(own for _, _, own in self.found) + _NEAR
+
+    def one(self, start: Array) -> bool:
+        """A search; whether it ends in a new optimum that is near the best."""
+        self.tried += 1
+        low, high = self._low, self._high
+        end = minimise(self._target.squares, np.clip(start, low, high), low, high, fall=_FALL, steps=_STEPS)
+        if end is None or not end.converged or not _definite(end.squares.matrix):
+            return False
+        same = _place(self.found, end.x)
+        if same is not None:
+            self.ended[same] += 1
+            return False
+        self.found.append((end.x, _held(end, low, high), end.squares.cost))
+        self.ended.append(1)
+        return self.near(end.squares.cost)
+
+    def until_idle(self, starts: Sequence[Array]) -> None:
+        """One search after another, until they meet nothing new."""
+        idle = 0
+        for start in starts:
+            idle = 0 if self.one(start) else idle + 1
+            if idle == IDLE:
+                return
 
 
 def _dense(target: Target, points: list[tuple[Array, Array]]) -> tuple[Array, Array, Array]:
