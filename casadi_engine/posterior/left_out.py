@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,23 +20,36 @@ LOOKED_AT, TERMS, FELT = 200, 4, 0.1
 SCATTER = 1.0
 
 
-def with_all_data(target: Target, drawn: Drawn, random: np.random.Generator) -> tuple[Drawn, float]:
-    """The draws and their evidence with what was left out, and the scatter of its log likelihood over them."""
+def with_all_data(
+    target: Target, drawn: Drawn, random: np.random.Generator, nearer: Callable[[], None] | None = None
+) -> tuple[Drawn, float]:
+    """The draws and their evidence with what was left out, and the scatter of its log likelihood over them.
+
+    nearer : leaves less of the data out of the target's likelihood. All draws are evaluated so where a quadratic does
+        not foretell what all data say, and it foretells the rest; without it, or where that does not do either, all
+        data are looked at in every draw
+    """
     bins = target.likelihood.bins
     if bins is None or bins[0] == bins[1]:
         return drawn, 0.0
     count = max(LOOKED_AT, TERMS * quadratic(drawn.u[:1]).shape[1])
     some = random.choice(len(drawn.u), min(count, len(drawn.u)), replace=False)
-    ratio = target.full(drawn.u[some]) - drawn.density[some]
-    scatter = float(ratio.std())
+    seen = target.full(drawn.u[some]) - drawn.density[some]
+    scatter = float(seen.std())
     if not scatter > FELT:
-        return drawn.with_evidence(log_mean(ratio), scatter / np.sqrt(len(ratio))), scatter
+        return drawn.with_evidence(log_mean(seen), scatter / np.sqrt(len(seen))), scatter
     rest = np.setdiff1d(np.arange(len(drawn.u)), some)
-    foretold, error, beyond = foresee(drawn.u[some], ratio, drawn.u[rest])
+    known = np.zeros(len(drawn.u))
+    foretold, error, beyond = foresee(drawn.u[some], seen, drawn.u[rest])
+    if not error <= FELT and nearer is not None and len(rest):
+        nearer()
+        known = target.log_density(drawn.u) - drawn.density
+        foretold, error, beyond = foresee(drawn.u[some], seen - known[some], drawn.u[rest])
     if not error <= FELT:
         error, beyond = 0.0, np.ones(len(rest), dtype=bool)
+    foretold = known[rest] + foretold
     foretold[beyond] = target.full(drawn.u[rest[beyond]]) - drawn.density[rest[beyond]]
-    ratio = np.concatenate([ratio, foretold])
+    ratio = np.concatenate([seen, foretold])
     smooth, _ = pareto_smoothed(ratio)
     drawn = drawn.reweighed(np.concatenate([some, rest]), smooth, random)
     return drawn.with_evidence(

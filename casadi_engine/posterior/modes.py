@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 ALONG, WEAK, WIDE = (3.0, 6.0, 12.0), 2, (4.0, 16.0, np.inf)
 # Other optima from which searches start again, and how far below the best they may be for that.
 _AGAIN, _NEAR = 3, 10.0
+# Searches one after another that meet no new optimum so near the best: those from around, and those from rivals, end.
+IDLE = 12
 # Directions along which valleys are looked for.
 _DIRECTIONS = 6
 # Two optima are one within this distance, in squared standard errors; those so far below the best are left out.
@@ -82,37 +84,19 @@ def find_modes(
     first = target.squares(target.start[: target.nv])
     if first is None or not _definite(first.matrix):
         return None
-    starts = [*_starts(target, fit, inverse(first.matrix), random, wide), *met]
-    nv = target.nv
-    low, high = target.low[:nv], target.high[:nv]
-    found: list[tuple[Array, Array, float]] = []
-    ended: list[int] = []
-
-    def search(start: Array) -> None:
-        end = minimise(target.squares, np.clip(start, low, high), low, high, fall=_FALL, steps=_STEPS)
-        if end is None or not end.converged or not _definite(end.squares.matrix):
-            return
-        same = _place(found, end.x)
-        if same is None:
-            found.append((end.x, _held(end, low, high), end.squares.cost))
-            ended.append(1)
-        else:
-            ended[same] += 1
-
-    for start in starts:
-        search(start)
+    starts, around = _starts(target, fit, inverse(first.matrix), random, wide)
+    searches = _Searches(target)
+    for start in [*starts, *met]:
+        searches.one(start)
+    searches.until_idle(around)
+    found = searches.found
     if wide and len(found) > 1:  # from the rivals, as from the fit's own
-        lowest = min(cost for _, _, cost in found)
-        rivals = sorted((one for one in found[1:] if one[2] < lowest + _NEAR), key=lambda one: one[2])
-        again = [at for x, matrix, _ in rivals[:_AGAIN] for at in along(x, inverse(matrix))]
-        starts += again
-        for start in again:
-            search(start)
+        rivals = sorted((one for one in found[1:] if searches.near(one[2])), key=lambda one: one[2])
+        searches.until_idle([at for x, matrix, _ in rivals[:_AGAIN] for at in along(x, inverse(matrix))])
     best = sorted(found, key=lambda one: one[2])[: _AGAIN if wide else 1]
     paths = [valleys(target, x, matrix, _DIRECTIONS if wide else 1) for x, matrix, _ in best]
     for start in (one for path in paths for one in path.onwards[:_AGAIN]):
-        starts.append(start)
-        search(start)
+        searches.one(start)
     ends = [(x, matrix) for x, matrix, _ in found]
     at, information, height = _dense(target, ends)
     near = np.flatnonzero(height > height.max(initial=-np.inf) - _FAR)
@@ -123,9 +107,47 @@ def find_modes(
         one for path in paths for one in zip(path.at, path.information, strict=True) if _definite(one[1])
     ]
     return Modes(
-        at[order], information[order], height[order], np.array(ended)[order], len(starts),
+        at[order], information[order], height[order], np.array(searches.ended)[order], searches.tried,
         _dense(target, along_valleys),
     )  # fmt: skip
+
+
+class _Searches:
+    """Optima (v, information, cost) that searches ended in, how many ended in each, and how many were tried."""
+
+    def __init__(self, target: Target) -> None:
+        self._target = target
+        self._low, self._high = target.low[: target.nv], target.high[: target.nv]
+        self.found: list[tuple[Array, Array, float]] = []
+        self.ended: list[int] = []
+        self.tried = 0
+
+    def near(self, cost: float) -> bool:
+        """Whether a cost is near the best one's."""
+        return cost < min(own for _, _, own in self.found) + _NEAR
+
+    def one(self, start: Array) -> bool:
+        """A search; whether it ends in a new optimum that is near the best."""
+        self.tried += 1
+        low, high = self._low, self._high
+        end = minimise(self._target.squares, np.clip(start, low, high), low, high, fall=_FALL, steps=_STEPS)
+        if end is None or not end.converged or not _definite(end.squares.matrix):
+            return False
+        same = _place(self.found, end.x)
+        if same is not None:
+            self.ended[same] += 1
+            return False
+        self.found.append((end.x, _held(end, low, high), end.squares.cost))
+        self.ended.append(1)
+        return self.near(end.squares.cost)
+
+    def until_idle(self, starts: Sequence[Array]) -> None:
+        """One search after another, until they meet nothing new."""
+        idle = 0
+        for start in starts:
+            idle = 0 if self.one(start) else idle + 1
+            if idle == IDLE:
+                return
 
 
 def _dense(target: Target, points: list[tuple[Array, Array]]) -> tuple[Array, Array, Array]:
@@ -177,7 +199,8 @@ def along(centre: Array, covariance: Array) -> list[Array]:
 
 def _starts(
     target: Target, fit: Fit, covariance: Array, random: np.random.Generator, wide: int
-) -> list[Array]:
+) -> tuple[list[Array], list[Array]]:
+    """Where searches start: the fit's optima and points along what the data tell least of, and ``wide`` from around."""
     centre = target.start[: target.nv]
     known = []
     for optimum in fit.optima[1:]:
@@ -186,7 +209,7 @@ def _starts(
     lines = along(centre, covariance) if wide else along(centre, covariance)[:2]
     factor = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
     around = [_drawn(target, centre, factor, WIDE[k % len(WIDE)], random) for k in range(wide)]
-    return [centre, *known, *lines, *around]
+    return [centre, *known, *lines], around
 
 
 def _drawn(target: Target, centre: Array, factor: Array, wide: float, random: np.random.Generator) -> Array:

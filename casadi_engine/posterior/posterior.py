@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 METHODS = ("auto", "importance", "ensemble")
 # Shares of the information that may be left out of the likelihood that is drawn from, one tried after the other.
 LEFT_OUT = (0.1, 0.02, 0.0)
+# Where a quadratic does not foretell what was left out, so many times less is left out of what all draws are seen with.
+NEARER = 5.0
 # Searches for other optima that start around the fit's, for each dimension; where an evaluation is a simulation, none.
 WIDE = 4
 # Share of an output below which its estimated noise is that of rounding.
@@ -72,10 +74,11 @@ def posterior(
 
     Notes
     -----
-    Initial states are integrated out: their prior is normal, as the states along the record are in the fit and half as
-    wide again. For linear models on complete records the integral is exact (the prior is that of the sum of first and
-    last state), and chi-squared is computed in the frequency bins in which the parameters act; all others enter when
-    the draws are there. For other models it is that of a normal density about the best initial states (Laplace).
+    Initial states are integrated out: their prior is normal, as the states along the record are in the fit, its width
+    integrated out as well. For linear models on complete records the integral is exact (the prior is that of the sum of
+    the first state and the last one, to which it leads), and chi-squared is computed in the frequency bins in which the
+    parameters act; all others enter when the draws are there. For other models it is that of a normal density about the
+    best initial states (Laplace).
 
     Importance sampling draws from a mixture of t-distributions at the optima, which learns from its draws (Cappe et al.
     2008), and is trusted if Pareto k-hat is at most 0.7 and the draws are worth 400 independent ones, in their tails
@@ -130,7 +133,13 @@ def _found(
         modes, found = _met(drawing, fit, weak[:2], left_out)
         if isinstance(found, Drawn):
             tell("looking at all data")
-            drawn, scatter = with_all_data(target, found, drawing.random)
+            points, bins = [*modes.at[:OPTIMA, : target.nv], *weak[:2]], target.likelihood.bins
+
+            def nearer(points: list[Array] = points, left_out: float = left_out / NEARER) -> None:
+                target.choose(points, left_out)
+
+            drawn, scatter = with_all_data(target, found, drawing.random, nearer)
+            modes = modes if target.likelihood.bins == bins else modes.again(target)
             if scatter <= SCATTER:
                 break
     return modes, drawn

@@ -42,13 +42,13 @@ class SpectralLikelihood:
     """
 
     def __init__(self, records: Sequence[RecordTerm], size: int, states: Sequence[StatePrior]) -> None:
-        """size : nv, of the vector of parameters; states : the prior of those of each record"""
-        self.states = [one.of_sum() for one in states]
+        """size : nv, of the vector of parameters; states : of each record, the prior of t"""
+        self.states = list(states)
         self._records = [SpectralRecord(record) for record in records]
         self._size = size
         self._fixed = [not len(_linear(record.record).drives_active) for record in self._records]
         self._chosen: list[NDArray[np.intp] | None] = [None] * len(self._records)
-        self._kept: dict[int, Basis] = {}
+        self._kept: dict[tuple[int, bool], Basis] = {}  # of (record, whole)
         # of the bins left out: log likelihood, values of an output, their mean square, at which noise levels
         self._others: tuple[float, float, float, Array] = (0.0, 0.0, 1.0, np.ones(1))
         self.outputs = len(self._records[0].sigma)
@@ -89,7 +89,7 @@ class SpectralLikelihood:
             ]
             if all(largest_share(w, p) <= left_out for w, p in zip(wholes, part, strict=True)):
                 break
-        self._chosen, self._kept = list(chosen), {}
+        self._chosen, self._kept = list(chosen), {key: own for key, own in self._kept.items() if key[1]}
         self.states = [self._settled(k, points[0], sigma) for k in range(len(self.states))]
         self._others = 0.0, 0.0, 1.0, sigma
         count = sum(2 * (r.size - len(own)) for r, own in zip(self._records, chosen, strict=True))
@@ -158,15 +158,13 @@ class SpectralLikelihood:
 
     def _basis(self, k: int, v: Array, *, whole: bool) -> Basis:
         """Of one record at v, kept where it is the same for every v."""
-        if not whole and k in self._kept:
-            return self._kept[k]
+        if (k, whole) in self._kept:
+            return self._kept[k, whole]
         record, chosen = self._records[k], self._chosen[k]
         bins = record.bins(v[record.record.active], record.below(np.inf))
-        if whole or chosen is None:
-            return Basis.of(bins)
-        found = Basis.of(_some(bins, chosen, bins.slopes[:0]))
+        found = Basis.of(bins if whole or chosen is None else _some(bins, chosen, bins.slopes[:0]))
         if self._fixed[k]:
-            self._kept[k] = found
+            self._kept[k, whole] = found
         return found
 
     def _of_group(self, v: Array, members: list[int], sigma: Array, *, whole: bool) -> Array:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 
@@ -218,12 +218,17 @@ def case_b6(seed: int = 1) -> Case:
     return Case("B6", CRANKSHAFT, CRANKSHAFT_TRUTH, tuple(SIX), six_records(seed), SIX)
 
 
-def case_b21(seed: int = 1) -> Case:
-    """All but J7 and K76, the absolute dampers equal, a prior on the dampers between cylinders."""
+def every_parameter() -> Case:
+    """All but J7 and K76, the absolute dampers equal, a prior on the dampers between cylinders; no records."""
     followers = ("C3", "C4", "C5")
     free = tuple(name for name in CRANKSHAFT.names if name not in ("J7", "K76", *followers))
     priors = dict.fromkeys(DAMPERS_WITH_PRIOR, (2.5, 2.5 * PRIOR_SHARE))
-    return Case("B21", CRANKSHAFT, CRANKSHAFT_TRUTH, free, six_records(seed), {"C2": followers}, priors)
+    return Case("B21", CRANKSHAFT, CRANKSHAFT_TRUTH, free, (), {"C2": followers}, priors)
+
+
+def case_b21(seed: int = 1) -> Case:
+    """All of these parameters from the six records of B6."""
+    return replace(every_parameter(), records=six_records(seed))
 
 
 def scaling_case(cylinders: int, samples: int, seed: int = 1) -> Case:

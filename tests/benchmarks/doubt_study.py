@@ -125,26 +125,38 @@ def table(found: dict[tuple[str, float], Rows]) -> str:
         "|---" * 10 + "|",
     ]
     for (name, sigma), rows in found.items():
-        good = [one for row in rows if row["status"] == "converged" for one in row["of"].values()]
-        good = [one for one in good if one["z"] is not None]
-        sure, other = ([one for one in good if one["doubted"] == word] for word in (False, True))
-        ends = [one["held"] for one in other if one["held"] is not None]
+        fits = [row["of"].values() for row in rows if row["status"] == "converged"]
+        good = [[one for one in fit if one["z"] is not None] for fit in fits]
+        sure, other = (
+            [[one for one in fit if one["doubted"] == word] for fit in good] for word in (False, True)
+        )
+        ends = [[one["held"] for one in fit if one["held"] is not None] for fit in other]
+        whole = max(sum(map(len, good)), 1)
         share = np.median([row["check"] / (row["seconds"] - row["check"]) for row in rows])
-        cells = [name, f"{sigma:g}", len(rows), *_cells(sure, good), *_cells(other, good),
-                 f"{100 * len(ends) / max(len(good), 1):.0f} %", _share(ends), f"{100 * share:.0f} %"]  # fmt: skip
+        cells = [name, f"{sigma:g}", len(rows), *_cells(sure, whole), *_cells(other, whole),
+                 f"{100 * sum(map(len, ends)) / whole:.0f} %", _share(ends), f"{100 * share:.0f} %"]  # fmt: skip
         lines.append("| " + " | ".join(map(str, cells)) + " |")
     return "\n".join(lines)
 
 
-def _cells(part: Rows, whole: Rows) -> tuple[str, str]:
-    held = [abs(one["z"]) <= LEVEL for one in part]
-    return f"{100 * len(part) / max(len(whole), 1):.0f} %", _share(held)
+def _cells(part: list[Rows], whole: int) -> tuple[str, str]:
+    held = [[abs(one["z"]) <= LEVEL for one in fit] for fit in part]
+    return f"{100 * sum(map(len, part)) / whole:.0f} %", _share(held)
 
 
-def _share(held: list[bool]) -> str:
-    if not held:
+def _share(held: list[list[bool]]) -> str:
+    """Share of intervals that hold the truth, given fit by fit, and what it scatters by where 95 % are expected.
+
+    The parameters of a fit go together: its intervals are worth as many independent ones as their sums scatter like.
+    """
+    each = np.array([one for fit in held for one in fit], dtype=float)
+    if not len(each):
         return "-"
-    return f"{np.mean(held):.3f} ± {np.sqrt(0.0475 / len(held)):.3f}"
+    p = each.mean()
+    sums = np.array([sum(fit) - p * len(fit) for fit in held])
+    alone = np.square(each - p).sum()
+    together = np.square(sums).sum() / alone if alone else np.mean([len(fit) for fit in held if fit])
+    return f"{p:.3f} ± {np.sqrt(0.0475 * together / len(each)):.3f}"
 
 
 def write(text: str) -> None:

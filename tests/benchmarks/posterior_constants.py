@@ -29,12 +29,12 @@ CONSTANTS = {
     "importance": ("ROUNDS", "EACH", "WORTH", "ENOUGH"),
     "mixture": ("FREEDOM", "_GUARD", "_WIDER"),
     "valley": ("STEP", "HOLDS", "DEPTH"),
-    "modes": ("WEAK", "_WIDER", "_SAME", "_FAR"),
+    "modes": ("WEAK", "IDLE", "_WIDER", "_SAME", "_FAR"),
     "left_out": ("LOOKED_AT", "FELT"),
     "drawing": ("HIGHER", "SCATTER", "FEW"),
     "states": ("WIDTHS", "_ALONE", "_STILL"),
     "box": ("_NEAR", "_OFF"),
-    "posterior": ("WIDE",),
+    "posterior": ("WIDE", "NEARER"),
 }
 
 

@@ -2,11 +2,15 @@
 
     OPENBLAS_NUM_THREADS=1 python tests/benchmarks/posterior_study.py [NAME ...] [--count N] [--write]
 
-NAME : A, A_quiet, B, B6, B6_quiet, described in VARIANTS; all of them if none is given. The parameters are drawn flat
-in their logarithms between bounds, which are the prior; the rank of the truth among the draws is then uniform, and an
-interval of 80 % holds the truth in 80 % (Talts et al. 2018). Every finished simulation goes into a checkpoint beside
-this file (`posterior-*.jsonl`, --folder for another place): a study that was stopped goes on with the same command.
-`--write` puts the dated table into POSTERIOR.md, and what posterior_referee.py found.
+NAME : A, A_quiet, B, B6, B6_quiet, B21, described in VARIANTS; all of them if none is given. The parameters are drawn
+from their prior, flat in their logarithms between bounds, or the normal one that they have; the rank of the truth among
+the draws is then uniform, and an interval of 80 % holds the truth in 80 % (Talts et al. 2018). So is the rank of the
+truth's log density among those of the draws, one number for each row, while the parameters of a row go together.
+
+Every finished simulation goes into a checkpoint beside this file (`posterior-*.jsonl`, --folder for another place), and
+from there, at the beginning and the end of a command, into the small files of `posterior_rows/`, which the repository
+keeps: a study goes on with the same command wherever it was stopped, and the table is written from them. `--write` puts
+the dated table into POSTERIOR.md, and what posterior_referee.py found.
 """
 
 from __future__ import annotations
@@ -16,11 +20,12 @@ import datetime
 import json
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import truncnorm
 
 HERE = Path(__file__).parent
 if str(HERE) not in sys.path:
@@ -37,24 +42,32 @@ from cases import (  # noqa: E402
     TWO_MASS_TRUTH,
     Case,
     Record,
+    every_parameter,
     kept_channels,
 )
 from ours import TWO_MASS_NAMES, experiments, model_of, parameters_of  # noqa: E402
+from posterior_rows import FEW, Kept  # noqa: E402
 
 import casadi_engine as ce  # noqa: E402
 from casadi_engine.errors import CasadiEngineError  # noqa: E402
+from casadi_engine.estimation.checkpoint import key_of  # noqa: E402
 from casadi_engine.estimation.study import study  # noqa: E402
+from casadi_engine.posterior.result import Posterior  # noqa: E402
+from casadi_engine.posterior.target import Target  # noqa: E402
 
 Rows = list[dict[str, Any]]
 SETTING = {"version": 3, "draws": 999}
 LEVELS = (50, 80, 95)
+# Draws whose log densities the truth's is compared with.
+COMPARED = 99
 
 
 @dataclass(frozen=True)
 class Variant:
     """words : what it is; count : simulations of the full study; sigma : of the noise [rad/s]; width : factor of the
     bounds to either side of the thesis's values; records : of the crankshaft, none for two masses; first : seed, after
-    those that were looked at while the priors were made"""
+    those that were looked at while the priors were made; every : True for all parameters of the crankshaft, as in the
+    problem B21 of cases.py"""
 
     words: str
     count: int
@@ -62,6 +75,22 @@ class Variant:
     width: float
     records: tuple[str, ...] = ()
     first: int = 0
+    every: bool = False
+
+    def nominal(self, name: str) -> Case:
+        """The case without records, with the thesis's values."""
+        if self.every:
+            return replace(every_parameter(), name=name, sigma=self.sigma)
+        if self.records:
+            return Case(name, CRANKSHAFT, CRANKSHAFT_TRUTH, tuple(SIX), (), SIX, sigma=self.sigma)
+        return Case(name, TWO_MASS, TWO_MASS_TRUTH, TWO_MASS.names, (), sigma=self.sigma)
+
+    def bounds(self, case: Case) -> tuple[np.ndarray, np.ndarray]:
+        """Of the free parameters (n,): so wide, or the benchmark's wide ones for those with a normal prior."""
+        normal = np.array([name in case.priors for name in case.free])
+        near = case.true_values / self.width, case.true_values * self.width
+        low, high = (np.where(normal, far, own) for far, own in zip(case.bounds, near, strict=True))
+        return low, high
 
 
 _SIX = tuple(f"{kind}_{rpm}rpm" for rpm in (1000, 1200, 1400) for kind in ("normal", "misfire"))
@@ -71,6 +100,9 @@ VARIANTS = {
     "B": Variant("B: crankshaft, one record, noise 0.1 rad/s", 500, 0.1, 1.3, ("normal_1200rpm",)),
     "B6": Variant("B6: crankshaft, six records, noise 0.1 rad/s", 200, 0.1, 1.3, _SIX, first=100),
     "B6_quiet": Variant("B6: crankshaft, six records, noise 0.01 rad/s", 200, 0.01, 1.3, _SIX, first=100),
+    "B21": Variant(
+        "B21: crankshaft, all parameters, six records, noise 0.1 rad/s", 50, 0.1, 1.3, _SIX, every=True
+    ),
 }
 
 
@@ -78,12 +110,13 @@ def drawn(name: str, seed: int) -> tuple[Case, np.ndarray]:
     """The case with its thesis's values, records of other ones, and these values."""
     variant = VARIANTS[name]
     random = np.random.default_rng([15, list(VARIANTS).index(name), seed])
-    shape, nominal = (CRANKSHAFT, CRANKSHAFT_TRUTH) if variant.records else (TWO_MASS, TWO_MASS_TRUTH)
-    ties = SIX if variant.records else {}
-    plain = Case(
-        name, shape, nominal, tuple(SIX) if variant.records else shape.names, (), ties, sigma=variant.sigma
-    )
+    plain = variant.nominal(name)
+    low, high = variant.bounds(plain)
     values = plain.true_values * variant.width ** random.uniform(-1, 1, len(plain.free))
+    for key, (mean, deviation) in plain.priors.items():
+        k = plain.free.index(key)
+        ends = (low[k] - mean) / deviation, (high[k] - mean) / deviation
+        values[k] = truncnorm.ppf(random.random(), *ends, loc=mean, scale=deviation)
     records = []
     for key in variant.records or ("misfire_1200rpm",):
         if variant.records:
@@ -94,19 +127,19 @@ def drawn(name: str, seed: int) -> tuple[Case, np.ndarray]:
         else:
             source, start = _two_mass_source()
         noise = variant.sigma * random.standard_normal(source.samples)
-        speed, drives = simulate(shape, plain.full(values), start, source, noise)
+        speed, drives = simulate(plain.shape, plain.full(values), start, source, noise)
         records.append(Record(key, drives, speed, source.channels | {"omega": speed}))
-    return Case(name, shape, nominal, plain.free, tuple(records), ties, sigma=variant.sigma), values
+    return replace(plain, records=tuple(records)), values
 
 
 def fit_of(case: Case, seed: int) -> ce.Fit:
     """The fit from a start within 10 % of the thesis's values, between the bounds that the truth was drawn from."""
     model, names = model_of(case)
-    width = VARIANTS[case.name].width
+    low, high = VARIANTS[case.name].bounds(case)
     start = case.true_values * (1 + 0.1 * np.random.default_rng([16, seed]).uniform(-1, 1, len(case.free)))
     parameters = parameters_of(case, model, names, start)
-    for name, value in zip(case.free, case.true_values.tolist(), strict=True):
-        parameters[names[name]].set(min=value / width, max=value * width)
+    for name, least, most in zip(case.free, low.tolist(), high.tolist(), strict=True):
+        parameters[names[name]].set(min=least, max=most)
     return ce.estimate(
         model, experiments(case), parameters=parameters, noise=ce.Noise(omega=case.sigma), progress=False
     )
@@ -133,6 +166,7 @@ def row(piece: dict[str, Any]) -> dict[str, Any]:
     return answer | {
         "seconds": time.process_time() - begun,
         "rank": {key: float(np.mean(post[names[key]] < value)) for key, value in values.items()},
+        "height": height_rank(fit, post, {names[key]: value for key, value in values.items()}),
         "method": post.method,
         "why": post.why,
         "evaluations": post.evaluations,
@@ -142,18 +176,38 @@ def row(piece: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def height_rank(fit: ce.Fit, post: Posterior, truth: dict[str, float]) -> float:
+    """The rank of the truth's log density among those of draws, all data looked at."""
+    target = Target(fit)
+    some = np.linspace(0, len(post.values) - 1, COMPARED).round().astype(int)
+    places = [target.coordinates.of(np.array([post[name][k] for name in target.free])) for k in some]
+    own = target.coordinates.of(np.array([truth[name] for name in target.free]))
+    heights = target.full(np.array([own, *places]))
+    return float(np.mean(heights[1:] < heights[0]))
+
+
 def run(name: str, count: int, folder: Path) -> None:
-    """The first simulations of a variant; what the checkpoint holds is not done again."""
-    first = VARIANTS[name].first
-    pieces = [{"variant": name, "seed": seed} for seed in range(first, first + count)]
-    study(row, pieces, name=name, setting=SETTING, checkpoint=folder / f"posterior-{name}.jsonl")
+    """The first simulations of a variant; what was kept is not done again."""
+    first, done = VARIANTS[name].first, taken_in(name, folder).rows
+    pieces = [{"variant": name, "seed": seed} for seed in range(first, first + count) if seed not in done]
+    if pieces:
+        study(row, pieces, name=name, setting=SETTING, checkpoint=checkpoint(name, folder))
+        taken_in(name, folder)
 
 
-def kept(name: str, folder: Path) -> Rows:
-    """The rows that a checkpoint holds."""
-    path = folder / f"posterior-{name}.jsonl"
+def checkpoint(name: str, folder: Path) -> Path:
+    """Where the rows of a variant go as they are made."""
+    return folder / f"posterior-{name}.jsonl"
+
+
+def taken_in(name: str, folder: Path) -> Kept:
+    """The rows that are kept of a variant, with those of its checkpoint."""
+    kept, path = Kept(folder, name, SETTING), checkpoint(name, folder)
     lines = path.read_text("utf-8").splitlines(keepends=True) if path.exists() else []
-    return [json.loads(line)["row"] for line in lines[1:] if line.endswith("\n")]
+    if lines and lines[0].endswith("\n") and json.loads(lines[0])["setting"] == key_of(SETTING):
+        made = [json.loads(line) for line in lines[1:] if line.endswith("\n")]
+        kept.add({one["piece"]["seed"]: one["row"] for one in made})
+    return kept
 
 
 # ---- the table
@@ -192,11 +246,18 @@ def joint(name: str, rows: Rows) -> str:
     inside = [np.mean(np.abs(ranks - 0.5) <= level / 200) for level in LEVELS]
     seconds = np.array([one["seconds"] for one in rows])
     shares = ", ".join(f"{100 * one:.1f} % in {level} %" for one, level in zip(inside, LEVELS, strict=True))
-    walked = sum(one["why"] != "few smooth optima" for one in good)
+    walked = sum(one["why"] != FEW for one in good)
+    heights = np.array([one["height"] for one in good if one.get("height") is not None])
+    words = (
+        f"; the truth's log density among {len(heights)} rows' draws: mean rank {heights.mean():.2f}, uniform (p) "
+        f"{uniform(heights):.2f}"
+        if len(heights)
+        else ""
+    )
     return (
         f"- {VARIANTS[name].words}: {len(good)} of {len(rows)} answered, of the {VARIANTS[name].count} asked for; "
-        f"all parameters together: {shares}; CPU {np.median(seconds):.1f} s median, {seconds.max():.1f} s at most"
-        f"; {walked} by an ensemble of walkers; several modes in {sum(one['modes'] > 1 for one in good)}; "
+        f"all parameters together: {shares}{words}; CPU {np.median(seconds):.1f} s median, {seconds.max():.1f} s at "
+        f"most; {walked} by an ensemble of walkers; several modes in {sum(one['modes'] > 1 for one in good)}; "
         f"median {np.median([one['evaluations'] for one in good]):.0f} evaluations."
     )
 
@@ -227,7 +288,7 @@ def main() -> None:
     if not asked.kept:
         for name in asked.names or VARIANTS:
             run(name, asked.count or VARIANTS[name].count, asked.folder)
-    found = {name: rows for name in VARIANTS if (rows := kept(name, asked.folder))}
+    found = {name: list(rows.values()) for name in VARIANTS if (rows := taken_in(name, asked.folder).rows)}
     text = table(found)
     referee = posterior_referee.kept(asked.folder)
     if referee:

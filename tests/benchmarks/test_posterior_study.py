@@ -101,3 +101,25 @@ def test_a_pendulum_is_checked_as_it_is_fitted():
     assert not any(one["doubted"] for one in found["of"].values())
     assert all(abs(one["z"]) < 4 for one in found["of"].values())
     assert 0 < found["check"] < found["seconds"]
+
+
+def test_dampers_with_a_normal_prior_are_drawn_from_it():
+    case, _ = posterior_study.drawn("B21", 0)
+    assert len(case.free) == 18
+    low, high = posterior_study.VARIANTS["B21"].bounds(case)
+    normal = np.array([name in case.priors for name in case.free])
+    assert normal.sum() == 4
+    np.testing.assert_allclose((high / low)[~normal], 1.3**2)
+    assert ((high / low)[normal] > 1000).all()
+    draws = np.array([posterior_study.drawn("B21", seed)[1][normal] for seed in range(1, 6)])
+    assert (draws > 0).all()
+    assert 0.5 < draws.std() < 2.0
+
+
+def test_intervals_that_go_together_count_as_few():
+    apart = [[True, False], [False, True], [True, True], [True, True]]
+    together = [[True, True], [False, False], [True, True], [True, True]]
+    assert doubt_study._share(apart) == "0.750 ± 0.063"
+    assert doubt_study._share(together) == "0.750 ± 0.109"
+    assert doubt_study._share([[True, True]] * 4) == "1.000 ± 0.109"
+    assert doubt_study._share([[], []]) == "-"

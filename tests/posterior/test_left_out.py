@@ -80,3 +80,27 @@ def test_nothing_is_foreseen_far_from_where_it_was_looked_at():
     found, _ = with_all_data(Known(more), own, np.random.default_rng(0))
     assert found.log_evidence == pytest.approx(-0.5 * np.log(1 - 2 * 0.3), abs=0.1)
     assert len(np.unique(found.u[:, 0])) > 1000
+
+
+def test_draws_are_seen_with_more_of_the_data_where_a_quadratic_does_not_hold():
+    """A step that less is left out of: what is still left out then is foretold."""
+
+    def step(u):
+        return 0.5 * np.sign(u[:, 0])
+
+    class Nearer(Known):
+        seen = 0
+
+        def log_density(self, u):
+            self.seen += len(u)
+            return step(u)
+
+    target = Nearer(lambda u: step(u) + 0.3 * u[:, 1])
+    found, _ = with_all_data(
+        target, drawn(4000), np.random.default_rng(0), lambda: setattr(target, "bins", (1, 1))
+    )
+    assert target.seen == 4000
+    assert 200 <= target.evaluations <= 300
+    assert found.log_evidence == pytest.approx(np.log(np.cosh(0.5)) + 0.045, abs=0.04)
+    assert found.u[:, 0].mean() > 0.3
+    assert found.u[:, 1].mean() == pytest.approx(0.3, abs=0.05)

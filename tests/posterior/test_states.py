@@ -5,7 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from casadi_engine.posterior.states import WIDTHS, StatePrior, state_prior
+import casadi_engine as ce
+from casadi_engine.estimation.options import interval_length
+from casadi_engine.posterior.states import WIDTHS, StatePrior, _factor, last_state, state_prior
+from casadi_engine.posterior.target import Target
 
 
 def prior_of(random, covariance):
@@ -64,10 +67,51 @@ def test_some_of_the_states_have_their_own_share(covariance):
     np.testing.assert_allclose(prior.factor @ prior.factor.T, covariance[np.ix_([1, 3], [1, 3])])
 
 
-def test_two_states_have_twice_the_mean_and_the_variance(covariance):
-    prior = StatePrior(np.arange(4.0)[None], np.linalg.cholesky(covariance)[None]).of_sum()
-    np.testing.assert_allclose(prior.mean, 2 * np.arange(4.0))
-    np.testing.assert_allclose(prior.factor @ prior.factor.T, 2 * covariance)
+def test_the_last_state_follows_from_the_first(covariance):
+    """Draws of the first state, the last one made of each of them."""
+    random = np.random.default_rng(4)
+    ahead, forced = 0.7 * random.standard_normal((4, 4)), random.standard_normal(4)
+    prior = StatePrior(np.arange(4.0)[None], np.linalg.cholesky(covariance)[None])
+    first = prior.mean + random.standard_normal((200_000, 4)) @ prior.factor.T
+    sums = first + first @ ahead.T + forced
+    found = prior.of_sum(ahead, forced)
+    np.testing.assert_allclose(found.mean, sums.mean(axis=0), atol=0.03)
+    np.testing.assert_allclose(found.factor @ found.factor.T, np.cov(sums.T), rtol=0.02, atol=0.1)
+
+
+def test_a_record_leads_to_its_last_state(run_up):
+    """One inertia under a constant torque that changes its sign behind the last sample, held until there."""
+    fit = ce.estimate(ce.one_inertia(), run_up(), noise=ce.Noise(omega=0.02), progress=False)
+    target = Target(fit)
+    ahead, forced = last_state(target.search.records[0], target.start)
+    inertia, damper = fit.values["J_eng"], fit.values["C_eng"]
+    gone = np.exp(-damper / inertia * 2.0)
+    np.testing.assert_allclose(ahead, [[gone]])
+    np.testing.assert_allclose(forced * target.search.records[0].scale, [2.0 / damper * (1 - gone)])
+
+
+def test_the_last_state_is_that_of_a_simulation(two_masses):
+    """A shaft whose drives are joined by lines: sample by sample, the drives coming back."""
+    fit, target = two_masses
+    record = target.search.records[0]
+    first = np.array([one.value for one in fit.initial[record.experiment.name].values()]) / record.scale
+    ahead, forced = last_state(record, target.start)
+    discrete = record.propagator.discretisation(target.start[record.active], 0)
+    drives = record.propagator.merged_drives(target.start[record.active]).value
+    expected = first
+    for here, there in zip(drives.T, [*drives.T[1:], -drives[:, 0]], strict=True):
+        expected = discrete.f[0] @ expected + discrete.g0[0] @ here + discrete.g1[0] @ there
+    np.testing.assert_allclose(ahead @ first + forced, expected, rtol=1e-9)
+
+
+def test_a_trend_is_led_back_to_the_beginning():
+    """Motion about a line that falls: the first state lies as far from the mean of the later half as the line does."""
+    at = np.arange(400.0)
+    nodes = np.stack([np.sin(at), 5.0 - 0.01 * at + 0.1 * np.cos(at)], axis=1)
+    factor = _factor(nodes[200:])
+    spread = np.sqrt(np.diag(factor @ factor.T))
+    assert spread[0] == pytest.approx(np.sqrt(0.5), rel=0.05)
+    assert spread[1] == pytest.approx(np.hypot(3.0, nodes[200:, 1].std()), rel=0.02)
 
 
 def test_a_record_is_the_prior_of_its_own_states(two_masses):
@@ -80,7 +124,12 @@ def test_a_record_is_the_prior_of_its_own_states(two_masses):
     apart = np.linalg.solve(prior.factor, first - prior.mean)
     assert apart @ apart < 16  # three states, the first of which is farther out than most
     assert prior.mean[0] == pytest.approx(later.mean(), rel=0.01)
-    assert np.sqrt((prior.factor @ prior.factor.T)[0, 0]) == pytest.approx(later.std(), rel=0.1)
+    plan = record.again(gain=record.gain, length=interval_length("auto", record.grid)).plan
+    nodes = speed[: plan.m * plan.length : plan.length][plan.m // 2 :]
+    trend = np.polyfit(np.arange(len(nodes)), nodes, 1)[0] * 1.5 * len(nodes)
+    spread = np.sqrt((prior.factor @ prior.factor.T)[0, 0])
+    assert spread == pytest.approx(np.hypot(nodes.std(), trend), rel=1e-3)
+    assert nodes.std() == pytest.approx(later.std(), rel=0.1)
     assert not prior.means[1].any()
     np.testing.assert_allclose(prior.factors[1], np.diag(np.maximum(np.abs(first), 1)))
 
