@@ -57,6 +57,8 @@ class Posterior:
     priors : name -> the prior in words
     evaluations : of the likelihood; bins : frequency bins in use and of all, None where samples were used
     seconds : processor time; seed : of the random numbers
+    untold_states : of the directions of a linear record's initial states, those that the prior tells rather than the
+    record, and all
     """
 
     fit: Fit
@@ -81,6 +83,7 @@ class Posterior:
     seconds: float
     seed: int
     chains: Array | None = field(default=None, repr=False)
+    untold_states: tuple[int, int] = (0, 0)
 
     @property
     def draws(self) -> dict[str, Array]:
@@ -224,6 +227,9 @@ def made(
         seconds=seconds,
         seed=seed,
         chains=chains,
+        untold_states=target.likelihood.untold(
+            target.start[: target.nv], target.sigma(target.start[None])[0]
+        ),
     )
 
 

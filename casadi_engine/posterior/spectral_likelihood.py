@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 
 # Share of the information in any direction that the bins that are left out may hold, and shares of bins to try.
 LEFT_OUT = 0.02
+# Information of a record about a direction of its states, in that of the prior, below which the prior's shape matters.
+_TOLD = 10.0
 # Growth of a state over a record from which its start says nothing.
 _GROWTH = 1e8
 # Products of states, outputs, bins and points that are worked on at once, and points.
@@ -63,6 +65,15 @@ class SpectralLikelihood:
             for record, own in zip(self._records, self._chosen, strict=True)
         )
         return used, whole
+
+    def untold(self, v: Array, sigma: Array) -> tuple[int, int]:
+        """Of the directions of a record's states at v, how many are told by the prior rather than by the record, of the
+        record with the most; and how many there are."""
+        found = []
+        for k, known in enumerate(self.states):
+            seen = known.factor.T @ self._response(k, v, sigma)[0].seen
+            found.append((int(np.count_nonzero(np.linalg.eigvalsh(seen @ seen.T) < _TOLD)), len(seen)))
+        return max(found)
 
     # ---- which bins
 

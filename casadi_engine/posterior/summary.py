@@ -71,7 +71,7 @@ def summary(post: Posterior) -> str:
     lines += _modes(post)
     lines.append(f"log evidence: {post.log_evidence:.2f} ± {post.log_evidence_error:.2g}")
     lines.append(f"prior: {_priors(post)}")
-    lines += _untold(post) + _elsewhere(post) + _noise(post)
+    lines += _untold(post) + _elsewhere(post) + _noise(post) + _states(post)
     lines.append(_quality(post))
     return "\n".join(lines)
 
@@ -86,6 +86,17 @@ def _untold(post: Posterior) -> list[str]:
         if untold
         else []
     )
+
+
+def _states(post: Posterior) -> list[str]:
+    """That the prior of initial states decides, where the records do not tell them."""
+    untold, whole = post.untold_states
+    if not untold:
+        return []
+    return [
+        f"the records hardly tell {untold} of {whole} directions of their initial states, so that the prior of these "
+        "matters: intervals may be too narrow (of crankshafts, 95 % ones held 84 to 93 % of the truths)"
+    ]
 
 
 def _noise(post: Posterior) -> list[str]:

@@ -72,6 +72,15 @@ def test_few_bins_keep_the_likelihood_about_the_optimum(two_masses):
     assert wide[0] == pytest.approx(wide[1], abs=0.05)
 
 
+def test_it_counts_the_directions_of_states_that_the_prior_tells(two_masses):
+    _, target = two_masses
+    sigma = np.array([0.1])
+    for width, untold in ((10.0, 0), (1e-9, 3)):
+        narrow = [StatePrior(np.zeros((1, 3)), width * np.eye(3)[None])]
+        likelihood = SpectralLikelihood(target.search.records, target.nv, narrow)
+        assert likelihood.untold(target.start, sigma) == (untold, 3)
+
+
 def test_poles_that_coincide_are_worked_on_plainly(two_masses, monkeypatch):
     _, target = two_masses
     record = target.search.records[0]

@@ -304,6 +304,17 @@ def test_it_says_where_the_fit_ended_at_a_poor_optimum(post):
     assert "outside all draws" not in str(moved)
 
 
+def test_it_says_where_its_intervals_are_too_narrow(post):
+    from dataclasses import replace
+
+    assert "too narrow" not in str(post)
+    assert post.untold_states == (0, 1)
+    coloured = replace(post, fit=replace(post.fit, own_noise={"J_eng": 1.5, "C_eng": 3.0}))
+    assert "intervals are up to 3 times too narrow; the fit's ± and ce.profile(fit)" in str(coloured)
+    untold = replace(post, untold_states=(9, 13))
+    assert "the records hardly tell 9 of 13 directions of their initial states" in str(untold)
+
+
 def test_intervals_are_quantiles_of_the_draws(post):
     low, high = post.interval("J_eng", 0.8)
     assert np.mean((post["J_eng"] >= low) & (post["J_eng"] <= high)) == pytest.approx(0.8, abs=0.005)
