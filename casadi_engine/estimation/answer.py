@@ -28,6 +28,8 @@ from casadi_engine.simulation.propagator import fineness_of
 
 Array = NDArray[np.float64]
 
+# Growth of the errors from which it is stated as a number.
+_SEEN = 1.05
 # Independent samples with fewer of which the colour of a residual is hardly known.
 _EFFECTIVE = 20
 # An integration error that may move an estimate by this share of its standard error is said.
@@ -321,6 +323,8 @@ def _noise_words(
     if ratio is not None:
         most = float(ratio.max(initial=1.0))
         then = f"the standard errors count with that: they are up to {most:.2g} times those of white noise"
+        if most < _SEEN:
+            then = "the standard errors count with that, and are those of white noise here"
         if effective < _EFFECTIVE:
             few = f"the residual is worth about {max(round(effective), 1)} independent samples"
             then += f", and may still be too small, as {few}"
