@@ -20,6 +20,8 @@ from .units import FloatArray
 
 HIGHEST = 10.0  # order, where nothing else is asked for
 SHOWN_ORDERS, SHOWN_ROWS, NAME = 6, 12, 24  # of a printed table; letters of a record's name
+# Of the strongest order, what is rounding.
+_ROUNDING = 1e-9
 # Least strength of a combination of orders, of the strongest one's, that samples still tell.
 WEAKEST = 1e-10
 
@@ -87,13 +89,13 @@ class Orders:
     def resonant(self) -> tuple[float, ...]:
         """Orders larger in between than at the lowest and the highest speed, by a third at least; strongest first.
 
-        Differences within three standard errors do not count.
+        Differences within three standard errors do not count, nor does what is rounding beside the strongest order.
         """
         if len(self.rpm) < 3:
             return ()
         ends = np.array([np.argmin(self.rpm), np.argmax(self.rpm)])
         edge, top = self.amplitude[ends].max(axis=0), self.amplitude.max(axis=0)
-        clear = top > 4 / 3 * edge + 3 * self.stderr.max(axis=0)
+        clear = top > 4 / 3 * edge + 3 * self.stderr.max(axis=0) + _ROUNDING * top.max()
         return tuple(float(self.orders[k]) for k in np.argsort(-top) if clear[k])
 
     def _column(self, order: float) -> int:

@@ -106,7 +106,8 @@ def test_the_budget_is_said_at_the_top(repaired):
     found = repaired(budget=1e-3)
     lines = str(found).splitlines()
     assert found.stopped == "the time budget"
-    assert "Stopped by the time budget; not searched: any effect" in lines[1:4]
+    # on a slow processor the fresh data are not reached either
+    assert any(line.startswith("Stopped by the time budget; not searched: any effect") for line in lines[1:4])
     assert "give it more time, budget=..." in str(found)
 
 

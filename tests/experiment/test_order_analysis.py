@@ -1,6 +1,7 @@
 """Order analysis against signals whose orders are known."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -225,3 +226,10 @@ def test_an_order_that_was_not_analysed_is_named():
         ExperimentError, match=r"that order was not analysed; seen: 3; allowed: 1, 2; .*orders="
     ):
         found.of(3)
+
+
+def test_rounding_is_no_resonance():
+    found, amplitude = ce.orders(steady(cycles=40), cycles=1), np.ones((40, 20))
+    amplitude[:, 3] = 1e-13
+    amplitude[20, [2, 3]] = 2.0, 9e-13
+    assert replace(found, amplitude=amplitude, stderr=np.full((40, 20), 1e-14)).resonant == (1.5,)
