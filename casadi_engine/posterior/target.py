@@ -33,6 +33,10 @@ class Likelihood(Protocol):
         """Number of frequency bins in use and of all, None where samples are used."""
         ...
 
+    def untold(self, v: Array, sigma: Array) -> tuple[int, int]:
+        """Of the directions of a record's initial states, those that the prior tells, and all; 0, 0 if not counted."""
+        ...
+
     def choose(self, points: list[Array], sigma: Array, left_out: float = ...) -> None:
         """Leave out what says little at these points."""
         ...
