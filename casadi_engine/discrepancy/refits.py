@@ -155,13 +155,15 @@ class Refits:
         # the last one with the share of its corners, as several parts ask for the same
         self._linear: tuple[Arrived, float, NullModel | None] | None = None
 
-    def tried(self, effects: tuple[Addition, ...], start: Start | None, *, near: bool = False) -> list[Tried]:
+    def tried(
+        self, effects: tuple[Addition, ...], start: Start | None, *, near: bool = False, most: float = math.inf
+    ) -> list[Tried]:
         """The structure in the pool, after another refit of it from a start; empty where none has arrived.
 
-        near : an optimum is to be near, so that no short windows show the way
+        near : an optimum is to be near, so that no short windows show the way; most : see ``Path.from_windows``
         """
-        key = key_of(effects)
-        arrived = (self.path.from_point if near else self.path.from_windows)(effects, start)
+        key, path = key_of(effects), self.path
+        arrived = path.from_point(effects, start) if near else path.from_windows(effects, start, most)
         known = self.pool.get(key)
         if arrived is None or not math.isfinite(arrived.cost):
             return [] if known is None else [known]
