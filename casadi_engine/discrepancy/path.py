@@ -331,7 +331,9 @@ class Path:
             for level in levels:
                 refitter.share = own * SHARPER_BY**level
                 _, _, problem = self._problem(effects, lags)
-                values = _begun(problem, effects, {} if start is None else start.values) if there is None else None
+                values = (
+                    _begun(problem, effects, {} if start is None else start.values) if there is None else None
+                )
                 with Deadline(work=self.allowed(problem)):
                     there = problem.windowed(values, there, most=_STEPS)
                 if level == levels[0]:

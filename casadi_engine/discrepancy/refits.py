@@ -156,7 +156,12 @@ class Refits:
         self._linear: tuple[Arrived, float, NullModel | None] | None = None
 
     def tried(
-        self, effects: tuple[Addition, ...], start: Start | None, *, near: bool = False, most: float = math.inf
+        self,
+        effects: tuple[Addition, ...],
+        start: Start | None,
+        *,
+        near: bool = False,
+        most: float = math.inf,
     ) -> list[Tried]:
         """The structure in the pool, after another refit of it from a start; empty where none has arrived.
 

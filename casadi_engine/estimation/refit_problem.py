@@ -110,10 +110,14 @@ class RefitProblem:
         with np.errstate(all="ignore"):
             try:
                 close = near if near is not None else [None] * len(self.records)
-                nodes = [
-                    self._nodes(record, v, z, initial, warm, own)
-                    for record, own in zip(self.records, close, strict=True)
-                ] if after is None else list(after.nodes)
+                nodes = (
+                    [
+                        self._nodes(record, v, z, initial, warm, own)
+                        for record, own in zip(self.records, close, strict=True)
+                    ]
+                    if after is None
+                    else list(after.nodes)
+                )
                 begun = None if after is None else list(after.begun)
                 counts = self._counts(horizons)
                 return self._searched(v, nodes, counts, most, warm, near=near is not None, states=begun)
@@ -138,7 +142,11 @@ class RefitProblem:
         self._steps, begun = 0, after and list(after.begun)
         with np.errstate(all="ignore"):
             try:
-                nodes = [self._nodes(r, v, z, None, None) for r in self.records] if after is None else [*after.nodes]
+                nodes = (
+                    [self._nodes(r, v, z, None, None) for r in self.records]
+                    if after is None
+                    else [*after.nodes]
+                )
                 for counts in ladder if after is None else ladder[-1:]:
                     place, _ = self._descended(counts, v, nodes, most, last=False)
                     v, nodes = place.v, list(place.nodes)
