@@ -104,6 +104,7 @@ class RefitProblem:
         self._check_constraints()
         if after is not None:
             start = {**after.values, **(start or {})}
+            after = after if self._cut_alike(after) else self.windowed(start, most=most)
         z = self._values(start, warm)
         v = self.coordinates.of(z)
         self._steps = 0
@@ -137,6 +138,8 @@ class RefitProblem:
 
         Raises FloatingPointError, LinAlgError where the model cannot be evaluated."""
         self._check_constraints()
+        if after is not None and not self._cut_alike(after):
+            start, after = {**after.values, **(start or {})}, None
         z = self._values({**(after.values if after is not None else {}), **(start or {})}, None)
         v, ladder = self.coordinates.of(z), self._counts(None)[:-1]
         self._steps, begun = 0, after and list(after.begun)
@@ -163,6 +166,10 @@ class RefitProblem:
         everywhere and too long for a sharp one; False where all do."""
         stepped = [record.step_in_places() for record in self.records]  # each of them
         return any(stepped)
+
+    def _cut_alike(self, after: Windowed) -> bool:
+        """True if a search over windows cut the records as they are cut here: another integrator may not."""
+        return all(len(own) == record.plan.m for own, record in zip(after.nodes, self.records, strict=True))
 
     def _searched(
         self,
