@@ -307,7 +307,8 @@ class Path:
                     if way.there.cost > most:
                         return None
                 found = way.end if way is not None and way.end is not None else None
-                found = found or self._ended_with(effects, start, patience, lags, way and way.there)
+                after = None if way is None else way.there
+                found = found or self._ended_with(effects, start, patience, lags, after)
             except (*FAILURES, TimeUp):
                 return None
             if found is None:

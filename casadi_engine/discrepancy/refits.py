@@ -349,12 +349,18 @@ class Refits:
         """A fit with corners as sharp as they are was reached: they are not taken back for what is added later."""
         self._wide = None
 
+    def rounding_felt(self, effects: Sequence[Addition]) -> float:
+        """Chi-squared by which sharper corners of these effects may change it, nan where that is not known; 0 where the
+        data do not feel it."""
+        felt = not self.path.felt <= FELT and any(self.path.cornered([one]) for one in effects)
+        return self.path.felt if felt else 0.0
+
     def doubt(self, effects: Sequence[Addition]) -> list[str]:
         """That the data feel how the corners of these effects are rounded, where they do."""
         own = {one.key: self.refitter.rounded(one).width for one in effects if self.path.cornered([one])}
         names = ", ".join(f"{key} over {width:.2g}" for key, width in own.items())
-        left = self.path.felt
-        if not names or left <= FELT:
+        left = self.rounding_felt(effects)
+        if left == 0:
             return []
         known = (
             f"sharper ones may change chi-squared by {left:.2g} and estimates by {math.sqrt(left):.2g} standard errors"

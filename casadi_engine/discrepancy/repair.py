@@ -15,7 +15,7 @@ import numpy as np
 from casadi_engine.deadline import Deadline, TimeUp
 from casadi_engine.discrepancy.answer import Answer
 from casadi_engine.discrepancy.assumed_pressure import carry, remarks, settle_scatter
-from casadi_engine.discrepancy.checked_errors import with_checked_errors
+from casadi_engine.discrepancy.checked_errors import with_checked_errors, with_errors_of_rounding
 from casadi_engine.discrepancy.choice import ANY, TIME_UP, Choice
 from casadi_engine.discrepancy.fresh import Portions, portions
 from casadi_engine.discrepancy.fresh_choice import FreshChoice
@@ -334,6 +334,8 @@ class _Job:
             if why == TIME_UP
         )
         left = tuple(dict.fromkeys(missed))
+        felt = search.refits.rounding_felt(search.chosen.effects)
+        made = with_errors_of_rounding(made, felt, ended=bool(left))
         return replace(made, stopped=self._by if left else "", not_searched=left)
 
     def _null(self, jobs: int | None, scores: Any) -> tuple[Fit, Parameters, float]:
