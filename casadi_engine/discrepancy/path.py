@@ -301,7 +301,7 @@ class Path:
         for _ in range(_LATER):
             try:
                 way = self._through_windows(effects, start, lags) if windows else None
-                if way is not None:
+                if way is not None and way.end is None:  # what wide corners leave is no bound
                     form = form_of(effects)
                     self.bounds[form] = min(way.there.cost, self.bounds.get(form, math.inf))
                     if way.there.cost > most:
