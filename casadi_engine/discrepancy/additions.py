@@ -18,7 +18,7 @@ from casadi_engine.discrepancy.event_times import is_coarse, located
 from casadi_engine.discrepancy.families import chosen_of, costs_of, families_of
 from casadi_engine.discrepancy.linearised import OneStep, one_step, without_effect
 from casadi_engine.discrepancy.null_model import null_at
-from casadi_engine.discrepancy.path import FAILURES, Arrived
+from casadi_engine.discrepancy.path import FAILURES, Arrived, form_of
 from casadi_engine.discrepancy.refit import Addition, addition
 from casadi_engine.discrepancy.refits import FACTOR, PART, Refits, Tried
 from casadi_engine.discrepancy.score import score
@@ -47,7 +47,7 @@ class Additions:
 
     here, station : the structure, and its fit and scores; failed : takes what has no answer, and why; tell : takes what
     is being done, in words; done : the effects that were refitted; left_out : chi-squared by one step of those that
-    stay far above the best one
+    stay far above the best one, or over windows; forms : of each effect, as it was refitted
     """
 
     refits: Refits
@@ -57,6 +57,7 @@ class Additions:
     tell: Callable[[str], None]
     done: list[Family] = field(default_factory=list)
     left_out: dict[Family, float] = field(default_factory=dict)
+    forms: dict[Family, list[Addition]] = field(default_factory=dict)
 
     def run(self) -> list[Tried]:
         """The structures with one effect more, as far as the time allows."""
@@ -135,7 +136,7 @@ class Additions:
             self.lead, self.start = step, start_without(best.arrived, best.newest(self.here))
         left = self._promising(best, step, rest, clearly=not linear)
         cost = costs_of(self.screened, step, self.families)
-        self.left_out = {key: cost[key] for key in rest if key not in left}
+        self.left_out |= {key: cost[key] for key in rest if key not in left}
         return left
 
     def _promising(
@@ -181,27 +182,23 @@ class Additions:
         self.refits.weigh()
         step = self._in_place_of(best)
         lead = best.newest(self.here).candidate.key
-        near = [*(self.done if step is None else self._promising(best, step, self.done))]
+        ended = [key for key in self.done if not self._beyond(key)]
+        near = [*(ended if step is None else self._promising(best, step, ended))]
         near += [] if lead in near else [lead]
         own = self._own_step(near) if self.start is not None else None
         for key in self.done:
             ask()
             if own is not None and key in near:
-                self._from_own(chosen_of(self.screened, own, self.families[key]))
+                self._try(chosen_of(self.screened, own, self.families[key]), None)
             if key in near or self.refits.levels.memory:
                 self._arrive(key)
-
-    def _from_own(self, one: Addition) -> None:
-        """A refit in windows from the parameters' own values."""
-        self._try(one, None)
-        # as sharp as it is: wide corners may lead to another valley; what has a special case starts from that
-        if self.refits.path.cornered([one]) and not one.candidate.source.effect.limit:
-            self._try(one, None, near=True)
 
     def _arrive(self, key: Family) -> None:
         """Another refit of an effect that has not come below the model without it, of which that is a special case,
         from a small amplitude; it has no answer if that fails too."""
         known, none = self._known(key), self.here.arrived
+        if known is None and self._beyond(key):
+            return
         if known is None or known.arrived.cost > none.cost + _NESTED:
             one = chosen_of(self.screened, self.at_here, self.families[key])
             self._try(replace(one, start=_SMALL * one.start), Start(none.values, none.initial), near=True)
@@ -243,8 +240,30 @@ class Additions:
     # ---- refits
 
     def _try(self, one: Addition, start: Start | None, *, near: bool = False) -> None:
+        """A refit; not to its end where windows, whose first states are free, leave more than a rival may."""
+        most = self._most()
         for form in one.forms:
-            self.refits.tried((*self.here.effects, form), start, near=near)
+            self.forms.setdefault(one.candidate.key, []).append(form)
+            effects = (*self.here.effects, form)
+            self.refits.tried(effects, start, near=near, most=most)
+            bound = self.refits.path.bounds.get(form_of(effects), 0.0)
+            if bound > most:
+                self.left_out[one.candidate.key] = bound
+
+    def _beyond(self, key: Family) -> bool:
+        """True if what windows leave with an effect is more than a rival may leave, in whatever form it was tried."""
+        forms = [form_of((*self.here.effects, one)) for one in self.forms.get(key, ())]
+        bounds = [self.refits.path.bounds[form] for form in forms if form in self.refits.path.bounds]
+        return bool(bounds) and min(bounds) > self._most()
+
+    def _most(self) -> float:
+        """Chi-squared beyond which an effect is less probable than the best one so far, more than chance makes it; what
+        that one leaves is noise."""
+        best = min(self._tried(), key=lambda one: one.arrived.cost, default=None)
+        if best is None:
+            return math.inf
+        least, count = best.arrived.cost, self.screened.null.count
+        return least + chance(self.refits, self.screened) * max(1.0, least / max(count, 1))
 
     def _known(self, key: Family) -> Tried | None:
         return self.refits.pool.get(self.here.key | {key})

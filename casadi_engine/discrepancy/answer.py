@@ -39,6 +39,7 @@ from casadi_engine.discrepancy.fresh import (
 from casadi_engine.discrepancy.fresh_choice import NO_RUN, Confirmation, FreshChoice
 from casadi_engine.discrepancy.fresh_fits import events_told
 from casadi_engine.discrepancy.fresh_misfit import held_to_fresh_data
+from casadi_engine.discrepancy.joint_fit import asks_for_one, with_joint_fit
 from casadi_engine.discrepancy.latent_torque import LatentTorque, latent_torques
 from casadi_engine.discrepancy.law_refit import refitted_law
 from casadi_engine.discrepancy.left_out import left_out_alike
@@ -59,6 +60,7 @@ from casadi_engine.discrepancy.repaired import (
     Verdict,
 )
 from casadi_engine.discrepancy.station import Station
+from casadi_engine.discrepancy.too_few import held_to_what_fresh_data_tell
 from casadi_engine.discrepancy.unknown_law import UnknownLaw, unknown_law
 from casadi_engine.discrepancy.vanishing import may_vanish
 from casadi_engine.discrepancy.verdict_words import may_hide
@@ -213,7 +215,11 @@ class Answer:
         )
         if may_hide(done):
             done = replace(done, messages=(*done.messages, _MAY_HIDE))
-        return held_to_rivals(held_to_fresh_data(held_to_chance(done)))
+        done = held_to_chance(done)
+        if asks_for_one(done):
+            refitter = self.search.refits.refitter
+            done = self._in_time("all records", lambda: with_joint_fit(done, refitter)) or done
+        return held_to_rivals(held_to_what_fresh_data_tell(held_to_fresh_data(done)))
 
     def _law(self, last: Station, told: Callable[..., UnknownLaw | None]) -> UnknownLaw | None:
         """A law that no effect names, in the place of those found, that these do not exclude."""

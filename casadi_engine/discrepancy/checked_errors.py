@@ -6,6 +6,7 @@ through the checks of ``estimate``: at the optimum, once.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -24,6 +25,10 @@ _SAME = 0.1
 _SEEN = 1.1
 # Processor time that intervals by profile may take [s]: they are the last step of much work.
 FOR_INTERVALS = 20.0
+_ROUNDED = "the search was ended before corners were as sharp as the data feel them"
+_OF_ROUNDING = (
+    "what is still unexplained may come of rounded corners, as the search was ended before sharper ones"
+)
 _UNCHECKED = "the standard errors are those of the curvature at the optimum; they were not checked"
 
 
@@ -59,6 +64,29 @@ def with_checked_errors(
     effects = tuple(with_errors_of(one, checked) for one in repair.effects)
     said = (*repair.messages, *_doubts(estimates), *_larger(estimates, checked.estimates))
     return replace(repair, fit=checked, effects=effects, messages=said)
+
+
+def with_errors_of_rounding(repair: Repair, felt: float, *, ended: bool) -> Repair:
+    """The same with errors that count how corners are rounded: larger by what sharper ones may move the estimates;
+    none where the search was ended before these were tried, as what they do is foretold from wider ones alone.
+
+    felt : chi-squared by which sharper corners may change it, nan where that is not known, 0 where none is felt
+    """
+    if not repair.effects or felt == 0 or (math.isnan(felt) and not ended):
+        return repair
+    factor, found = math.sqrt(1 + felt), {}
+    for name, one in repair.fit.estimates.items():
+        if one.stderr is None:
+            interval = None if ended else _stretched(one, factor, _limits(repair.fit, name))
+            found[name] = replace(one, interval=interval)
+        elif ended:
+            found[name] = replace(one, stderr=None, why=_ROUNDED)
+        else:
+            found[name] = replace(one, stderr=factor * one.stderr)
+    fit = replace(repair.fit, estimates=found)
+    effects = tuple(with_errors_of(one, fit) for one in repair.effects)
+    said = (_OF_ROUNDING,) if ended and repair.unknown is not None else ()
+    return replace(repair, fit=fit, effects=effects, messages=(*repair.messages, *said))
 
 
 def as_fitted(fit: Fit) -> Parameters:

@@ -40,6 +40,8 @@ _FIT, _COLOUR = 0.35, 0.45
 _KEPT = 1.0
 # Share of the time that is left which sharper corners may take: without them there is an answer too.
 _SHARP = 0.5
+# What a search that was ended in a round did not come to.
+ANY = "any effect"
 NO_FIT = "its fit of all data does not converge"
 _NOTHING_LEFT = "its fit of all data leaves nothing of it"
 # Share of where its search started at which an amplitude is none.
@@ -116,7 +118,7 @@ class Choice:
             self._in_two()
         except TimeUp:
             if TIME_UP not in self.failed.values():
-                self.failed[f"any effect{beside}"] = TIME_UP
+                self.failed[f"{ANY}{beside}"] = TIME_UP
 
     def _most_probable_first(self) -> None:
         """Let a structure of as many effects that the last levels of the noise make more probable take the place of the

@@ -30,6 +30,9 @@ Source = Literal["records", "cycles"]
 _HELD, _KEPT = 3, 3
 _PIECES = 10
 
+# How it begins what is said of a gain that chance may make.
+NOT_CONFIRMED = "fresh data do not confirm it"
+
 
 @dataclass(frozen=True, eq=False)
 class Portions:
@@ -228,6 +231,4 @@ def judge(before: Sequence[NullModel], after: Sequence[NullModel], noise: NoiseM
     size = f"{gain.mean:.3g} ± {gain.se:.2g} per {part}"
     if gain.refused:
         return Judgement(gain, False, True, f"fresh data refuse it: the gap grows, the gain is {size}")
-    return Judgement(
-        gain, False, False, f"fresh data do not confirm it: the gain is {size}, which chance may make"
-    )
+    return Judgement(gain, False, False, f"{NOT_CONFIRMED}: the gain is {size}, which chance may make")

@@ -46,14 +46,12 @@ def fresh_misfit(repair: Repair) -> str | None:
     own, fresh = gaps.estimation_after.gap, gaps.validation_after
     if not own.chi2_per_sample > 0:
         return None
-    found = fresh.gap.chi2_per_sample
-    # where the model bends, a step of the parameters may make it worse
-    left = found if fresh.within_errors is None else min(found, fresh.within_errors)
-    where = f"chi2/N is {found:.3g} there and {own.chi2_per_sample:.3g} on the data of the search"
-    output = _worst(repair)
+    output, (first, found, left) = _worst(repair), _in_all(repair)
+    where = "chi2/N"
     if not _beyond(repair, left) and output is not None:
         first, found, left = _of_output(repair, output)
-        where = f"chi2/N of {output} is {found:.3g} there and {first:.3g} on the data of the search"
+        where = f"chi2/N of {output}"
+    where = f"{where} is {found:.3g} there and {first:.3g} on the data of the search"
     if output is not None or _beyond(repair, left):
         within = "" if left == found else f", {left:.3g} within the errors of the parameters"
         if is_louder(repair):
@@ -62,6 +60,7 @@ def fresh_misfit(repair: Repair) -> str | None:
             f"the fresh data do not fit: {where}{within}; something acts in them alone or is still "
             "missing, or their noise is larger"
         )
+    found = fresh.gap.chi2_per_sample
     far = fresh.parameters_p is not None and fresh.parameters_p < SURE
     if far and found > LARGER * own.chi2_per_sample:
         return (
@@ -69,6 +68,24 @@ def fresh_misfit(repair: Repair) -> str | None:
             f" (p {fresh.parameters_p:.2g})"
         )
     return None
+
+
+def how_far(repair: Repair) -> str:
+    """Chi-squared per sample of the fresh data, of the output that is described worst where that of all is fine."""
+    output, (_, found, left) = _worst(repair), _in_all(repair)
+    if _beyond(repair, left) or output is None:
+        return f"chi2/N {found:.3g}"
+    return f"chi2/N of {output} {_of_output(repair, output)[1]:.3g}"
+
+
+def _in_all(repair: Repair) -> tuple[float, float, float]:
+    """Chi-squared per sample of all outputs, as in ``_of_output``."""
+    assert repair.gaps is not None
+    assert repair.gaps.validation_after is not None
+    own, fresh = repair.gaps.estimation_after.gap.chi2_per_sample, repair.gaps.validation_after
+    found = fresh.gap.chi2_per_sample
+    # where the model bends, a step of the parameters may make it worse
+    return own, found, found if fresh.within_errors is None else min(found, fresh.within_errors)
 
 
 def fresh_doubt(repair: Repair) -> str | None:

@@ -28,6 +28,7 @@ from casadi_engine.discrepancy.start import Start
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation.corner_widths import FACTOR as SHARPER_BY
 from casadi_engine.estimation.corner_widths import FELT
+from casadi_engine.estimation.refit_answer import Windowed
 from casadi_engine.estimation.refit_entry import Refit, RefitProblem
 from casadi_engine.estimation.refit_problem import EXACT
 from casadi_engine.experiment import Experiment
@@ -50,8 +51,6 @@ _STEPS = 20
 _SHARPER, _INTEGRATED = 3, 1e5
 # How many times corners are wider by that factor when a refit begins: then about as wide as the motion.
 _WIDER = 3
-# A refit with sharper corners whose chi-squared is larger by this factor was lost.
-_LOST = 1.2
 # A refit is given up that has cost so many times as much as they do in the middle, or as one of its structure that
 # arrived, and more than this; what the first one may well cost, in steps over the whole record for every step allowed
 # over one horizon.
@@ -82,6 +81,17 @@ class Arrived:
     lags: Mapping[str, float] = field(default_factory=dict)
 
 
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """A search over windows: what it is known by, where it ended with the widest corners, and with those that there
+    are; end : of an earlier refit that came the same way, None where it is the first."""
+
+    key: tuple[Any, ...]
+    first: Windowed
+    there: Windowed
+    end: Arrived | None
+
+
 class Path:
     """Refits of one set of records at held noise levels; a model with its effects is set up once.
 
@@ -96,79 +106,36 @@ class Path:
         # chi-squared by which corners that are sharper still may change the best fit; nan where it is not known
         self.felt = math.nan
         self._least: dict[int, float] = {}  # the least work that a refit of a structure took
-        # structure and share -> where refits of it arrived there, and in the end
-        self._ways: dict[tuple[Any, ...], list[tuple[Arrived, Arrived]]] = {}
+        # structure, share and lags -> where searches over windows of it came by, and ended
+        self._ways: dict[tuple[Any, ...], list[tuple[Windowed, Arrived]]] = {}
+        # structure -> least chi-squared over windows, at these levels
+        self.bounds: dict[frozenset[tuple[str, str, bool]], float] = {}
         self._work: list[float] = []  # expected of the first refit, and that of the refits so far
 
     def from_point(self, effects: Sequence[Addition], start: Start | Arrived | None) -> Arrived | None:
         """The end of a refit from a point, None for the parameters' own values; None where the model fails."""
-        return self._ended(effects, start, (None,))
+        return self._ended(effects, start)
 
     def exactly(self, effects: Sequence[Addition], arrived: Arrived) -> Arrived | None:
         """The end of a refit from where another one arrived, as exact as whole fits are."""
         _, _, problem = self._problem(effects, arrived.lags)
         try:
             problem.felt = EXACT
-            return self._ended(effects, arrived, (None,))
+            return self._ended(effects, arrived)
         finally:
             problem.felt = self.felt_errors
 
-    def from_windows(self, effects: Sequence[Addition], start: Start | None = None) -> Arrived | None:
+    def from_windows(
+        self, effects: Sequence[Addition], start: Start | None = None, most: float = math.inf
+    ) -> Arrived | None:
         """The end of a refit that begins in short windows, at the values of a start or the parameters' own.
 
-        Where a law has corners they are wide at first, as wide as its motion, and then sharper from one refit to the
-        next: a wide corner bends the simulation everywhere and shows the way, a sharp one only where it is passed.
+        Where a law has corners they are wide at first, as wide as its motion, and then sharper from one refit over
+        windows to the next: a wide corner shows the way, a sharp one is felt only where it is passed; over whole
+        records it is as sharp as it is, as nothing that is rounded follows these.
+        most : chi-squared beyond which nobody asks for the end: what windows leave is the least that it can be
         """
-        # windows have nothing to tell of a linear model near a run of it
-        first = (None,) if self.linear and start is not None and start.initial else None
-        refitter, own = self.refitter, self.refitter.share
-        least: Arrived | None = None
-        lost, passed = False, {}
-        if self.cornered(effects[-1:]):
-            try:
-                for level in range(_WIDER, 0, -1):
-                    refitter.share = own * SHARPER_BY**level
-                    there = self._ended(effects, least or start, (None,) if least else first)
-                    lost = there is None or (least is not None and there.cost > _LOST * least.cost)
-                    if lost or there is None:
-                        break
-                    least, key = there, (form_of(effects), own, refitter.share)
-                    known = self._known_end(key, there)
-                    if known is not None:
-                        return known
-                    passed[key] = there
-            finally:
-                refitter.share = own
-        if least is None:
-            return self._ended(effects, start, first)
-        found = self._sharp_end(effects, start, least, first, lost)
-        if found is not None:
-            for key, there in passed.items():
-                self._ways.setdefault(key, []).append((there, found))
-        return found
-
-    def _sharp_end(
-        self, effects: Sequence[Addition], start: Start | None, least: Arrived, first: Any, lost: bool
-    ) -> Arrived | None:
-        """Where a refit ends that went through wide corners; lost : sharper ones followed the last of them in vain"""
-        found = None if lost else self._ended(effects, least, (None,))
-        if found is None or found.cost > _LOST * least.cost:
-            plain = self._ended(effects, start, first)
-            known = [one for one in (found, plain) if one is not None]
-            found = min(known, key=lambda one: one.cost, default=None)
-        if lost and (found is None or found.cost > _LOST * least.cost):
-            direct = self._ended(effects, least, (None,))
-            found = direct if found is None or (direct is not None and direct.cost < found.cost) else found
-        return found
-
-    def _known_end(self, key: tuple[Any, ...], there: Arrived) -> Arrived | None:
-        """Where another refit of a structure ended that passed the same optimum as this one: they go on as one."""
-        for one, end in self._ways.get(key, ()):
-            count = sum(len(e) for record in one.refit.records.values() for e in record.residual.values())
-            apart = abs(one.cost - there.cost) / max(1.0, one.cost / max(count, 1))
-            if one.settled and there.settled and apart <= 2 * self.felt_errors**2:
-                return end
-        return None
+        return self._ended(effects, start, windows=True, most=most)
 
     def cornered(self, effects: Sequence[Addition]) -> bool:
         """True if a law has corners whose width follows the motion."""
@@ -224,6 +191,7 @@ class Path:
         """Weigh all further refits by other levels."""
         self.levels = dict(levels)
         self._ways.clear()
+        self.bounds.clear()
         for model, _, problem in self._made.values():
             for record in problem.records:
                 record.set_sigma(np.array([levels[out.name] for out in model.outputs]))
@@ -286,7 +254,7 @@ class Path:
                 if share < 0.99 * target:
                     break
                 refitter.share = share
-                there = self._ended(effects, last, (None,), patience=_PATIENCE)
+                there = self._ended(effects, last, patience=_PATIENCE)
                 if there is None or (not there.settled and there.cost > last.cost):
                     break
                 self.felt = FELT * abs(there.cost - last.cost) / (SHARPER_BY - 1) / felt
@@ -305,7 +273,7 @@ class Path:
                 if share < 0.99 * own:
                     break
                 refitter.share = share
-                there = self._ended(effects, found, (None,), patience=_PATIENCE)
+                there = self._ended(effects, found, patience=_PATIENCE)
                 if there is None:
                     return None
                 found = there
@@ -316,7 +284,13 @@ class Path:
     # ---- inside
 
     def _ended(
-        self, effects: Sequence[Addition], start: Any, horizons: tuple[None] | None, patience: float = 1.0
+        self,
+        effects: Sequence[Addition],
+        start: Any,
+        *,
+        windows: bool = False,
+        patience: float = 1.0,
+        most: float = math.inf,
     ) -> Arrived | None:
         """The end of a refit; samples of late sensors are read anew until it says that they are no later."""
         model, data = self._model(effects, {}), self.refitter.data
@@ -325,14 +299,53 @@ class Path:
         )
         lags = nearest_lags(model, known, data)
         for _ in range(_LATER):
-            found = self._ended_with(effects, start, horizons, patience, lags)
+            try:
+                way = self._through_windows(effects, start, lags) if windows else None
+                if way is not None and way.end is None:  # what wide corners leave is no bound
+                    form = form_of(effects)
+                    self.bounds[form] = min(way.there.cost, self.bounds.get(form, math.inf))
+                    if way.there.cost > most:
+                        return None
+                found = way.end if way is not None and way.end is not None else None
+                after = None if way is None else way.there
+                found = found or self._ended_with(effects, start, patience, lags, after)
+            except (*FAILURES, TimeUp):
+                return None
             if found is None:
                 return None
+            if way is not None and way.end is None:
+                self._ways.setdefault(way.key, []).append((way.first, found))
             own = nearest_lags(self._model(effects, lags), found.values, data)
             if own == lags:
                 return found
-            start, horizons, lags = found, (None,), own
+            start, windows, lags = found, False, own
         return found
+
+    def _through_windows(
+        self, effects: Sequence[Addition], start: Start | Arrived | None, lags: Mapping[str, float]
+    ) -> _Way:
+        """The search over windows, from wide corners to those that there are."""
+        refitter, own, there = self.refitter, self.refitter.share, None
+        key = (form_of(effects), own, tuple(lags.items()))
+        levels = range(_WIDER if self.cornered(effects[-1:]) else 0, -1, -1)
+        try:
+            for level in levels:
+                refitter.share = own * SHARPER_BY**level
+                _, _, problem = self._problem(effects, lags)
+                values = (
+                    _begun(problem, effects, {} if start is None else start.values) if there is None else None
+                )
+                with Deadline(work=self.allowed(problem)):
+                    there = problem.windowed(values, there, most=_STEPS)
+                if level == levels[0]:
+                    first, unit = there, max(1.0, there.cost / max(problem.count, 1))
+                    for one, end in self._ways.get(key, ()):
+                        if end.settled and abs(one.cost - there.cost) <= 2 * self.felt_errors**2 * unit:
+                            return _Way(key, first, there, end)
+        finally:
+            refitter.share = own
+        assert there is not None  # of one level at least
+        return _Way(key, first, there, None)
 
     def _model(self, effects: Sequence[Addition], lags: Mapping[str, float]) -> Model:
         """The model with these effects and, beside those of the base, these lags of its sensors."""
@@ -345,24 +358,25 @@ class Path:
         self,
         effects: Sequence[Addition],
         start: Any,
-        horizons: tuple[None] | None,
         patience: float,
         lags: Mapping[str, float],
+        after: Windowed | None,
     ) -> Arrived | None:
-        try:
-            _, _, problem = self._problem(effects, lags)
-            values = _begun(problem, effects, {} if start is None else start.values)
-            # windows begin at the measured states, which a wrong simulation has lost
-            initial = (None if start is None or horizons is None else start.initial) or None
-            with Deadline(work=patience * self.allowed(problem)) as own:
+        """The end over whole records, from a start or where the search over windows ended."""
+        _, _, problem = self._problem(effects, lags)
+        how: dict[str, Any] = {"horizons": (None,), "most": _STEPS}
+        with Deadline(work=patience * self.allowed(problem)) as own:
+            if after is not None:
+                found = problem.run(after=after, **how)
+            else:
+                values = _begun(problem, effects, {} if start is None else start.values)
+                initial = (start.initial if start is not None else None) or None
                 near = start.refit.nodes if initial is not None and isinstance(start, Arrived) else None
-                found = problem.run(start=values, initial=initial, horizons=horizons, most=_STEPS, near=near)
-            if found.converged:  # what wanders is no measure of what refits cost
-                self._work.append(own.done)
-                self._least[id(problem)] = min(own.done, self._least.get(id(problem), math.inf))
-            return _arrived(problem, found, self.levels, lags)
-        except (*FAILURES, TimeUp):
-            return None
+                found = problem.run(start=values, initial=initial, near=near, **how)
+        if found.converged:  # what wanders is no measure of what refits cost
+            self._work.append(own.done)
+            self._least[id(problem)] = min(own.done, self._least.get(id(problem), math.inf))
+        return _arrived(problem, found, self.levels, lags)
 
     def allowed(self, problem: RefitProblem) -> float:
         """Work that a refit may cost: some of what they cost in the middle, less if one of this structure arrived."""

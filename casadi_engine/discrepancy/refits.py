@@ -155,13 +155,20 @@ class Refits:
         # the last one with the share of its corners, as several parts ask for the same
         self._linear: tuple[Arrived, float, NullModel | None] | None = None
 
-    def tried(self, effects: tuple[Addition, ...], start: Start | None, *, near: bool = False) -> list[Tried]:
+    def tried(
+        self,
+        effects: tuple[Addition, ...],
+        start: Start | None,
+        *,
+        near: bool = False,
+        most: float = math.inf,
+    ) -> list[Tried]:
         """The structure in the pool, after another refit of it from a start; empty where none has arrived.
 
-        near : an optimum is to be near, so that no short windows show the way
+        near : an optimum is to be near, so that no short windows show the way; most : see ``Path.from_windows``
         """
-        key = key_of(effects)
-        arrived = (self.path.from_point if near else self.path.from_windows)(effects, start)
+        key, path = key_of(effects), self.path
+        arrived = path.from_point(effects, start) if near else path.from_windows(effects, start, most)
         known = self.pool.get(key)
         if arrived is None or not math.isfinite(arrived.cost):
             return [] if known is None else [known]
@@ -342,12 +349,18 @@ class Refits:
         """A fit with corners as sharp as they are was reached: they are not taken back for what is added later."""
         self._wide = None
 
+    def rounding_felt(self, effects: Sequence[Addition]) -> float:
+        """Chi-squared by which sharper corners of these effects may change it, nan where that is not known; 0 where the
+        data do not feel it."""
+        felt = not self.path.felt <= FELT and any(self.path.cornered([one]) for one in effects)
+        return self.path.felt if felt else 0.0
+
     def doubt(self, effects: Sequence[Addition]) -> list[str]:
         """That the data feel how the corners of these effects are rounded, where they do."""
         own = {one.key: self.refitter.rounded(one).width for one in effects if self.path.cornered([one])}
         names = ", ".join(f"{key} over {width:.2g}" for key, width in own.items())
-        left = self.path.felt
-        if not names or left <= FELT:
+        left = self.rounding_felt(effects)
+        if left == 0:
             return []
         known = (
             f"sharper ones may change chi-squared by {left:.2g} and estimates by {math.sqrt(left):.2g} standard errors"

@@ -15,8 +15,8 @@ import numpy as np
 from casadi_engine.deadline import Deadline, TimeUp
 from casadi_engine.discrepancy.answer import Answer
 from casadi_engine.discrepancy.assumed_pressure import carry, remarks, settle_scatter
-from casadi_engine.discrepancy.checked_errors import with_checked_errors
-from casadi_engine.discrepancy.choice import TIME_UP, Choice
+from casadi_engine.discrepancy.checked_errors import with_checked_errors, with_errors_of_rounding
+from casadi_engine.discrepancy.choice import ANY, TIME_UP, Choice
 from casadi_engine.discrepancy.fresh import Portions, portions
 from casadi_engine.discrepancy.fresh_choice import FreshChoice
 from casadi_engine.discrepancy.fresh_misfit import FRESH
@@ -327,8 +327,16 @@ class _Job:
         self.timing["total"] = time.perf_counter() - self.begun
         if (why := self._unresolved(made)) is not None:
             return self._no_answer(null_fit, alpha, why, UNRESOLVED)
-        missed = tuple(name for name, why in search.failed.items() if why == TIME_UP)
-        return replace(made, stopped=self._by if missed else "", not_searched=missed)
+        named = " and ".join(f"{one.name} at {one.at}" for one in made.effects)
+        missed = (
+            f"{ANY} beside {named}" if named and name.startswith(ANY) else name
+            for name, why in search.failed.items()
+            if why == TIME_UP
+        )
+        left = tuple(dict.fromkeys(missed))
+        felt = search.refits.rounding_felt(search.chosen.effects)
+        made = with_errors_of_rounding(made, felt, ended=bool(left))
+        return replace(made, stopped=self._by if left else "", not_searched=left)
 
     def _null(self, jobs: int | None, scores: Any) -> tuple[Fit, Parameters, float]:
         """The fit without effects, the parameters that later fits start from, and the work of a start."""
@@ -375,7 +383,7 @@ class _Job:
             if not search.scored:
                 raise
             beside = f" beside {search.pool[search.best].label}" if search.best else ""
-            search.failed[f"any effect{beside}"] = TIME_UP
+            search.failed[f"{ANY}{beside}"] = TIME_UP
 
     def interrupted(self, alpha: float) -> Repair:
         """What there is where the user would not wait for the rest."""

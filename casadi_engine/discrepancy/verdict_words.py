@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from casadi_engine.discrepancy.fresh_misfit import FRESH, fresh_doubt, fresh_misfit, is_louder
+from casadi_engine.discrepancy.fresh_misfit import FRESH, fresh_doubt, fresh_misfit, how_far, is_louder
 from casadi_engine.discrepancy.repaired import more_probable
 from casadi_engine.discrepancy.wording import (
     AT_FAULT,
@@ -92,7 +92,7 @@ def _on_fresh(repair: Repair) -> str:
     after = None if repair.gaps is None else repair.gaps.validation_after
     if after is None:
         return ""
-    found = f"chi2/N {after.gap.chi2_per_sample:.3g}"
+    found = how_far(repair)
     if fresh_misfit(repair) is not None:
         what = "which the repaired model does not fit" if repair.effects else "but fresh data do not fit"
         if is_louder(repair):

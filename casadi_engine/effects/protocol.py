@@ -28,8 +28,8 @@ PORT_KINDS: Mapping[str, bool] = MappingProxyType(
         "pipe": False,
     }
 )
-# The kinds of ports that effects may attach to.
-KINDS = tuple(kind for kind in PORT_KINDS if kind != "internal")
+# The kinds of ports that effects may attach to; those of the library leave internal ones alone.
+KINDS = tuple(PORT_KINDS)
 GRID_KINDS = ("value", "time", "cycle")
 
 

@@ -73,6 +73,21 @@ class Refit:
         return found
 
 
+@dataclass(frozen=True, eq=False)
+class Windowed:
+    """Where a search over windows ended that are shorter than the records.
+
+    values : name -> value of the free parameters; nodes, begun : (M, n) scaled states at which each record's intervals
+    begin, and those over the first horizon; cost : chi-squared, no more than that of whole records near by, as the
+    first states of all windows are free
+    """
+
+    values: Mapping[str, float]
+    nodes: tuple[Array, ...]
+    begun: tuple[Array, ...]
+    cost: float
+
+
 def in_time(record: RecordTerm, slopes: Array, scale: Array, states: Array) -> RefitRecord:
     """A record's residuals and their derivatives in order of time; slopes : as in ``Condensed`` of one window."""
     n, nz, observation = record.n, len(scale), record.observation

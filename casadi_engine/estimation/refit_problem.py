@@ -16,7 +16,7 @@ from casadi_engine.estimation.integration import shorten_steps
 from casadi_engine.estimation.levenberg_marquardt import minimise
 from casadi_engine.estimation.options import initial_bounds, interval_length
 from casadi_engine.estimation.record import RecordTerm
-from casadi_engine.estimation.refit_answer import Refit, in_time
+from casadi_engine.estimation.refit_answer import Refit, Windowed, in_time
 from casadi_engine.estimation.starts import chained_nodes, fitted_nodes, joined_nodes, nodes_from_measurement
 from casadi_engine.estimation.windows import Place, Windows, simulated
 from casadi_engine.experiment import Experiment
@@ -97,27 +97,69 @@ class RefitProblem:
         horizons: Sequence[float | None] | None = None,
         most: int = 60,
         near: Sequence[Array] | None = None,
+        after: Windowed | None = None,
     ) -> Refit:
         """The refit from a start; see ``refit``. near : states (M, n) of each record's intervals near those of the
-        simulation from ``initial``"""
+        simulation from ``initial``; after : what it goes on from in place of a start"""
         self._check_constraints()
+        if after is not None:
+            start = {**after.values, **(start or {})}
+            after = after if self._cut_alike(after) else self.windowed(start, most=most)
         z = self._values(start, warm)
         v = self.coordinates.of(z)
         self._steps = 0
         with np.errstate(all="ignore"):
             try:
                 close = near if near is not None else [None] * len(self.records)
-                nodes = [
-                    self._nodes(record, v, z, initial, warm, own)
-                    for record, own in zip(self.records, close, strict=True)
-                ]
-                return self._searched(v, nodes, self._counts(horizons), most, warm, near is not None)
+                nodes = (
+                    [
+                        self._nodes(record, v, z, initial, warm, own)
+                        for record, own in zip(self.records, close, strict=True)
+                    ]
+                    if after is None
+                    else list(after.nodes)
+                )
+                begun = None if after is None else list(after.begun)
+                counts = self._counts(horizons)
+                return self._searched(v, nodes, counts, most, warm, near=near is not None, states=begun)
             except (FloatingPointError, np.linalg.LinAlgError) as fault:
                 if self.step_in_places():
                     return self.run(
-                        start=start, initial=initial, warm=warm, horizons=horizons, most=most, near=near
-                    )
+                        start=start, initial=initial, warm=warm, horizons=horizons, most=most, near=near,
+                        after=after,
+                    )  # fmt: skip
                 return self._failed(z, f"the model cannot be evaluated: {fault}")
+
+    def windowed(
+        self, start: Mapping[str, float] | None, after: Windowed | None = None, *, most: int = 60
+    ) -> Windowed:
+        """Where the search over windows ends, all horizons but the whole records; over the last of them alone after
+        another one.
+
+        Raises FloatingPointError, LinAlgError where the model cannot be evaluated."""
+        self._check_constraints()
+        if after is not None and not self._cut_alike(after):
+            start, after = {**after.values, **(start or {})}, None
+        z = self._values({**(after.values if after is not None else {}), **(start or {})}, None)
+        v, ladder = self.coordinates.of(z), self._counts(None)[:-1]
+        self._steps, begun = 0, after and list(after.begun)
+        with np.errstate(all="ignore"):
+            try:
+                nodes = (
+                    [self._nodes(r, v, z, None, None) for r in self.records]
+                    if after is None
+                    else [*after.nodes]
+                )
+                for counts in ladder if after is None else ladder[-1:]:
+                    place, _ = self._descended(counts, v, nodes, most, last=False)
+                    v, nodes = place.v, list(place.nodes)
+                    begun = begun or nodes
+            except (FloatingPointError, np.linalg.LinAlgError):
+                if self.step_in_places():
+                    return self.windowed(start, after, most=most)
+                raise
+        values = dict(zip(self.pmap.free, self.coordinates.values(v).tolist(), strict=True))
+        return Windowed(values, tuple(nodes), tuple(begun or nodes), 2 * place.squares.cost)
 
     def step_in_places(self) -> bool:
         """Take steps that are short where a corner is passed, in place of those of a linear core, which are alike
@@ -125,15 +167,27 @@ class RefitProblem:
         stepped = [record.step_in_places() for record in self.records]  # each of them
         return any(stepped)
 
+    def _cut_alike(self, after: Windowed) -> bool:
+        """True if a search over windows cut the records as they are cut here: another integrator may not."""
+        return all(len(own) == record.plan.m for own, record in zip(after.nodes, self.records, strict=True))
+
     def _searched(
-        self, v: Array, nodes: list[Array], ladder: list[list[int]], most: int, warm: Refit | None, near: bool
+        self,
+        v: Array,
+        nodes: list[Array],
+        ladder: list[list[int]],
+        most: int,
+        warm: Refit | None,
+        *,
+        near: bool,
+        states: list[Array] | None = None,
     ) -> Refit:
         """The refit over horizons of so many intervals of each record.
 
+        states : of the intervals over the first horizon, where that is done
         near : it begins near an optimum, so that steps are made there as short as they have to be: steps that are too
         long for a corner make chi-squared rough, and a search would only wander over that
         """
-        states: list[Array] | None = None
         for counts in ladder[:-1]:
             place, _ = self._descended(counts, v, nodes, most, last=False)
             v, nodes = place.v, list(place.nodes)

@@ -26,6 +26,7 @@ _ABSENT = 1e-9
 # What the law may depend on, by the kind of port: attributes of the model.
 _MAY_USE: Mapping[str, tuple[str, ...]] = {
     "inertia": ("x", "u", "d", "t", "p"),
+    "internal": ("x", "u", "d", "t", "p"),
     "coupling": ("x", "u", "d", "t", "p"),
     "cylinder": ("x", "u", "d", "t", "p"),
     "link": ("x", "u", "d", "t", "p"),

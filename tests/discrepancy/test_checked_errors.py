@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.checked_errors import no_smaller_errors, with_checked_errors
-from casadi_engine.discrepancy.repaired import FoundEffect, Repair
+from casadi_engine.discrepancy.checked_errors import (
+    no_smaller_errors,
+    with_checked_errors,
+    with_errors_of_rounding,
+)
+from casadi_engine.discrepancy.repaired import FoundEffect, Repair, Unknown
 
 TIME = np.linspace(0, 1, 50)
 SIZE = np.sqrt((TIME**2).sum())
@@ -103,3 +107,27 @@ def test_errors_of_a_fit_are_no_smaller_than_those_that_know_the_colour():
     doubted = no_smaller_errors(replace(found, estimates={"p": told}), wide).estimates["p"]
     assert doubted.quadratic == 2 * own.stderr
     np.testing.assert_allclose(doubted.interval, (own.value - 2, own.value + 4))
+
+
+@pytest.mark.parametrize("felt", [3.0, np.nan])
+def test_a_search_that_was_ended_before_corners_were_sharp_prints_no_errors(felt):
+    made = repaired(1.5, 200.0)
+    made = replace(made, unknown=Unknown("an unknown torque", {}))
+    found = with_errors_of_rounding(made, felt, ended=True)
+    for one in (found.effects[0].amplitude, found.fit.estimates["p"]):
+        assert (one.value, one.stderr, one.interval) == (made.fit.values["p"], None, None)
+        assert "before corners were as sharp" in one.why
+    assert found.messages[-1].startswith("what is still unexplained may come of rounded corners")
+
+
+def test_a_rounding_whose_effect_is_known_makes_errors_larger():
+    made = repaired(1.5, 200.0)
+    found = with_errors_of_rounding(made, 3.0, ended=False)
+    assert found.effects[0].amplitude.stderr == pytest.approx(2 * made.effects[0].amplitude.stderr)
+    assert found.messages == made.messages
+
+
+@pytest.mark.parametrize(("felt", "ended"), [(0.0, True), (0.0, False), (np.nan, False)])
+def test_a_rounding_that_is_not_felt_changes_nothing(felt, ended):
+    made = repaired(1.5, 200.0)
+    assert with_errors_of_rounding(made, felt, ended=ended) is made

@@ -322,7 +322,7 @@ def test_every_effect_is_refitted_once_before_any_is_refitted_from_elsewhere(pre
     deadline = Deadline(spare=600.0)
     made = prepared(rubbing, deadline=deadline)
     monkeypatch.setattr(Additions, "_promising", everything)
-    monkeypatch.setattr(Additions, "_from_own", lambda self, *args: deadline.stop())
+    monkeypatch.setattr(Additions, "_own_step", lambda self, *args: deadline.stop())
     with deadline:
         made.choice.run(made.fit)
     assert made.choice.failed == {"other starts of these effects": "the time was up"}
@@ -403,8 +403,8 @@ def test_an_effect_whose_refits_do_not_arrive_is_said_to_have_no_answer(prepared
     monkeypatch.setattr(Additions, "_promising", everything)
     for name in ("from_point", "from_windows"):
         real = getattr(refits.Path, name)
-        lost = lambda self, effects, start, real=real: (  # noqa: E731
-            None if DRAG in key_of(effects) else real(self, effects, start)
+        lost = lambda self, effects, *start, real=real: (  # noqa: E731
+            None if DRAG in key_of(effects) else real(self, effects, *start)
         )
         monkeypatch.setattr(refits.Path, name, lost)
     made.choice.run(made.fit)

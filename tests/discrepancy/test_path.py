@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.path import Path, first_states_on
+from casadi_engine.discrepancy.path import Path, first_states_on, form_of
 from casadi_engine.discrepancy.refit import addition
 from casadi_engine.discrepancy.screening import screen
 from casadi_engine.discrepancy.start import Start
@@ -127,6 +127,24 @@ def test_windows_find_the_optimum_from_starts_that_are_turns_away(pendulum, far)
     assert found.settled
     assert found.cost == pytest.approx(500, abs=4 * np.sqrt(2 * 500))
     assert found.values["w2"] == pytest.approx(41.3, rel=2e-3)
+
+
+def test_windows_leave_no_more_than_whole_records(pendulum, rubbing, arrived):
+    """Their first states are free; where that is more than is asked for, nobody follows the whole records."""
+
+    def anew(most):
+        path = Path(rubbing.refitter, {"y": pendulum.level}, felt=EXACT)
+        return path.from_windows([rubbing.one], most=most), path.bounds[form_of([rubbing.one])]
+
+    end, bound = anew(np.inf)
+    assert 0.5 * arrived.cost < bound < arrived.cost
+    assert end.cost == pytest.approx(arrived.cost, abs=0.01)
+    assert anew(0.9 * bound) == (None, pytest.approx(bound))
+
+
+def test_a_refit_that_comes_the_same_way_ends_as_the_one_before(path, rubbing):
+    once = path.from_windows([rubbing.one])
+    assert path.from_windows([rubbing.one], Start({"w2": 40.0}, {})) is once
 
 
 def test_windows_begin_at_the_values_of_a_start(path, rubbing):

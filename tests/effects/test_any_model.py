@@ -1,11 +1,14 @@
 """The library at models that are no engines: an effect acts, or says by name why it cannot."""
 
+from typing import ClassVar
+
 import casadi as ca
 import numpy as np
 import pytest
 
 import casadi_engine as ce
 from casadi_engine.discrepancy import screen
+from casadi_engine.effects import Amplitude
 from casadi_engine.errors import EffectError
 from casadi_engine.model.term import NotApplicable, check_side, ports_for
 from casadi_engine.report.result_file import to_result
@@ -336,3 +339,25 @@ def test_the_slots_of_the_builders_act_the_right_way_round(make):
     assert checked
     for port in checked:
         check_side(model, port)
+
+
+def test_an_effect_of_ones_own_acts_at_an_internal_port():
+    """What a search finds to be a function of a signal there is refitted as such an effect."""
+
+    class Cubed(ce.Effect):
+        name, attaches, amplitude = "cubed", ("internal",), Amplitude("size", unit=None)
+        nuisance: ClassVar = {}
+
+        def law(self, port, p, math):
+            return p.size * port.command**3
+
+    b = ce.Blueprint("motor")
+    torque, command = b.state("torque"), b.input("command")
+    missing = b.port("motor", "internal", {"command": command})
+    b.ode("torque", command - torque + missing)
+    b.output("shown", torque)
+    model = b.model().with_effect(Cubed(), at="motor", values={"size": 0.5})
+    time = np.arange(200) * 0.05
+    data = ce.Experiment.from_arrays("step", time=time, units={"command": "1"}, command=np.full(200, 2.0))
+    run = ce.simulate(model, data, initial={"torque": 0.0})
+    np.testing.assert_allclose(run["shown"].values, 6 * (1 - np.exp(-time)), atol=1e-6)

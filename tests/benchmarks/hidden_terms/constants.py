@@ -78,6 +78,8 @@ CONSTANTS = (
     Constant(
         "_INTEGRATED", ("path",), "steps of the integration beyond which they are short in places alone"
     ),
+    Constant("_TOLD", ("too_few",), "standard errors of an effect from which fresh data would tell it"),
+    Constant("_BEHIND", ("too_few",), "standard errors by which a gain may stay behind what was foretold"),
     Constant("_PATIENCE", ("path",), "what a refit with sharper corners may cost more than others"),
     Constant("_RIVALS", ("pairs",), "rivals of an effect that are tried with one more effect each"),
     Constant("_SECONDS", ("pairs",), "effects that such a rival is tried with"),

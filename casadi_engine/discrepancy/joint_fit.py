@@ -1,0 +1,83 @@
+"""One set of parameters for the data of the search and the fresh ones, where nothing else seems to describe both.
+
+Errors of parameters are a step of first order. Where a short record hardly tells a parameter, such a step says little
+of what other values do; a fit of all records together says it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from casadi_engine.discrepancy.fresh_misfit import fresh_misfit
+from casadi_engine.distributions import chi2_sf
+from casadi_engine.errors import CasadiEngineError
+from casadi_engine.estimation import Fit, estimate
+from casadi_engine.problem.noise import Noise
+
+if TYPE_CHECKING:
+    from casadi_engine.discrepancy.refit import Refitter
+    from casadi_engine.discrepancy.repaired import Repair
+
+# Starts of the fit: the data of the search may have led astray.
+_STARTS = 4
+
+
+def asks_for_one(repair: Repair) -> bool:
+    """True where nothing was found, fresh data are not described, and a fit of all records can be made."""
+    names = [record.name for record in (*repair.data, *repair.fresh)]
+    distinct = len(set(names)) == len(names)
+    return repair.verdict == "nothing missing" and distinct and fresh_misfit(repair) is not None
+
+
+def with_joint_fit(repair: Repair, refitter: Refitter) -> Repair:
+    """The repair with what parameters that describe all records leave of the fresh ones, in place of a step of them.
+
+    How far they move is held against the data of the search: by twice their log likelihood that it costs, chi-squared
+    with one degree of freedom for every free parameter.
+    """
+    gaps, noise = repair.gaps, repair.noise
+    after = None if gaps is None else gaps.validation_after
+    if gaps is None or after is None or noise is None:
+        return repair
+    levels = {name: level for name, (level, _) in noise.sigma.items()}
+    try:
+        with np.errstate(all="ignore"):
+            both = estimate(
+                refitter.model, (*repair.data, *repair.fresh), parameters=refitter.parameters,
+                noise=Noise(**dict[str, Any](levels)), starts=_STARTS, progress=False, errors="quadratic",
+                interval=refitter.interval,
+            )  # fmt: skip
+    except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
+        return repair
+    fresh = [record.name for record in repair.fresh]
+    found = _squares(both, fresh, levels)
+    left = {}
+    for output, own in found.items():
+        before = (after.gap.rmse[output] / levels[output]) ** 2
+        left[output] = min(1.0, float(own.mean()) / before) if before > 0 else 1.0
+    searched = [record.name for record in repair.data]
+    unit = max(gaps.estimation_after.gap.chi2_per_sample, 1e-300)
+    risen = _total(_squares(both, searched, levels)) - _total(_squares(repair.fit, searched, levels))
+    chance = float(chi2_sf(max(risen, 0.0) / unit, max(len(both.free), 1)))
+    every = np.concatenate([*found.values()])
+    side = replace(after, within_errors=float(every.mean()), parameters_p=chance, left=left)
+    return replace(repair, gaps=replace(gaps, validation_after=side))
+
+
+def _squares(fit: Fit, records: list[str], levels: Mapping[str, float]) -> dict[str, np.ndarray]:
+    """output -> squared residuals over the noise's level, of some records of a fit."""
+    found: dict[str, list[np.ndarray]] = {}
+    for name in records:
+        for output, trace in fit.traces[name].items():
+            if output in levels:
+                own = trace.residual[np.isfinite(trace.residual)]
+                found.setdefault(output, []).append((own / levels[output]) ** 2)
+    return {output: np.concatenate(parts) for output, parts in found.items()}
+
+
+def _total(squares: Mapping[str, np.ndarray]) -> float:
+    return float(sum(own.sum() for own in squares.values()))
