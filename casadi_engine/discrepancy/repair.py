@@ -25,6 +25,7 @@ from casadi_engine.discrepancy.lost_fit import explained, found_again
 from casadi_engine.discrepancy.lower_rate import at_lower_rate
 from casadi_engine.discrepancy.noise_choice import ColourChoice, check_choice
 from casadi_engine.discrepancy.null_model import refuse_jumps
+from casadi_engine.discrepancy.one_law import told_as_one_law
 from casadi_engine.discrepancy.output_check import noise_alone, refuse_still, wild_samples
 from casadi_engine.discrepancy.own_jumps import JUMPED, with_own_jumps
 from casadi_engine.discrepancy.progress import Progress, shown
@@ -335,7 +336,7 @@ class _Job:
         )
         left = tuple(dict.fromkeys(missed))
         felt = search.refits.rounding_felt(search.chosen.effects)
-        made = with_errors_of_rounding(made, felt, ended=bool(left))
+        made = with_errors_of_rounding(told_as_one_law(made), felt, ended=bool(left))
         return replace(made, stopped=self._by if left else "", not_searched=left)
 
     def _null(self, jobs: int | None, scores: Any) -> tuple[Fit, Parameters, float]:

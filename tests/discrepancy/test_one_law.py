@@ -1,0 +1,38 @@
+"""Effects that are told together alone."""
+
+import pytest
+
+from casadi_engine.discrepancy.one_law import told_as_one_law
+from casadi_engine.discrepancy.repaired import FoundEffect, Repair
+from casadi_engine.estimation import Estimate
+
+
+def found(*effects):
+    made = []
+    for name, at, stderr, interval in effects:
+        size = Estimate(1.0, stderr, "N", interval=interval)
+        made.append(FoundEffect(name, at, "", {}, {"size": size}, {}, 9.0, 1e-9, 50.0, 1.0, {}, {}, None, ()))
+    return Repair("answered", "named", True, None, None, 0.01, effects=tuple(made), messages=("said before",))
+
+
+def test_two_effects_at_a_port_without_sizes_of_their_own_are_one_curve():
+    made = told_as_one_law(found(("drag", "tank", None, None), ("fading", "tank", None, None)))
+    assert made.messages == (
+        "drag and fading at tank are told as one curve, none of them by its own size: a law that the library "
+        "lacks may be the true one there",
+        "said before",
+    )
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        ("fading", "tank", 0.1, None),
+        ("fading", "tank", None, (0.5, 3.0)),
+        ("fading", "pipe", None, None),
+    ],
+    ids=["an error", "an interval", "another port"],
+)
+def test_what_has_a_size_of_its_own_or_another_place_is_no_such_curve(other):
+    made = found(("drag", "tank", None, None), other)
+    assert told_as_one_law(made) is made
