@@ -23,6 +23,8 @@ from casadi_engine.simulation.switched_field import Mode, Segment, SwitchedField
 _STABILITY = 3.5
 # So many of them, looked at every so many steps, make the equations stiff.
 _STIFF, _LOOKED = 6, 10
+# Between two knots explicit steps that are limited by stability cost less than a fresh start of CVODES, up to so many.
+_DEAR = 20.0
 # Error control: safety, least and largest change of the step's length.
 _SAFETY, _LEAST, _MOST = 0.9, 0.2, 6.0
 # Of the largest state: a state smaller than that is integrated as exactly as one of that size.
@@ -79,7 +81,7 @@ class Adaptive:
         self.b = self.c = np.zeros(len(field.owner))
         self.steps = self.events = self.limited = self._forced = 0
         self.stiff = False
-        self.h = self.time = 0.0
+        self.h = self.time = self._length = 0.0
         # of the switching functions and themselves at the beginning and the end of the last explicit step
         self._rates: list[Array] = []
         self._ends: list[Array] = []
@@ -149,6 +151,9 @@ class Adaptive:
 
     def _piece(self, x: Array, t: float, end: float, segment: Array) -> Array:
         """From one knot to the next."""
+        self._length = end - t
+        if self.stiff and not self._free and self._fastest(x, t, segment) * (end - t) < _STABILITY * _DEAR:
+            self.stiff, self.limited, self.h = False, 0, end - t  # a corner is passed
         while t < end:
             self.time = t
             self._count()
@@ -239,12 +244,17 @@ class Adaptive:
         return h, ahead, share
 
     def _look_for_stiffness(self, x: Array, t: float, h: float, segment: Array) -> None:
-        slope = self.field.jacobian(x, t, segment, self.b, self.c, self.mode)
-        if not np.isfinite(slope).all():
+        fastest = self._fastest(x, t, segment)
+        if not np.isfinite(fastest):
             return
-        fastest = float(np.abs(np.linalg.eigvals(slope)).max()) * h
-        self.limited = self.limited + 1 if fastest > _STABILITY else 0
-        self.stiff = self.limited >= _STIFF
+        self.limited = self.limited + 1 if fastest * h > _STABILITY else 0
+        dear = self._free or fastest * self._length > _STABILITY * _DEAR
+        self.stiff = self.limited >= _STIFF and dear
+
+    def _fastest(self, x: Array, t: float, segment: Array) -> float:
+        """Rate of the fastest mode [1/s]; nan where the equations are not finite."""
+        slope = self.field.jacobian(x, t, segment, self.b, self.c, self.mode)
+        return float(np.abs(np.linalg.eigvals(slope)).max()) if np.isfinite(slope).all() else np.nan
 
     # ---- stiff pieces
 

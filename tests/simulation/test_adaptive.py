@@ -236,6 +236,25 @@ def test_a_coil_far_faster_than_its_samples():
     within(found[:, 1:], late[1:])
 
 
+def test_equations_that_are_stiff_at_a_corner_are_stiff_no_longer_behind_it():
+    """Friction over 1e-5 of the speed sticks for a while and slides on: CVODES would begin anew at every sample."""
+    t = np.linspace(0, 1.4, 281)
+    force = 1.5 * np.sin(2 * t)
+
+    def rate(now, x, u):
+        return [u[0] - 0.1 * x[0] - ca.tanh(x[0] / 1e-5)]
+
+    found, run = simulated(rate, t, [0.0], inputs={"u": force})
+
+    def slides(now, x):
+        return [1.5 * np.sin(2 * now) - 0.1 * x[0] - 1]
+
+    begin = 0.5 * np.arcsin(1 / 1.5)
+    true = solve_ivp(slides, (begin, 1.4), [0.0], t_eval=t[t > begin], rtol=1e-10, atol=1e-12)
+    within(found[:, t > begin], true.y, 3e-4)  # the corner, and the force by lines between samples
+    assert "CVODES" not in run.history[-1].arguments["integrator"]
+
+
 def test_a_state_that_grows_without_limit_names_the_time():
     t = np.linspace(0, 2, 21)
     with pytest.raises(SimulationError, match=r"the simulation is not finite; seen: at (1|0\.9999\d*) s"):
