@@ -34,19 +34,17 @@ def alike(record: RecordTerm, v: Array, first: Array) -> tuple[Array, Array] | N
     beginning, and states (M, n) so long after others less these; all scaled. None where no drive moves, or nothing is
     finite.
 
-    Of the differences the later half is taken: the others hold the noise of the first state that a fit found.
+    The differences are those of a run that starts in that state: the first state that a fit found holds noise.
     """
     drives = cast(LinearPropagator, record.propagator).merged_drives(v[record.active]).value
     found = _moment(drives)
     if found is None:
         return None
     moment, length = found
-    nodes = chained_nodes(record.again(gain=record.gain, length=length), v, first)
-    if not np.isfinite(nodes).all():
-        return None
-    shift = moment // length
-    apart = nodes[shift:] - nodes[:-shift]
-    return nodes[shift], apart[len(apart) // 2 :]
+    along, shift = record.again(gain=record.gain, length=length), moment // length
+    state = chained_nodes(along, v, first)[shift]
+    nodes = chained_nodes(along, v, state)
+    return (state, nodes[shift:] - nodes[:-shift]) if np.isfinite(nodes).all() else None
 
 
 def _moment(drives: Array) -> tuple[int, int] | None:

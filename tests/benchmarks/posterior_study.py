@@ -3,9 +3,10 @@
     OPENBLAS_NUM_THREADS=1 python tests/benchmarks/posterior_study.py [NAME ...] [--count N] [--write]
 
 NAME : A, A_quiet, B, B6, B6_quiet, B21, B6_fixed, described in VARIANTS; all of them if none is given. The parameters
-are drawn from their prior, flat in their logarithms between bounds, or the normal one that they have; the rank of the truth among
-the draws is then uniform, and an interval of 80 % holds the truth in 80 % (Talts et al. 2018). So is the rank of the
-truth's log density among those of the draws, one number for each row, while the parameters of a row go together.
+are drawn from their prior, flat in their logarithms between bounds, or the normal one that they have; the rank of the
+truth among the draws is then uniform, and an interval of 80 % holds the truth in 80 % (Talts et al. 2018). So is the
+rank of the truth's log density among those of the draws, one number for each row, while the parameters of a row go
+together.
 
 Every finished simulation goes into a checkpoint beside this file (`posterior-*.jsonl`, --folder for another place), and
 from there, at the beginning and the end of a command, into the small files of `posterior_rows/`, which the repository
@@ -107,9 +108,7 @@ VARIANTS = {
     "B21": Variant(
         "B21: crankshaft, all parameters, six records, noise 0.1 rad/s", 50, 0.1, 1.3, _SIX, every=True
     ),
-    "B6_fixed": Variant(
-        "B6: the same from the thesis's states", 200, 0.1, 1.3, _SIX, first=100, fixed=True
-    ),
+    "B6_fixed": Variant("B6: the same from the thesis's states", 200, 0.1, 1.3, _SIX, first=100, fixed=True),
 }
 
 
