@@ -20,8 +20,8 @@ from casadi_engine.simulation.linear import LinearPropagator
 
 Array = NDArray[np.float64]
 
-# Share of a record whose drives are compared: some cycles of what repeats itself. Moments are looked for from its
-# middle on, where the transients that hold the noise of the fit's first states have died out.
+# One part in so many of a record is compared with its beginning: some cycles of what repeats itself. Moments are looked
+# for behind its middle, where the transients that hold the noise of the fit's first states have died out.
 _COMPARED, _MIDDLE = 4, 2
 # States along a record that are looked at, about; fewer samples than this in a comparison are none.
 _STATES, _FEWEST = 500, 10
