@@ -74,11 +74,12 @@ def posterior(
 
     Notes
     -----
-    Initial states are integrated out: their prior is normal, as the states along the record are in the fit, its width
-    integrated out as well. For linear models on complete records the integral is exact (the prior is that of the sum of
-    the first state and the last one, to which it leads), and chi-squared is computed in the frequency bins in which the
-    parameters act; all others enter when the draws are there. For other models it is that of a normal density about the
-    best initial states (Laplace).
+    Initial states are integrated out. Their prior is normal: as the states along the record are in the fit, or as wide
+    as they are large, or, of linear models, near the state of a later moment at which the drives go on as they do at
+    the beginning. Which of these, and its width, is integrated out as well. For linear models on complete records the
+    integral is exact (the prior is that of the sum of the first state and the last one, to which it leads), and chi-
+    squared is computed in the frequency bins in which the parameters act; all others enter when the draws are there.
+    For other models it is that of a normal density about the best initial states (Laplace).
 
     Importance sampling draws from a mixture of t-distributions at the optima, which learns from its draws (Cappe et al.
     2008), and is trusted if Pareto k-hat is at most 0.7 and the draws are worth 400 independent ones, in their tails

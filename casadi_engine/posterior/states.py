@@ -5,10 +5,14 @@ of its torsional modes may start with any amplitude then: a rival model, in whic
 room for amplitudes that fit noise, and wins against the truth far more often than its probability says.
 
 What a fit finds for the first states holds such noise itself, and so does the trajectory from there until it has died
-out. The prior is therefore that of the motion in the later half of the trajectory, with the trend of that half led back
-to the beginning, or else, as a record may begin with a run-up or a free motion that dies, one as wide as the states are
-large: both are taken for as probable, and integrated over. So is the width, flat in its logarithm from that to ten
-times as much.
+out. The prior is therefore one of three, taken for as probable as one another, and integrated over. A linear record of
+a machine that runs starts near the state that it has where its drives go on as they do at the beginning (``alike``). Or
+it starts anywhere in the motion of the later half of the trajectory, with the trend of that half led back to the
+beginning. Or else, as a record may begin with a run-up or a free motion that dies, it has a prior as wide as the states
+are large. The width is integrated over as well, flat in its logarithm from that to ten times as much.
+
+The motion alone made intervals of a crankshaft too narrow: where all records begin at a moment at which its modes are
+quiet, amplitudes that they have at others are no measure for what noise tells of them.
 
 In the frequency domain the initial states enter by the sum of the first and the last one. The last one is no further
 unknown: drives and parameters lead to it. Taken for as unknown as the first, it made the log likelihood of six records
@@ -26,6 +30,7 @@ from numpy.typing import NDArray
 from casadi_engine.estimation.options import interval_length
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.starts import chained_nodes
+from casadi_engine.posterior.alike import alike
 from casadi_engine.simulation.linear import LinearPropagator
 
 Array = NDArray[np.float64]
@@ -134,6 +139,10 @@ def state_prior(record: RecordTerm, v: Array, first: Array) -> StatePrior:
     later = nodes[len(nodes) // 2 :]
     known = len(later) >= _FEWEST and np.isfinite(nodes).all()
     shapes = [(later.mean(axis=0), _factor(later)), wide] if known else [wide]
+    again = alike(record, v, first) if record.linear and known else None
+    if again is not None:
+        state, apart = again
+        shapes.append((state, _root(apart.T @ apart / len(apart), later)))
     return StatePrior(np.array([mean for mean, _ in shapes]), np.array([factor for _, factor in shapes]))
 
 
@@ -158,9 +167,14 @@ def last_state(record: RecordTerm, v: Array) -> tuple[Array, Array]:
 def _factor(nodes: Array) -> Array:
     """Lower factor (n, n) of the covariance of states (M, n) about their mean, and of what a line through them makes of
     it as far before them as they are long."""
-    count, mean, spread = len(nodes), nodes.mean(axis=0), nodes.std(axis=0)
-    own = (_ALONE * spread) ** 2 + (_STILL * np.abs(mean)) ** 2 + 1e-18
-    away, at = nodes - mean, np.arange(count) - (count - 1) / 2
+    count = len(nodes)
+    away, at = nodes - nodes.mean(axis=0), np.arange(count) - (count - 1) / 2
     trend = 1.5 * count * (at @ away) / (at @ at)
-    covariance = away.T @ away / count + np.outer(trend, trend) + np.diag(own)
-    return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+    return _root(away.T @ away / count + np.outer(trend, trend), nodes)
+
+
+def _root(covariance: Array, nodes: Array) -> Array:
+    """Lower factor (n, n) of a covariance and of what each state may differ by itself, those along a record being
+    ``nodes`` (M, n)."""
+    own = (_ALONE * nodes.std(axis=0)) ** 2 + (_STILL * np.abs(nodes.mean(axis=0))) ** 2 + 1e-18
+    return np.asarray(np.linalg.cholesky(covariance + np.diag(own)), dtype=np.float64)

@@ -94,8 +94,9 @@ def _states(post: Posterior) -> list[str]:
     if not untold:
         return []
     return [
-        f"the records hardly tell {untold} of {whole} directions of their initial states, so that the prior of these "
-        "matters: intervals may be too narrow (of crankshafts, 95 % ones held 84 to 93 % of the truths)"
+        f"the records hardly tell {untold} of {whole} directions of their initial states: these are taken to be like "
+        "those of a later moment at which the drives go on alike, or like the motion along the record; where they are "
+        "neither, intervals may be too narrow"
     ]
 
 

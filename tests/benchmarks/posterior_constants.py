@@ -33,6 +33,7 @@ CONSTANTS = {
     "left_out": ("LOOKED_AT", "FELT"),
     "drawing": ("HIGHER", "SCATTER", "FEW"),
     "states": ("WIDTHS", "_ALONE", "_STILL"),
+    "alike": ("_COMPARED", "_STATES", "_FEWEST"),
     "box": ("_NEAR", "_OFF"),
     "posterior": ("WIDE", "NEARER"),
 }

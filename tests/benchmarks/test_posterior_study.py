@@ -1,5 +1,7 @@
 """The study of the posterior's calibration, small: what it draws, and what its table says."""
 
+import json
+
 import doubt_study
 import numpy as np
 import posterior_referee
@@ -21,6 +23,30 @@ def test_truths_are_drawn_within_the_bounds_of_the_fit():
     assert not np.array_equal(truth, posterior_study.drawn("A", 1)[1])
     (record,) = case.records
     assert record.speed.std() > 10 * case.sigma
+
+
+def test_an_engine_that_has_been_running_goes_on_as_it_began():
+    """From the state of a later cycle a record without noise comes back to where it was; from another it does not."""
+    case = posterior_study.VARIANTS["B6"].nominal("B6")
+    source = posterior_study.kept_channels("crankshaft/misfire_1400rpm.csv.gz")
+    values = case.full(1.1 * case.true_values)
+    thesis = np.array(json.loads(posterior_study.STARTS_FILE.read_text())["misfire_1400rpm"])
+    start = posterior_study.running(case.shape, values, thesis, source, np.random.default_rng(0))
+    cycle = int(np.searchsorted(source.channels["theta"] - source.channels["theta"][0], 4 * np.pi))
+
+    def apart(first):
+        speed, _ = posterior_study.simulate(case.shape, values, first, source, np.zeros(source.samples))
+        return np.abs(speed[cycle : cycle + 100] - speed[:100]).max()
+
+    assert apart(start) < 0.08 < apart(thesis)
+
+
+def test_records_may_begin_with_the_same_states_whatever_the_parameters_are():
+    starts = []
+    for seed in (100, 101):
+        case, _ = posterior_study.drawn("B6_fixed", seed)
+        starts.append([record.speed[0] for record in case.records])
+    np.testing.assert_allclose(*starts, atol=6 * case.sigma)
 
 
 def test_one_simulation_gives_a_rank_of_every_parameter():
