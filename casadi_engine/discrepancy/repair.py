@@ -115,8 +115,8 @@ def repair(
         cylinders with an assumed pressure, or None
     without : names of effects that are not to be looked for
     budget : seconds after which everything that runs is ended: the best answer so far is given, within a tenth of the
-        budget or 2 s, and what was not tried is listed. None for no limit. Ctrl-C does the same; a second one ends at
-        once, with the best fit so far
+        budget or 2 s of processor time, and what was not tried is listed. None for no limit. Ctrl-C does the same; a
+        second one ends at once, with the best fit so far
     most : effects at most; starts, neighbours, seed, jobs : of the fit without effects, as in ``estimate``
     progress : None for one line on a terminal, False for none, or a function of a text; it says what is being tried
         and, after a few refits, how long the others may take
