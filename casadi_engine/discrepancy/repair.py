@@ -328,13 +328,7 @@ class _Job:
         self.timing["total"] = time.perf_counter() - self.begun
         if (why := self._unresolved(made)) is not None:
             return self._no_answer(null_fit, alpha, why, UNRESOLVED)
-        named = " and ".join(f"{one.name} at {one.at}" for one in made.effects)
-        missed = (
-            f"{ANY} beside {named}" if named and name.startswith(ANY) else name
-            for name, why in search.failed.items()
-            if why == TIME_UP
-        )
-        left = tuple(dict.fromkeys(missed))
+        left = _not_searched(search, made)
         felt = search.refits.rounding_felt(search.chosen.effects)
         made = with_errors_of_rounding(told_as_one_law(made), felt, ended=bool(left))
         return replace(made, stopped=self._by if left else "", not_searched=left)
@@ -447,6 +441,14 @@ class _Job:
             status, None, None, fit, fit, alpha, data=self.portion.data, fresh=self.portion.fresh,
             timing=self.timing, options=self.asked, messages=(why,), stopped=self._by if cut else "",
         )  # fmt: skip
+
+
+def _not_searched(search: Choice, made: Repair) -> tuple[str, ...]:
+    """What the time was up for: effects beside those of the answer, whatever the search stood at then."""
+    named = " and ".join(f"{one.name} at {one.at}" for one in made.effects)
+    missed = [name for name, why in search.failed.items() if why == TIME_UP]
+    own = [f"{ANY} beside {named}" if named and name.startswith(ANY) else name for name in missed]
+    return tuple(dict.fromkeys(own))
 
 
 def _largest(model: Model, records: Sequence[Experiment]) -> dict[str, float]:
