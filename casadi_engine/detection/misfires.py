@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.special import ndtr
 
+from casadi_engine.blas_threads import one_blas_thread
 from casadi_engine.detection.plant import Disturbances, make_plant
 from casadi_engine.detection.segments import cut_record, window_edges
 from casadi_engine.detection.smoother import Prior, smooth
@@ -151,6 +152,7 @@ class Misfires:
         return "\n".join(rows)
 
 
+@one_blas_thread
 def misfires(
     fit: Fit,
     data: Experiment,

@@ -8,6 +8,7 @@ not refitted any more. Where the equations are linear, one step leaves out what 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -70,6 +71,7 @@ class Additions:
         self.start: Start | None = Start(here.arrived.values, here.arrived.initial)
         order = left = self._ordered()
         best: Tried | None = None
+        begun = time.perf_counter()
         try:
             while left:
                 ask()
@@ -77,10 +79,13 @@ class Additions:
                 self.tell(f"refit {len(self.done) + 1} of {len(self.done) + len(left)}: {key[0]} at {key[1]}")
                 self.done.append(key)
                 self._try(self._in_time(chosen_of(self.screened, self.lead, self.families[key])), self.start)
-                left, found = left[1:], min(self._tried(), key=lambda one: one.arrived.cost, default=None)
+                left, found = left[1:], self._best()
                 if found is not None and (best is None or found.arrived.cost < best.arrived.cost - _NESTED):
                     best = found
                     left = self._left(best, [k for k in order if k not in self.done]) if left else []
+            if not here.effects:
+                self._from_own_values(begun)
+                best = self._best()
             if best is not None and self._open():
                 self._elsewhere(best)
                 self.refits.relevel(self._tried())
@@ -103,7 +108,7 @@ class Additions:
             return []
         here = self.here.arrived
         if self.refits.path.linear and (here.held or not here.settled):
-            own = self._own_step(self.families)
+            own = self._own_step(k for members in self.families.values() for k in members)
             if own is not None and own.cost.min() < PART * self.at_here.cost.min():
                 # what the fit without the effect made of the parameters is further off than their own values
                 self.lead, self.start = own, None
@@ -177,6 +182,39 @@ class Additions:
 
     # ---- other starts
 
+    def _from_own_values(self, begun: float) -> None:
+        """Refits of what was left out from the parameters' own values, where what the best one leaves is no white
+        noise: a fit that lacks an effect may end where no step tells anything of it, and windows may lead there too,
+        where few states are measured. They take as long again as those that one step promised.
+
+        begun : when the first of those began
+        """
+        self.refits.weigh()
+        if self._tried() and not self.refits.levels.memory:
+            return
+        candidates = self.screened.candidates
+        step = self._own_step(range(len(candidates)))
+        if step is None:
+            return
+        for k in np.flatnonzero(np.isfinite(step.error)):
+            if (key := candidates[k].key) not in self.families or int(k) not in self.families[key]:
+                self.families[key] = [*self.families.get(key, ()), int(k)]
+        cost = costs_of(self.screened, step, self.families)
+        left, last = sorted(self.families, key=lambda key: cost[key]), 2 * time.perf_counter() - begun
+        best = self._best()
+        while left and time.perf_counter() < last:
+            ask()
+            key = left.pop(0)
+            self.tell(f"refit from other values: {key[0]} at {key[1]}")
+            one = chosen_of(self.screened, step, self.families[key])
+            self._try(one, None, near=True)
+            if key not in self.done:
+                self.done.append(key)
+                self._try(one, None)
+            found = self._best()
+            if found is not None and (best is None or found.arrived.cost < best.arrived.cost - _NESTED):
+                best, left = found, self._left(found, left)
+
     def _elsewhere(self, best: Tried) -> None:
         """Refits from other starts, once every effect has an answer."""
         self.refits.weigh()
@@ -185,7 +223,9 @@ class Additions:
         ended = [key for key in self.done if not self._beyond(key)]
         near = [*(ended if step is None else self._promising(best, step, ended))]
         near += [] if lead in near else [lead]
-        own = self._own_step(near) if self.start is not None else None
+        own = (
+            self._own_step(k for key in near for k in self.families[key]) if self.start is not None else None
+        )
         for key in self.done:
             ask()
             if own is not None and key in near:
@@ -259,7 +299,7 @@ class Additions:
     def _most(self) -> float:
         """Chi-squared beyond which an effect is less probable than the best one so far, more than chance makes it; what
         that one leaves is noise."""
-        best = min(self._tried(), key=lambda one: one.arrived.cost, default=None)
+        best = self._best()
         if best is None:
             return math.inf
         least, count = best.arrived.cost, self.screened.null.count
@@ -267,6 +307,10 @@ class Additions:
 
     def _known(self, key: Family) -> Tried | None:
         return self.refits.pool.get(self.here.key | {key})
+
+    def _best(self) -> Tried | None:
+        """The structure that was refitted here which leaves least."""
+        return min(self._tried(), key=lambda one: one.arrived.cost, default=None)
 
     def _tried(self) -> list[Tried]:
         """The structures of the effects that were refitted here, in the order of their refits."""
@@ -276,8 +320,8 @@ class Additions:
         """The structures of all effects that can be tested, wherever they were refitted."""
         return [one for one in map(self._known, self.families) if one is not None]
 
-    def _own_step(self, keys: Iterable[Family]) -> OneStep | None:
-        """One step of some effects from the parameters' own values, the effects so far as they were found."""
+    def _own_step(self, members: Iterable[int]) -> OneStep | None:
+        """One step of some candidates from the parameters' own values, the effects so far as they were found."""
         refits, fit = self.refits, self.station.fit
         own = refits.refitter.parameters
         z = np.array([float(own[n].value) if n in own else fit.values[n] for n in fit.free])
@@ -286,8 +330,7 @@ class Additions:
                 null = null_at(fit.model, fit.data, fit.parameters, z, refits.path.first_states())
         except (*FAILURES, KeyError):
             return None
-        members = sorted(k for key in keys for k in self.families[key])
-        return one_step(null, self.screened.candidates, refits.path.levels, members)
+        return one_step(null, self.screened.candidates, refits.path.levels, sorted(members))
 
 
 def instead(

@@ -22,6 +22,7 @@ from casadi_engine.discrepancy.assumed_pressure import settle_scatter
 from casadi_engine.discrepancy.exchange import exchanged, special_cases, weak_beside_colour
 from casadi_engine.discrepancy.exchanged_units import impossible_gain
 from casadi_engine.discrepancy.families import BEYOND, chosen_of, families_of
+from casadi_engine.discrepancy.fresh_misfit import SEEN
 from casadi_engine.discrepancy.membership import simpler
 from casadi_engine.discrepancy.pairs import price_of, tried_in_two, with_one_more
 from casadi_engine.discrepancy.path import Arrived
@@ -99,11 +100,14 @@ class Choice:
                 beside = f" beside {here.label}" if here.effects else ""
                 ask()
                 made = self._round(here, station)
-                if made is None:
-                    break
-                idle = self._timed("confirm", partial(self.idle_on_fresh, made.key)) if here.effects else None
-                if idle:  # nor is what would come after it
+                while made is not None and here.effects:
+                    idle = self._timed("confirm", partial(self.idle_on_fresh, made.key))
+                    if not idle:
+                        break
                     self.prefer(made.key - idle, without=idle)
+                    here = self.pool[self.best]
+                    made = self._another(here) if here.key in self.stations else None
+                if made is None:
                     break
                 here = made
                 self.best = here.key
@@ -274,11 +278,22 @@ class Choice:
 
     def _round(self, here: Tried, station: Station) -> Tried | None:
         """The structure that takes the place of ``here``; None where none does."""
-        screened = station.screened
         tried = self._timed("refit", lambda: self._added(here, station))
         self._timed("evidence", self.refits.weigh)
-        known = int(screened.scores.testable.sum())
         tried += self._timed("exchange", lambda: self._without_idle(tried))
+        return self._chosen_of(here, station, tried)
+
+    def _another(self, here: Tried) -> Tried | None:
+        """The structure that takes the place of ``here`` where what fresh data would leave out is no choice: one that
+        closes a part of the gap which a person would see."""
+        least = here.arrived.cost * (1 - SEEN) ** 2
+        tried = [one for one in self.pool.values() if here.key < one.key and one.arrived.cost <= least]
+        return self._chosen_of(here, self.stations[here.key], tried) if tried else None
+
+    def _chosen_of(self, here: Tried, station: Station, tried: list[Tried]) -> Tried | None:
+        """The most probable of the structures that were tried, fitted as ``here`` is; None where none is worth it."""
+        screened = station.screened
+        known = int(screened.scores.testable.sum())
         while True:
             best = self._most_probable(tried)
             gain = -math.inf if best is None else best.log - here.log

@@ -177,14 +177,21 @@ def levels_left(
 
 
 def innovations(null: NullModel, levels: Levels) -> float:
-    """Minus the log likelihood of a model's residuals as noise of their own level and colour, but for a constant."""
-    found = 0.0
+    """Minus the log likelihood of a model's residuals as noise of their own level and colour, but for a constant.
+
+    levels : that the model leaves; its levels count where the residual is smaller, as one that was stated does.
+    """
+    squares, counts = dict.fromkeys(levels.sigma, 0.0), dict.fromkeys(levels.sigma, 0)
     for record in null.records:
         for output, e in record.residual.items():
             coloured = output in levels.memory and len(e) >= _SHORT
-            share = 1 - foretold(e) / max(float(e @ e), _TINY) if coloured else 1.0
-            found += len(e) * math.log(levels.sigma[output] * math.sqrt(max(share, _TINY)))
-    return found
+            own = max(float(e @ e), _TINY)
+            share = 1 - foretold(e) / own if coloured else 1.0
+            squares[output] += share * max(own, len(e) * levels.sigma[output] ** 2)
+            counts[output] += len(e)
+    return sum(
+        0.5 * count * math.log(max(squares[name] / count, _TINY)) for name, count in counts.items() if count
+    )
 
 
 def foretold(e: Array) -> float:

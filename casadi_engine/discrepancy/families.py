@@ -49,6 +49,7 @@ def chosen_of(screened: Screened, step: OneStep, members: Sequence[int]) -> Addi
     if candidate.source.is_flat:
         candidate = screened.candidates[_of_its_size(screened, step, members, found.lead)]
     if size * candidate.side < 0 or size == 0 or not math.isfinite(size):
-        size = BEYOND * float(screened.scores.error[found.lead]) * (candidate.side or 1)
+        error = min(float(screened.scores.error[found.lead]), float(step.error[found.lead]))
+        size = BEYOND * error * (candidate.side or 1) if math.isfinite(error) else 0.0
     whole = any(grid.whole for grid in candidate.source.effect.nuisance.values())
     return addition(candidate, size, len(members) if whole else 1, found.times)

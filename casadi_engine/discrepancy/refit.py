@@ -9,6 +9,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from casadi_engine.discrepancy.candidate import Candidate
@@ -96,6 +97,12 @@ class Addition:
     def forms(self) -> tuple[Addition, ...]:
         """What is refitted of it: an event in several records with one amplitude for all, and with one for each."""
         return (self, replace(self, shared=False)) if self.times else (self,)
+
+    @property
+    def is_law(self) -> bool:
+        """True for what depends on the motion: no constant, and no event."""
+        source = self.candidate.source
+        return not self.placed and bool(ca.depends_on(ca.SX(source.slots), source.model.x))
 
     @property
     def placed(self) -> bool:

@@ -55,7 +55,8 @@ Key = frozenset[tuple[str, str]]
 class Tried:
     """A structure that was refitted: its effects, where that ended, and its evidence with the noise of all.
 
-    pool : all structures at the time it is asked; failed : its whole fit did not converge; fresh : log probability of
+    pool : all structures at the time it is asked; own : log evidence in noise of the level and colour that it leaves
+    itself, where what the best leaves is coloured; failed : its whole fit did not converge; fresh : log probability of
     fresh data beside that by the structure which foretells them best, where they were asked
     """
 
@@ -64,6 +65,7 @@ class Tried:
     digest: Digest
     evidence: Evidence
     pool: Callable[[], dict[Key, Tried]]
+    own: float | None = None
     failed: bool = False
     fresh: float = 0.0
 
@@ -88,8 +90,21 @@ class Tried:
 
     @property
     def log(self) -> float:
-        """The log evidence, of fresh data too where they were asked."""
-        return -math.inf if self.failed else self.evidence.log + self.fresh
+        """The log evidence, of fresh data too where they were asked.
+
+        Beside coloured noise two likelihoods see what the other does not: that of samples which are worth fewer
+        independent ones, slow effects; and that of the innovations, fast ones. Whichever says more, over what the model
+        without effects leaves, counts.
+        """
+        return -math.inf if self.failed else self.counted + self.fresh
+
+    @property
+    def counted(self) -> float:
+        """The log evidence of the records alone."""
+        none = self.pool().get(frozenset())
+        if self.own is None or none is None or none.own is None:
+            return self.evidence.log
+        return max(self.evidence.log, none.evidence.log + self.own - none.own)
 
     @property
     def name(self) -> str:
@@ -111,7 +126,8 @@ class Tried:
         without = self.pool().get(self.key - {one.candidate.key})
         if without is None or not _THERE <= size < math.inf:
             return size
-        drop = math.sqrt(max(without.evidence.cost - self.evidence.cost, 0.0))
+        gain = 2 * (self.counted - without.counted) if self.own is not None else 0.0
+        drop = math.sqrt(max(without.evidence.cost - self.evidence.cost, gain, 0.0))
         return drop if drop > _ELSEWHERE * size else size
 
 
@@ -150,6 +166,7 @@ class Refits:
         )  # structures of which a better optimum was found since this was last asked
         # structure -> what was asked, and one step of all candidates in the place of one of its effects
         self.steps: dict[Tried, tuple[tuple[object, ...], OneStep | None]] = {}
+        self._own: dict[int, tuple[Digest, float]] = {}  # log evidence in their own noise
         self._fine: set[Key] = set()  # structures whose corners are as sharp as the data feel
         self._tell = tell
         # the last one with the share of its corners, as several parts ask for the same
@@ -235,6 +252,7 @@ class Refits:
                 return
             for one in self.pool.values():
                 one.evidence = evidence(one.digest, self.levels)
+                one.own = self._alone(one) if self.levels.memory else None
 
     def _left_by(self, tried: Tried) -> tuple[NullModel, Levels]:
         """The residuals of a structure, and the noise that it leaves."""
@@ -251,12 +269,16 @@ class Refits:
 
     def _alone(self, tried: Tried) -> float:
         """The log evidence with the noise that the structure leaves, of its own level and colour."""
-        try:
-            null, levels = self._left_by(tried)
-            made = evidence(tried.digest, levels)
-            return made.log + 0.5 * made.cost - innovations(null, levels)
-        except FAILURES:
-            return -math.inf
+        known = self._own.get(id(tried.digest))
+        if known is None or known[0] is not tried.digest:
+            try:
+                null, levels = self._left_by(tried)
+                made = evidence(tried.digest, levels)
+                known = tried.digest, made.log + 0.5 * made.cost - innovations(null, levels)
+            except FAILURES:
+                known = tried.digest, -math.inf
+            self._own[id(tried.digest)] = known
+        return known[1]
 
     def relevel(self, tried: Sequence[Tried]) -> None:
         """Go on at the levels that the most probable one leaves, where they are lower."""

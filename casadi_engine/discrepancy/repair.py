@@ -12,6 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casadi_engine.blas_threads import one_blas_thread
 from casadi_engine.deadline import Deadline, TimeUp
 from casadi_engine.discrepancy.answer import Answer
 from casadi_engine.discrepancy.assumed_pressure import carry, remarks, settle_scatter
@@ -69,6 +70,7 @@ _EXCHANGED = (
 _LOWER = "the time was up before the whole data were fitted: all values are those of records of a lower rate"
 
 
+@one_blas_thread
 def repair(
     model: Model,
     data: Experiment | Sequence[Experiment],

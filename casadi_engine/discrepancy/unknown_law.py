@@ -17,6 +17,7 @@ import numpy as np
 from scipy import linalg
 
 from casadi_engine.discrepancy.evidence import FACTOR, Columns, Digest, Levels, Prior, digest, evidence
+from casadi_engine.discrepancy.fresh_misfit import SEEN
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.noise_model import deviance, estimated_noise
 from casadi_engine.discrepancy.null_model import NullModel
@@ -41,9 +42,10 @@ TAKEN = 0.8
 # Effects that explain this share of what a function does stay the answer, whatever is more probable: dry friction of a
 # real machine is never all that depends on its speed.
 _NEAR = 0.8
-# The same of an event, which bends in time to any law that is not there all the time, and of effects elsewhere, which
-# are another explanation: the mean of a law is a constant everywhere.
-_NEAR_OF_OTHERS = 0.95
+# The same of what is no law of the motion at that port: a constant is the mean of any law, an event bends in time to
+# one that is not there all the time, effects elsewhere are another explanation. They stay where they leave no more of
+# the gap (rmse) than a person would see.
+_NEAR_OF_OTHERS = 1 - SEEN**2
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,7 @@ class UnknownLaw:
 
 def near_of(tried: Tried, port: str) -> float:
     """Share of what a function at a port does that effects have to explain to stay the answer."""
-    there = any(one.candidate.port == port and not one.placed for one in tried.effects)
+    there = any(one.candidate.port == port and one.is_law for one in tried.effects)
     return _NEAR if there else _NEAR_OF_OTHERS
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.effects.corners import narrow
-from casadi_engine.errors import CasadiEngineError
+from casadi_engine.errors import CasadiEngineError, EstimationError
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.refit_answer import Refit
 from casadi_engine.estimation.refit_problem import RefitProblem
@@ -38,6 +38,8 @@ Array = NDArray[np.float64]
 # Corners are sharpened by this factor, at most so often, as long as chi-squared feels it by more than this: a quarter
 # is a bias of half a standard error at most.
 FACTOR, SHARPER, FELT = 4.0, 4, 0.25
+# How often they are wider by the factor where none can be followed as they were declared: then about as wide as motion.
+WIDER = 4
 # How the message begins that says so.
 ROUNDED = "the data feel how corners are rounded"
 # The least factor that is worth a fit of its own.
@@ -46,6 +48,38 @@ _WORTH = 1.4
 _STEPS = 1e6
 # Intervals into which a record is cut then: the integrator takes them side by side.
 _INTERVALS = 400
+
+
+def from_wide_corners(
+    first: Callable[[dict[str, Any]], Fit],
+    again: Callable[[dict[str, Any]], Fit],
+    arguments: Mapping[str, Any],
+) -> Fit:
+    """The fit; where it ends at values that no integrator follows with corners as sharp as they were declared, from one
+    with corners that are far wider, and then sharper in steps.
+
+    first(changes), again(changes) : make a fit with changed arguments, from all starts and from a warm one
+    """
+    try:
+        return first({})
+    except EstimationError as fault:
+        model, parameters = arguments["model"], arguments["parameters"]
+        widths = {name: parameters[name].value for name in _open_widths(model, parameters)}
+        if not isinstance(fault.__cause__, FloatingPointError) or not widths:
+            raise
+    wider = [
+        with_widths(parameters, {name: FACTOR**k * width for name, width in widths.items()})
+        for k in range(WIDER, -1, -1)
+    ]
+    fit = first({"parameters": wider[0]})
+    for sharper in wider[1:]:
+        try:
+            fit = again({"parameters": sharper, "warm": fit, "approach": "direct"})
+        except EstimationError:
+            own = ", ".join(f"{name} = {fit.parameters[name].value:.2g}" for name in widths)
+            words = f"{ROUNDED} ({own}), and with sharper ones the equations cannot be followed"
+            return replace(fit, messages=(words, *fit.messages))
+    return fit
 
 
 def follow_motion(fit: Fit, parameters: Parameters, again: Callable[[Parameters, Fit, Any], Fit]) -> Fit:

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.blas_threads import one_blas_thread
 from casadi_engine.deadline import Deadline, TimeUp, best_wanted, is_set, late, was_stopped
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.answer import make_fit
-from casadi_engine.estimation.corner_widths import follow_motion
+from casadi_engine.estimation.corner_widths import follow_motion, from_wide_corners
 from casadi_engine.estimation.cut_short import GIVEN_UP, MANY, in_time
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.interrupts import Interrupts
@@ -39,6 +40,7 @@ from casadi_engine.problem.noise import Noise
 Array = NDArray[np.float64]
 
 
+@one_blas_thread
 def estimate(
     model: Model,
     data: Experiment | Sequence[Experiment],
@@ -155,13 +157,15 @@ def estimate(
             "neighbours": neighbours,
         },
     )
+    again = lambda changed: run(arguments | changed, 1, 0, begun)  # noqa: E731
     try:
-        fit = run(arguments, starts, neighbours, begun)
+        fit = from_wide_corners(
+            lambda changed: run(arguments | changed, starts, neighbours, begun), again, arguments
+        )
     except TimeUp:
         if late():
             raise
         raise KeyboardInterrupt from None  # there is no point yet
-    again = lambda changed: run(arguments | changed, 1, 0, begun)  # noqa: E731
     fit = in_time(lambda: follow_delays(fit, arguments["parameters"], again), lambda: fit)
     arguments["model"] = fit.model
     return _with_sharp_corners(fit, arguments, again)

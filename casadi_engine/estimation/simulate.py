@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.blas_threads import one_blas_thread
 from casadi_engine.errors import SimulationError
 from casadi_engine.estimation.estimate import estimate
 from casadi_engine.estimation.fit import Estimate, Fit
@@ -56,6 +57,7 @@ def simulate(
 ) -> Prediction: ...
 
 
+@one_blas_thread
 def simulate(
     model: Any,
     data: Experiment,

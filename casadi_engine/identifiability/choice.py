@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.blas_threads import one_blas_thread
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.fit import Estimate
 from casadi_engine.estimation.options import whole
@@ -98,6 +99,7 @@ class ExperimentChoice:
         return None if now is None else self.information.duration * (now / error) ** 2
 
 
+@one_blas_thread
 def choose_experiments(
     model: Model,
     candidates: Any,

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.blas_threads import one_blas_thread
 from casadi_engine.distributions import chi2_isf, f_isf
 from casadi_engine.errors import CasadiEngineError, EstimationError
 from casadi_engine.estimation.estimate import estimate
@@ -109,6 +110,7 @@ class Profile:
         return {name: (line.interval.low, line.interval.high) for name, line in self.lines.items()}
 
 
+@one_blas_thread
 def profile(
     fit: Fit,
     *names: str,

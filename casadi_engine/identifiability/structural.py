@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from casadi_engine.blas_threads import one_blas_thread
 from casadi_engine.errors import IdentifiabilityError
 from casadi_engine.identifiability.draw import Drawn, draw
 from casadi_engine.identifiability.probability import error_probability
@@ -148,6 +149,7 @@ class Identifiability:
         return html_summary(self)
 
 
+@one_blas_thread
 def identifiability(
     model: Model,
     *,

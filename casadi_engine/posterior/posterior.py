@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.blas_threads import one_blas_thread
 from casadi_engine.errors import PosteriorError, UntrustedPosteriorError
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.options import check_likelihood, chosen, whole
@@ -34,6 +35,7 @@ ROUNDING = 1e-9
 TRIALS = 4
 
 
+@one_blas_thread
 def posterior(
     fit: Fit,
     *,

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.blas_threads import one_blas_thread
 from casadi_engine.errors import EstimationError, ExperimentError
 from casadi_engine.estimation import Fit, Trace, estimate
 from casadi_engine.estimation.fit_percent import fit_measures
@@ -68,6 +69,7 @@ class Validation:
         return summary(self)
 
 
+@one_blas_thread
 def validate(
     fit: Fit | Model,
     data: Experiment | Sequence[Experiment] | None = None,
