@@ -200,7 +200,10 @@ class Additions:
             if (key := candidates[k].key) not in self.families or int(k) not in self.families[key]:
                 self.families[key] = [*self.families.get(key, ()), int(k)]
         cost = costs_of(self.screened, step, self.families)
-        left, last = sorted(self.families, key=lambda key: cost[key]), 2 * time.perf_counter() - begun
+        # what has no values to be looked for on a grid is told sooner
+        grids = {one.key: bool(one.source.effect.nuisance) for one in candidates}
+        left = sorted(self.families, key=lambda key: (grids[key], cost[key]))
+        last = 2 * time.perf_counter() - begun
         best = self._best()
         while left and time.perf_counter() < last:
             ask()

@@ -22,7 +22,7 @@ import numpy as np
 
 from casadi_engine.discrepancy.linear_algebra import Array, triangle
 from casadi_engine.discrepancy.noise_choice import is_white
-from casadi_engine.discrepancy.noise_model import NoiseModel, estimated_noise
+from casadi_engine.discrepancy.noise_model import NoiseModel, estimated_noise, left_over
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.selection import effective_samples
 from casadi_engine.estimation.autoregression import autoregression
@@ -167,8 +167,10 @@ def levels_left(
     count = dict.fromkeys(sigma, 0.0)
     worth = dict.fromkeys(sigma, 0.0)
     told = 0.0
+    # what the slopes explain is no noise: a search may have ended short of its optimum
+    left = left_over(null, white, explained, random)
     for record in null.records:
-        for output, e in record.residual.items():
+        for output, e in left[record.name].items():
             count[output] += len(e)
             worth[output] += effective_samples(e)
             told += foretold(e / sigma[output])

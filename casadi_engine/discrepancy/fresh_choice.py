@@ -148,7 +148,7 @@ class FreshChoice:
             stations = search.way(search.best)
             if stations is None or len(stations) == 1:
                 return
-            kept = self._each_confirmed(stations)
+            kept = self._bent_together(self._each_confirmed(stations))
             search.misfit = self._misfit(kept[-1], self._on_fresh(kept[-1]))
             if len(kept) < len(stations):
                 gone = {one.candidate.key for one in stations[-1].effects[len(kept) - 1 :]}
@@ -202,6 +202,22 @@ class FreshChoice:
                 else "fresh data do not confirm it by itself"
             )
             self.messages.append(f"{one.name} is left out: {why}, and {said}")
+            stations = stations[:-1]
+        return stations
+
+    def _bent_together(self, stations: list[Station]) -> list[Station]:
+        """The stations without effects that only together with others of their port come near to a law of no name: what
+        they leave is again a function of a signal there."""
+        while len(stations) > 2:
+            last = stations[-1]
+            unknown = unknown_of(last.screened)
+            at = [one.candidate.port for one in last.effects]
+            if unknown is None or unknown.port != at[-1] or at.count(at[-1]) < 2:
+                break
+            self.messages.append(
+                f"{last.effects[-1].name} is left out: with it, too, what is left depends on {unknown.signal} there, as "
+                "effects of one port that bend to a law of no name leave it"
+            )
             stations = stations[:-1]
         return stations
 

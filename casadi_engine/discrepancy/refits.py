@@ -102,8 +102,8 @@ class Tried:
     def counted(self) -> float:
         """The log evidence of the records alone."""
         none = self.pool().get(frozenset())
-        if self.own is None or none is None or none.own is None:
-            return self.evidence.log
+        if self.own is None or none is None or none.own is None or self.arrived.cost > none.arrived.cost:
+            return self.evidence.log  # a wrong way is smooth, and foretells itself
         return max(self.evidence.log, none.evidence.log + self.own - none.own)
 
     @property

@@ -259,13 +259,12 @@ def test_two_effects_that_are_no_findings_beside_their_colour_stand_in_no_ones_p
 # ---- a round whose effect does nothing on fresh data
 
 
-@pytest.mark.parametrize("idle", [False, True])
-def test_a_round_whose_effect_fresh_data_would_leave_out_is_the_last(monkeypatch, idle):
-    one, two, three = tried("a", log=-100.0), tried("a", "b", log=-50.0), tried("a", "b", "c", log=-10.0)
-    found = choice_of(monkeypatch, tried(log=-500.0), one, two, three)
-    found.stations |= {t.key: stub(screened=stub()) for t in (one, two, three)}
+def in_rounds(monkeypatch, *structures):
+    """A choice whose rounds find these, one after the other."""
+    found = choice_of(monkeypatch, tried(log=-500.0), *structures)
+    found.stations |= {t.key: stub(screened=stub()) for t in structures}
     found.refits.weigh = found.refits.exactly = lambda *_: None
-    made, preferred = iter((one, two, three, None)), []
+    made, preferred = iter((*structures, None)), []
     monkeypatch.setattr(Choice, "_asks", lambda *_: True)
     monkeypatch.setattr(Choice, "_by_windows", lambda *_: None)
     monkeypatch.setattr(Choice, "_round", lambda *_: next(made))
@@ -273,6 +272,18 @@ def test_a_round_whose_effect_fresh_data_would_leave_out_is_the_last(monkeypatch
     monkeypatch.setattr(Choice, "_in_two", lambda *_: None)
     monkeypatch.setattr(module, "special_cases", lambda *_: None)
     monkeypatch.setattr(Choice, "prefer", lambda self, key, without: preferred.append((key, without)))
+    return found, preferred
+
+
+@pytest.mark.parametrize("idle", [False, True])
+def test_a_round_whose_effect_fresh_data_would_leave_out_is_the_last(monkeypatch, idle):
+    found, preferred = in_rounds(
+        monkeypatch,
+        tried("a", log=-100.0),
+        tried("a", "b", log=-50.0),
+        tried("a", "b", "c", log=-10.0),
+    )
+    monkeypatch.setattr(Choice, "_another", lambda *_: None)
     asked = []
 
     def told(key):
@@ -289,3 +300,26 @@ def test_a_round_whose_effect_fresh_data_would_leave_out_is_the_last(monkeypatch
         assert asked == [key_of("a", "b"), key_of("a", "b", "c")]
         assert preferred == []
         assert found.best == key_of("a", "b", "c")
+
+
+def test_what_closes_a_part_of_the_gap_takes_the_place_of_what_fresh_data_would_leave_out(monkeypatch):
+    """A delay of half a sample was more probable than friction that fades, and does nothing one can see elsewhere."""
+    found, preferred = in_rounds(monkeypatch, tried("a", log=-100.0), tried("a", "b", log=-50.0))
+    other = tried("a", "c", log=-60.0)
+    found.refits.pool[other.key] = other
+    found.stations[other.key] = stub(screened=stub())
+    monkeypatch.setattr(Choice, "_another", lambda self, here: other)
+    found.idle_on_fresh = lambda key: key_of("b") if key == key_of("a", "b") else NONE
+    found._rounds(found.pool[NONE])
+    assert preferred == [(key_of("a"), key_of("b"))]
+    assert found.best == key_of("a", "c")
+
+
+@pytest.mark.parametrize(("cost", "chosen"), [(80.0, True), (82.0, False)])
+def test_only_what_closes_a_tenth_of_the_gap_is_another(monkeypatch, cost, chosen):
+    here, other = tried("a", log=-100.0), tried("a", "c", log=-60.0)
+    here.arrived, other.arrived = stub(cost=100.0), stub(cost=cost)
+    found = choice_of(monkeypatch, tried(log=-500.0), here, other)
+    found.stations[here.key] = stub(screened=stub())
+    monkeypatch.setattr(Choice, "_chosen_of", lambda self, own, station, made: made[0])
+    assert found._another(here) is (other if chosen else None)
