@@ -164,7 +164,7 @@ class Answer:
         law = self._law(last, unknown_law) if found or (unknown is None and coloured) else None
         rival = None if law is None else in_place_of(last, law)
         # near the truth the law that is linearised is told from the effects; else it is refitted
-        asked = rival is not None if found else coloured or unknown is not None
+        asked = rival is not None or coloured or (unknown is not None and not found)
         if asked and not null.screened.request.blind:  # an error of a sensor may be all there is
             far = self._law(last, refitted_law)
             told = None if far is None else in_place_of(last, far)

@@ -6,6 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from casadi_engine.discrepancy.certificate import unknown_of
 from casadi_engine.discrepancy.confirmation import share_closed
 from casadi_engine.discrepancy.fresh import gap_of
@@ -50,7 +52,7 @@ def reason_to_withdraw(claim: Claim, null: Station, confirmed: bool) -> Unknown 
     noise, proof = claim.last.screened.noise, claim.proof
     ports = null.fit.model.ports
     instruments = all(ports[one.at].kind in ("sensor", "input") for one in claim.found)
-    told = claim.unknown is not None and bool(claim.unknown.tests)
+    told = claim.unknown is not None
     if not told and not (instruments and noise.colour):
         return None
     closed = _closed([null.screened.null], [claim.last.screened.null], noise)
@@ -88,7 +90,7 @@ def missing_beside(
     score has to be below which no refit bears out."""
     unknown = unknown_of(last.screened)
     if unknown is not None or found:
-        return unknown
+        return unknown or _no_noise(last)
     if withdrawn:
         words = f"{withdrawn[0].name} at {withdrawn[0].at} explains these data best, but fresh data refuse it"
         return Unknown(words, {})
@@ -104,21 +106,27 @@ def missing_beside(
 
 def _no_noise(null: Station) -> Unknown | None:
     """A coloured residual that swings a few times in its whole record, or is most of what was measured, may be called
-    no noise."""
+    no noise; nor may one that is seen beside the output and is smooth, foretold by its own past."""
     screened = null.screened
     for record in screened.null.records:
         for output, e in record.residual.items():
+            if (record.name, output) not in screened.noise.colour:
+                continue
             swings = effective_samples(e)
-            if (record.name, output) in screened.noise.colour and swings < _SWINGS:
+            if swings < _SWINGS:
                 words = (
                     f"what the model leaves of {output} in {record.name} changes as slowly as if the record held "
                     f"{swings:.0f} independent samples: {_NOT_NOISE}"
                 )
                 return Unknown(words, {})
             share = null.fit.fit_percent[record.name][output]["simulation"]
-            if (record.name, output) in screened.noise.colour and share is not None and share < _MOST:
-                words = f"the model explains {max(share, 0.0):.0f} % of {output} in {record.name}, and the rest is"
-                return Unknown(f"{words} coloured: {_NOT_NOISE}", {})
+            words = f"the model explains {max(share or 0.0, 0.0):.0f} % of {output} in {record.name}, and the rest"
+            if share is not None and share < _MOST:
+                return Unknown(f"{words} is coloured: {_NOT_NOISE}", {})
+            sudden = screened.noise.sigma[output] / max(float(np.sqrt(np.mean(e**2))), 1e-300)
+            if share is not None and share < 100 * (1 - SEEN) and sudden < SEEN:
+                words += f" is foretold by its own past, with next to nothing sudden in it: {_NOT_NOISE}"
+                return Unknown(words, {})
     return None
 
 

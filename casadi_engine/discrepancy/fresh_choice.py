@@ -215,8 +215,8 @@ class FreshChoice:
             if unknown is None or unknown.port != at[-1] or at.count(at[-1]) < 2:
                 break
             self.messages.append(
-                f"{last.effects[-1].name} is left out: with it, too, what is left depends on {unknown.signal} there, as "
-                "effects of one port that bend to a law of no name leave it"
+                f"{last.effects[-1].name} is left out: with it, too, what is left depends on {unknown.signal} there, "
+                "as effects of one port that bend to a law of no name leave it"
             )
             stations = stations[:-1]
         return stations
