@@ -16,6 +16,7 @@ from casadi_engine.blas_threads import one_blas_thread
 from casadi_engine.deadline import Deadline, TimeUp, best_wanted, is_set, late, was_stopped
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.answer import make_fit
+from casadi_engine.estimation.behind_a_bound import told_from_their_bounds
 from casadi_engine.estimation.corner_widths import follow_motion, from_wide_corners
 from casadi_engine.estimation.cut_short import GIVEN_UP, MANY, in_time
 from casadi_engine.estimation.fit import Fit
@@ -168,7 +169,10 @@ def estimate(
         raise KeyboardInterrupt from None  # there is no point yet
     fit = in_time(lambda: follow_delays(fit, arguments["parameters"], again), lambda: fit)
     arguments["model"] = fit.model
-    return _with_sharp_corners(fit, arguments, again)
+    fit = _with_sharp_corners(fit, arguments, again)
+    if is_set() or errors == "quadratic":  # another verb asks for what it needs
+        return fit
+    return in_time(lambda: told_from_their_bounds(fit, arguments["parameters"], again), lambda: fit)
 
 
 def _with_sharp_corners(fit: Fit, arguments: Mapping[str, Any], run: Callable[[dict[str, Any]], Fit]) -> Fit:

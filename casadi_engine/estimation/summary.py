@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from casadi_engine.estimation.behind_a_bound import NOT_TOLD
 from casadi_engine.estimation.fit import Estimate, Fit
 from casadi_engine.estimation.followed import not_followed
 from casadi_engine.estimation.gain_table import gain_rows, predictor_words
@@ -380,7 +381,8 @@ def next_steps(fit: Fit) -> list[str]:
             break
     steps += list(dict.fromkeys(_cure(fit, direction.weights) for direction in fit.undetermined))
     for name, estimate in fit.estimates.items():
-        if estimate.at_bound and name in fit.free:
+        told = any(words.startswith(f"{name} {NOT_TOLD}") for words in fit.messages)
+        if estimate.at_bound and name in fit.free and not told:
             bound = estimate.at_bound
             steps.append(f'{name} rests on its bound: widen it, pars["{name}"].set({bound}=...), or fix it')
     converged = [optimum for optimum in fit.optima if optimum.status == "converged"]

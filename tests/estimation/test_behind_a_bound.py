@@ -1,0 +1,165 @@
+"""A parameter that rests on its bound where the likelihood is nearly as high elsewhere: the others have no ±."""
+
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.signal import cont2discrete, lfilter
+
+import casadi_engine as ce
+from casadi_engine.errors import EstimationError
+from casadi_engine.estimation.behind_a_bound import NOT_TOLD, told_from_their_bounds
+from casadi_engine.estimation.fit import Estimate
+
+SEEDS = (4, 6)
+
+
+@dataclass(frozen=True)
+class Found:
+    """What is asked of a fit."""
+
+    estimates: dict[str, Estimate]
+    cost: float = 100.0
+    sigma: float = 1.0
+    converged: bool = True
+    own_noise: dict[str, float] = field(default_factory=dict)
+    messages: tuple[str, ...] = ()
+    gain: Any = None
+    start: dict[str, float] = field(default_factory=lambda: {"C": 700.0, "G": 4.0, "H": 3.0})
+
+    @property
+    def free(self):
+        return tuple(self.estimates)
+
+    @property
+    def values(self):
+        return {name: one.value for name, one in self.estimates.items()}
+
+    @property
+    def noise(self):
+        return {"T": (self.sigma, True)}
+
+    @property
+    def traces(self):
+        return {"a": {"T": SimpleNamespace(mask=np.ones(100, dtype=bool))}}
+
+
+class Held:
+    """A set in which a parameter can be fixed, and the fit that is made of it."""
+
+    def __init__(self, other):
+        self.other, self.fixed = other, []
+
+    def copy(self):
+        return self
+
+    def fix(self, name, value):
+        self.fixed.append((name, value))
+
+    def again(self, changes):
+        assert changes == {"parameters": self, "warm": None}
+        if self.other is None:
+            raise EstimationError("no", seen="no", allowed="no", cure="no")
+        return self.other
+
+
+def on_its_bound(**changed):
+    estimates = {
+        "C": Estimate(10.0, None, "J/K", at_bound="min"),
+        "G": Estimate(0.06, 0.001, "W/K"),
+        "H": Estimate(3.0, 0.1, "W/K"),
+    }
+    return Found(estimates, **changed)
+
+
+def elsewhere(fit, **changed):
+    moved = {"C": 700.0, "G": 3.4, "H": 3.05}
+    estimates = {name: replace(one, value=moved[name]) for name, one in fit.estimates.items()}
+    return replace(fit, estimates=estimates, **changed)
+
+
+def test_what_is_elsewhere_has_no_error():
+    fit = on_its_bound()
+    held = Held(elsewhere(fit, cost=101.5))
+    found = told_from_their_bounds(fit, held, held.again)
+    assert held.fixed == [("C", 700.0)]
+    assert (found.estimates["G"].stderr, found.estimates["G"].quadratic) == (None, 0.001)
+    assert found.estimates["H"].stderr == 0.1
+    assert found.messages[0].startswith(f"C {NOT_TOLD} with C = 700 chi-squared is 1.5 higher and G = 3.4: ")
+    assert "do not tell C from G; fix C where it is known" in found.messages[0]
+
+
+@pytest.mark.parametrize(
+    ("cost", "sigma", "ratio", "doubted"),
+    [(105.0, 1.0, 1.0, False), (105.0, 1.0, 2.0, True), (100.0, 1.03, 1.0, False), (100.0, 1.01, 1.0, True)],
+)
+def test_chi_squared_counts_in_the_noise_that_there_is(cost, sigma, ratio, doubted):
+    """100 samples: a level that is 3 % higher is worth 5.9, one of 1 % 2."""
+    fit = on_its_bound(own_noise={"G": ratio})
+    held = Held(elsewhere(fit, cost=cost, sigma=sigma))
+    found = told_from_their_bounds(fit, held, held.again)
+    assert (found.estimates["G"].stderr is None) == doubted
+    assert doubted or held.fixed == [("C", 700.0), ("C", 355.0)]
+
+
+@pytest.mark.parametrize("other", [None, "not converged"])
+def test_a_fit_that_cannot_be_made_says_nothing(other):
+    fit = on_its_bound()
+    held = Held(None if other is None else elsewhere(fit, converged=False))
+    assert told_from_their_bounds(fit, held, held.again) is fit
+
+
+def test_no_other_fit_where_nothing_rests_on_a_bound():
+    fit = on_its_bound()
+    inside = replace(
+        fit, estimates={name: replace(one, at_bound=False) for name, one in fit.estimates.items()}
+    )
+    held = Held(elsewhere(fit))
+    assert told_from_their_bounds(inside, held, held.again) is inside
+    assert held.fixed == []
+
+
+def oven(seed):
+    """A plate that warms the air of a chamber, which alone is measured: 500 samples, noise of a colour."""
+    rng = np.random.default_rng(seed)
+    levels, lengths = rng.uniform(0, 600, 40), rng.integers(15, 60, 40)
+    room = np.interp(np.arange(500), np.arange(0, 500, 25), 295 + 3 * rng.standard_normal(20))
+    drives = np.column_stack([np.repeat(levels, lengths)[:500], room])
+    a = np.array([[-4.0 / 900, 4.0 / 900], [4.0 / 2500, -7.0 / 2500]])
+    b = np.array([[1 / 900, 0.0], [0.0, 3.0 / 2500]])
+    a, b, *_ = cont2discrete((a, b, np.eye(2), np.zeros((2, 2))), 10.0)
+    x = [np.array([296.0, 296.0])]
+    for u in drives[:-1]:
+        x.append(a @ x[-1] + b @ u)
+    air = np.array(x)[:, 1]
+    noise = lfilter([0.8], [1.0, -0.6], rng.standard_normal(500)) * np.std(air) * 10 ** (-24 / 20)
+    channels = {"W": drives[:, 0], "T0": drives[:, 1], "T": air + noise}
+    return ce.Experiment.from_arrays(
+        "a", time=10.0 * np.arange(500), units={"W": "W", "T0": "K", "T": "K"}, hold="zero", **channels
+    )
+
+
+def test_a_heater_whose_capacity_the_air_hardly_tells():
+    """Of the plate's capacity and conductance the air tells the ratio: conductances had been 50 errors off."""
+    b = ce.Blueprint("oven")
+    start = {"Ch": 700.0, "Ca": 3400.0, "Gh": 6.0, "Ga": 4.0}
+    bounds = {"Ch": ("J/K", 10.0), "Ca": ("J/K", 10.0), "Gh": ("W/K", 0.0), "Ga": ("W/K", 0.0)}
+    ch, ca, gh, ga = (b.parameter(n, start[n], unit=u, min=low) for n, (u, low) in bounds.items())
+    plate, air = b.state("plate", unit="K", scale=300), b.state("air", unit="K", scale=300)
+    heat, room = b.input("W", unit="W"), b.input("T0", unit="K")
+    b.ode("plate", (heat - gh * (plate - air)) / ch)
+    b.ode("air", (gh * (plate - air) - ga * (air - room)) / ca)
+    b.output("T", air, unit="K")
+    model, truth, held = b.model(), {"Ch": 900.0, "Ca": 2500.0, "Gh": 4.0, "Ga": 3.0}, 0
+    for seed in SEEDS:
+        fit = ce.estimate(model, oven(seed), progress=False)
+        if fit.estimates["Ch"].at_bound:
+            held += 1
+            assert any(words.startswith(f"Ch {NOT_TOLD}") for words in fit.messages)
+            assert 'pars["Ch"].set' not in str(fit)
+        for name, true in truth.items():
+            error = fit.estimates[name].stderr
+            assert error is None or abs(fit.values[name] - true) < 4 * error
+    assert held
