@@ -36,7 +36,7 @@ from casadi_engine.discrepancy.fresh import (
     Portions,
     side,
 )
-from casadi_engine.discrepancy.fresh_choice import NO_RUN, Confirmation, FreshChoice
+from casadi_engine.discrepancy.fresh_choice import LEFT_OUT, NO_RUN, Confirmation, FreshChoice
 from casadi_engine.discrepancy.fresh_fits import events_told
 from casadi_engine.discrepancy.fresh_misfit import held_to_fresh_data
 from casadi_engine.discrepancy.joint_fit import asks_for_one, with_joint_fit
@@ -117,6 +117,10 @@ class Answer:
         found, last, proof = claim.found, claim.last, claim.proof
         if not found:  # there is no repaired model
             self.messages[:] = [words for words in self.messages if words != NO_RUN]
+        named = tuple(
+            f"{one.name} at {one.at} {LEFT_OUT}" for one in found
+        )  # what was left out first, and came back
+        self.messages[:] = [words for words in self.messages if not words.startswith(named or "\0")]
         verdict = _verdict(found, claim.unknown)
         self._say(null, last, proof)
         blank = Repair(

@@ -27,6 +27,7 @@ from casadi_engine.discrepancy.ways import way_so_far
 from casadi_engine.estimation import Fit
 
 NO_RUN = "the repaired model cannot be simulated on the fresh data, which neither confirms nor refuses it"
+LEFT_OUT = "is left out:"
 _UNSETTLED = (
     "its initial states on the fresh data had not settled, so that these neither confirm nor refuse it"
 )
@@ -201,7 +202,7 @@ class FreshChoice:
                 if judged.confirmed
                 else "fresh data do not confirm it by itself"
             )
-            self.messages.append(f"{one.name} is left out: {why}, and {said}")
+            self.messages.append(f"{one.name} {LEFT_OUT} {why}, and {said}")
             stations = stations[:-1]
         return stations
 
@@ -215,7 +216,7 @@ class FreshChoice:
             if unknown is None or unknown.port != at[-1] or at.count(at[-1]) < 2:
                 break
             self.messages.append(
-                f"{last.effects[-1].name} is left out: with it, too, what is left depends on {unknown.signal} there, "
+                f"{last.effects[-1].name} {LEFT_OUT} with it, too, what is left depends on {unknown.signal} there, "
                 "as effects of one port that bend to a law of no name leave it"
             )
             stations = stations[:-1]

@@ -270,3 +270,31 @@ def test_the_effects_that_would_be_left_out_in_the_end_are_told_to_the_search(mo
     assert FreshChoice(search, stub(fresh=()), print, []).idle(frozenset({"dry", "drag"})) == set()
     null.screened.request.blind = True  # of sensors and stated numbers alone: never judged
     assert choice.idle(frozenset({"dry", "drag"})) == set()
+
+
+# ---- effects of one port that bend to a law together
+
+
+@pytest.mark.parametrize(
+    ("ports", "port", "left"),
+    [
+        (["spring", "spring"], "spring", 1),
+        (["spring", "load"], "spring", 2),  # the last one is elsewhere
+        (["load", "spring"], "spring", 2),  # and none beside it there
+        (["spring", "spring"], None, 2),  # nothing is left, or no function
+        (["spring", "spring", "spring"], "spring", 1),
+    ],
+)
+def test_effects_that_leave_a_function_of_their_own_signal_come_down_to_the_first(
+    monkeypatch, ports, port, left
+):
+    """A spring of an exponential had come out as one that hardens and a play of a thousandth of its way."""
+    effects = tuple(stub(name=f"{k} at {at}", candidate=stub(port=at)) for k, at in enumerate(ports))
+    stations = [stub(effects=effects[:k], screened=k) for k in range(len(effects) + 1)]
+    unknown = None if port is None else stub(port=port, signal="twist")
+    monkeypatch.setattr(module, "unknown_of", lambda screened: unknown)
+    said = []
+    found = FreshChoice(None, None, print, said)._bent_together(stations)
+    assert len(found) == left + 1
+    assert len(said) == len(ports) - left
+    assert all("is left out: with it, too, what is left depends on twist there" in words for words in said)

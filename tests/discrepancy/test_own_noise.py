@@ -1,0 +1,92 @@
+"""Evidence beside coloured noise: by samples that are worth fewer, and by innovations of a structure's own noise."""
+
+from types import SimpleNamespace as stub
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from casadi_engine.discrepancy.evidence import Levels, innovations, levels_left
+from casadi_engine.discrepancy.null_model import NullModel, RecordNull
+from casadi_engine.discrepancy.refits import Tried
+
+COUNT = 1000
+
+
+def null_of(residual, slopes=None):
+    """One record of one output and one parameter."""
+    slopes = np.zeros((len(residual), 1)) if slopes is None else slopes[:, None]
+    record = RecordNull(
+        name="a",
+        path=stub(grid=stub(measured={"y": stub(values=residual)})),
+        residual={"y": residual},
+        time={"y": np.arange(len(residual), dtype=float)},
+        index={"y": np.arange(len(residual))},
+        length={"y": len(residual)},
+        cycle={"y": np.zeros(len(residual), dtype=int)},
+        slopes={"y": slopes},
+        starts=(),
+    )
+    return NullModel(None, ("p",), ("1",), np.ones(1), np.eye(1), np.zeros((0, 2)), (record,))
+
+
+def test_white_residuals_count_by_their_level():
+    e = np.random.default_rng(0).standard_normal(COUNT)
+    found = innovations(null_of(e), Levels({"y": 1e-3}))
+    assert found == pytest.approx(0.5 * COUNT * np.log(np.mean(e**2)), rel=1e-9)
+    stated = innovations(null_of(e), Levels({"y": 3.0}))  # no smaller than what was stated
+    assert stated == pytest.approx(COUNT * np.log(3.0), rel=1e-9)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9])
+def test_coloured_residuals_count_by_their_innovations(share):
+    """An autoregression of standard deviation 1 has innovations of sqrt(1 - a^2)."""
+    e = np.random.default_rng(1).standard_normal(20 * COUNT)
+    e = lfilter([1.0], [1.0, -share], e)
+    e /= np.std(e)
+    found = innovations(null_of(e), Levels({"y": 1e-3}, {"y": 10.0}))
+    own = float(e[1:] @ e[:-1]) / len(e)  # near the share, by chance
+    assert own == pytest.approx(share, abs=0.02)
+    assert found == pytest.approx(0.5 * len(e) * np.log(1 - own**2), rel=0.01)
+
+
+def test_what_slopes_explain_is_no_colour():
+    """A search that ended short of its optimum leaves what its parameters would take: it is no noise, and says nothing
+    of how many samples are worth one."""
+    noise = lfilter([1.0], [1.0, -0.5], np.random.default_rng(2).standard_normal(COUNT))
+    drift = np.linspace(-1, 1, COUNT) ** 2
+    there = levels_left(null_of(noise, drift), {}, 0.0, None)
+    short = levels_left(null_of(noise + 1e4 * drift, drift), {}, 0.0, None)
+    assert 2 < there.memory["y"] < 5  # 3 for the autoregression
+    assert short.memory["y"] == pytest.approx(there.memory["y"], rel=1e-6)
+    assert short.sigma["y"] == pytest.approx(there.sigma["y"], rel=1e-6)
+
+
+def pool_of(**structures):
+    """Structures by name -> (cost, log evidence by worth, log evidence in their own noise)."""
+    pool = {}
+    for name, (cost, log, own) in structures.items():
+        effects = () if name == "none" else (stub(candidate=stub(key=(name, "p"))),)
+        found = stub(log=log, cost=cost, error={})
+        pool[frozenset(one.candidate.key for one in effects)] = Tried(
+            effects, stub(cost=cost, values={}), None, found, lambda: pool, own
+        )
+    return dict(zip(structures, pool.values(), strict=True))
+
+
+def test_whichever_evidence_says_more_counts():
+    found = pool_of(none=(900.0, -70.0, 100.0), slow=(300.0, -30.0, 110.0), fast=(700.0, -69.0, 180.0))
+    assert found["none"].log == -70.0
+    assert found["slow"].log == -30.0  # by how many independent samples say so
+    assert found["fast"].log == -70.0 + 80.0  # by the innovations
+
+
+def test_a_wrong_way_that_foretells_itself_is_no_better():
+    """An optimum far off is smooth: its innovations are as small as those of the right one."""
+    found = pool_of(none=(900.0, -70.0, 100.0), astray=(90000.0, -4000.0, 180.0))
+    assert found["astray"].log == -4000.0
+
+
+def test_in_white_noise_there_is_one_evidence():
+    found = pool_of(none=(900.0, -70.0, None), dry=(300.0, -30.0, None))
+    assert (found["none"].log, found["dry"].log) == (-70.0, -30.0)
