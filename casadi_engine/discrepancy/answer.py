@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from casadi_engine.deadline import TimeUp
+from casadi_engine.discrepancy.answer_words import at_bounds, elsewhere, so_far, without_answer
 from casadi_engine.discrepancy.by_chance import held_to_chance
 from casadi_engine.discrepancy.certificate import (
     class_matrix,
@@ -31,7 +32,6 @@ from casadi_engine.discrepancy.coloured_errors import with_coloured_errors
 from casadi_engine.discrepancy.confirmation import CHANCE, PairedGain
 from casadi_engine.discrepancy.detectable import not_found
 from casadi_engine.discrepancy.evidence import FACTOR
-from casadi_engine.discrepancy.families import BEYOND
 from casadi_engine.discrepancy.fresh import (
     Portions,
     side,
@@ -150,7 +150,7 @@ class Answer:
         unknown = None if found else Unknown(_UNTOLD, {})
         if self._in_time("leftover", lambda: last.screened.leftover, _TESTS) is not None:
             unknown = missing_beside(last, null, found, withdrawn, cut=cut, least=self._rare)
-            if unknown is None and not found and (words := _so_far(self.search)):
+            if unknown is None and not found and (words := so_far(self.search)):
                 unknown = Unknown(words[0], {})
         if null.screened.request.blind and not found and not at_own_port(null, unknown):
             way = self.search.way(self.search.best)
@@ -290,8 +290,8 @@ class Answer:
         return tuple(latent_torques(null.screened.null, _noise_of_place(last)))
 
     def _say(self, null: Station, last: Station, proof: Confirmation) -> None:
-        self.messages += [*last.screened.choice.messages, *_without_answer(self.search), *_elsewhere(last)]
-        self.messages += [*_so_far(self.search), *events_told(proof.after or proof.before, null.fit)]
+        self.messages += [*last.screened.choice.messages, *without_answer(self.search), *elsewhere(last)]
+        self.messages += [*so_far(self.search), *events_told(proof.after or proof.before, null.fit)]
         own = {
             record.name: {int(c) for n in record.cycle.values() for c in n}
             for record in null.screened.null.records
@@ -320,56 +320,7 @@ class Answer:
                 if name.partition("@")[0] == one.amplitude
                 and last.fit.values[name] < one.candidate.source.effect.amplitude.max
             ]  # fmt: skip
-            self.messages += _at_bounds(late, inside)
-
-
-def _so_far(search: Choice) -> list[str]:
-    """What the refits point at, where the time was up before the best of them was fitted to its end."""
-    if TIME_UP not in search.failed.values():
-        return []
-    now = search.pool[search.best]
-    ready = [
-        one for one in search.pool.values()
-        if one.beyond > BEYOND and one.evidence.log > now.log + search.price
-        and (not one.failed or search.failed.get(one.label) == TIME_UP)
-    ]  # fmt: skip
-    top = max(ready, key=lambda one: one.evidence.log, default=now)
-    if top is now:
-        return []
-    gone = f"chi-squared {top.evidence.cost:.4g} in place of {now.evidence.cost:.4g}"
-    return [f"the most probable so far is {top.name} ({gone}), which was not fitted to its end"]
-
-
-def _without_answer(search: Choice) -> list[str]:
-    """What to say of effects that were looked for in vain: nothing excludes them."""
-    chosen = {f"{one.candidate.effect} at {one.candidate.port}" for one in search.pool[search.best].effects}
-    failed = {name: why for name, why in search.failed.items() if name not in chosen and why != TIME_UP}
-    found = []
-    for why in dict.fromkeys(failed.values()):
-        names = [name for name, own in failed.items() if own == why]
-        found.append(f"no answer for {', '.join(names)}: {why}; nothing excludes what was not tried")
-    return found
-
-
-def _elsewhere(last: Station) -> list[str]:
-    """In which records an event that others show does not happen: its time is not known from their ends."""
-    found = []
-    for one in (e for e in last.effects if e.times):
-        for record in last.fit.data:
-            times = [last.fit.estimates.get(f"{one.key}.{name}@{record.name}") for name in one.times]
-            if any(t is not None and t.value >= record.span[1] for t in times):
-                found.append(f"record {record.name} shows no {one.candidate.effect} at {one.candidate.port}")
-    return found
-
-
-def _at_bounds(names: Sequence[str], least: Sequence[str]) -> list[str]:
-    """What to say of estimates at a bound that the fit without effects did not have.
-
-    least : amplitudes among them that refits hold as small as the data are content with
-    """
-    others = [name for name in names if name not in least]
-    said = [f"{name} is known from below alone: larger ones explain these data as well" for name in least]
-    return said + ([f"in the repaired model {', '.join(others)} is at a bound"] if others else [])
+            self.messages += at_bounds(late, inside)
 
 
 def _quietest(last: Station, proof: Confirmation) -> Station:

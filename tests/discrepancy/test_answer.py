@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import casadi_engine as ce
-from casadi_engine.discrepancy import answer as module
+from casadi_engine.discrepancy import answer_words as words
 from casadi_engine.discrepancy import fresh_choice
 from casadi_engine.discrepancy.choice import TIME_UP
 from casadi_engine.discrepancy.fresh import Judgement
@@ -152,7 +152,7 @@ def test_what_was_not_tried_is_told_but_not_of_what_was_chosen():
     failed = {"drag at load": "no refit of it arrives", "play at belt": "no refit of it arrives"}
     failed["step at belt"] = TIME_UP  # said at the top
     search = stub(failed=failed, best="best", pool={"best": stub(effects=(chosen,))})
-    assert module._without_answer(search) == [
+    assert words.without_answer(search) == [
         "no answer for play at belt: no refit of it arrives; nothing excludes what was not tried"
     ]
 
@@ -164,6 +164,7 @@ def test_what_the_time_left_unfitted_is_told_where_it_is_far_more_probable():
             label=label,
             name=label,
             evidence=own,
+            counted=log,
             log=-np.inf if failed else log,
             beyond=beyond,
             failed=failed,
@@ -176,10 +177,10 @@ def test_what_the_time_left_unfitted_is_told_where_it_is_far_more_probable():
         "weak": tried("a weak law", 0.0, 20.0, beyond=1.0),
     }
     search = SimpleNamespace(pool=pool, best="none", price=3.0, failed={"a play": TIME_UP})
-    assert module._so_far(search) == [
+    assert words.so_far(search) == [
         "the most probable so far is a play (chi-squared 800 in place of 3000), which was not fitted to its end"
     ]
     search.failed = {"a play": "its fit of all data does not converge"}
-    assert module._so_far(search) == []
-    search.failed, pool["play"].evidence.log = {"a play": TIME_UP}, -98.0
-    assert module._so_far(search) == []
+    assert words.so_far(search) == []
+    search.failed, pool["play"].counted = {"a play": TIME_UP}, -98.0
+    assert words.so_far(search) == []

@@ -7,7 +7,7 @@ import pytest
 
 import casadi_engine as ce
 from casadi_engine.deadline import Deadline, TimeUp
-from casadi_engine.discrepancy.answer import _at_bounds
+from casadi_engine.discrepancy.answer_words import at_bounds
 from casadi_engine.discrepancy.fresh import _power
 from casadi_engine.discrepancy.fresh_fits import _misfit, _unseen_from
 from casadi_engine.discrepancy.noise_model import Colour, NoiseModel
@@ -114,9 +114,9 @@ def test_fresh_records_have_the_colour_of_those_that_were_searched():
     assert _power(noise, "run", "speed") == 1.0
 
 
-def test_what_is_said_of_estimates_at_bounds():
-    assert _at_bounds([], []) == []
-    assert _at_bounds(["coupling.backlash.gap", "C_el", "J_load"], ["coupling.backlash.gap"]) == [
+def test_what_is_said_of_estimatesat_bounds():
+    assert at_bounds([], []) == []
+    assert at_bounds(["coupling.backlash.gap", "C_el", "J_load"], ["coupling.backlash.gap"]) == [
         "coupling.backlash.gap is known from below alone: larger ones explain these data as well",
         "in the repaired model C_el, J_load is at a bound",
     ]

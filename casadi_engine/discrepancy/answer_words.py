@@ -1,0 +1,58 @@
+"""What an answer says of the search: what it points at, what it did not come to, where events do not happen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from casadi_engine.discrepancy.choice import TIME_UP, Choice
+from casadi_engine.discrepancy.families import BEYOND
+from casadi_engine.discrepancy.station import Station
+
+
+def so_far(search: Choice) -> list[str]:
+    """What the refits point at, where the time was up before the best of them was fitted to its end."""
+    if TIME_UP not in search.failed.values():
+        return []
+    now = search.pool[search.best]
+    ready = [
+        one for one in search.pool.values()
+        if one.beyond > BEYOND and one.counted > now.log + search.price
+        and (not one.failed or search.failed.get(one.label) == TIME_UP)
+    ]  # fmt: skip
+    top = max(ready, key=lambda one: one.counted, default=now)
+    if top is now:
+        return []
+    gone = f"chi-squared {top.evidence.cost:.4g} in place of {now.evidence.cost:.4g}"
+    return [f"the most probable so far is {top.name} ({gone}), which was not fitted to its end"]
+
+
+def without_answer(search: Choice) -> list[str]:
+    """What to say of effects that were looked for in vain: nothing excludes them."""
+    chosen = {f"{one.candidate.effect} at {one.candidate.port}" for one in search.pool[search.best].effects}
+    failed = {name: why for name, why in search.failed.items() if name not in chosen and why != TIME_UP}
+    found = []
+    for why in dict.fromkeys(failed.values()):
+        names = [name for name, own in failed.items() if own == why]
+        found.append(f"no answer for {', '.join(names)}: {why}; nothing excludes what was not tried")
+    return found
+
+
+def elsewhere(last: Station) -> list[str]:
+    """In which records an event that others show does not happen: its time is not known from their ends."""
+    found = []
+    for one in (e for e in last.effects if e.times):
+        for record in last.fit.data:
+            times = [last.fit.estimates.get(f"{one.key}.{name}@{record.name}") for name in one.times]
+            if any(t is not None and t.value >= record.span[1] for t in times):
+                found.append(f"record {record.name} shows no {one.candidate.effect} at {one.candidate.port}")
+    return found
+
+
+def at_bounds(names: Sequence[str], least: Sequence[str]) -> list[str]:
+    """What to say of estimates at a bound that the fit without effects did not have.
+
+    least : amplitudes among them that refits hold as small as the data are content with
+    """
+    others = [name for name in names if name not in least]
+    said = [f"{name} is known from below alone: larger ones explain these data as well" for name in least]
+    return said + ([f"in the repaired model {', '.join(others)} is at a bound"] if others else [])
