@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from casadi_engine.discrepancy.null_model import Index
+from casadi_engine.discrepancy.rounding import step_of
 from casadi_engine.errors import ExperimentError
 from casadi_engine.estimation import Fit
 from casadi_engine.estimation.fit import Trace
@@ -24,6 +25,8 @@ _WILD, _DECIDE, _RARE = 15.0, 0.5, 0.01
 # Share of its median absolute deviation that the standard deviation of a normal variable is.
 _MAD = 1.4826
 _NAMED = 5
+# Times that an output comes to its limit, and samples, or share of all, in which it is there then.
+_TIMES, _LIMITED, _PART = 2, 6, 0.005
 
 
 def refuse_still(model: Model, records: Sequence[Experiment]) -> None:
@@ -103,6 +106,31 @@ def wild_samples(fit: Fit) -> str | None:
     return (
         f"{sample} most of what the model leaves: {'; '.join(found[:_NAMED])}. They decide the fit, and hide what is "
         f"missing: leave them out, {cure} with keep False there, if they are faults of the measurement"
+    )
+
+
+def at_its_limit(fit: Fit) -> str | None:
+    """What to say where an output comes back to its largest or least value exactly, though it does not read in steps:
+    its sensor is at its limit there, which no effect of the model is. None where there is none."""
+    found, cure = [], ""
+    for record, traces in fit.traces.items():
+        for output, trace in traces.items():
+            y = trace.measured[trace.mask]
+            if len(y) < _FEW or step_of(y) is not None:
+                continue
+            for limit, side in ((y.max(), "more"), (y.min(), "less")):
+                there = y == limit
+                times = int(there[0]) + int(np.count_nonzero(~there[:-1] & there[1:]))
+                if times >= _TIMES and there.sum() >= max(_LIMITED, _PART * len(y)):
+                    found.append(
+                        f"{output} of {record} reads {limit:.6g} in {int(there.sum())} samples and never {side}"
+                    )
+                    cure = cure or f'record.masked("{output}", keep)'
+    if not found:
+        return None
+    return (
+        f"{'; '.join(found[:_NAMED])}: the sensor is at its limit there, and reads something else than what it "
+        f"measures: leave these samples out, {cure} with keep False there"
     )
 
 

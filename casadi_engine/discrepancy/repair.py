@@ -27,7 +27,7 @@ from casadi_engine.discrepancy.lower_rate import at_lower_rate
 from casadi_engine.discrepancy.noise_choice import ColourChoice, check_choice
 from casadi_engine.discrepancy.null_model import refuse_jumps
 from casadi_engine.discrepancy.one_law import told_as_one_law
-from casadi_engine.discrepancy.output_check import noise_alone, refuse_still, wild_samples
+from casadi_engine.discrepancy.output_check import at_its_limit, noise_alone, refuse_still, wild_samples
 from casadi_engine.discrepancy.own_jumps import JUMPED, with_own_jumps
 from casadi_engine.discrepancy.progress import Progress, shown
 from casadi_engine.discrepancy.refit import Refitter
@@ -285,7 +285,7 @@ class _Job:
             null_fit, pars, work = self._null(jobs, scores)
             if null_fit.status == "interrupted" or not math.isfinite(null_fit.cost):
                 return self._no_answer(null_fit, alpha)
-            at_fault = noise_alone(null_fit) or wild_samples(null_fit)
+            at_fault = noise_alone(null_fit) or at_its_limit(null_fit) or wild_samples(null_fit)
             if at_fault is not None:
                 return self._no_answer(null_fit, alpha, at_fault)
             self.felt = self._felt_by_corners(null_fit)

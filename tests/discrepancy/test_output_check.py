@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.output_check import noise_alone, refuse_still, wild_samples
+from casadi_engine.discrepancy.output_check import at_its_limit, noise_alone, refuse_still, wild_samples
 from casadi_engine.errors import ExperimentError
 from casadi_engine.estimation.fit import Trace
 
@@ -84,6 +84,37 @@ def test_a_wild_sample_is_named_with_its_place(moved):
     assert 'record.masked("pos", keep)' in found.messages[0]
     kept = record(wild).masked("pos", np.arange(len(T)) != 123)
     assert ce.repair(spring(), kept, starts=1, progress=False).verdict == "nothing missing"
+
+
+def test_a_sensor_at_its_limit_is_named(moved):
+    """What was clipped had come out as a load that comes and goes, and a fresh record that was not confirmed it."""
+    limit = 0.7 * np.abs(moved).max()
+    clipped = np.clip(moved, -limit, limit)
+    found = ce.repair(spring(), record(clipped), starts=1, progress=False)
+    assert (found.status, found.verdict) == ("the data are at fault", None)
+    assert f"pos of run reads {limit:.6g} in " in found.messages[0]
+    assert "samples and never more: the sensor is at its limit there" in found.messages[0]
+    kept = record(clipped).masked("pos", np.abs(clipped) < limit)
+    assert ce.repair(spring(), kept, starts=1, progress=False).verdict == "nothing missing"
+
+
+@pytest.mark.parametrize(
+    ("bend", "limited"),
+    [
+        (lambda y: np.minimum(y, 0.8), True),
+        (lambda y: y, False),
+        (
+            lambda y: np.round(np.minimum(y, 0.8) / 0.1) * 0.1,
+            False,
+        ),  # it reads in steps, of which one is the largest
+        (lambda y: np.where(np.arange(len(y)) < 300, 2.0, y), False),  # it rests there once
+        (lambda y: np.zeros(len(y)), False),
+    ],
+)
+def test_a_limit_is_met_more_than_once_and_is_no_step(bend, limited):
+    y = bend(np.sin(0.05 * np.arange(1000)) + 1e-3 * np.random.default_rng(0).standard_normal(1000))
+    trace = Trace(np.arange(1000) * 1.0, y, np.ones(1000, bool), y)
+    assert (at_its_limit(SimpleNamespace(traces={"run": {"y": trace}})) is not None) == limited
 
 
 def fit_that_leaves(e):
