@@ -86,12 +86,13 @@ class Digest:
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """log : log evidence but for a constant of the records; cost : chi-squared with priors at the optimum
-    error : standard errors of the free parameters, inf where not known
+    error : standard errors of the free parameters, inf where not known; alone : as if all others were known
     """
 
     log: float
     cost: float
     error: Mapping[str, float]
+    alone: Mapping[str, float] = field(default_factory=dict)
 
 
 def digest(
@@ -151,7 +152,8 @@ def evidence(model: Digest, levels: Levels) -> Evidence:
     occam = _log_determinant(prior[:, used][:, :width]) - _log_determinant(whole[:width, :width])
     cost = float((whole[width:, width] ** 2).sum())
     error = dict(zip(model.names, _errors(whole[:width, :width], model.turn).tolist(), strict=True))
-    return Evidence(-0.5 * cost + occam + model.amplitudes, cost, error)
+    alone = dict(zip(model.names, _errors_alone(whole[:width, :width], model.turn).tolist(), strict=True))
+    return Evidence(-0.5 * cost + occam + model.amplitudes, cost, error, alone)
 
 
 def levels_left(
@@ -237,6 +239,14 @@ def _errors(root: Array, turn: Array) -> Array:
     inverse = np.linalg.pinv(root)[: turn.shape[1]]
     found = np.linalg.norm(turn @ inverse, axis=1)
     return np.where(found > 0, found, np.inf)
+
+
+def _errors_alone(root: Array, turn: Array) -> Array:
+    """(nz,) standard errors where all other parameters and the first states are known."""
+    if not turn.shape[1]:
+        return np.full(len(turn), np.inf)
+    moved = np.linalg.norm(root[:, : turn.shape[1]] @ np.linalg.pinv(turn), axis=0)
+    return np.where(moved > 0, 1 / np.maximum(moved, _TINY), np.inf)
 
 
 def _amplitudes(null: NullModel, priors: Mapping[str, Prior]) -> float:

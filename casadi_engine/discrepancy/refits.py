@@ -43,7 +43,7 @@ _RELEVELLED = 0.7
 _BETTER = 1.0
 # Rivals that are refitted with sharper corners.
 _RIVALS = 6
-# Standard errors from which an amplitude is there at all, however much a refit with it gained.
+# Standard errors, all else known, from which an amplitude is there at all, however much a refit with it gained.
 _THERE = 1.0
 # So many times the standard errors by the slopes: a drop of chi-squared four times what these promise.
 _ELSEWHERE = 2.0
@@ -118,13 +118,14 @@ class Tried:
 
     def certainty(self, one: Addition) -> float:
         """The amplitude of an effect in its standard errors, the largest where records have their own; or the root of
-        what chi-squared falls by with it, where that is far larger: the optimum without it is elsewhere then, and its
-        error by the slopes says nothing of the way there."""
+        what chi-squared falls by with it, where that is far larger: the optimum without it is elsewhere then, or it is
+        known but for a factor that it shares with others, and its error by the slopes says nothing of that."""
         values = self.arrived.values
         own = [n for n in values if n.partition("@")[0] == one.amplitude]
         size = max((abs(values[n]) / self.evidence.error.get(n, math.inf) for n in own), default=math.inf)
-        without = self.pool().get(self.key - {one.candidate.key})
-        if without is None or not _THERE <= size < math.inf:
+        without, alone = self.pool().get(self.key - {one.candidate.key}), self.evidence.alone
+        there = max((abs(values[n]) / alone.get(n, math.inf) for n in own), default=0.0)
+        if without is None or not math.isfinite(size) or there < _THERE:
             return size
         gain = 2 * (self.counted - without.counted) if self.own is not None else 0.0
         drop = math.sqrt(max(without.evidence.cost - self.evidence.cost, gain, 0.0))

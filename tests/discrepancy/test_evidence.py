@@ -1,6 +1,7 @@
 """Log evidence against Bayesian linear regression with dense matrices, and what must not change it."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from scipy.signal import lfilter
 
 from casadi_engine.discrepancy.evidence import Levels, Prior, digest, evidence, levels_left
 from casadi_engine.discrepancy.null_model import NullModel, RecordNull
+from casadi_engine.discrepancy.refits import Tried
 
 SCALES = st.floats(-6, 6).map(lambda power: 10.0**power)
 SIGMA = {"speed": 0.3, "angle": 2.0}
@@ -356,3 +358,38 @@ def test_coloured_noise_has_the_memory_of_its_autoregression(shaft, with_residua
     for out in shaft.sigma:
         assert found.memory[out] == pytest.approx(1.8 / 0.2, rel=0.4)
         assert found.weight(out) == pytest.approx(1 / (found.sigma[out] * np.sqrt(found.memory[out])))
+
+
+def test_errors_where_all_others_are_known():
+    """Of two parameters that only a factor tells apart either is known well where the other is."""
+    null = linear(2, seed=3)
+    record = null.records[0]
+    for one in null.records:
+        for out, slopes in one.slopes.items():
+            slopes[:, 1] = slopes[:, 0] + 1e-4 * slopes[:, 1]
+            assert one.residual[out].shape == (len(slopes),)
+    priors = {name: Prior(1e6) for name in null.parameters}
+    found = evidence(digest(null, priors), Levels(SIGMA))
+    x, _ = stacked(null)
+    for k, name in enumerate(null.parameters):
+        assert found.alone[name] == pytest.approx(1 / np.linalg.norm(x[:, k]), rel=1e-6)
+        assert found.error[name] > 1e3 * found.alone[name]
+    assert record.starts
+
+
+def test_an_amplitude_that_shares_a_factor_with_others_counts_by_what_it_gains():
+    """The drag of a motor is known but for the factor of all inertias and torques; its share of them is not small."""
+
+    def known(size, error, alone):
+        one = SimpleNamespace(candidate=SimpleNamespace(key=("drag", "load")), amplitude="load.drag.c")
+        arrived = SimpleNamespace(values={"load.drag.c": size}, cost=2000.0)
+        own = SimpleNamespace(
+            log=0.0, cost=2000.0, error={"load.drag.c": error}, alone={"load.drag.c": alone}
+        )
+        none = SimpleNamespace(evidence=SimpleNamespace(cost=8000.0), own=None)
+        pool = {frozenset(): none}
+        return Tried((one,), arrived, None, own, lambda: pool).certainty(one)
+
+    assert known(1.0, 3.0, 0.01) == pytest.approx(6000**0.5)
+    assert known(1e-3, 3.0, 0.01) == pytest.approx(1e-3 / 3.0)  # it is none, whatever was gained on the way
+    assert known(1.0, 1e-3, 1e-3) == pytest.approx(1000.0)
