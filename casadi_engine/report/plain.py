@@ -50,8 +50,10 @@ def _object(value: Mapping[Any, Any], place: str) -> dict[str, Any]:
     for key, entry in value.items():
         if _of_numbers(entry):
             # Names to numbers, such as times: the reason must not stand among the names, so it moves up.
-            moved = made[str(key)].pop("why", {})
-            reasons |= {f"{key}.{name}": reason for name, reason in moved.items()}
+            moved = made[str(key)].get("why")
+            if isinstance(moved, dict):
+                del made[str(key)]["why"]
+                reasons |= {f"{key}.{name}": reason for name, reason in moved.items()}
         elif (reason := _lost(entry)) is not None:
             reasons[str(key)] = reason
     if reasons:

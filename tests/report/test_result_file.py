@@ -8,7 +8,7 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from casadi_engine.errors import OutputError, ResultError
@@ -177,6 +177,7 @@ numbers = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.tex
         numbers, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=3), inner)
     )
 )
+@example({"": {"why": None}})
 def test_plain_data_are_json_whatever_comes_in(value):
     made = plain(value)
     assert json.loads(json.dumps(made, allow_nan=False)) == made
