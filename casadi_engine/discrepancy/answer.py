@@ -20,7 +20,7 @@ from casadi_engine.discrepancy.certificate import (
     place_of,
     score_rows,
 )
-from casadi_engine.discrepancy.choice import TIME_UP, Choice
+from casadi_engine.discrepancy.choice import ANY, TIME_UP, Choice
 from casadi_engine.discrepancy.claim import (
     Claim,
     at_own_port,
@@ -150,8 +150,9 @@ class Answer:
         unknown = None if found else Unknown(_UNTOLD, {})
         if self._in_time("leftover", lambda: last.screened.leftover, _TESTS) is not None:
             unknown = missing_beside(last, null, found, withdrawn, cut=cut, least=self._rare)
-            if unknown is None and not found and (words := so_far(self.search)):
-                unknown = Unknown(words[0], {})
+            if unknown is None and not found and cut:
+                words = so_far(self.search) or ([_UNTOLD] if ANY in self.search.failed else [])
+                unknown = Unknown(words[0], {}) if words else None
         if null.screened.request.blind and not found and not at_own_port(null, unknown):
             way = self.search.way(self.search.best)
             if way is not None and len(way) > 1:

@@ -34,6 +34,8 @@ ColourChoice = Literal["auto"] | bool
 _MOST, _SHARE, _ALIKE = 60, 0.05, 0.9
 # A known level is wrong if chance would do as much less often than this; a residual is coloured.
 _SURE, _COLOURED_P = 1e-4, 0.01
+# Share of a stated level from which what is left is no longer that noise.
+_QUIETER = 0.5
 # A wander has two parameters: by Akaike's criterion it is there from this drop of -2 log likelihood, which chance makes
 # in one white record of twenty. A weak slow one is otherwise seen by no test over a few lags, and raises false alarms.
 _WANDER = 4.0
@@ -194,11 +196,16 @@ def _white_noise(
                 f"may explain the residual, {known[name]:.4g} was given; the larger one counts"
             )
             del known[name]
+        elif noise.sigma[name] < _QUIETER * known[name]:
+            messages.append(
+                f"the noise of {name} is smaller than stated: {noise.sigma[name]:.4g} is left when the whole library "
+                f"may explain the residual, {known[name]:.4g} was given, which counts, and hides what is smaller"
+            )
     if len(known) == len(levels):
         if random:
             explained = _explained(null, white, columns)
-            return estimated_noise(null, explained=explained, scatter=random, sigma=known), ()
-        return NoiseModel(known, source="known"), ()
+            return estimated_noise(null, explained=explained, scatter=random, sigma=known), tuple(messages)
+        return NoiseModel(known, source="known"), tuple(messages)
     if known and not random:
         own = {name: nu for name, nu in noise.freedom.items() if name not in known}
         noise = NoiseModel({**noise.sigma, **known}, {}, {}, "estimated", own)

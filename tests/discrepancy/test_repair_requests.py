@@ -176,6 +176,14 @@ def test_a_stated_noise_that_is_too_small_is_not_believed(shaft):
     assert not screened.significant
 
 
+def test_a_stated_noise_that_is_too_large_counts_and_is_said(shaft):
+    fit = ce.estimate(shaft.model, shaft.data(), noise=ce.Noise(omega=5.0, omega_load=0.1), progress=False)
+    screened = screen(fit, FEW)
+    assert screened.noise.sigma["omega"] == 5.0
+    assert "the noise of omega is smaller than stated: 0.0" in screened.choice.messages[0]
+    assert "5 was given, which counts, and hides what is smaller" in screened.choice.messages[0]
+
+
 MESSAGES = [
     (
         {"effects": [("backlash", "engine")]},
