@@ -183,14 +183,15 @@ class Additions:
     # ---- other starts
 
     def _from_own_values(self, begun: float) -> None:
-        """Refits of what was left out from the parameters' own values, where what the best one leaves is no white
-        noise: a fit that lacks an effect may end where no step tells anything of it, and windows may lead there too,
-        where few states are measured. They take as long again as those that one step promised.
+        """Refits of what was left out from the parameters' own values, where the past of what the best one leaves
+        foretells more of it than chance does: a fit that lacks an effect may end where no step tells anything of it, and
+        windows may lead there too, where few states are measured. They take as long again as those that one step
+        promised.
 
         begun : when the first of those began
         """
         self.refits.weigh()
-        if self._tried() and not self.refits.levels.memory:
+        if self._tried() and self.refits.levels.foretold <= chance(self.refits, self.screened):
             return
         candidates = self.screened.candidates
         step = self._own_step(range(len(candidates)))
