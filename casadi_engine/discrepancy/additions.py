@@ -184,7 +184,7 @@ class Additions:
 
     def _from_own_values(self, begun: float) -> None:
         """Refits of what was left out from the parameters' own values, where the past of what the best one leaves
-        foretells more of it than chance does: a fit that lacks an effect may end where no step tells anything of it, and
+        foretells more of it than chance: a fit that lacks an effect may end where no step tells anything of it, and
         windows may lead there too, where few states are measured. They take as long again as those that one step
         promised.
 
