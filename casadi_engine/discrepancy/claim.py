@@ -125,7 +125,7 @@ def _no_noise(null: Station) -> Unknown | None:
                 return Unknown(f"{words} is coloured: {_NOT_NOISE}", {})
             sudden = screened.noise.sigma[output] / max(float(np.sqrt(np.mean(e**2))), 1e-300)
             if share is not None and share < 100 * (1 - SEEN) and sudden < SEEN:
-                words += f" is foretold by its own past, with next to nothing sudden in it: {_NOT_NOISE}"
+                words += f" is predicted from its own past to within {100 * sudden:.0f} %: {_NOT_NOISE}"
                 return Unknown(words, {})
     return None
 

@@ -217,7 +217,7 @@ class FreshChoice:
                 break
             self.messages.append(
                 f"{last.effects[-1].name} {LEFT_OUT} with it, too, what is left depends on {unknown.signal} there, "
-                "as effects of one port that bend to a law of no name leave it"
+                "so that these effects together only approximate a law that the library lacks"
             )
             stations = stations[:-1]
         return stations

@@ -121,7 +121,8 @@ def at_its_limit(fit: Fit) -> str | None:
             for limit, side in ((y.max(), "more"), (y.min(), "less")):
                 there = y == limit
                 times = int(there[0]) + int(np.count_nonzero(~there[:-1] & there[1:]))
-                if times >= _TIMES and there.sum() >= max(_LIMITED, _PART * len(y)):
+                # at rest a sensor reads 0 exactly, which is no limit
+                if limit != 0 and times >= _TIMES and there.sum() >= max(_LIMITED, _PART * len(y)):
                     found.append(
                         f"{output} of {record} reads {limit:.6g} in {int(there.sum())} samples and never {side}"
                     )

@@ -100,9 +100,12 @@ class Addition:
 
     @property
     def is_law(self) -> bool:
-        """True for what depends on the motion: no constant, and no event."""
+        """True for what depends on the motion or on an input: no constant, and no event."""
         source = self.candidate.source
-        return not self.placed and bool(ca.depends_on(ca.SX(source.slots), source.model.x))
+        acts = ca.vertcat(source.slots, source.drives, source.outputs)
+        return not self.placed and bool(
+            ca.depends_on(acts, ca.vertcat(source.model.x, source.model.u, source.model.d))
+        )
 
     @property
     def placed(self) -> bool:

@@ -83,7 +83,11 @@ def test_what_is_seen_and_foretold_by_its_own_past_is_not_called_noise(explained
     fit = stub(fit_percent={"run": {"y": {"simulation": explained}}})
     found = module._no_noise(stub(fit=fit, screened=stub(null=stub(records=(record,)), noise=noise)))
     assert (found is not None) == said
-    assert not said or "explains 73 % of y in run, and the rest is foretold by its own past" in found.sentence
+    assert (
+        not said
+        or "explains 73 % of y in run, and the rest is predicted from its own past to within 5 %"
+        in found.sentence
+    )
 
 
 def claimed(monkeypatch, *, before, after, tests, fresh=None, kind="inertia"):

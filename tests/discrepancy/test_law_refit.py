@@ -3,12 +3,14 @@
 import functools
 from types import SimpleNamespace
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.discrepancy import law_refit
+from casadi_engine.discrepancy.refit import Addition
 from casadi_engine.discrepancy.unknown_law import UnknownLaw, near_of
 
 LEVEL = 0.005
@@ -156,3 +158,26 @@ def test_constants_events_and_effects_elsewhere_have_to_come_nearer_to_what_a_la
     effect = SimpleNamespace(is_law=law, candidate=SimpleNamespace(port=at))
     near = near_of(SimpleNamespace(effects=(effect,)), "shaft")
     assert UnknownLaw(None, 9.0, share, False, near).excludes is excluded
+
+
+@pytest.mark.parametrize(
+    ("acts", "nuisance", "law"),
+    [
+        (lambda x, u, t: -x, {}, True),
+        (lambda x, u, t: u, {}, True),  # a gain of an input
+        (lambda x, u, t: ca.SX(1.0), {}, False),  # a constant
+        (lambda x, u, t: ca.SX(1.0) * (t > 2), {}, False),
+        (lambda x, u, t: -x, {"time": SimpleNamespace(over="time")}, False),  # an event
+    ],
+)
+def test_a_law_depends_on_the_motion_or_on_an_input(acts, nuisance, law):
+    x, u, d, t = (ca.SX.sym(name) for name in "xudt")
+    none = ca.SX.zeros(1, 1)
+    source = SimpleNamespace(
+        slots=acts(x, u, t),
+        drives=none,
+        outputs=none,
+        model=SimpleNamespace(x=x, u=u, d=d),
+        effect=SimpleNamespace(nuisance=nuisance),
+    )
+    assert Addition(SimpleNamespace(source=source), 1.0).is_law is law

@@ -109,6 +109,7 @@ def test_a_sensor_at_its_limit_is_named(moved):
         ),  # it reads in steps, of which one is the largest
         (lambda y: np.where(np.arange(len(y)) < 300, 2.0, y), False),  # it rests there once
         (lambda y: np.zeros(len(y)), False),
+        (lambda y: np.maximum(y, 0.0), False),  # a machine that stands still now and then
     ],
 )
 def test_a_limit_is_met_more_than_once_and_is_no_step(bend, limited):
