@@ -52,6 +52,7 @@ from casadi_engine.discrepancy.repaired import (
     REFUSED,
     TOO_LITTLE,
     UNCONFIRMED,
+    UNTOLD,
     FoundEffect,
     Gaps,
     NextExperiment,
@@ -78,7 +79,6 @@ _LEFT_OUT = {
     "latent torque": "where something acts",
     "unknown law": "a law that no effect names, in the place of those found",
 }
-_UNTOLD = "the time was up before it could be told whether anything is missing"
 
 
 @dataclass
@@ -147,11 +147,11 @@ class Answer:
         null = self.search.null
         found, withdrawn = self._timed("certificate", lambda: _effects(proof))
         cut = TIME_UP in self.search.failed.values()
-        unknown = None if found else Unknown(_UNTOLD, {})
+        unknown = None if found else Unknown(UNTOLD, {})
         if self._in_time("leftover", lambda: last.screened.leftover, _TESTS) is not None:
             unknown = missing_beside(last, null, found, withdrawn, cut=cut, least=self._rare)
             if unknown is None and not found and cut:
-                words = so_far(self.search) or ([_UNTOLD] if ANY in self.search.failed else [])
+                words = so_far(self.search) or ([UNTOLD] if ANY in self.search.failed else [])
                 unknown = Unknown(words[0], {}) if words else None
         if null.screened.request.blind and not found and not at_own_port(null, unknown):
             way = self.search.way(self.search.best)

@@ -29,6 +29,10 @@ TOO_LITTLE, BEHIND_LAW = "closing too little of the gap", "less probable than an
 BEHIND_OTHERS = "far less probable than what could not be fitted to its end"
 
 
+# What an answer says that was made before it was looked for anything.
+UNTOLD = "the time was up before it could be told whether anything is missing"
+
+
 @dataclass(frozen=True)
 class Member:
     """One effect of a class: rho, its correlation with the lead; probability of the model with it in the lead's place,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from casadi_engine.discrepancy.fresh_misfit import FRESH, fresh_doubt, fresh_misfit, how_far, is_louder
-from casadi_engine.discrepancy.repaired import more_probable
+from casadi_engine.discrepancy.repaired import UNTOLD, more_probable
 from casadi_engine.discrepancy.wording import (
     AT_FAULT,
     UNRESOLVED,
@@ -38,6 +38,8 @@ def headline(repair: Repair) -> str:
         said = f"{what} is missing that these data could show{tried}{_on_fresh(repair)}"
         return said + ("; the residual is coloured, and others may hide in it" if may_hide(repair) else "")
     if repair.verdict == "unnamed":
+        if repair.unknown is not None and repair.unknown.sentence == UNTOLD:
+            return f"no finding: {UNTOLD}"
         if _in_fresh_alone(repair):
             return "something is missing that the data of the search do not show: the fresh data do not fit"
         unseen = blind and not names_own_law(repair)

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.repaired import Member, NextExperiment
+from casadi_engine.discrepancy.repaired import UNTOLD, Member, NextExperiment, Unknown
 from casadi_engine.discrepancy.summary import noise_of_chi2
 from casadi_engine.discrepancy.verdict_words import headline, next_step
 from casadi_engine.discrepancy.wording import in_unit, port_cure, twins
@@ -171,3 +171,12 @@ def test_a_unit_that_was_not_stated_is_said_once(leaking):
     words = joined(replace(leaking, not_found=missed))
     assert words.count("not stated") == 1
     assert "Smallest detectable sizes (95 % power) (some in units that were not stated): " in words
+
+
+def test_a_search_that_was_none_claims_nothing(leaking):
+    """With a twentieth of a second, a record from which nothing was missing had been "something is missing"."""
+    none = replace(
+        leaking, verdict="unnamed", effects=(), unknown=Unknown(UNTOLD, {}), stopped="the time budget"
+    )
+    assert headline(none) == f"no finding: {UNTOLD}"
+    assert f"no finding: {UNTOLD}" in joined(none)
