@@ -232,13 +232,9 @@ class Answer:
         tried = search.pool.get(key_of(last.effects))
         if tried is None:
             return None
-        try:
-            found: UnknownLaw | None = self._in_time(
-                "unknown law", lambda: told(search.refits, tried, search.price)
-            )
-        except FAILURES as fault:  # there is an answer
-            self.messages.append(f"{_LEFT_OUT['unknown law']}: not told, as its numbers fail ({fault})")
-            return None
+        found: UnknownLaw | None = self._in_time(
+            "unknown law", lambda: told(search.refits, tried, search.price)
+        )
         return found
 
     def _honest(self, proof: Confirmation) -> tuple[Confirmation, Station]:
@@ -259,13 +255,15 @@ class Answer:
         return made
 
     def _in_time(self, what: str, work: Any, share: float = _EXTRA) -> Any:
-        """What an answer can do without; None where it is not there within a share of the spare time."""
+        """What an answer can do without; None where it is not there within a share of the spare time, or fails."""
         try:
             with self.search.deadline.spared(share):
                 return self._timed(what, work)
         except TimeUp:
             self.messages.append(f"{_LEFT_OUT.get(what, what)}: not looked for, as the time was up")
-            return None
+        except FAILURES as fault:
+            self.messages.append(f"{_LEFT_OUT.get(what, what)}: not told, as its numbers fail ({fault})")
+        return None
 
     # ---- parts
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -17,6 +18,7 @@ from casadi_engine.discrepancy.noise_choice import NoiseChoice, scatter_of, whit
 from casadi_engine.discrepancy.noise_model import NoiseModel, left_over
 from casadi_engine.discrepancy.null_model import FOUR_STROKE, Index, NullModel
 from casadi_engine.discrepancy.parameter_doubt import doubted, pooled, within_errors
+from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.repaired import Side
 from casadi_engine.errors import ExperimentError
 from casadi_engine.estimation import Fit
@@ -182,8 +184,10 @@ def side(pairs: Sequence[tuple[Fit, NullModel]], choice: NoiseChoice, *, source:
     shares: dict[str, list[tuple[float, float]]] = {}
     for fit, held_null in pairs:
         traces |= fit.traces
-        null = held_null if source is None else doubted(source, fit)
-        if source is not None:
+        null = held_null
+        with suppress(*FAILURES):  # where no slopes are to be had, all of the gap stands for itself
+            null = held_null if source is None else doubted(source, fit)
+        if source is not None and null is not held_null:
             whole = residuals([null], choice.noise)
             splits.append(within_errors(source, null, whole))
             ends = np.cumsum([len(one.e) for one in whole])[:-1]

@@ -136,12 +136,6 @@ def _null_of(fit: Fit) -> NullModel:
     }
     first = {name: np.array([e.value for e in starts[name].values()]) for name in names}
     at_bound = tuple(name for name in fit.free if fit.estimates[name].at_bound is not False)
-    # steps that a fit took in places are more than an integrator of whole samples may take
-    steps = {
-        name: min(about.substeps, MOST_SUBSTEPS)
-        for name, about in fit.integration.items()
-        if about.substeps > 0
-    }
     return null_at(
         fit.model,
         fit.data,
@@ -150,8 +144,20 @@ def _null_of(fit: Fit) -> NullModel:
         first,
         held_starts=held,
         held_parameters=at_bound,
-        steps=steps,
+        steps=steps_of(fit),
     )
+
+
+def steps_of(fit: Fit) -> dict[str, int]:
+    """Steps to a sample of each record's exponential integrator, as a fit took them.
+
+    Those that it took in places are more than an integrator of whole samples may take.
+    """
+    return {
+        name: min(about.substeps, MOST_SUBSTEPS)
+        for name, about in fit.integration.items()
+        if about.substeps > 0
+    }
 
 
 @lru_cache(maxsize=64)

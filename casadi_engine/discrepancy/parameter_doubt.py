@@ -14,7 +14,7 @@ import numpy as np
 from casadi_engine.discrepancy.assumed_pressure import is_carried
 from casadi_engine.discrepancy.confirmation import Residuals
 from casadi_engine.discrepancy.linear_algebra import Array
-from casadi_engine.discrepancy.null_model import NullModel, null_at
+from casadi_engine.discrepancy.null_model import NullModel, null_at, steps_of
 from casadi_engine.distributions import chi2_sf
 from casadi_engine.estimation import Fit
 from casadi_engine.parameters import compile
@@ -35,7 +35,10 @@ def doubted(fit: Fit, held: Fit) -> NullModel:
     first = {name: np.array([e.value for e in held.initial[name].values()]) for name in names}
     # first states of fresh data are found there, also where a fit of theirs only simulated what had been found
     known = {name: tuple(s for s, e in held.initial[name].items() if e.at_bound) for name in names}
-    return null_at(held.model, held.data, fit.parameters, z, first, held_starts=known, held_parameters=sure)
+    return null_at(
+        held.model, held.data, fit.parameters, z, first,
+        held_starts=known, held_parameters=sure, steps=steps_of(held),
+    )  # fmt: skip
 
 
 def _is_sure(fit: Fit, name: str, value: float) -> bool:

@@ -80,6 +80,11 @@ class Arrived:
     levels: Mapping[str, float]
     lags: Mapping[str, float] = field(default_factory=dict)
 
+    def rests(self, name: str) -> bool:
+        """True if a parameter, in every record where it has a value in each, is at a bound."""
+        own = [one for one in self.values if one.partition("@")[0] == name]
+        return bool(own) and self.held.issuperset(own)
+
 
 @dataclass(frozen=True, eq=False)
 class _Way:

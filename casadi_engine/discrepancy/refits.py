@@ -233,7 +233,7 @@ class Refits:
         for key, one in self.pool.items():
             for added in one.effects:
                 effect, (_, at) = added.candidate.source.effect, added.candidate.key
-                rests = f"{added.key}.{effect.limit_at}" in one.arrived.held if effect.limit_at else False
+                rests = bool(effect.limit_at) and one.arrived.rests(f"{added.key}.{effect.limit_at}")
                 one.failed |= rests and key - {added.candidate.key} | {(effect.limit, at)} in self.pool
         seen: set[Key] = set()
         while True:

@@ -48,6 +48,7 @@ class LoadStep(Effect):
     name = "load_step"
     attaches = ("inertia",)
     kin = ("constant_torque", "misfire")
+    limit, limit_at = "constant_torque", "time"  # one that begins with the record was there all along
     sentence = "a load at {port} that comes or goes during the record"
     neutral = "a {effort} out of {port} that begins or ends during the record"
     amplitude = Amplitude("torque", unit="N m")

@@ -65,7 +65,7 @@ def minimise(
     damping: float = _DAMPING,
     longest: Callable[[Array], Array] = np.ones_like,
     stop: Callable[[float], bool] = lambda _: False,
-    anew: Callable[[Array, float], Squares | None] = lambda _at, _missed: None,
+    anew: Callable[[Array], Squares | None] = lambda _: None,
 ) -> Minimum | None:
     """A minimum within bounds from ``start`` (n,), or None where nothing can be evaluated there.
 
@@ -74,8 +74,7 @@ def minimise(
     damping : of the first step, as a share of the diagonal
     longest : the longest change (n,) of each unknown in one step from a point
     stop : sees the cost before every step; True ends the search
-    anew : the problem at a point from which a step did not fall, where it is known there more exactly by now and may
-        have been too low by as much as the step missed
+    anew : the problem at a point from which a step did not fall, where it is known there more exactly by now
     """
     x = np.clip(start, low, high)
     here = evaluate(x)
@@ -98,8 +97,7 @@ def minimise(
         if there is not None:
             learnt, trusted = _learn(learnt, here, there, moved)
         if there is None or gained < _SHARE * foretold:
-            missed = np.inf if there is None else _SHARE * foretold - gained
-            if (exact := anew(x, missed)) is not None:  # a value that is too low would refuse every step
+            if (exact := anew(x)) is not None:  # a value that is too low would refuse every step
                 here = exact
                 continue
             damping = max(_HINDER * damping, 1e-3)

@@ -239,7 +239,7 @@ class RefitProblem:
             try:
                 found = minimise(
                     windows, v, low, high, fall=fall, steps=most, longest=self._longest,
-                    anew=lambda at, missed: windows.closed_at(at, max(_CLOSED * fall, missed)),  # noqa: B023
+                    anew=lambda at: windows.closed_at(at, _CLOSED * fall),  # noqa: B023
                 )  # fmt: skip
                 assert found is not None  # it was evaluated above
                 v, converged = windows.best.v, found.converged

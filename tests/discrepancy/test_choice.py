@@ -10,7 +10,7 @@ import pytest
 import casadi_engine as ce
 from casadi_engine.deadline import Deadline
 from casadi_engine.discrepancy import choice as module
-from casadi_engine.discrepancy import refits
+from casadi_engine.discrepancy import path, refits
 from casadi_engine.discrepancy.additions import Additions
 from casadi_engine.discrepancy.choice import Choice
 from casadi_engine.discrepancy.fresh import Portions
@@ -473,21 +473,34 @@ def test_an_effect_of_which_the_whole_fit_leaves_nothing_is_none():
 @pytest.mark.parametrize(
     ("held", "beside", "rival"), [(True, True, False), (False, True, True), (True, False, True)]
 )
-def test_friction_that_fades_beyond_all_speeds_is_no_rival_of_dry_friction(held, beside, rival):
+@pytest.mark.parametrize(
+    ("law", "case", "resting"),
+    [
+        (ce.effects.StribeckFriction(), ce.effects.CoulombFriction(), ("fading",)),
+        (ce.effects.LoadStep(), ce.effects.ConstantTorque(), ("time@first", "time@second")),
+    ],
+)
+def test_a_law_that_rests_where_it_is_a_simpler_one_is_no_rival_of_that(
+    law, case, resting, held, beside, rival
+):
+    """Friction that fades beyond all speeds is dry friction, a load that comes with every record a constant one."""
+
     def tried(effect):
         candidate = SimpleNamespace(key=(effect.name, "load"), source=SimpleNamespace(effect=effect))
         one = SimpleNamespace(candidate=candidate, key=f"load.{effect.name}")
-        rests = frozenset({"load.stribeck_friction.fading"} if held else ())
-        arrived = SimpleNamespace(held=rests)
+        names = [f"{one.key}.{name}" for name in resting]
+        arrived = path.Arrived(
+            dict.fromkeys(names, 0.0), {}, 1.0, True, frozenset(names if held else names[1:]), None, {}
+        )
         return refits.Tried((one,), arrived, None, SimpleNamespace(log=1.0), dict)
 
     def fails(*_):
         raise FloatingPointError
 
-    fading = tried(ce.effects.StribeckFriction())
-    every = [fading, tried(ce.effects.CoulombFriction())] if beside else [fading]
+    more = tried(law)
+    every = [more, tried(case)] if beside else [more]
     all_of_them = refits.Refits.__new__(refits.Refits)
     all_of_them.null_fit, all_of_them.path = SimpleNamespace(noise={}), SimpleNamespace(residuals=fails)
     all_of_them.pool = {one.key: one for one in every}
     all_of_them.weigh()
-    assert (fading.log > -np.inf) == rival
+    assert (more.log > -np.inf) == rival

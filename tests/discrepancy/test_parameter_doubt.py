@@ -1,5 +1,6 @@
 """At another speed errors of the parameters may be larger than the noise of fresh data: no sign of missing physics."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -125,3 +126,40 @@ def test_a_parameter_that_varies_by_experiment_is_found_on_fresh_data():
     split = within_errors(fit, null, residuals([null], NOISE))
     assert split.dof == 1  # of the inertia alone: the damping is free there
     assert pooled([split], 1.0)[1] > 0.001
+
+
+@pytest.fixture(scope="module")
+def gripped():
+    """A fit whose integrator takes several steps to a sample, for a corner that is passed quickly, and fresh data."""
+    model = ce.one_inertia().with_effect(
+        ce.effects.CoulombFriction(width=0.02), at="engine", values={"torque": 3.0}
+    )
+    first, fresh = (
+        record(name, lambda t: 6 * np.sin(3 * t), k, model) for k, name in enumerate(("one", "fresh"))
+    )
+    fit = ce.estimate(model, first, noise=ce.Noise(omega=0.1), progress=False)
+    return fit, held_fit(fit, fresh, noise=NOISE)
+
+
+def test_fresh_data_are_gone_through_by_the_steps_of_their_fit(gripped):
+    """By fewer of them the same equations may have no states at all."""
+    fit, held = gripped
+    about = held.integration["fresh"]
+    finer = replace(held, integration={"fresh": replace(about, substeps=4 * about.substeps)})
+    one, other = null_model(finer), doubted(fit, finer)
+    assert not np.array_equal(one.records[0].residual["omega"], null_model(held).records[0].residual["omega"])
+    np.testing.assert_array_equal(one.records[0].residual["omega"], other.records[0].residual["omega"])
+
+
+def test_without_slopes_all_of_the_gap_stands_for_itself(gripped, monkeypatch):
+    fit, held = gripped
+    pairs, choice = [(held, null_model(held))], NoiseChoice(NOISE)
+
+    def fails(*_):
+        raise FloatingPointError("the model's state is not finite here")
+
+    monkeypatch.setattr("casadi_engine.discrepancy.fresh.doubted", fails)
+    plain, told = side(pairs, choice), side(pairs, choice, source=fit)
+    assert told.gap == plain.gap
+    assert told.whiteness_p == plain.whiteness_p
+    assert told.within_errors is None
