@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from casadi_engine.deadline import TimeUp, ask, late
-from casadi_engine.discrepancy.event_times import is_coarse, located
+from casadi_engine.discrepancy.event_times import located
 from casadi_engine.discrepancy.families import chosen_of, costs_of, families_of
 from casadi_engine.discrepancy.linearised import OneStep, one_step, without_effect
 from casadi_engine.discrepancy.null_model import null_at
@@ -36,6 +36,8 @@ _EXCHANGED, AGAIN = 6, 3
 # A refit has arrived if chi-squared is no higher than without its effect, but for rounded corners; share of the
 # one-step amplitude from which it is tried again.
 _NESTED, _SMALL = 1.0, 0.02
+# Chi-squared by which an event has to be better at another time, by one step, to be refitted there.
+_ELSEWHEN = 1.0
 # Log likelihood that a further effect has to promise to be refitted.
 _NOTHING = 1.0
 
@@ -124,9 +126,7 @@ class Additions:
         )
 
     def _in_time(self, one: Addition) -> Addition:
-        """An event at its best time, where the grid of times is too coarse to tell."""
-        if not is_coarse(self.screened, self.families[one.candidate.key]):
-            return one
+        """An event at its best time, which a swing of what it excites tells better than the grid of times."""
         with np.errstate(all="ignore"):
             found = located(self.refits, one, self.screened.null)
         return one if found is None else found[0]
@@ -233,7 +233,9 @@ class Additions:
         for key in self.done:
             ask()
             if own is not None and key in near:
-                self._try(chosen_of(self.screened, own, self.families[key]), None)
+                one = chosen_of(self.screened, own, self.families[key])
+                # windows, whose first states are free, tell little of what happens in one of them
+                self._try(one, None, near=one.moves)
             if key in near or self.refits.levels.memory:
                 self._arrive(key)
 
@@ -365,7 +367,7 @@ def _at_another_time(
     with np.errstate(all="ignore"):
         time = tried.arrived.values.get(f"{member.key}.time")
         found = None if gone is None else located(refits, member, gone, time)
-    if found is None or found[1] > tried.arrived.cost - 2 * math.log(FACTOR * len(families)):
+    if found is None or found[1] > tried.arrived.cost - _ELSEWHEN:
         return []
     return [found[0]]
 

@@ -1,13 +1,12 @@
 """When an event happened, where the model swings several times from one time of its grid to the next.
 
 A refit moves an event by less than half a swing of what it excites: beyond that lies another optimum. The grid of times
-serves for what acts slowly. Where what neighbours on it do has little in common, times are looked for on a finer one.
+serves to tell that something happened; when it did is looked for on a finer one.
 """
 
 from __future__ import annotations
 
 import copy
-import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -21,26 +20,11 @@ from casadi_engine.discrepancy.linearised import OneStep, one_step
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.refit import Addition, addition
 from casadi_engine.discrepancy.refits import Refits
-from casadi_engine.discrepancy.screening import Screened
 from casadi_engine.experiment import Experiment
 
-# Correlation of neighbours on the grid of times below which an optimum may lie between them; how many times finer the
-# grid is then, over how many steps to both sides of where the event is, and how many times are tried at most.
-_ALIKE, _FINER, _ASIDE, _MOST = 0.7, 8, 4, 200
-
-
-def is_coarse(screened: Screened, members: Sequence[int]) -> bool:
-    """True if neighbours in time of an event's candidates do different things in the middle."""
-    placed: dict[str, list[tuple[float, int]]] = {}
-    for k in members:
-        one = screened.candidates[k]
-        if _timed(one) and isinstance(one.direction, dict):
-            placed.setdefault(",".join(one.direction), []).append((one.nuisance["time"], k))
-    alike = []
-    for own in placed.values():
-        order = [k for _, k in sorted(own)]
-        alike += [abs(screened.scores.correlation[a, b]) for a, b in itertools.pairwise(order)]
-    return bool(alike) and float(np.median(alike)) < _ALIKE
+# How many times finer that grid is, over how many steps of the other to both sides of where the event is, and how many
+# times are tried at most.
+_FINER, _ASIDE, _MOST = 16, 4, 200
 
 
 def located(

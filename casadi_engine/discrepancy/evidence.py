@@ -181,30 +181,41 @@ def levels_left(
 
 
 def innovations(null: NullModel, levels: Levels) -> float:
-    """Minus the log likelihood of a model's residuals as noise of their own level and colour, but for a constant.
+    """Minus the log likelihood of a model's residuals as noise of their own level and colour, but for a constant, and
+    what the numbers cost that describe the colour: half the logarithm of the samples each (Schwarz 1978).
 
     levels : that the model leaves; its levels count where the residual is smaller, as one that was stated does.
     """
-    squares, counts = dict.fromkeys(levels.sigma, 0.0), dict.fromkeys(levels.sigma, 0)
+    squares, least = dict.fromkeys(levels.sigma, 0.0), dict.fromkeys(levels.sigma, 0.0)
+    counts, paid = dict.fromkeys(levels.sigma, 0), 0.0
     for record in null.records:
         for output, e in record.residual.items():
             coloured = output in levels.memory and len(e) >= _SHORT
             own = max(float(e @ e), _TINY)
-            share = 1 - foretold(e) / own if coloured else 1.0
-            squares[output] += share * max(own, len(e) * levels.sigma[output] ** 2)
+            told, order = _predicted(e) if coloured else (0.0, 0)
+            share = 1 - told
+            squares[output] += share * own
+            least[output] += share * max(own, len(e) * levels.sigma[output] ** 2)
             counts[output] += len(e)
-    return sum(
-        0.5 * count * math.log(max(squares[name] / count, _TINY)) for name, count in counts.items() if count
-    )
+            paid += 0.5 * order * math.log(len(e))
+    found = paid
+    for name, count in counts.items():
+        if count:
+            level = max(least[name] / count, _TINY)
+            found += 0.5 * (count * math.log(level) + squares[name] / level - count)
+    return found
 
 
 def foretold(e: Array) -> float:
     """What the past of a residual (N,) foretells of its squares; all where it is too short to tell."""
     squares = float(e @ e)
-    if len(e) < _SHORT:
-        return squares
+    return squares if len(e) < _SHORT else squares * _predicted(e)[0]
+
+
+def _predicted(e: Array) -> tuple[float, int]:
+    """The share of a residual's squares that its past foretells, and from how many samples."""
     variance = autoregression(e[:, None], np.ones(len(e), dtype=bool)).variances
-    return squares * float(1 - variance[-1] / max(variance[0], 1e-300))
+    return float(1 - variance[-1] / max(variance[0], 1e-300)), len(variance) - 1
 
 
 def _prior_rows(null: NullModel, priors: Mapping[str, Prior], turn: Array, random: Array) -> Array:

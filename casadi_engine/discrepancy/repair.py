@@ -18,6 +18,7 @@ from casadi_engine.discrepancy.answer import Answer
 from casadi_engine.discrepancy.assumed_pressure import carry, remarks, settle_scatter
 from casadi_engine.discrepancy.checked_errors import with_checked_errors, with_errors_of_rounding
 from casadi_engine.discrepancy.choice import ANY, TIME_UP, Choice
+from casadi_engine.discrepancy.event_intervals import with_intervals_of_times
 from casadi_engine.discrepancy.fresh import Portions, portions
 from casadi_engine.discrepancy.fresh_choice import FreshChoice
 from casadi_engine.discrepancy.fresh_misfit import FRESH
@@ -29,6 +30,7 @@ from casadi_engine.discrepancy.null_model import refuse_jumps
 from casadi_engine.discrepancy.one_law import told_as_one_law
 from casadi_engine.discrepancy.output_check import at_its_limit, noise_alone, refuse_still, wild_samples
 from casadi_engine.discrepancy.own_jumps import JUMPED, with_own_jumps
+from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.progress import Progress, shown
 from casadi_engine.discrepancy.refit import Refitter
 from casadi_engine.discrepancy.repaired import Repair
@@ -327,6 +329,8 @@ class _Job:
         else:
             with self.deadline.spared(1.0):
                 made = with_checked_errors(made, self.noise, options, in_places=refitter.in_places)
+        with self.deadline.spared(1.0), suppress(TimeUp, *FAILURES):
+            made = with_intervals_of_times(made, search.refits)
         self.timing["total"] = time.perf_counter() - self.begun
         if (why := self._unresolved(made)) is not None:
             return self._no_answer(null_fit, alpha, why, UNRESOLVED)
