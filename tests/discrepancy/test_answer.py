@@ -33,7 +33,7 @@ def rubbing(t, angle, rate):
 def repaired(pendulum):
     """The repair of a decay with dry friction (or what else is hidden), on another decay with what is hidden there."""
 
-    def of(fresh=rubbing, *, hidden=rubbing, effects=("coulomb_friction", "quadratic_drag")):
+    def of(fresh=rubbing, *, hidden=rubbing, effects=("coulomb_friction",)):
         record = pendulum.decay(hidden, samples=300)
         other = pendulum.decay(fresh, samples=300, begun=1.1, seed=5, name="fresh")
         noise = ce.Noise(y=pendulum.level)
@@ -71,7 +71,7 @@ def test_the_next_structure_by_evidence_stands_where_the_first_is_refused(repair
         return Judgement(None, False, True, "refused by hand"), after
 
     monkeypatch.setattr(FreshChoice, "_of_structure", of_structure)
-    found = repaired(effects=["coulomb_friction", Brake(), "quadratic_drag"])
+    found = repaired(effects=["coulomb_friction", Brake()])
     assert sorted(asked) == ["brake at pivot", "coulomb_friction at pivot"]
     (one,) = found.effects
     assert [f"{one.name} at {one.at}"] == [label for label in asked if label != refused[-1]]
@@ -123,6 +123,7 @@ def test_an_event_of_one_record_waits_for_no_confirmation(repaired, monkeypatch)
     assert found.messages == (f"load_step at pivot: {words}",)
 
 
+@pytest.mark.slow
 def test_an_event_that_is_not_in_the_fresh_data_does_not_spoil_them(repaired):
     """Its size is 0 there, hundreds of standard errors off: that says nothing of the other parameters."""
     found = repaired(None, hidden=lambda t, angle, rate: 2.0 * (t > 1.5), effects=["load_step"])

@@ -121,15 +121,17 @@ def test_dry_friction_in_the_coupling_is_named_and_confirmed(repaired, among):
     assert found.latent[0].port == "coupling"
 
 
-def test_nothing_is_missing_where_nothing_is(repaired):
-    found = repaired("nothing")
+# The quick run has a repair among the whole library in test_law_refit.py.
+@pytest.mark.parametrize("among", [pytest.param({"effects": FEW["coulomb"]}, id="few"), WHOLE])
+def test_nothing_is_missing_where_nothing_is(repaired, among):
+    found = repaired("nothing", **among)
     assert found.verdict == "nothing missing"
     assert found.effects == ()
     assert found.where is None
     assert found.unknown is None
     assert found.confirmed is None
     assert found.fit is found.null_fit
-    assert found.candidates > 100
+    assert found.candidates > (100 if among["effects"] is None else 5)
     assert max(row.statistic for row in found.scores) < found.threshold
 
 
@@ -199,19 +201,20 @@ SLOW_RECORDS = [pytest.param(name, marks=pytest.mark.slow) for name in ("coulomb
 
 @pytest.mark.parametrize("name", ["nothing", *SLOW_RECORDS])
 def test_the_summary_fits_one_screen(repaired, name):
-    lines = str(repaired(name)).splitlines()
+    found = repaired(name, **({"effects": FEW["coulomb"]} if name == "nothing" else {}))
+    lines = str(found).splitlines()
     assert len(lines) <= 45
     assert max(map(len, lines)) <= 100
     assert lines[-1].startswith(("Next: ", "      "))
     if name == "nothing":
-        assert "nothing is missing that these data could show" in str(repaired(name))
+        assert "nothing is missing that these data could show" in str(found)
 
 
 def test_one_cycle_says_what_it_cannot_tell(records, drive):
     model, pars = drive
     record = records("nothing")[0].cycles(2, 2)
     noise = ce.Noise(omega=0.1, omega_load=0.1)
-    options = {"effects": FEW["coulomb"], "starts": 1, "progress": False}
+    options = {"effects": ["coulomb_friction"], "starts": 1, "progress": False}
     found = ce.repair(model, record, parameters=pars, noise=noise, **options)
     assert found.verdict == "nothing missing"
     assert found.confirmed is None

@@ -155,6 +155,7 @@ def test_scores_of_effect_free_records_are_normal_with_covariance_r(shaft, with_
     assert stats.kstest(square, stats.chi2(good.sum()).cdf).pvalue > 1e-3
 
 
+@pytest.mark.slow
 def test_scores_after_real_fits_are_normal(shaft):
     """Every record fitted anew, all parameters and initial states free, by the estimator itself."""
     candidates = shaft.candidates(shaft.model)[:10]

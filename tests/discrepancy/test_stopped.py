@@ -111,6 +111,7 @@ def test_the_budget_is_said_at_the_top(repaired):
     assert "give it more time, budget=..." in str(found)
 
 
+@pytest.mark.slow
 def test_a_search_that_ends_by_itself_says_nothing_of_it(repaired):
     found = repaired()
     assert (found.stopped, found.not_searched) == ("", ())
@@ -142,6 +143,7 @@ def slow(monkeypatch):
     return of
 
 
+@pytest.mark.slow  # the next one meets the same limit
 def test_behind_its_budget_a_slow_repair_answers_within_two_seconds_of_the_processor(repaired, slow):
     slow(0.02)
     begun = time.process_time()
@@ -172,6 +174,7 @@ def test_without_time_for_one_evaluation_there_is_nothing_to_answer(repaired, sl
     assert time.process_time() - begun < 0.2 + 1.0 + 0.5
 
 
+@pytest.mark.slow
 def test_ctrl_c_within_an_evaluation_is_answered_within_two_seconds(repaired, slow):
     """No step of the search has to come to its end first."""
 
