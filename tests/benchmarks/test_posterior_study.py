@@ -137,7 +137,7 @@ def test_dampers_with_a_normal_prior_are_drawn_from_it():
     assert normal.sum() == 4
     np.testing.assert_allclose((high / low)[~normal], 1.3**2)
     assert ((high / low)[normal] > 1000).all()
-    draws = np.array([posterior_study.drawn("B21", seed)[1][normal] for seed in range(1, 6)])
+    draws = np.array([posterior_study.drawn("B21", seed)[1][normal] for seed in (1, 2, 3)])
     assert (draws > 0).all()
     assert 0.5 < draws.std() < 2.0
 

@@ -50,7 +50,9 @@ def point(model, seed=0):
     return np.array(x), np.array(u), 0.3
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name == "seven" else name for name in MODELS]
+)
 def test_the_closed_forms_are_slopes_of_the_extended_model(name):
     model = MODELS[name]
     x, u, t = point(model)

@@ -210,6 +210,7 @@ def test_noise_covariances_maximise_the_likelihood(shaft_model, name):
         assert abs(fit.values[name_] - truth) < 4 * fit.stderr[name_]
 
 
+@pytest.mark.slow
 def test_a_doubted_noise_level_takes_the_error_of_the_gain_with_it(shaft_model):
     """Of two outputs with gaps the noise levels are not known to a quadratic."""
     made, model = record(**CASES["two outputs with gaps"]), shaft_model(True)

@@ -32,7 +32,7 @@ def record(delay):
     return ce.Experiment.from_arrays("run", time=t, units={"u": "N m", "w": "rad/s"}, u=torque(t), w=shown)
 
 
-@pytest.mark.parametrize("starts", [1, 6])
+@pytest.mark.parametrize("starts", [1, pytest.param(6, marks=pytest.mark.slow)])
 def test_a_delay_of_half_a_second_is_found_from_none(starts):
     """A sensor that is 3.8 s early, by the period of the drive, explains the samples that it leaves as well."""
     fit = ce.estimate(

@@ -82,7 +82,7 @@ def parted(made, samples):
     return term
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(data=st.data())
 def test_parts_of_any_size_give_the_same(data):
     samples, part = data.draw(st.integers(40, 400)), data.draw(st.integers(1, 300))

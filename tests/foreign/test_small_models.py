@@ -24,9 +24,12 @@ def test_simulated(name):
     assert outcome.passes, f"{outcome.kind}: {outcome.detail}"
 
 
-# A reactor that runs away costs as much to fit as fifty others, a ball that bounces as thirty; the quick run simulates
-# both, and recovers a mass at an end stop.
-LONG = {"stirred_reactor", "bouncing_ball"}
+# A reactor that runs away costs as much to fit as fifty others, a ball that bounces as thirty, and what sticks, stops
+# or is chaotic as ten; the quick run simulates them, and recovers a relay, a play and what changes its law elsewhere.
+LONG = {
+    "stirred_reactor", "bouncing_ball", "end_stop", "block_on_belt", "run_down", "rubbing_oscillator", "pushed_shaft",
+    "lorenz",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(

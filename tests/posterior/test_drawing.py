@@ -79,6 +79,7 @@ def test_walkers_that_do_not_agree_say_what_the_evidence_cannot_exceed(fit, post
     assert post.log_evidence < limit == pytest.approx(best[0], abs=0.05)
 
 
+@pytest.mark.slow
 def test_walkers_that_do_not_agree_are_judged_by_weights(fit, post, monkeypatch):
     pytest.importorskip("emcee")
     target = Target(fit)

@@ -47,11 +47,13 @@ def check(result, secret, *, errors=4.5):
 
 @pytest.fixture(scope="module")
 def repaired(tmp_path_factory):
-    """The command on three cycles of each record: exit code, what it complained of, its result.json, the answer."""
-    folder, kept, complained = tmp_path_factory.mktemp("three_cycles"), [], io.StringIO()
-    for name in ("misfire_1200rpm", "normal_1400rpm"):
-        ce.read_experiment(DATA / f"{name}.csv.gz").cycles(1, 3).to_csv(folder / f"{name}.csv")
+    """The command on two cycles, confirmed on three of the fresh record, among a few effects: exit code, what it complained of, its
+    result.json, the answer. The whole library is that of the slow run, and of a smaller repair in tests/cli."""
+    folder, kept, complained = tmp_path_factory.mktemp("two_cycles"), [], io.StringIO()
+    for name, last in (("misfire_1200rpm", 2), ("normal_1400rpm", 3)):
+        ce.read_experiment(DATA / f"{name}.csv.gz").cycles(1, last).to_csv(folder / f"{name}.csv")
     files = ["--data", folder / "misfire_1200rpm.csv", "--validate", folder / "normal_1400rpm.csv"]
+    files += ["--effects", "coulomb_friction,cubic_stiffness,viscous_friction"]
 
     def page(result, path, **options):
         # Figures take seconds; the tests of the report room draw them.
@@ -71,7 +73,7 @@ def found(repaired):
     return repaired.answer
 
 
-def test_the_hidden_effect_is_named_in_three_cycles(repaired, secret):
+def test_the_hidden_effect_is_named_in_two_cycles(repaired, secret):
     assert (repaired.code, repaired.complained) == (0, "")
     check(repaired.result, secret)
 
