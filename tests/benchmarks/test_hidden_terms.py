@@ -141,6 +141,7 @@ def test_a_plant_is_drawn_about_the_kind_and_what_is_absent_is_zero():
     assert values == true_values(kind, task, ["L", "c"])
 
 
+@pytest.mark.slow
 def test_a_case_has_noise_of_the_ratio_asked_for():
     kind = KINDS["pendulum"]
     task = next(task for task in tasks_of(kind) if task.snr == 20 and task.noise == "white")
@@ -294,6 +295,7 @@ def test_sindy_is_left_out_with_a_reason_where_it_is_not_installed(dragged, monk
     assert run_rival("sindy residual", *dragged)["outcome"].startswith("skipped: ")
 
 
+@pytest.mark.slow
 def test_refits_keep_the_candidate_that_is_best_by_bic(dragged):
     kind, task, case = dragged
     offered = replace(case, effects=[ce.effects.QuadraticDrag(), ce.effects.ConstantTorque()])

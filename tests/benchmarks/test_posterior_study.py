@@ -129,6 +129,7 @@ def test_a_pendulum_is_checked_as_it_is_fitted():
     assert 0 < found["check"] < found["seconds"]
 
 
+@pytest.mark.slow
 def test_dampers_with_a_normal_prior_are_drawn_from_it():
     case, _ = posterior_study.drawn("B21", 0)
     assert len(case.free) == 18

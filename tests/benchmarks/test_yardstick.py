@@ -83,6 +83,7 @@ def test_two_codes_give_the_same_chi_squared_and_bound(case_b):
     np.testing.assert_allclose(one, other, rtol=2e-3, atol=1e-3 * np.abs(one).max())
 
 
+@pytest.mark.slow
 def test_the_spectral_opponent_finds_the_optimum(case_b):
     """No parameter moved by a tenth of its error makes the answer's chi-squared smaller."""
     found = opponent_spectral.fit(case_b, case_b.start(0), lambda: None)["values"]

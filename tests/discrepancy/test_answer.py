@@ -58,6 +58,7 @@ def test_an_effect_that_fresh_data_refuse_is_withdrawn(repaired):
     assert found.fit is found.null_fit
 
 
+@pytest.mark.slow  # as does this
 def test_the_next_structure_by_evidence_stands_where_the_first_is_refused(repaired, monkeypatch):
     real, asked, refused = FreshChoice._of_structure, [], []
 
@@ -81,6 +82,7 @@ def test_the_next_structure_by_evidence_stands_where_the_first_is_refused(repair
     assert f"{refused[-1]}: refused by hand" in found.messages
 
 
+@pytest.mark.slow
 def test_fresh_data_that_the_repaired_model_cannot_be_simulated_on_judge_nothing(repaired, monkeypatch):
     """They neither confirm nor refuse it, and the gap there is told of the model without effects alone."""
     real = fresh_choice.fresh_sides
@@ -134,6 +136,7 @@ def test_an_event_that_is_not_in_the_fresh_data_does_not_spoil_them(repaired):
     assert found.messages == ()
 
 
+@pytest.mark.slow  # test_fresh_choice.py asks structures in their order
 def test_a_structure_without_a_fit_on_its_way_is_passed_over(repaired, monkeypatch):
     real = fresh_choice.Choice.way
     lost = lambda self, key: real(self, key) if not key else None  # noqa: E731

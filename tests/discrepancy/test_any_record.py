@@ -139,6 +139,7 @@ def measured(kind):
     return model, record(times, angle, torque=torque)
 
 
+@pytest.mark.slow  # slopes and scores of such records stand above
 @pytest.mark.parametrize(
     "kind", ["missing", *(pytest.param(k, marks=pytest.mark.slow) for k in ("offset", "jittered", "time"))]
 )

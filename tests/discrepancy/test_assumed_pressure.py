@@ -239,6 +239,7 @@ def test_other_records_have_amplitudes_of_their_own(record):
     assert likely_scatter(null_model(fit), {"omega": 0.1}) == pytest.approx(0.028, rel=0.5)
 
 
+@pytest.mark.slow
 def test_held_parameters_leave_other_cycles_their_own_combustion(fit):
     other = experiment(simulated([710_002])[0], name="other")
     made = carry(ce.two_mass(), ce.two_mass().parameters(), [other]).data[0]

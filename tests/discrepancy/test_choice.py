@@ -209,6 +209,7 @@ def test_effects_that_are_the_same_law_share_a_class_in_equal_parts(pendulum):
     assert [abs(m.rho) for m in one.members] == pytest.approx([1, 1], abs=1e-3)
 
 
+@pytest.mark.slow
 def test_rivals_in_the_library_do_not_unname_an_effect(prepared, named):
     made = prepared(rubbing, ["coulomb_friction", "asymmetric_friction", "sensor_offset"])
     made.choice.run(made.fit)
@@ -348,6 +349,7 @@ def test_where_whole_fits_fail_with_sharp_corners_the_wider_ones_count_again(pre
     assert made.choice.refitter.share == 1
 
 
+@pytest.mark.slow
 def test_sharp_corners_that_a_fit_was_reached_with_are_not_taken_back(prepared, monkeypatch):
     """What is added later is not in the pool from before they were sharpened."""
     made = prepared(rubbing, ["coulomb_friction"], most=1)
@@ -392,6 +394,7 @@ def test_a_structure_whose_whole_fit_fails_gives_way_to_the_next(prepared, monke
     assert {first.key, then} == {frozenset({DRY}), frozenset({("brake", "pivot")})}
 
 
+@pytest.mark.slow
 def test_no_more_effects_than_asked_for(prepared):
     made = prepared(rubbing_and_pushed, ["coulomb_friction", "constant_torque"], most=1)
     made.choice.run(made.fit)

@@ -196,6 +196,7 @@ def test_white_noise_stays_white(inertia, draws):
     assert made[0].scores.freedom.min() > 250
 
 
+@pytest.mark.slow
 def test_a_friction_in_white_noise_is_not_taken_for_colour(inertia):
     screened = screen(inertia(2, 0.3, 0.0, 1000))
     assert not screened.noise.colour

@@ -145,6 +145,7 @@ def test_a_load_on_what_swings_has_too_coarse_a_grid(scored):
     assert not is_coarse(scored, members(scored, "coulomb_friction"))
 
 
+@pytest.mark.slow
 def test_a_load_on_what_follows_slowly_has_not():
     """Damped so much that it creeps: what a load does does not swing from one time to the next."""
     data = record("slow", 2, 7.0, damping=20.0, samples=600)

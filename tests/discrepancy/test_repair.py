@@ -65,10 +65,9 @@ def drive():
 
 
 # Effects among which these are looked for in the slow run, which looks among the whole library too. The quick run has
-# its repair of an engine with a friction that is named in tests/problems/test_hidden_effect.py, with every part of the
-# answer, and the one of an engine that lacks nothing here; classes are also held by test_choice.py and
-# tests/effects/test_sensor_gain.py, a misfire's cycle by test_assumed_pressure.py, and repairs with events by
-# test_events.py.
+# the parts of an answer in test_repair_requests.py, a search among the whole library in test_law_refit.py, records in
+# which nothing is missing in test_own_jumps.py and test_input_hold.py, classes in test_choice.py and
+# tests/effects/test_sensor_gain.py, a misfire's cycle in test_real_measurements.py, and events in test_events.py.
 FEW = {
     "coulomb": ["coulomb_friction", "cubic_stiffness", "viscous_friction"],
     "constant": ["coulomb_friction", "constant_torque", "viscous_friction", "cubic_stiffness"],
@@ -121,17 +120,16 @@ def test_dry_friction_in_the_coupling_is_named_and_confirmed(repaired, among):
     assert found.latent[0].port == "coupling"
 
 
-# The quick run has a repair among the whole library in test_law_refit.py.
-@pytest.mark.parametrize("among", [pytest.param({"effects": FEW["coulomb"]}, id="few"), WHOLE])
-def test_nothing_is_missing_where_nothing_is(repaired, among):
-    found = repaired("nothing", **among)
+@pytest.mark.slow
+def test_nothing_is_missing_where_nothing_is(repaired):
+    found = repaired("nothing")
     assert found.verdict == "nothing missing"
     assert found.effects == ()
     assert found.where is None
     assert found.unknown is None
     assert found.confirmed is None
     assert found.fit is found.null_fit
-    assert found.candidates > (100 if among["effects"] is None else 5)
+    assert found.candidates > 100
     assert max(row.statistic for row in found.scores) < found.threshold
 
 
@@ -196,25 +194,23 @@ def test_a_lost_combustion_is_named_with_its_cycle(repaired, among):
     assert found.gaps.estimation_after.gap.chi2_per_sample < 1.15
 
 
-SLOW_RECORDS = [pytest.param(name, marks=pytest.mark.slow) for name in ("coulomb", "constant", "misfire")]
-
-
-@pytest.mark.parametrize("name", ["nothing", *SLOW_RECORDS])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["nothing", "coulomb", "constant", "misfire"])
 def test_the_summary_fits_one_screen(repaired, name):
-    found = repaired(name, **({"effects": FEW["coulomb"]} if name == "nothing" else {}))
-    lines = str(found).splitlines()
+    lines = str(repaired(name)).splitlines()
     assert len(lines) <= 45
     assert max(map(len, lines)) <= 100
     assert lines[-1].startswith(("Next: ", "      "))
     if name == "nothing":
-        assert "nothing is missing that these data could show" in str(found)
+        assert "nothing is missing that these data could show" in str(repaired(name))
 
 
+@pytest.mark.slow
 def test_one_cycle_says_what_it_cannot_tell(records, drive):
     model, pars = drive
     record = records("nothing")[0].cycles(2, 2)
     noise = ce.Noise(omega=0.1, omega_load=0.1)
-    options = {"effects": ["coulomb_friction"], "starts": 1, "progress": False}
+    options = {"effects": FEW["coulomb"], "starts": 1, "progress": False}
     found = ce.repair(model, record, parameters=pars, noise=noise, **options)
     assert found.verdict == "nothing missing"
     assert found.confirmed is None

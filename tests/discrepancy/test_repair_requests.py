@@ -88,6 +88,64 @@ def test_effects_are_asked_for_by_name_and_port(repaired):
     assert repaired.effects[0].key == "coupling.coulomb_friction"
 
 
+def test_an_effect_stands_alone_at_its_place(repaired):
+    (one,) = repaired.effects
+    assert one.sentence == "dry friction at coupling"
+    assert one.p_value < 1e-10
+    assert one.share_explained > 0.9
+    assert [m.name for m in one.members] == ["coulomb_friction"]
+    assert abs(one.amplitude.value - 0.8) < 4 * one.amplitude.stderr
+    assert repaired.confirmed is True
+    assert repaired.where.location == "coupling"
+    assert repaired.latent[0].port == "coupling"
+
+
+def test_the_repaired_model_is_as_good_as_noise_on_what_was_held_out(repaired):
+    gaps = repaired.gaps
+    assert gaps.gain_per_cycle.mean > 2 * gaps.gain_per_cycle.se
+    assert gaps.validation_before.gap.chi2_per_sample > 1.2
+    assert gaps.validation_after.gap.chi2_per_sample == pytest.approx(1.0, abs=4 * np.sqrt(2 / 240))
+
+
+def test_the_shift_of_the_damping_was_predicted(repaired):
+    """The damper had stood for the friction."""
+    (one,) = repaired.effects
+    assert one.found_shift["C_el"] < -0.1  # of 0.2 N m s/rad
+    assert one.predicted_shift["C_el"] == pytest.approx(one.found_shift["C_el"], rel=0.5)
+
+
+def test_the_equations_of_the_repaired_model_show_the_term(repaired):
+    assert any("coupling.coulomb_friction.torque" in line for line in repaired.equation.terms)
+    assert repaired.equation.text == repaired.model.equations()
+    assert "coupling.coulomb_friction.torque" in repaired.parameters
+
+
+def test_what_was_not_found_comes_with_the_size_that_would_have_been(repaired):
+    missed = {(m.name, m.at): m for m in repaired.not_found}
+    assert ("coulomb_friction", "coupling") not in missed
+    step = missed["load_step", "load"]
+    assert step.testable
+    assert 0.01 < step.smallest_detectable < 5
+    assert step.unit == "N m"
+
+
+def test_the_law_is_there_over_time(repaired):
+    time, law = repaired.effects[0].course["shaft"]
+    assert time[0] == repaired.latent[0].courses["shaft"].time[0]
+    assert np.abs(law).max() == pytest.approx(repaired.effects[0].amplitude.value, rel=0.01)
+    assert law.min() < 0 < law.max()
+
+
+def test_the_summary_fits_one_screen_and_says_what_was_found(repaired):
+    text = str(repaired)
+    lines = text.splitlines()
+    assert len(lines) <= 45
+    assert max(map(len, lines)) <= 100
+    assert lines[-1].startswith(("Next: ", "      "))
+    assert text.startswith("Repair of shaft: coulomb_friction at coupling is missing, confirmed on ")
+    assert "coupling.coulomb_friction.torque = " in text
+
+
 def test_the_answer_is_the_same_every_time():
     data = _swing(0.01)
     first, again = (

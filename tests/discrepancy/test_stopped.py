@@ -70,6 +70,7 @@ def test_ctrl_c_before_the_first_refit_says_that_nothing_was_searched(repaired):
     assert "no refit" not in found.unknown.sentence
 
 
+@pytest.mark.slow
 def test_ctrl_c_in_the_fit_of_a_structure_leaves_what_was_kept_before(repaired, monkeypatch):
     def station(self, tried):
         self.tell("fit of all data")

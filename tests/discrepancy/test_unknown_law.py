@@ -97,6 +97,7 @@ def test_the_course_of_an_unknown_law_is_drawn(braked):
     assert np.corrcoef(bent(course.mean), bent(-brake(course.signal)))[0, 1] > 0.97
 
 
+@pytest.mark.slow  # a friction is, in test_repair_requests.py
 def test_a_law_of_the_library_is_more_probable_than_an_unknown_one():
     found = repaired(drag)
     assert [one.key for one in found.effects] == ["engine.quadratic_drag"]

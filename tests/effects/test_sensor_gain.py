@@ -91,6 +91,7 @@ def test_an_input_that_acts_more_than_it_says_is_told_from_sensors_and_not_from_
     }
 
 
+@pytest.mark.slow  # those of a sensor are, below
 def test_the_units_of_an_input_are_told_by_its_gain():
     model = joint()
     found = ce.repair(
@@ -137,6 +138,7 @@ def test_exchanged_units_are_named(factors, words):
     assert words in " ".join(str(found).split())
 
 
+@pytest.mark.slow
 def test_a_calibration_error_is_no_exchanged_unit():
     found = ce.repair(joint(), measured(joint(), speed=1.05), effects=FEW, starts=1)
     assert [one.key for one in found.effects] == ["sensor_speed.sensor_gain"]

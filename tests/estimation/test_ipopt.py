@@ -187,6 +187,7 @@ def test_gauss_newton_steps_are_stopped_by_their_caller(shaft, shaft_model):
     assert search.solver.solve(end, search.lower, search.upper).status == "converged"
 
 
+@pytest.mark.slow  # test_reported.py names directions
 def test_a_curved_valley_that_the_data_do_not_determine_is_named_in_time():
     """Geometry, masses and stiffnesses scale together: the search ends in the valley and says which way it runs."""
     model = ce.two_mass()

@@ -57,6 +57,7 @@ def test_several_starts_find_the_better_optimum(tone):
     assert one.optima[0].starts == 1
 
 
+@pytest.mark.slow
 def test_starts_are_compared_at_one_noise_level(tone):
     # An estimated level makes the cost of every optimum about n: they are told apart by the likelihood.
     model, data = tone()

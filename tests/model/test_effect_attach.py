@@ -62,11 +62,13 @@ def closed(model, **values):
 @pytest.mark.parametrize(
     ("name", "sharp"),
     [
-        # large models take long, and are alike with rounded and with sharp corners
+        # the larger models take long, and are alike
         pytest.param(
             name,
             sharp,
-            marks=pytest.mark.slow if (sharp and not name.startswith("two")) or name == "seven" else (),
+            marks=pytest.mark.slow
+            if name not in ("two", "two linear") or (sharp and name == "two linear")
+            else (),
         )
         for name in MODELS
         for sharp in (False, True)

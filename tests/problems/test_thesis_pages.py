@@ -154,6 +154,7 @@ def test_the_law_behind_table_4_11(quick):
     assert lines["Table 4.11", "36 coefficients"].ours == words
 
 
+@pytest.mark.slow
 def test_the_driveline(quick):
     lines = quick("driveline")
     found = lines["chapter 6 (c)", "the rest of the powertrain"].ours
