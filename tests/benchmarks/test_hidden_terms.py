@@ -283,6 +283,7 @@ def dragged():
     return kind, task, case_of(kind, task)
 
 
+@pytest.mark.slow
 def test_stepwise_regression_names_a_clear_term(dragged):
     kind, task, case = dragged
     row = run_rival("stepwise", kind, task, case)

@@ -431,6 +431,7 @@ def test_a_key_has_no_order():
     assert key_of([first, second]) == key_of([second, first]) == {DRY, DRAG}
 
 
+@pytest.mark.slow  # what they may cost is below
 def test_fresh_data_that_cost_too_much_are_not_judged_and_that_is_said(pendulum, monkeypatch):
     """What a structure may cost there is known from the first fit."""
     data = pendulum.decay(rubbing, samples=300)

@@ -72,6 +72,7 @@ def test_a_sensor_that_is_late_is_named_timed_and_confirmed(late):
     assert f"y(t + {DELAY}) = w" in found.equation.text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fresh", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_where_the_delay_is_declared_nothing_is_missing(fresh):
     model = rotor().with_effect(ce.effects.SensorDelay(), at="sensor_y")

@@ -62,6 +62,7 @@ def test_ctrl_c_in_the_search_gives_the_best_so_far(repaired, monkeypatch):
     assert signal.getsignal(signal.SIGINT) is before
 
 
+@pytest.mark.slow  # the budget says it below
 def test_ctrl_c_before_the_first_refit_says_that_nothing_was_searched(repaired):
     found = repaired("scores")
     assert (found.status, found.stopped, found.effects) == ("answered", "the user", ())

@@ -8,7 +8,6 @@ import casadi_engine as ce
 from casadi_engine.effects import Amplitude, Grid
 from casadi_engine.errors import EffectError
 from casadi_engine.experiment.units import converted, read_unit, unit_product
-from tests.quick import few
 
 ANGLES = [("rad", "rad/s"), ("deg", "deg/s"), ("deg", "rpm"), ("mrad", "mrad/s"), ("rad", "rpm")]
 LENGTHS = [("m", "m/s"), ("mm", "mm/s"), ("mm", "m/min"), ("m", "km/h")]
@@ -40,7 +39,11 @@ EFFECTS = [
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
-@pytest.mark.parametrize("system", few(SYSTEMS, *SYSTEMS[::4]), ids=lambda system: ", ".join(system))
+@pytest.mark.parametrize(
+    "system",
+    [pytest.param(one, marks=pytest.mark.slow if k % 4 else ()) for k, one in enumerate(SYSTEMS)],
+    ids=lambda system: ", ".join(system),
+)
 def test_a_law_gives_the_same_in_any_units_when_its_parameters_are_converted_as_labelled(effect, system):
     acts, place, _ = system
     turns = read_unit(place).dimension == "rad"

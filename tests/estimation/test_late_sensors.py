@@ -47,6 +47,7 @@ def test_a_delay_of_half_a_second_is_found_from_none(starts):
         assert "sensor_w.sensor_delay.delay = " in other.apart
 
 
+@pytest.mark.slow
 def test_the_optima_are_apart():
     fit = ce.estimate(late_rotor(), record(0.2), starts=4, jobs=1, progress=False)
     ends = [one.values["sensor_w.sensor_delay.delay"] for one in fit.optima]

@@ -103,6 +103,7 @@ def test_several_starts_end_where_they_end_on_the_whole_data(record):
     assert fit.cost == pytest.approx(SAMPLES, rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_first_states_that_are_given_hold_where_the_record_begins(record):
     fit = _fit(record, initial={"x": 0.1, "v": 0.0})
     assert fit.options["searched on"].startswith("records of a rate ")

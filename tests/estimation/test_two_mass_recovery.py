@@ -72,6 +72,7 @@ def test_the_fit_has_the_published_frequencies(clean):
     assert found[-1] == pytest.approx(20.345, rel=1e-3)
 
 
+@pytest.mark.slow  # test_intervals.py has both forms
 def test_the_nonlinear_form_gives_the_same_answer(clean):
     """(4.1) with the model's own speed in the reciprocating torque, from a start 20 % off: within the errors."""
     model = ce.two_mass()
