@@ -213,6 +213,7 @@ def test_a_null_is_right_only_if_nothing_is_said_to_be_missing():
 # ---- the runner
 
 
+@pytest.mark.slow
 def test_a_run_stores_crashes_and_goes_on_where_it_was(tmp_path, monkeypatch, capsys):
     def broken(*_args, **_options):
         raise ValueError("of no use")

@@ -99,6 +99,7 @@ def test_samples_that_are_no_speed_do_no_harm(fit, made, lost, speed_only):
     assert np.nanmedian(found.separation) > 12
 
 
+@pytest.mark.slow
 def test_the_nonlinear_form_of_the_model_finds_the_same(record, found, fit_of):
     other = ce.misfires(fit_of(ce.two_mass()), record)
     assert other.lost.tolist() == found.lost.tolist()

@@ -109,6 +109,7 @@ def test_without_the_first_model_on_fresh_data_nothing_is_confirmed(repaired, mo
     assert "the model without effects cannot be simulated on the fresh data" in found.messages
 
 
+@pytest.mark.slow  # test_fresh_choice.py says that it stays
 def test_an_event_of_one_record_waits_for_no_confirmation(repaired, monkeypatch):
     """A torque that comes on in the middle of the first record, and not in the fresh one."""
 

@@ -96,6 +96,7 @@ def test_the_best_structure_is_the_truth_beyond_all_rivals(named):
     assert not found.failed
 
 
+@pytest.mark.slow  # test_linearised.py holds one step
 def test_what_one_step_leaves_out_no_refit_brings_back(named, prepared, monkeypatch):
     made = prepared(rubbing)
     monkeypatch.setattr(Additions, "_promising", everything)
