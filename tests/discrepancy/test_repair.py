@@ -133,9 +133,9 @@ def test_nothing_is_missing_where_nothing_is(repaired):
     assert max(row.statistic for row in found.scores) < found.threshold
 
 
-def test_the_last_engine_cycles_are_held_out_where_no_fresh_record_is_given(records, drive):
+def test_the_last_engine_cycles_are_held_out_where_no_fresh_record_is_given(drive):
     model, _ = drive
-    (record, _) = records("nothing")
+    record = ce.read_experiment(DATA / "normal_1200rpm.csv.gz").cycles(1, 8)
     made = portions(model, (record,), (), share=0.3)
     (kept,), (held,) = made.data, made.fresh
     assert made.source == "cycles"
