@@ -82,7 +82,10 @@ def test_the_help_of_the_command_computes_nothing():
     assert modules & {"numpy", "casadi", "scipy", "pandas", "matplotlib", "jinja2"} == set()
 
 
-@pytest.mark.parametrize("package", PACKAGES)
+@pytest.mark.parametrize(
+    "package",
+    [PACKAGES[0], *(pytest.param(one, marks=pytest.mark.slow) for one in PACKAGES[1:])],
+)
 def test_every_public_name_is_there_at_once(package):
     """In a new process, where nothing is loaded yet."""
     code = f"""

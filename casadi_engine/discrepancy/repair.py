@@ -130,14 +130,15 @@ def repair(
     that cannot be used. Sources: score tests (Rao 1948), evidence (Laplace 1774, MacKay 1992).
 
     >>> import numpy as np, casadi_engine as ce
-    >>> t = np.arange(1000) * 0.01
+    >>> t = np.arange(400) * 0.02
     >>> exp = ce.Experiment.from_arrays("swing", time=t, units={"T": "N m"}, T=80 * np.sin(1.5 * t))
     >>> lossy = ce.one_inertia().with_effect(ce.effects.CoulombFriction(), at="engine", values={"torque": 3.0})
     >>> run = ce.simulate(lossy, exp, initial={"omega_eng": 0.0})
-    >>> noisy = run["omega"].values + 0.1 * np.random.default_rng(0).standard_normal(1000)
+    >>> noisy = run["omega"].values + 0.1 * np.random.default_rng(0).standard_normal(400)
     >>> exp = ce.Experiment.from_arrays("swing", time=t, units={"T": "N m", "omega": "rad/s"}, T=exp["T"].values,
     ...     omega=noisy)
-    >>> found = ce.repair(ce.one_inertia(), exp, noise=ce.Noise(omega=0.1), progress=False)
+    >>> effects = ["coulomb_friction", "quadratic_drag"]
+    >>> found = ce.repair(ce.one_inertia(), exp, effects=effects, noise=ce.Noise(omega=0.1), progress=False)
     >>> found.verdict, found.confirmed, found.effects[0].key, round(found.effects[0].amplitude.value, 1)
     ('named', True, 'engine.coulomb_friction', 3.0)
     """

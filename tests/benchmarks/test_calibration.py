@@ -76,7 +76,10 @@ def test_what_is_printed_is_counted_as_it_is_printed():
     assert line.endswith("| J1 | 5 | 40 % | 40 % | 0 % | 20 % | **0.500** ± 0.109 |")
 
 
-@pytest.mark.parametrize(("name", "printed"), [("quiet", {"stderr"}), ("crankshaft_plain", {None})])
+@pytest.mark.parametrize(
+    ("name", "printed"),
+    [("quiet", {"stderr"}), pytest.param("crankshaft_plain", {None}, marks=pytest.mark.slow)],
+)
 def test_an_error_is_printed_where_it_is_right_alone(name, printed):
     """Two masses at little noise, and the crankshaft, whose errors by the curvature are several times too small."""
     row = calibration_cases.row({"variant": name, "seed": 0})

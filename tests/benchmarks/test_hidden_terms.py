@@ -141,6 +141,7 @@ def test_a_plant_is_drawn_about_the_kind_and_what_is_absent_is_zero():
     assert values == true_values(kind, task, ["L", "c"])
 
 
+@pytest.mark.slow
 def test_a_case_has_noise_of_the_ratio_asked_for():
     kind = KINDS["pendulum"]
     task = next(task for task in tasks_of(kind) if task.snr == 20 and task.noise == "white")
@@ -212,6 +213,7 @@ def test_a_null_is_right_only_if_nothing_is_said_to_be_missing():
 # ---- the runner
 
 
+@pytest.mark.slow
 def test_a_run_stores_crashes_and_goes_on_where_it_was(tmp_path, monkeypatch, capsys):
     def broken(*_args, **_options):
         raise ValueError("of no use")
@@ -282,6 +284,7 @@ def dragged():
     return kind, task, case_of(kind, task)
 
 
+@pytest.mark.slow
 def test_stepwise_regression_names_a_clear_term(dragged):
     kind, task, case = dragged
     row = run_rival("stepwise", kind, task, case)
@@ -294,6 +297,7 @@ def test_sindy_is_left_out_with_a_reason_where_it_is_not_installed(dragged, monk
     assert run_rival("sindy residual", *dragged)["outcome"].startswith("skipped: ")
 
 
+@pytest.mark.slow
 def test_refits_keep_the_candidate_that_is_best_by_bic(dragged):
     kind, task, case = dragged
     offered = replace(case, effects=[ce.effects.QuadraticDrag(), ce.effects.ConstantTorque()])

@@ -37,6 +37,7 @@ def test_hindsight_finds_the_fewest_errors():
     assert misfire_study.most(0, 30_000) == pytest.approx(1e-4, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_small_study_has_no_errors(monkeypatch):
     monkeypatch.setattr(misfire_study, "RECORDS", 2)
     monkeypatch.setattr(misfire_study, "AT_ONCE", 2)

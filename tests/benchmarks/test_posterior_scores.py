@@ -16,7 +16,7 @@ def world(size):
     return World(rows, np.zeros((3, 2)), prior, {"so large": np.array([[size], [-size]])})
 
 
-@pytest.mark.parametrize("size", [2.0, 5.0])
+@pytest.mark.parametrize("size", [pytest.param(2.0, marks=pytest.mark.slow), 5.0])
 def test_a_known_state_has_the_information_in_its_score(size):
     found = scores([world(size)], "so large", 4000, np.random.default_rng(0))
     square, curvature = found["known"].mean(axis=1)
@@ -26,12 +26,13 @@ def test_a_known_state_has_the_information_in_its_score(size):
 
 def test_a_quiet_state_under_a_wide_prior_has_not():
     """Of a state that is smaller than its prior says the score holds noise that the curvature does not."""
-    found = scores([world(0.3)], "so large", 4000, np.random.default_rng(0))
+    found = scores([world(0.3)], "so large", 2000, np.random.default_rng(0))
     for name in ("motion", "now"):
         square, curvature = found[name].mean(axis=1)
         assert square > 1.5 * curvature
 
 
+@pytest.mark.slow
 def test_the_truth_has_worlds_of_all_records():
     worlds = posterior_scores.worlds_of(100, 0.1)
     assert len(worlds) == 6

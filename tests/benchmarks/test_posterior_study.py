@@ -129,6 +129,7 @@ def test_a_pendulum_is_checked_as_it_is_fitted():
     assert 0 < found["check"] < found["seconds"]
 
 
+@pytest.mark.slow
 def test_dampers_with_a_normal_prior_are_drawn_from_it():
     case, _ = posterior_study.drawn("B21", 0)
     assert len(case.free) == 18
@@ -137,7 +138,7 @@ def test_dampers_with_a_normal_prior_are_drawn_from_it():
     assert normal.sum() == 4
     np.testing.assert_allclose((high / low)[~normal], 1.3**2)
     assert ((high / low)[normal] > 1000).all()
-    draws = np.array([posterior_study.drawn("B21", seed)[1][normal] for seed in range(1, 6)])
+    draws = np.array([posterior_study.drawn("B21", seed)[1][normal] for seed in (1, 2, 3)])
     assert (draws > 0).all()
     assert 0.5 < draws.std() < 2.0
 

@@ -23,6 +23,7 @@ def left(records):
         return plant.refitted(records, [1, 1, 1])
 
 
+@pytest.mark.slow
 def test_a_record_without_effects_leaves_nothing_and_gives_the_truth(left):
     assert left[0].mu < 0.01
     assert left[0].converged
@@ -30,16 +31,19 @@ def test_a_record_without_effects_leaves_nothing_and_gives_the_truth(left):
     assert found == pytest.approx(list(plant.TRUTH), rel=2e-3)
 
 
+@pytest.mark.slow
 def test_viscous_friction_at_the_load_is_taken_up_by_the_engine(left):
     assert left[1].mu < 1.0
     assert left[1].values["C_eng"] == pytest.approx(0.1541 + 0.1, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_misfire_is_left_over_as_far_as_a_linear_refit_says(left):
     assert left[2].mu == pytest.approx(left[2].linear, rel=0.1)
     assert left[2].mu > 3
 
 
+@pytest.mark.slow
 def test_the_refit_is_a_minimum(records, left):
     drives = plant.drives_of(records)
     best = np.array([left[2].values[name] for name in plant.NAMES])

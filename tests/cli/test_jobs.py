@@ -30,6 +30,7 @@ def with_starts(here):
     path.write_text(text)
 
 
+@pytest.mark.slow  # tests/estimation/test_batch.py has such starts in the quick run
 def test_starts_run_in_several_processes(here, call, quick_report):
     pytest.importorskip("joblib", reason="several processes need joblib")
     with_starts(here)

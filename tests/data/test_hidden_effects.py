@@ -233,6 +233,7 @@ def test_runs_without_effects_are_those_of_the_scalar_simulator():
         np.testing.assert_allclose(record[key], reference[key], rtol=0, atol=tolerance)
 
 
+@pytest.mark.slow
 def test_the_crankshaft_with_its_effects():
     effects = {
         "none": (),

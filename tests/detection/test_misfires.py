@@ -99,6 +99,7 @@ def test_samples_that_are_no_speed_do_no_harm(fit, made, lost, speed_only):
     assert np.nanmedian(found.separation) > 12
 
 
+@pytest.mark.slow
 def test_the_nonlinear_form_of_the_model_finds_the_same(record, found, fit_of):
     other = ce.misfires(fit_of(ce.two_mass()), record)
     assert other.lost.tolist() == found.lost.tolist()
@@ -126,6 +127,7 @@ def test_noise_that_is_larger_than_said_is_told_and_counted(fit, record, found):
     assert "\nthe speed differs from the model by 1.7 times its noise" in str(some)
 
 
+@pytest.mark.slow  # noise larger than said is told above
 def test_a_model_without_the_torsion_of_the_crankshaft_is_refuted_by_the_record(speed_only):
     from simulator import simulate_crankshaft
 
@@ -149,14 +151,14 @@ def test_combustions_that_burn_in_part_are_neither_lost_nor_usual(fit, speed_onl
     from simulator.hidden import hidden
     from simulator.hidden_runs import Case, simulate_hidden
 
-    half = Case((hidden("misfire", "cylinder_2", 0.5, cycles=(4, 8)),), 5, 6, {})
-    made = simulate_hidden("two_mass", [half], cycles=12)[0]
+    half = Case((hidden("misfire", "cylinder_2", 0.5, cycles=(3, 5)),), 5, 6, {})
+    made = simulate_hidden("two_mass", [half], cycles=7)[0]
     found = ce.misfires(fit, speed_only(made))
-    expected = truth(found, {2: [4, 8]})
+    expected = truth(found, {2: [3, 5]})
     assert found.neither.tolist() == expected.tolist()
     assert np.abs(found.strength[expected] - 0.5).max() < 0.1
     assert found.trusted
-    assert "2 neither lost nor usual (sizes 0.44 to 0.52): partial burns" in str(found)
+    assert "2 neither lost nor usual (sizes 0.47 to 0.55): partial burns" in str(found)
 
 
 @pytest.mark.parametrize("lag", [0, 1, 5])

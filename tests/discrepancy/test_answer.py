@@ -33,7 +33,7 @@ def rubbing(t, angle, rate):
 def repaired(pendulum):
     """The repair of a decay with dry friction (or what else is hidden), on another decay with what is hidden there."""
 
-    def of(fresh=rubbing, *, hidden=rubbing, effects=("coulomb_friction", "quadratic_drag")):
+    def of(fresh=rubbing, *, hidden=rubbing, effects=("coulomb_friction",)):
         record = pendulum.decay(hidden, samples=300)
         other = pendulum.decay(fresh, samples=300, begun=1.1, seed=5, name="fresh")
         noise = ce.Noise(y=pendulum.level)
@@ -58,6 +58,7 @@ def test_an_effect_that_fresh_data_refuse_is_withdrawn(repaired):
     assert found.fit is found.null_fit
 
 
+@pytest.mark.slow  # as does this
 def test_the_next_structure_by_evidence_stands_where_the_first_is_refused(repaired, monkeypatch):
     real, asked, refused = FreshChoice._of_structure, [], []
 
@@ -71,7 +72,7 @@ def test_the_next_structure_by_evidence_stands_where_the_first_is_refused(repair
         return Judgement(None, False, True, "refused by hand"), after
 
     monkeypatch.setattr(FreshChoice, "_of_structure", of_structure)
-    found = repaired(effects=["coulomb_friction", Brake(), "quadratic_drag"])
+    found = repaired(effects=["coulomb_friction", Brake()])
     assert sorted(asked) == ["brake at pivot", "coulomb_friction at pivot"]
     (one,) = found.effects
     assert [f"{one.name} at {one.at}"] == [label for label in asked if label != refused[-1]]
@@ -81,6 +82,7 @@ def test_the_next_structure_by_evidence_stands_where_the_first_is_refused(repair
     assert f"{refused[-1]}: refused by hand" in found.messages
 
 
+@pytest.mark.slow
 def test_fresh_data_that_the_repaired_model_cannot_be_simulated_on_judge_nothing(repaired, monkeypatch):
     """They neither confirm nor refuse it, and the gap there is told of the model without effects alone."""
     real = fresh_choice.fresh_sides
@@ -107,6 +109,7 @@ def test_without_the_first_model_on_fresh_data_nothing_is_confirmed(repaired, mo
     assert "the model without effects cannot be simulated on the fresh data" in found.messages
 
 
+@pytest.mark.slow  # test_fresh_choice.py says that it stays
 def test_an_event_of_one_record_waits_for_no_confirmation(repaired, monkeypatch):
     """A torque that comes on in the middle of the first record, and not in the fresh one."""
 
@@ -123,6 +126,7 @@ def test_an_event_of_one_record_waits_for_no_confirmation(repaired, monkeypatch)
     assert found.messages == (f"load_step at pivot: {words}",)
 
 
+@pytest.mark.slow
 def test_an_event_that_is_not_in_the_fresh_data_does_not_spoil_them(repaired):
     """Its size is 0 there, hundreds of standard errors off: that says nothing of the other parameters."""
     found = repaired(None, hidden=lambda t, angle, rate: 2.0 * (t > 1.5), effects=["load_step"])
@@ -133,6 +137,7 @@ def test_an_event_that_is_not_in_the_fresh_data_does_not_spoil_them(repaired):
     assert found.messages == ()
 
 
+@pytest.mark.slow  # test_fresh_choice.py asks structures in their order
 def test_a_structure_without_a_fit_on_its_way_is_passed_over(repaired, monkeypatch):
     real = fresh_choice.Choice.way
     lost = lambda self, key: real(self, key) if not key else None  # noqa: E731

@@ -17,7 +17,7 @@ from casadi_engine.simulation.candidate_sensitivities import torque_direction
 
 TRUTH = {"J": 0.02, "c": 0.05, "k": 3.0}
 FRICTION, SIGMA, STEP = 0.08, 0.004, 1.2345
-FEW = ["coulomb_friction", "viscous_friction", "quadratic_drag", "constant_torque", "load_step"]
+FEW = ["coulomb_friction", "quadratic_drag", "constant_torque"]
 
 
 def rotor(forcing):
@@ -139,6 +139,7 @@ def measured(kind):
     return model, record(times, angle, torque=torque)
 
 
+@pytest.mark.slow  # slopes and scores of such records stand above
 @pytest.mark.parametrize(
     "kind", ["missing", *(pytest.param(k, marks=pytest.mark.slow) for k in ("offset", "jittered", "time"))]
 )
@@ -168,7 +169,8 @@ def test_a_jump_with_the_states_is_refused_with_its_place():
         null(rotor("none"), data, (1.0, 0.0), **values)
 
 
-def test_an_effect_without_any_signal_is_scored_in_a_model_without_inputs():
+@pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_an_effect_without_any_signal_is_scored_in_a_model_without_inputs(whole):
     """A load step in a free swing: a law of time alone."""
     b = ce.Blueprint("free")
     decay = b.parameter("decay", 1.0, unit="1/s", min=0, max=10)
@@ -188,7 +190,13 @@ def test_an_effect_without_any_signal_is_scored_in_a_model_without_inputs():
     scores = screen(
         ce.estimate(model, data, noise=ce.Noise(speed=0.01), progress=False), ["load_step", "constant_torque"]
     )
-    assert scores.candidates[scores.order[0]].effect == "load_step"
+    first = scores.order[0]
+    assert scores.candidates[first].effect == "load_step"
+    assert scores.candidates[first].nuisance["time"] == pytest.approx(2.0, abs=0.1)
+    assert scores.scores.amplitude[first] < 0
+    assert scores.alarm
+    if not whole:
+        return
     found = ce.repair(
         model,
         data,

@@ -223,6 +223,7 @@ def test_no_scatter_is_counted_as_noise_that_the_model_carries(fit):
     assert len(scatter_of(bare, fit.data)[0].directions) >= 20
 
 
+@pytest.mark.slow
 def test_other_records_have_amplitudes_of_their_own(record):
     model = ce.two_mass()
     data = [experiment(record, name="a"), experiment(record, assumed=False, name="b")]
@@ -238,6 +239,7 @@ def test_other_records_have_amplitudes_of_their_own(record):
     assert likely_scatter(null_model(fit), {"omega": 0.1}) == pytest.approx(0.028, rel=0.5)
 
 
+@pytest.mark.slow
 def test_held_parameters_leave_other_cycles_their_own_combustion(fit):
     other = experiment(simulated([710_002])[0], name="other")
     made = carry(ce.two_mass(), ce.two_mass().parameters(), [other]).data[0]
@@ -248,10 +250,11 @@ def test_held_parameters_leave_other_cycles_their_own_combustion(fit):
     assert held.cost / held.n < 1.3
 
 
-def test_scores_of_records_without_effects_are_calibrated(fit):
-    """Two records like those of tests/benchmarks/repair_nothing.py: no alarm, and scores of unit variance."""
+@pytest.mark.parametrize("others", [(), pytest.param((720_000,), marks=pytest.mark.slow)])
+def test_scores_of_records_without_effects_are_calibrated(fit, others):
+    """Records like those of tests/benchmarks/repair_nothing.py: no alarm, and scores of unit variance."""
     square, count = 0.0, 0
-    for one in (fit, *(fitted(experiment(r)) for r in simulated((720_000,)))):
+    for one in (fit, *(fitted(experiment(simulated([seed])[0])) for seed in others)):
         screened = screen(one, noise=NoiseModel({"omega": 0.1}))
         assert not screened.significant
         # z = directions' y with independent y
@@ -271,13 +274,16 @@ def test_the_mean_square_of_the_scores_is_one():
     assert abs(np.mean(squares) - 1) < 3 * error
 
 
+@pytest.mark.slow  # a real engine's is in test_real_measurements.py
 def test_an_effect_is_found_beside_the_scatter():
     one = simulated([730_000], [hidden("misfire", "cylinder_1", 0.15, cycles=[5])])[0]
-    screened = screen(fitted(experiment(one)), noise=NoiseModel({"omega": 0.1}))
+    few = ["misfire", "cylinder_imbalance", "load_step", "coulomb_friction"]
+    screened = screen(fitted(experiment(one)), few, noise=NoiseModel({"omega": 0.1}))
     best = screened.candidates[screened.significant[0]]
     assert (best.effect, best.port, best.nuisance["first"]) == ("misfire", "cylinder_1", 5)
 
 
+@pytest.mark.slow  # scores of such records stand above
 def test_repair_says_that_nothing_is_missing_where_pressures_are_assumed():
     data = ce.read_experiment(DATA / "assumed_pressure_1200rpm.csv.gz", assumed=("p3", "p4"))
     data = data.resample(**dict.fromkeys(data.names, 10)).without("omega_load")

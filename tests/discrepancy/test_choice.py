@@ -65,6 +65,7 @@ def named(prepared):
     return made
 
 
+@pytest.mark.slow  # test_next_experiment.py repairs the same pendulum
 def test_dry_friction_of_a_pendulum_is_named_and_confirmed(pendulum):
     """A model by Blueprint, two decays, another one to confirm on."""
     data = pendulum.decay(rubbing, samples=300)
@@ -95,6 +96,7 @@ def test_the_best_structure_is_the_truth_beyond_all_rivals(named):
     assert not found.failed
 
 
+@pytest.mark.slow  # test_linearised.py holds one step
 def test_what_one_step_leaves_out_no_refit_brings_back(named, prepared, monkeypatch):
     made = prepared(rubbing)
     monkeypatch.setattr(Additions, "_promising", everything)
@@ -133,7 +135,7 @@ def test_structures_are_asked_in_the_order_of_their_evidence(named):
 
 
 def test_two_effects_are_added_one_after_the_other(prepared):
-    made = prepared(rubbing_and_pushed)
+    made = prepared(rubbing_and_pushed, ["coulomb_friction", "constant_torque"])
     made.choice.run(made.fit)
     assert made.choice.best == {DRY, CONSTANT}
     values = made.choice.chosen.fit.estimates
@@ -197,7 +199,7 @@ class Second(Alike):
 
 def test_effects_that_are_the_same_law_share_a_class_in_equal_parts(pendulum):
     data = pendulum.decay(rubbing, samples=300)
-    effects = [Alike(), Second(), "quadratic_drag"]
+    effects = [Alike(), Second()]
     found = ce.repair(
         pendulum.model, data, effects=effects, noise=ce.Noise(y=pendulum.level), starts=1, holdout=0.0, progress=False
     )  # fmt: skip
@@ -208,8 +210,9 @@ def test_effects_that_are_the_same_law_share_a_class_in_equal_parts(pendulum):
     assert [abs(m.rho) for m in one.members] == pytest.approx([1, 1], abs=1e-3)
 
 
+@pytest.mark.slow
 def test_rivals_in_the_library_do_not_unname_an_effect(prepared, named):
-    made = prepared(rubbing, [*FEW, "asymmetric_friction", "sensor_offset"])
+    made = prepared(rubbing, ["coulomb_friction", "asymmetric_friction", "sensor_offset"])
     made.choice.run(made.fit)
     assert made.choice.best == named.choice.best
     members = made.choice.way(made.choice.best)[-1].members
@@ -242,7 +245,7 @@ def in_other_units():
     return b.model(), 1e3
 
 
-@pytest.mark.parametrize("way", [by_length, in_other_units])
+@pytest.mark.parametrize("way", [pytest.param(by_length, marks=pytest.mark.slow), in_other_units])
 def test_no_verdict_depends_on_how_the_model_is_written(pendulum, named, way):
     """Evidence too: of the effect against none, and of its best rival against it."""
     model, unit = way()
@@ -347,6 +350,7 @@ def test_where_whole_fits_fail_with_sharp_corners_the_wider_ones_count_again(pre
     assert made.choice.refitter.share == 1
 
 
+@pytest.mark.slow
 def test_sharp_corners_that_a_fit_was_reached_with_are_not_taken_back(prepared, monkeypatch):
     """What is added later is not in the pool from before they were sharpened."""
     made = prepared(rubbing, ["coulomb_friction"], most=1)
@@ -391,15 +395,16 @@ def test_a_structure_whose_whole_fit_fails_gives_way_to_the_next(prepared, monke
     assert {first.key, then} == {frozenset({DRY}), frozenset({("brake", "pivot")})}
 
 
+@pytest.mark.slow
 def test_no_more_effects_than_asked_for(prepared):
-    made = prepared(rubbing_and_pushed, most=1)
+    made = prepared(rubbing_and_pushed, ["coulomb_friction", "constant_torque"], most=1)
     made.choice.run(made.fit)
     assert len(made.choice.best) == 1
     assert len(made.choice.rounds) == 1
 
 
 def test_an_effect_whose_refits_do_not_arrive_is_said_to_have_no_answer(prepared, monkeypatch):
-    made = prepared(rubbing)
+    made = prepared(rubbing, ["coulomb_friction", "quadratic_drag"])
     monkeypatch.setattr(Additions, "_promising", everything)
     for name in ("from_point", "from_windows"):
         real = getattr(refits.Path, name)
@@ -427,6 +432,7 @@ def test_a_key_has_no_order():
     assert key_of([first, second]) == key_of([second, first]) == {DRY, DRAG}
 
 
+@pytest.mark.slow  # what they may cost is below
 def test_fresh_data_that_cost_too_much_are_not_judged_and_that_is_said(pendulum, monkeypatch):
     """What a structure may cost there is known from the first fit."""
     data = pendulum.decay(rubbing, samples=300)

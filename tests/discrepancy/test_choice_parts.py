@@ -12,6 +12,7 @@ from casadi_engine.discrepancy import choice as module
 from casadi_engine.discrepancy import ways
 from casadi_engine.discrepancy.choice import BEYOND, FACTOR, TIME_UP, Choice
 from casadi_engine.discrepancy.screening import screen
+from tests.quick import few
 
 PRICE = 2.0
 NONE = frozenset()
@@ -121,7 +122,7 @@ FEW = ["coulomb_friction", "constant_torque"]
 DRY = frozenset({("coulomb_friction", "pivot")})
 
 
-@pytest.mark.parametrize("late", [True, False])
+@pytest.mark.parametrize("late", few([True, False], True))
 def test_a_round_that_the_time_ends_leaves_what_it_has_refitted(pendulum, monkeypatch, late):
     """A real search; where a round ends by itself, what it does not take is no answer."""
     data = pendulum.decay(lambda t, angle, rate: -0.6 * np.tanh(rate / 0.02), samples=300)

@@ -116,6 +116,7 @@ def test_records_with_a_load_at_their_own_times(fan):
     assert found.gaps.validation_after.gap.chi2_per_sample < 1.3
 
 
+@pytest.mark.slow
 def test_loads_of_other_sizes_and_a_record_without(fan):
     found = repaired(
         fan, [record("a", 1, 1.5), record("b", 2, 3.0, size=5.0)], record("c", 3, 2.0, size=-4.0)

@@ -75,7 +75,13 @@ def repaired(effect, drag):
     )
 
 
-@pytest.mark.parametrize(("effect", "power"), [(Squared(), 0.5), (Magnitude(), 1.0), (Odd(), 0.5)])
+@pytest.mark.parametrize(
+    ("effect", "power"),
+    [
+        (Squared(), 0.5),
+        *(pytest.param(*one, marks=pytest.mark.slow) for one in ((Magnitude(), 1.0), (Odd(), 0.5))),
+    ],
+)
 def test_an_effect_without_a_slope_at_zero_is_found(effect, power):
     found = repaired(effect, 0.002)
     assert (found.verdict, [one.name for one in found.effects]) == ("named", [effect.name])

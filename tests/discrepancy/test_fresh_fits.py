@@ -36,7 +36,8 @@ def model_with_a_step(time):
     return ce.one_inertia().with_effect(step, at="engine", values={"torque": -1.0, "time": time})
 
 
-@pytest.mark.parametrize("own", [3.3, None])
+@pytest.mark.slow  # test_events.py has such a time in fresh records
+@pytest.mark.parametrize("own", [3.3, pytest.param(None, marks=pytest.mark.slow)])
 def test_a_declared_event_has_a_time_of_its_own_in_fresh_records(own):
     data, fresh = record("a", 1, 7.9), record("b", 2, own)
     model = model_with_a_step(7.5)

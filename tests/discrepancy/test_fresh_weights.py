@@ -162,7 +162,10 @@ def _run(name, size, seed):
 
 def test_the_search_goes_to_the_fresh_records_where_these_alone_show_what_is_missing():
     slow, fast = _run("slow", 0.15, 0), _run("fast", 4.0, 1)
-    found = ce.repair(_rotor(), slow, fresh=fast, noise=ce.Noise(w=0.05), progress=False)
+    few = ["quadratic_drag", "coulomb_friction", "constant_torque"]
+    found = ce.repair(
+        _rotor(), slow, fresh=fast, effects=few, noise=ce.Noise(w=0.05), starts=1, progress=False
+    )
     assert found.verdict == "named"
     assert [one.key for one in found.effects] == ["load.quadratic_drag"]
     assert [record.name for record in found.data] == ["fast"]

@@ -14,7 +14,7 @@ from casadi_engine.discrepancy.input_hold import OtherHold, other_hold
 STEP, J, C, SIGMA = 0.05, 0.4, 0.5, 0.01
 
 
-def record(*, held, late=0.0, read="first", seed=1, count=400):
+def record(*, held, late=0.0, read="first", seed=1, count=240):
     """A torque in random steps of eight samples on one inertia; speed shown ``late`` seconds late."""
     rng = np.random.default_rng(seed)
     t = STEP * np.arange(count)

@@ -55,7 +55,7 @@ def check(fit, late):
     assert abs(dict(fit.model.lags)["y"] - late) <= 0.6 * STEP
 
 
-@pytest.mark.parametrize("late", [0.12, 0.124])
+@pytest.mark.parametrize("late", [pytest.param(0.12, marks=pytest.mark.slow), 0.124])
 def test_a_sensor_that_is_late_is_named_timed_and_confirmed(late):
     """The score at no delay is far from a delay of twelve samples; a law of second order would be as well."""
     data, fresh = (
@@ -72,7 +72,8 @@ def test_a_sensor_that_is_late_is_named_timed_and_confirmed(late):
     assert f"y(t + {DELAY}) = w" in found.equation.text
 
 
-@pytest.mark.parametrize("fresh", [True, False])
+@pytest.mark.slow
+@pytest.mark.parametrize("fresh", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_where_the_delay_is_declared_nothing_is_missing(fresh):
     model = rotor().with_effect(ce.effects.SensorDelay(), at="sensor_y")
     data = record("search", 1, late=0.12, decibel=40)

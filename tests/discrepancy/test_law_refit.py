@@ -89,6 +89,7 @@ def test_its_course_is_the_truth_but_for_what_the_parameters_take(law, signal):
     assert "linear" not in answer(law).unknown.sentence
 
 
+@pytest.mark.slow  # test_coloured_screen.py has coloured noise in the quick run
 def test_coloured_noise_alone_is_no_law():
     found = answer(lambda angle, rate: 0.0 * angle, 3)
     assert found.verdict == "nothing missing"

@@ -60,6 +60,7 @@ def test_a_limit_that_was_left_out_is_told(record):
     assert "stribeck_friction at mass is missing (of what was tried), " in words
 
 
+@pytest.mark.slow  # test_one_law_at_two_ports.py says so in the quick run
 def test_an_effect_of_ones_own_has_no_other_in_the_library(record):
     class Grip(ce.effects.CoulombFriction):
         name, limit = "grip", "nothing_known"

@@ -79,6 +79,7 @@ def test_a_state_that_no_sensor_shows_is_measured_at_its_own_size():
     assert (model.outputs[-1].name, model.outputs[-1].scale) == ("next_lynxes", 20)
 
 
+@pytest.mark.slow
 def test_the_speed_of_a_pendulum_helps_to_tell_dry_friction_from_what_fades(pendulum):
     record = pendulum.decay(lambda t, angle, rate: -0.6 * np.tanh(rate / 0.02), samples=300)
     found = ce.repair(

@@ -5,6 +5,7 @@ import pytest
 from scipy import integrate, stats
 
 from casadi_engine.discrepancy.null_distribution import NullDistribution, Row, split_alpha
+from tests.quick import few
 
 
 def independent(count, *, side=0, start=0, size=None):
@@ -52,7 +53,7 @@ def mixed(seed=0, m=12):
     return tests
 
 
-@pytest.mark.parametrize("alpha", [0.01, 0.1])
+@pytest.mark.parametrize("alpha", few([0.01, 0.1], 0.1))
 def test_sides_and_groups_share_one_scale(alpha):
     tests = mixed()
     limit = NullDistribution(tests, draws=20000).threshold(alpha)

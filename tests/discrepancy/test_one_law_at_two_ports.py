@@ -79,6 +79,7 @@ def repair(record):
     )
 
 
+@pytest.mark.slow  # test_choice.py has two names of one law
 def test_the_two_are_as_probable_and_both_are_named(repair):
     (found,) = repair.effects
     known = {(one.name, one.at): one.probability for one in found.members}
@@ -91,27 +92,29 @@ def test_the_two_are_as_probable_and_both_are_named(repair):
     assert planned is None or not any(name.startswith("coulomb_friction") for name in planned.splits)
 
 
+@pytest.mark.slow
 def test_of_one_law_a_port_is_to_be_chosen(repair):
     said = " ".join(str(repair).split())
     assert "are one and the same in data of this kind (correlation 1 or -1)" in said
     assert f'ce.repair(..., at="{repair.effects[0].at}")' in said
 
 
+@pytest.mark.slow
 def test_nothing_was_left_out_where_both_ports_were_allowed(repair):
     assert "left out" not in repair.options
     assert "(of what was tried)" not in str(repair)
 
 
-@pytest.fixture(scope="module", params=["rival", pytest.param("first", marks=pytest.mark.slow)])
-def alone(request, record, repair):
-    """A port alone, and the other one: by default that which was not named first where both were allowed."""
-    first = repair.effects[0].at
-    (rival,) = {"mass", "spring"} - {first}
-    port, other = (rival, first) if request.param == "rival" else (first, rival)
+@pytest.fixture(scope="module", params=["mass", pytest.param("spring", marks=pytest.mark.slow)])
+def alone(request, record):
+    """A port alone, and the other one."""
+    port = request.param
+    (other,) = {"mass", "spring"} - {port}
     found = ce.repair(carriage(), record, effects=["coulomb_friction"], at=port, starts=1, progress=False)
     return port, other, found
 
 
+@pytest.mark.slow
 def test_one_port_alone_is_named_with_the_same_number(alone, repair):
     port, _, found = alone
     both = repair.effects[0].amplitude

@@ -36,7 +36,7 @@ def throttle():
 
 @pytest.fixture(scope="module")
 def record():
-    times, rng = np.arange(500) * 0.01, np.random.default_rng(4)
+    times, rng = np.arange(340) * 0.015, np.random.default_rng(4)
     torque = sum(0.3 * np.sin(2 * np.pi * f * times + p) for f, p in ((0.35, 0.2), (0.9, 1.7), (1.9, 3.0)))
 
     def rates(t, x):
@@ -73,7 +73,7 @@ def repaired(record, parameters):
             throttle(),
             record,
             parameters=parameters,
-            effects=["coulomb_friction", "constant_torque"],
+            effects=["coulomb_friction"],
             starts=1,
             progress=False,
         )

@@ -56,6 +56,7 @@ def test_a_further_effect_costs_as_much_as_there_are_others():
     assert pairs.price_of({}) == 0.0
 
 
+@pytest.mark.slow
 def test_dry_friction_and_drag_of_a_slide_are_both_found_beside_friction_that_fades():
     """A slow slide, pushed to and fro: one law that fades does much of what two simple ones do."""
     t = np.arange(500) * 0.01

@@ -71,6 +71,7 @@ def test_dry_friction_is_what_the_servo_drive_lacks(drive):
     assert max(others) < 0.3 * z[dry]
 
 
+@pytest.mark.slow
 def test_with_dry_friction_the_servo_drive_has_its_published_values(drive):
     model, (data, fresh), null = drive
     repaired = model.with_effect(ce.effects.CoulombFriction(), at="carriage", values={"torque": 10.0})
@@ -163,7 +164,7 @@ def engine():
     return lost, assumed, null
 
 
-@pytest.mark.parametrize("colour", [False, "auto"])
+@pytest.mark.parametrize("colour", [False, pytest.param("auto", marks=pytest.mark.slow)])
 def test_lost_combustion_is_found_and_dated_from_crank_speed_alone(engine, colour):
     lost, assumed, null = engine
     screened = screen(null, colour=colour)

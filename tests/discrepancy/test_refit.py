@@ -95,6 +95,7 @@ def coverage(fits, name, truth):
     return np.array([(fit.estimates[name].value - truth) / fit.estimates[name].stderr for fit in fits])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("draws", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_dry_friction_of_a_slow_drive_is_found_within_its_error(draws):
     """A width by the typical speed of an engine made 0.47 N m of 0.3, and a false companion."""

@@ -65,10 +65,9 @@ def drive():
 
 
 # Effects among which these are looked for in the slow run, which looks among the whole library too. The quick run has
-# its repair of an engine with a friction that is named in tests/problems/test_hidden_effect.py, with every part of the
-# answer, and the one of an engine that lacks nothing here; classes are also held by test_choice.py and
-# tests/effects/test_sensor_gain.py, a misfire's cycle by test_assumed_pressure.py, and repairs with events by
-# test_events.py.
+# the parts of an answer in test_repair_requests.py, a search among the whole library in test_law_refit.py, records in
+# which nothing is missing in test_own_jumps.py and test_input_hold.py, classes in test_choice.py and
+# tests/effects/test_sensor_gain.py, a misfire's cycle in test_real_measurements.py, and events in test_events.py.
 FEW = {
     "coulomb": ["coulomb_friction", "cubic_stiffness", "viscous_friction"],
     "constant": ["coulomb_friction", "constant_torque", "viscous_friction", "cubic_stiffness"],
@@ -121,6 +120,7 @@ def test_dry_friction_in_the_coupling_is_named_and_confirmed(repaired, among):
     assert found.latent[0].port == "coupling"
 
 
+@pytest.mark.slow
 def test_nothing_is_missing_where_nothing_is(repaired):
     found = repaired("nothing")
     assert found.verdict == "nothing missing"
@@ -133,9 +133,9 @@ def test_nothing_is_missing_where_nothing_is(repaired):
     assert max(row.statistic for row in found.scores) < found.threshold
 
 
-def test_the_last_engine_cycles_are_held_out_where_no_fresh_record_is_given(records, drive):
+def test_the_last_engine_cycles_are_held_out_where_no_fresh_record_is_given(drive):
     model, _ = drive
-    (record, _) = records("nothing")
+    record = ce.read_experiment(DATA / "normal_1200rpm.csv.gz").cycles(1, 8)
     made = portions(model, (record,), (), share=0.3)
     (kept,), (held,) = made.data, made.fresh
     assert made.source == "cycles"
@@ -194,10 +194,8 @@ def test_a_lost_combustion_is_named_with_its_cycle(repaired, among):
     assert found.gaps.estimation_after.gap.chi2_per_sample < 1.15
 
 
-SLOW_RECORDS = [pytest.param(name, marks=pytest.mark.slow) for name in ("coulomb", "constant", "misfire")]
-
-
-@pytest.mark.parametrize("name", ["nothing", *SLOW_RECORDS])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["nothing", "coulomb", "constant", "misfire"])
 def test_the_summary_fits_one_screen(repaired, name):
     lines = str(repaired(name)).splitlines()
     assert len(lines) <= 45
@@ -207,6 +205,7 @@ def test_the_summary_fits_one_screen(repaired, name):
         assert "nothing is missing that these data could show" in str(repaired(name))
 
 
+@pytest.mark.slow
 def test_one_cycle_says_what_it_cannot_tell(records, drive):
     model, pars = drive
     record = records("nothing")[0].cycles(2, 2)

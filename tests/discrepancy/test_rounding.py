@@ -82,13 +82,17 @@ def test_a_test_that_rounding_alone_fails_is_no_alarm():
     assert beyond_rounding(record, "y", lambda _: 0.5)(1e-3) == pytest.approx(1e-3)
 
 
-@pytest.mark.parametrize(("frequency", "step"), [(0.49, 1.6), (0.25, 1.6), (0.42, 0.16)])
+@pytest.mark.parametrize(
+    ("frequency", "step"),
+    [(0.49, 1.6), *(pytest.param(*one, marks=pytest.mark.slow) for one in ((0.25, 1.6), (0.42, 0.16)))],
+)
 def test_nothing_is_missing_where_only_the_sensor_rounds(frequency, step):
     found = ce.repair(
         _spring(),
         _record("run", frequency=frequency, size=1.0, step=step),
         fresh=_record("fresh", frequency=1.3 * frequency, size=1.4, step=step),
         initial={"y": 0.0, "v": 0.0},
+        starts=1,
         progress=False,
     )
     assert found.verdict == "nothing missing"

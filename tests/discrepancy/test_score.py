@@ -13,6 +13,7 @@ from casadi_engine.discrepancy.null_model import null_model
 from casadi_engine.discrepancy.score import saturated_variance, score, separation
 from casadi_engine.effects import library
 from casadi_engine.simulation.candidate_sensitivities import torque_direction
+from tests.quick import few
 
 
 @pytest.fixture(scope="module")
@@ -155,6 +156,7 @@ def test_scores_of_effect_free_records_are_normal_with_covariance_r(shaft, with_
     assert stats.kstest(square, stats.chi2(good.sum()).cdf).pvalue > 1e-3
 
 
+@pytest.mark.slow
 def test_scores_after_real_fits_are_normal(shaft):
     """Every record fitted anew, all parameters and initial states free, by the estimator itself."""
     candidates = shaft.candidates(shaft.model)[:10]
@@ -172,7 +174,9 @@ def test_scores_after_real_fits_are_normal(shaft):
     assert 5e-4 < p < 1 - 5e-4
 
 
-@pytest.mark.parametrize("name", ["coulomb_friction", "cubic_stiffness", "constant_torque"])
+@pytest.mark.parametrize(
+    "name", few(["coulomb_friction", "cubic_stiffness", "constant_torque"], "cubic_stiffness")
+)
 def test_predictions_are_those_of_brute_force_refits(shaft, name):
     """Amplitude, drop of chi-squared and shift of all parameters, with the effect as a part of the model."""
     effect = library(name)[0]

@@ -101,6 +101,7 @@ def spun(fading, seed):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("fading", "lead"), [(40.0, "coulomb_friction"), (10.0, "stribeck_friction")])
 def test_the_name_that_leads(fading, lead):
     b = ce.Blueprint("rotor")

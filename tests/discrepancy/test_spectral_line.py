@@ -40,7 +40,9 @@ def test_a_sine_is_found_at_its_frequency(frequency, memory):
     assert found.frequency == pytest.approx(frequency, abs=0.7 / SAMPLES)
 
 
-@pytest.mark.parametrize("memory", [0.0, 0.8, 0.95])
+@pytest.mark.parametrize(
+    "memory", [pytest.param(0.0, marks=pytest.mark.slow), pytest.param(0.8, marks=pytest.mark.slow), 0.95]
+)
 def test_noise_of_any_smooth_colour_has_a_line_as_often_as_it_is_said(memory):
     p = np.array([line(noise(seed, memory=memory)).p for seed in range(400)])
     assert (p < 0.05).mean() < 0.08
@@ -77,7 +79,17 @@ def test_samples_that_are_missing_at_the_ends_are_left_out():
 
 @pytest.mark.parametrize(
     ("hole", "options"),
-    [(False, {}), (True, {}), (False, {"colour": False}), (False, {"noise": ce.Noise(omega=0.01)})],
+    [
+        (False, {}),
+        *(
+            pytest.param(hole, options, marks=pytest.mark.slow)
+            for hole, options in (
+                (True, {}),
+                (False, {"colour": False}),
+                (False, {"noise": ce.Noise(omega=0.01)}),
+            )
+        ),
+    ],
 )
 def test_a_torque_that_comes_back_is_not_called_noise(hole, options):
     """Of 0.4 N m at 1.7 Hz, which no effect of the library is, nor a function of the speed."""

@@ -62,6 +62,7 @@ def test_ctrl_c_in_the_search_gives_the_best_so_far(repaired, monkeypatch):
     assert signal.getsignal(signal.SIGINT) is before
 
 
+@pytest.mark.slow  # the budget says it below
 def test_ctrl_c_before_the_first_refit_says_that_nothing_was_searched(repaired):
     found = repaired("scores")
     assert (found.status, found.stopped, found.effects) == ("answered", "the user", ())
@@ -70,6 +71,7 @@ def test_ctrl_c_before_the_first_refit_says_that_nothing_was_searched(repaired):
     assert "no refit" not in found.unknown.sentence
 
 
+@pytest.mark.slow
 def test_ctrl_c_in_the_fit_of_a_structure_leaves_what_was_kept_before(repaired, monkeypatch):
     def station(self, tried):
         self.tell("fit of all data")
@@ -111,6 +113,7 @@ def test_the_budget_is_said_at_the_top(repaired):
     assert "give it more time, budget=..." in str(found)
 
 
+@pytest.mark.slow
 def test_a_search_that_ends_by_itself_says_nothing_of_it(repaired):
     found = repaired()
     assert (found.stopped, found.not_searched) == ("", ())
@@ -142,6 +145,7 @@ def slow(monkeypatch):
     return of
 
 
+@pytest.mark.slow  # the next one meets the same limit
 def test_behind_its_budget_a_slow_repair_answers_within_two_seconds_of_the_processor(repaired, slow):
     slow(0.02)
     begun = time.process_time()
@@ -172,6 +176,7 @@ def test_without_time_for_one_evaluation_there_is_nothing_to_answer(repaired, sl
     assert time.process_time() - begun < 0.2 + 1.0 + 0.5
 
 
+@pytest.mark.slow
 def test_ctrl_c_within_an_evaluation_is_answered_within_two_seconds(repaired, slow):
     """No step of the search has to come to its end first."""
 

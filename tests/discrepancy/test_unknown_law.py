@@ -45,7 +45,7 @@ def run(law, seed, *, noise=0.04):
 
 
 def repaired(law, **options):
-    effects = ["coulomb_friction", "quadratic_drag", "constant_torque", "load_step"]
+    effects = ["coulomb_friction", "quadratic_drag", "constant_torque"]
     return ce.repair(
         ce.one_inertia(), run(law, 1), fresh=run(law, 2), effects=effects, starts=1, progress=False, **options
     )
@@ -56,6 +56,7 @@ def braked():
     return repaired(brake)
 
 
+@pytest.mark.slow  # test_law_refit.py has one without a name in the quick run
 def test_an_unknown_law_is_no_colour_of_the_noise(tmp_path):
     found = repaired(wave)
     assert found.verdict == "unnamed"
@@ -96,6 +97,7 @@ def test_the_course_of_an_unknown_law_is_drawn(braked):
     assert np.corrcoef(bent(course.mean), bent(-brake(course.signal)))[0, 1] > 0.97
 
 
+@pytest.mark.slow  # a friction is, in test_repair_requests.py
 def test_a_law_of_the_library_is_more_probable_than_an_unknown_one():
     found = repaired(drag)
     assert [one.key for one in found.effects] == ["engine.quadratic_drag"]

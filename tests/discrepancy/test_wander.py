@@ -172,7 +172,7 @@ def test_a_gain_of_likelihood_is_students_t():
     assert _by_likelihood(-1.0, 5.0) == pytest.approx(0.5)
 
 
-@pytest.mark.parametrize("draws", [4, pytest.param(10, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("draws", [1, pytest.param(10, marks=pytest.mark.slow)])
 def test_white_noise_with_a_slow_wander_is_no_effect(draws):
     """A tenth of the variance, 0.5 s: four screens of ten were alarms at 1 % when colours were autoregressions."""
     t = np.arange(1000) * 0.01

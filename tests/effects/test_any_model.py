@@ -13,6 +13,7 @@ from casadi_engine.errors import EffectError
 from casadi_engine.model.term import NotApplicable, check_side, ports_for
 from casadi_engine.report.result_file import to_result
 from casadi_engine.report.schema import faults
+from tests.quick import few
 
 FRICTION = {"coulomb_friction", "viscous_friction"}
 AT_SPEED = FRICTION | {
@@ -125,7 +126,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", few(CASES, "several", *list(CASES)[::3]))
 def test_every_effect_acts_or_says_why_it_cannot(name):
     model, expected = CASES[name]
     rng = np.random.default_rng(0)
@@ -265,7 +266,7 @@ def test_a_pair_that_cannot_act_is_an_error_by_name():
             ce.repair(duffing(), record(duffing()), progress=False, **request)
 
 
-@pytest.mark.parametrize("make", [duffing, circuit])
+@pytest.mark.parametrize("make", few([duffing, circuit], circuit))
 def test_a_search_without_ports_to_act_at_claims_no_physics(make):
     model = make()
     data = record(model)

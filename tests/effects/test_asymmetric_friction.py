@@ -7,7 +7,7 @@ import casadi_engine as ce
 from casadi_engine.effects import AsymmetricFriction, CoulombFriction, candidates
 from tests.effects.dry_friction import speed_of
 
-TIME = 0.01 * np.arange(800)
+TIME = 0.01 * np.arange(500)
 
 
 def force(t):

@@ -11,6 +11,7 @@ from casadi_engine.effects.protocol import Amplitude, Effect
 from casadi_engine.errors import EffectError
 from casadi_engine.model import crankshaft, one_inertia, two_mass
 from casadi_engine.model.term import read_terms
+from tests.quick import few
 
 MODELS = {
     "two": two_mass(outputs=("omega", "omega_load")),
@@ -50,7 +51,7 @@ def point(model, seed=0):
     return np.array(x), np.array(u), 0.3
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", few(MODELS, "two", "two linear"))
 def test_the_closed_forms_are_slopes_of_the_extended_model(name):
     model = MODELS[name]
     x, u, t = point(model)

@@ -1,5 +1,7 @@
 """Sensitivities of candidates against finite differences of the sharp, independent simulator."""
 
+from functools import cache
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -89,28 +91,34 @@ MODELS = {"two_mass": TWO, "crankshaft": SEVEN}
 
 @pytest.fixture(scope="module")
 def runs():
-    """For each plant the run without a hidden effect and those of the rows, each plant's all at once."""
+    """kind -> the run without a hidden effect and those of the rows, all at once."""
     from simulator.hidden import hidden
     from simulator.hidden_runs import Case, simulate_hidden
 
-    made = {}
-    for kind, rows in ROWS.items():
+    @cache
+    def made(kind):
         cases = [Case(scatter_seed=3)]
         cases += [
             Case(effects=(hidden(name, at, size, **details),), scatter_seed=3)
-            for name, at, size, _, details, _ in rows
+            for name, at, size, _, details, _ in ROWS[kind]
         ]
-        made[kind] = simulate_hidden(kind, cases, cycles=1, duration=0.05, sigma=0.0)
+        return simulate_hidden(kind, cases, cycles=1, duration=0.05, sigma=0.0)
+
     return made
 
 
-PAIRS = [(kind, number) for kind, rows in ROWS.items() for number in range(len(rows))]
+# On the crankshaft the quick run has the closed forms of test_candidate.py.
+PAIRS = [
+    pytest.param(kind, number, marks=pytest.mark.slow if kind == "crankshaft" else ())
+    for kind, rows in ROWS.items()
+    for number in range(len(rows))
+]
 
 
 @pytest.mark.parametrize(("kind", "number"), PAIRS, ids=lambda v: v if isinstance(v, str) else str(v))
 def test_a_candidate_is_the_slope_of_the_sharp_simulator(kind, number, runs, experiment_of):
     name, at, size, values, _, allowed = ROWS[kind][number]
-    model, null, record = MODELS[kind], runs[kind][0], runs[kind][number + 1]
+    model, null, record = MODELS[kind], runs(kind)[0], runs(kind)[number + 1]
     count = min(len(record["time"]), len(null["time"]))
     residual = gap(model, record, experiment_of(record))[:, :count]
     found = (residual - gap(model, null, experiment_of(null))[:, :count]) / size

@@ -53,6 +53,7 @@ def test_a_leak_between_two_tanks_is_found():
     assert model.linear is not None
 
 
+@pytest.mark.slow
 def test_a_screen_scores_the_leak_above_all_others():
     found = screen(ce.estimate(tanks(), measured(leak=2e-4), noise=NOISE, progress=False))
     best = found.candidates[found.order[0]]

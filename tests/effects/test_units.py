@@ -39,7 +39,11 @@ EFFECTS = [
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
-@pytest.mark.parametrize("system", SYSTEMS, ids=lambda system: ", ".join(system))
+@pytest.mark.parametrize(
+    "system",
+    [pytest.param(one, marks=pytest.mark.slow if k % 4 else ()) for k, one in enumerate(SYSTEMS)],
+    ids=lambda system: ", ".join(system),
+)
 def test_a_law_gives_the_same_in_any_units_when_its_parameters_are_converted_as_labelled(effect, system):
     acts, place, _ = system
     turns = read_unit(place).dimension == "rad"

@@ -74,6 +74,7 @@ def drawn(piece):
     return {"J_eng": fit.values["J_eng"], "stderr": fit.stderr["J_eng"], "cost": fit.cost}
 
 
+@pytest.mark.slow
 def test_a_dask_cluster_finds_the_numbers_of_one_process(cluster, run_up, shaft, shaft_model, tmp_path):
     import joblib
 

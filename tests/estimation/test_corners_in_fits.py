@@ -156,6 +156,7 @@ def test_a_given_or_fixed_width_stays_and_one_that_no_record_passes_keeps_its_de
     assert cost_along(fit, paths[0]) == pytest.approx(cost_along(fit, paths[1]), abs=1e-6)
 
 
+@pytest.mark.slow  # test_moved_jumps.py fits through events
 @pytest.mark.parametrize("rate", [100, pytest.param(400, marks=pytest.mark.slow)])
 def test_the_law_as_it_is_holds_the_shaft_and_has_no_bias(rate):
     """A sharp law is fitted through its events: it sticks, and the estimate is right at any rate."""

@@ -196,6 +196,7 @@ def test_a_process_whose_time_is_over_sends_what_it_has(record, monkeypatch):
     np.testing.assert_allclose(cut.v, whole.v)
 
 
+@pytest.mark.slow  # the process of the test above has none either
 def test_two_processes_without_time_have_no_outcome(record):
     with Deadline(best=True) as deadline:
         deadline.stop()

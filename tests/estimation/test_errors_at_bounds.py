@@ -93,6 +93,7 @@ def test_nothing_is_known_beside_a_bound_that_alone_tells_two_apart():
     assert all(one.stderr is None for one in fit.estimates.values())
 
 
+@pytest.mark.slow  # the error that does stands above
 def test_errors_cover_the_truth_where_an_estimate_ends_at_its_bound():
     fits = [fit_of(seed, 0.5 * np.sqrt(own_errors()[0, 0])) for seed in range(80)]
     there = [fit for fit in fits if fit.estimates["a"].at_bound == "min"]

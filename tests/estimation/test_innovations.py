@@ -10,6 +10,7 @@ from scipy.linalg import expm, solve_discrete_are
 
 import casadi_engine as ce
 from casadi_engine.errors import EstimationError
+from tests.quick import few
 
 H, Q, SIGMA = 5e-3, (1.0, 0.6), (0.05, 0.08)
 NAMES = ("J_eng", "J_load", "K_el", "C_el", "C_eng")
@@ -160,7 +161,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", few(CASES, "one output with gaps", "two outputs"))
 def test_noise_covariances_maximise_the_likelihood(shaft_model, name):
     made, two = record(**CASES[name]), CASES[name].get("two", False)
     model = shaft_model(two)
@@ -210,6 +211,7 @@ def test_noise_covariances_maximise_the_likelihood(shaft_model, name):
         assert abs(fit.values[name_] - truth) < 4 * fit.stderr[name_]
 
 
+@pytest.mark.slow
 def test_a_doubted_noise_level_takes_the_error_of_the_gain_with_it(shaft_model):
     """Of two outputs with gaps the noise levels are not known to a quadratic."""
     made, model = record(**CASES["two outputs with gaps"]), shaft_model(True)

@@ -116,7 +116,7 @@ def test_the_shift_bounds_what_coarse_steps_do_to_the_estimates(name, no_refinem
     assert not any("integration" in text for text in fine.messages)
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("name", ["explicit", pytest.param("exponential", marks=pytest.mark.slow)])
 def test_the_refined_fit_is_scipys_least_squares(name):
     make, slope, start, time = SYSTEMS[name]
     data = record(time, solved(lambda t, x: slope(t, x, 0.2, 3.0), start, time)[0], SIGMA)
@@ -167,7 +167,7 @@ def test_steps_that_suffice_stay(monkeypatch):
     assert [one.substeps for one in fit.integration.values()] == [1]
 
 
-@pytest.mark.parametrize("chain", ["two_mass", "crankshaft"])
+@pytest.mark.parametrize("chain", ["two_mass", pytest.param("crankshaft", marks=pytest.mark.slow)])
 def test_the_examples_with_a_nonlinear_law_are_not_refined(chain):
     path = "misfire_1200rpm.csv.gz" if chain == "two_mass" else "crankshaft/normal_1200rpm.csv.gz"
     data = ce.read_experiment(DATA / path).between(0, 0.1)
@@ -234,17 +234,17 @@ def test_a_warm_start_integrates_as_finely_as_the_fit_did():
     )
     b.ode("v", (u - c * ca.tanh(x / 1e-4)) / m)
     b.output("v", x)
-    model, time = b.model(), np.arange(300) * 0.02
+    model, time = b.model(), np.arange(150) * 0.02
     rng = np.random.default_rng(0)
     data = ce.Experiment.from_arrays(
         "push",
         time=time,
         units={"u": "N", "v": "1"},
         u=2 * np.sin(2.5 * time),
-        v=np.zeros(300),
+        v=np.zeros(150),
         inputs=("u",),
     )
-    v = ce.simulate(model, data, initial={"v": 0.0})["v"].values + 0.01 * rng.standard_normal(300)
+    v = ce.simulate(model, data, initial={"v": 0.0})["v"].values + 0.01 * rng.standard_normal(150)
     data = ce.Experiment.from_arrays(
         "push", time=time, units={"u": "N", "v": "1"}, u=2 * np.sin(2.5 * time), v=v, inputs=("u",)
     )

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import casadi_engine as ce
+from tests.quick import few
 
 FREE = ("J_eng", "J_load", "K_el", "C_el", "C_eng")
 TRUTH = {"J_eng": 1 / 2.557, "J_load": 1 / 5.646, "K_el": 1992.0, "C_el": 2.5, "C_eng": 0.1541}
@@ -60,7 +61,7 @@ def test_the_number_of_intervals(misfire):
     assert nodes == {20: 144, 144: 20, 1440: 2, "single": 1, "20 samples": 144}
 
 
-@pytest.mark.parametrize("interval", ["auto", 20, 480, pytest.param("single", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("interval", few(["auto", 20, 480, "single"], "auto"))
 def test_the_nonlinear_form_gives_nearly_the_same(misfire, reference, interval):
     # Its torque (3.5) takes the model's own speed where the linear form takes the noisy measured one.
     fit = fitted(misfire(1, 2), interval, speed="model")

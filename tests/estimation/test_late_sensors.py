@@ -32,7 +32,7 @@ def record(delay):
     return ce.Experiment.from_arrays("run", time=t, units={"u": "N m", "w": "rad/s"}, u=torque(t), w=shown)
 
 
-@pytest.mark.parametrize("starts", [1, 6])
+@pytest.mark.parametrize("starts", [1, pytest.param(6, marks=pytest.mark.slow)])
 def test_a_delay_of_half_a_second_is_found_from_none(starts):
     """A sensor that is 3.8 s early, by the period of the drive, explains the samples that it leaves as well."""
     fit = ce.estimate(
@@ -47,6 +47,7 @@ def test_a_delay_of_half_a_second_is_found_from_none(starts):
         assert "sensor_w.sensor_delay.delay = " in other.apart
 
 
+@pytest.mark.slow
 def test_the_optima_are_apart():
     fit = ce.estimate(late_rotor(), record(0.2), starts=4, jobs=1, progress=False)
     ends = [one.values["sensor_w.sensor_delay.delay"] for one in fit.optima]

@@ -82,7 +82,7 @@ def parted(made, samples):
     return term
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(data=st.data())
 def test_parts_of_any_size_give_the_same(data):
     samples, part = data.draw(st.integers(40, 400)), data.draw(st.integers(1, 300))
@@ -177,6 +177,7 @@ def test_a_fit_shares_its_arrays_with_the_data():
     assert not drive.flags.writeable
 
 
+@pytest.mark.slow
 def test_the_slopes_of_a_long_record_take_little_memory():
     samples = 300_000
     model, rng = ce.crankshaft(cylinders=2, reciprocating_speed="measured"), np.random.default_rng(0)

@@ -70,8 +70,13 @@ def _search(record, model=None, **options):
     return Search(model, (record,), model.parameters(), **{**ARGUMENTS, "progress": None, **options})
 
 
-def test_the_answer_is_that_of_a_search_on_the_whole_data(record, monkeypatch):
-    short = _fit(record)
+@pytest.fixture(scope="module")
+def short(record):
+    """The fit from two starts, searched on records of a lower rate."""
+    return _fit(record)
+
+
+def test_the_answer_is_that_of_a_search_on_the_whole_data(record, short, monkeypatch):
     monkeypatch.setattr(sys.modules["casadi_engine.estimation.estimate"], "lower_rate", lambda _: "asked")
     whole = _fit(record)
     assert short.options["searched on"].startswith("records of a rate ")
@@ -90,6 +95,7 @@ def test_one_search_is_made_on_all_samples(record):
     assert fit.options["searched on"] == "all samples: one search is as fast on them"
 
 
+@pytest.mark.slow
 def test_several_starts_end_where_they_end_on_the_whole_data(record):
     fit = _fit(record, starts=3)
     assert sum(optimum.starts for optimum in fit.optima) == 3
@@ -97,6 +103,7 @@ def test_several_starts_end_where_they_end_on_the_whole_data(record):
     assert fit.cost == pytest.approx(SAMPLES, rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_first_states_that_are_given_hold_where_the_record_begins(record):
     fit = _fit(record, initial={"x": 0.1, "v": 0.0})
     assert fit.options["searched on"].startswith("records of a rate ")
@@ -105,12 +112,12 @@ def test_the_first_states_that_are_given_hold_where_the_record_begins(record):
         assert abs(fit.values[name] - value) < 4 * fit.estimates[name].stderr
 
 
-def test_what_is_lost_is_that_of_the_information_of_both_searches(record):
+def test_what_is_lost_is_that_of_the_information_of_both_searches(record, short):
     """Against the covariances that fits of the whole record and of the thinned one report."""
     search = _search(record)
     lower = lower_rate(search)
     assert lower.lost <= LOST
-    whole = _fit(record)
+    whole = short  # whose errors are of the whole data
     thin = ce.estimate(_model(), lower.data[0], noise=lower.noise, progress=False)
     ends = 1 - thin.n * lower.factor / SAMPLES
     ratio = [thin.estimates[name].stderr / whole.estimates[name].stderr for name in TRUTH]
@@ -181,14 +188,14 @@ def test_a_model_that_takes_the_square_of_a_fast_input_is_searched_on_all_sample
     x, u = b.state("x"), b.input("u")
     b.ode("x", k * u**2 - a * x - n * x**3)
     b.output("y", x)
-    time = np.arange(8000) / 1000
+    time = np.arange(4000) / 1000
     current = (1 + np.sin(1.1 * time)) * np.sin(2 * np.pi * 230 * time)
 
     def slope(t, s):
         return 3 * np.interp(t, time, current) ** 2 - 2 * s - 0.3 * s**3
 
     run = solve_ivp(slope, (0, time[-1]), [0.5], t_eval=time, rtol=1e-6, atol=1e-8, max_step=1e-3)
-    y = run.y[0] + 0.01 * np.random.default_rng(0).standard_normal(8000)
+    y = run.y[0] + 0.01 * np.random.default_rng(0).standard_normal(4000)
     data = ce.Experiment.from_arrays("r", time=time, units={"u": "1", "y": "1"}, u=current, y=y)
     fit = ce.estimate(b.model(), data, starts=2, progress=False)
     assert fit.options["searched on"] == "all samples: y depends on what a filter would take from the inputs"

@@ -130,7 +130,7 @@ def test_both_fit_percentages_are_given_and_labelled(run_up):
     assert plain.traces["run_up"]["omega"].predicted is None
 
 
-@pytest.mark.parametrize("fits", [40, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("fits", [12, pytest.param(200, marks=pytest.mark.slow)])
 def test_errors_of_many_fits_are_what_the_covariance_says(run_up, fits):
     model, noise = ce.one_inertia(), ce.Noise(omega=0.2)
     chi2, sizes = 0.0, []

@@ -62,7 +62,9 @@ def swing():
 # ---- hard starts
 
 
-@pytest.mark.parametrize("factors", FACTORS)
+@pytest.mark.parametrize(
+    "factors", [pytest.param(one, marks=pytest.mark.slow) if k != 1 else one for k, one in enumerate(FACTORS)]
+)
 def test_a_hard_start_arrives(shaft, shaft_model, factors):
     made, model = shaft(two=False), shaft_model(False)
     easy = ce.estimate(model, made.data, parameters=set_off(model, made.truth, (1,) * 5), progress=False)
@@ -75,6 +77,7 @@ def test_a_hard_start_arrives(shaft, shaft_model, factors):
     assert fit.options["approach"] == "prediction"
 
 
+@pytest.mark.slow
 def test_the_direct_way_loses_what_the_approach_finds(shaft, shaft_model):
     made, model = shaft(two=False), shaft_model(False)
     levels = {}
@@ -87,7 +90,7 @@ def test_the_direct_way_loses_what_the_approach_finds(shaft, shaft_model):
 
 
 def test_two_records_and_missing_samples(shaft, shaft_model):
-    model, made = shaft_model(), [shaft("a"), shaft("b", seed=3)]
+    model, made = shaft_model(), [shaft("a", n=300), shaft("b", n=300, seed=3)]
     y = made[1].data["omega_load"].values.copy()
     y[::3] = np.nan
     second = ce.Experiment.from_arrays(
@@ -118,6 +121,7 @@ def test_a_nonlinear_model_far_off(swing):
     assert fit.cost <= direct.cost * (1 + 1e-6) or not direct.converged
 
 
+@pytest.mark.slow
 def test_a_fit_with_a_free_gain_is_approached_by_its_physical_parameters(shaft, shaft_model):
     made, model = shaft(two=False), shaft_model(False)
     noise = ce.Noise(omega="innovations")

@@ -49,6 +49,7 @@ def test_the_squares_of_the_errors_add_up_to_what_was_estimated():
     np.testing.assert_allclose((band.high_noise - band.low_noise) / 2, wide, rtol=1e-5)
 
 
+@pytest.mark.slow  # the identity above and the draws below hold the same errors
 @pytest.mark.parametrize("kind", ["its own record", "fresh", "given start"])
 def test_errors_are_the_scatter_of_refits(kind, many_fits):
     """Of the record that was fitted, of another one to which the start is fitted, and from a start that is known."""

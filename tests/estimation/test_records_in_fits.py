@@ -155,7 +155,7 @@ def test_a_resampled_output_in_any_interval(shaft, shaft_model, interval):
     np.testing.assert_allclose(fit.z, best.z, rtol=1e-5)
 
 
-@pytest.mark.parametrize("interval", ["auto", "single", 25])
+@pytest.mark.parametrize("interval", ["auto", pytest.param("single", marks=pytest.mark.slow), 25])
 def test_outputs_off_the_grid(shaft, shaft_model, interval):
     made = shaft(n=2400, step=1e-3, sigma=(0.0, 0.0))
     rng = np.random.default_rng(5)

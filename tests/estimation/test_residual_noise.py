@@ -41,6 +41,7 @@ def off(fits):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.6, 0.9])
 def test_estimates_scatter_in_coloured_noise_as_their_errors_say(share):
     records = [record(coloured(seed, share)) for seed in range(25)]

@@ -96,7 +96,7 @@ def test_the_level_is_estimated_robustly(fixed_input):
     assert square.noise["omega"][0] > 0.3
 
 
-@pytest.mark.parametrize("fits", [40, pytest.param(300, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("fits", [8, pytest.param(300, marks=pytest.mark.slow)])
 def test_sandwich_errors_by_monte_carlo(fixed_input, fits):
     chi2 = 0.0
     for seed in range(fits):

@@ -50,6 +50,7 @@ def turned():
     return ce.Experiment.from_arrays("turned", time=T, units=units, U=voltage(T), w=w, i=i)
 
 
+@pytest.mark.slow
 def test_narrow_friction_that_is_written_by_hand_converges_from_several_starts(turned):
     fit = ce.estimate(motor(), turned, starts=3, progress=False)
     assert fit.status == "converged"

@@ -57,6 +57,7 @@ def test_several_starts_find_the_better_optimum(tone):
     assert one.optima[0].starts == 1
 
 
+@pytest.mark.slow
 def test_starts_are_compared_at_one_noise_level(tone):
     # An estimated level makes the cost of every optimum about n: they are told apart by the likelihood.
     model, data = tone()
@@ -72,13 +73,13 @@ def test_starts_are_compared_at_one_noise_level(tone):
 
 def test_starts_are_those_of_the_seed(tone):
     model, data = tone()
-    fits = [ce.estimate(model, data, starts=4, seed=seed, **KNOWN) for seed in (1, 1, 2)]
+    fits = [ce.estimate(model, data, starts=3, seed=seed, **KNOWN) for seed in (1, 1, 2)]
     assert [o.cost for o in fits[0].optima] == [o.cost for o in fits[1].optima]
     starts = [drawn_starts(compile(model.parameters(), model.parameter_names), 4, seed) for seed in (1, 1, 2)]
     np.testing.assert_array_equal(starts[0], starts[1])
     assert not np.array_equal(starts[0][1:], starts[2][1:])
     assert fits[0].options["seed"] == 1
-    assert fits[0].options["starts"] == 4
+    assert fits[0].options["starts"] == 3
 
 
 def test_starts_lie_within_the_bounds_and_reach(shaft_model):

@@ -79,6 +79,7 @@ def test_bounds_hold(run_up, in_full_alone):
     assert fit.values["J_eng"] == pytest.approx(whole.values["J_eng"], rel=1e-6)
 
 
+@pytest.mark.slow  # test_batch.py has starts in processes
 def test_several_starts_agree_with_those_in_processes(run_up):
     one, two = (fitted(run_up(), starts=4, neighbours=1, jobs=jobs) for jobs in (1, 2))
     np.testing.assert_allclose(one.z, two.z, rtol=1e-12)

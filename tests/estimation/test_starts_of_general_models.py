@@ -82,6 +82,7 @@ def test_a_fit_that_ends_worse_than_the_simulation_at_its_start_begins_again_the
     assert 2 * search._objective(found.x) < 1.5
 
 
+@pytest.mark.slow  # test_pieces.py has a nonlinear model far off
 def test_predators_and_prey_are_found_from_far_off():
     b = ce.Blueprint("predators", time_unit="d")
     p = [b.parameter(name, 0.8, unit="1/d", min=0, max=20) for name in "abcd"]

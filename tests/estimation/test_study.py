@@ -1,5 +1,6 @@
 """Studies: rows in the pieces' order, nothing done twice, and a killed process's work taken up again."""
 
+import importlib.util
 import json
 import os
 import signal
@@ -12,14 +13,27 @@ import pytest
 from casadi_engine.errors import MissingDependencyError, StudyError
 from casadi_engine.estimation.study import study
 
+# A piece is a fit, or nothing but numbers, for which the large packages are not loaded.
 SCRIPT = """
 import json, sys, time
-import numpy as np
-import casadi_engine as ce
 from casadi_engine.estimation.study import study
 
 
+def begun(piece):
+    with open(sys.argv[2], "a") as file:
+        file.write(f"{piece['seed']}\\n")
+
+
+def plain(piece):
+    begun(piece)
+    time.sleep(float(sys.argv[3]))
+    return {"values": {"square": piece["seed"] ** 2}, "stderr": {"square": 0.1 * piece["seed"]}}
+
+
 def fit(piece):
+    import numpy as np
+    import casadi_engine as ce
+
     rng, time_ = np.random.default_rng(piece["seed"]), 0.02 * np.arange(150)
     torque = 10 + 5 * np.sign(np.sin(4 * time_))
     speed = [20.0]
@@ -29,8 +43,7 @@ def fit(piece):
         "run_up", time=time_, units={"T": "N m", "omega": "rad/s"}, hold="zero",
         T=torque, omega=np.array(speed) + 0.05 * rng.standard_normal(150),
     )
-    with open(sys.argv[2], "a") as file:
-        file.write(f"{piece['seed']}\\n")
+    begun(piece)
     found = ce.estimate(ce.one_inertia(), data, noise=ce.Noise(omega=0.05), progress=False)
     time.sleep(float(sys.argv[3]))
     return {"values": found.values, "stderr": found.stderr}
@@ -38,17 +51,18 @@ def fit(piece):
 
 if __name__ == "__main__":
     pieces = [{"seed": seed} for seed in range(9)]
-    print(json.dumps(study(fit, pieces, name="kill", jobs=int(sys.argv[4]), checkpoint=sys.argv[1])))
+    work = {"fit": fit, "plain": plain}[sys.argv[5]]
+    print(json.dumps(study(work, pieces, name="kill", jobs=int(sys.argv[4]), checkpoint=sys.argv[1])))
 """
 
 
-def begin(folder, name, *, pause=0.0, jobs=1):
+def begin(folder, name, kind, *, pause=0.0, jobs=1):
     """Start the study in a process of its own, in a folder with its checkpoint and its log."""
     script = folder / "killed_study.py"
     script.write_text(SCRIPT)
     command = [sys.executable, str(script), str(folder / f"{name}.jsonl"), str(folder / f"{name}.log")]
     return subprocess.Popen(
-        [*command, str(pause), str(jobs)], stdout=subprocess.PIPE, text=True, start_new_session=True
+        [*command, str(pause), str(jobs), kind], stdout=subprocess.PIPE, text=True, start_new_session=True
     )
 
 
@@ -64,15 +78,13 @@ def finished(path):
     return [json.loads(line)["piece"]["seed"] for line in lines[1:] if line.endswith("\n")]
 
 
-def test_a_killed_study_goes_on_and_ends_with_the_same_table(tmp_path):
-    try:
-        import joblib  # noqa: F401
-
-        jobs = 2
-    except ImportError:
-        jobs = 1
-    whole = begin(tmp_path, "whole")
-    first = begin(tmp_path, "killed", pause=0.8, jobs=jobs)
+@pytest.mark.parametrize("kind", ["plain", pytest.param("fit", marks=pytest.mark.slow)])
+def test_a_killed_study_goes_on_and_ends_with_the_same_table(tmp_path, kind):
+    jobs, pause = 1, 0.1
+    if kind == "fit":
+        pause, jobs = 0.8, 2 if importlib.util.find_spec("joblib") else 1
+    whole = begin(tmp_path, "whole", kind)
+    first = begin(tmp_path, "killed", kind, pause=pause, jobs=jobs)
     path, limit = tmp_path / "killed.jsonl", time.monotonic() + 180
     while len(finished(path)) < 3 and time.monotonic() < limit:
         time.sleep(0.01)
@@ -81,7 +93,7 @@ def test_a_killed_study_goes_on_and_ends_with_the_same_table(tmp_path):
     assert first.returncode == -signal.SIGKILL
     done, begun = finished(path), log(tmp_path, "killed")
     assert 3 <= len(done) < 9
-    second = begin(tmp_path, "killed")  # in one process what several began
+    second = begin(tmp_path, "killed", kind)  # in one process what several began
     again = second.communicate(timeout=240)[0]
     assert second.returncode == 0
     expected = whole.communicate(timeout=240)[0]

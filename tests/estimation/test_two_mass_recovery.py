@@ -13,7 +13,6 @@ DATA = Path(__file__).resolve().parents[2] / "data"
 NAMES = ("J_eng", "J_load", "K_el", "C_el", "C_eng")
 TRUTH = np.array([1 / 2.557, 1 / 5.646, 1992.0, 2.5, 0.1541])  # Table 4.1
 UNITS = {"theta": "rad", "p1": "Pa", "p2": "Pa", "p3": "Pa", "p4": "Pa", "T_load": "N m", "omega": "rad/s"}
-SEEDS = 20
 
 
 @pytest.fixture(scope="module")
@@ -41,11 +40,12 @@ def started(model, factors):
     return parameters
 
 
-def test_twenty_seeds_from_starts_forty_percent_off(clean):
+@pytest.mark.parametrize("seeds", [4, pytest.param(20, marks=pytest.mark.slow)])
+def test_seeds_from_starts_forty_percent_off(clean, seeds):
     """All five free: the joint chi-squared of the errors is that of their covariance, none beyond 4.5 errors."""
     model = ce.two_mass(reciprocating_speed="measured")
     total, worst = 0.0, 0.0
-    for seed in range(SEEDS):
+    for seed in range(seeds):
         factors = 1 + 0.4 * np.random.default_rng(seed).choice([-1, 1], 5)
         fit = ce.estimate(
             model,
@@ -59,7 +59,7 @@ def test_twenty_seeds_from_starts_forty_percent_off(clean):
         error = fit.z - TRUTH
         total += float(error @ np.linalg.solve(fit.covariance, error))
         worst = max(worst, float(np.abs(error / np.sqrt(np.diag(fit.covariance))).max()))
-    assert chi2.sf(total, 5 * SEEDS) > 0.001
+    assert chi2.sf(total, 5 * seeds) > 0.001
     assert worst < 4.5
 
 
@@ -72,6 +72,7 @@ def test_the_fit_has_the_published_frequencies(clean):
     assert found[-1] == pytest.approx(20.345, rel=1e-3)
 
 
+@pytest.mark.slow  # test_intervals.py has both forms
 def test_the_nonlinear_form_gives_the_same_answer(clean):
     """(4.1) with the model's own speed in the reciprocating torque, from a start 20 % off: within the errors."""
     model = ce.two_mass()

@@ -6,7 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from casadi_engine.errors import UnitError
@@ -175,6 +175,7 @@ def test_angle_counts_as_one_but_for_rates(refused, one, other, same):
         refused(UnitError, pieces, converted, [1.0], one, other)
 
 
+@settings(max_examples=40)
 @given(st.text(max_size=12) | st.text(st.sampled_from("NmsradkgPaLKh123/()*^ ·²-%°.Hz"), max_size=14))
 def test_any_text_is_a_unit_or_a_named_error(text):
     try:

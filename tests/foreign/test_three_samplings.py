@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 from three_samplings import COUNT, LAST, SIGMA, TRUE, fits, samplings
 
+SPRINGS = [
+    pytest.param(0.0, id="linear", marks=pytest.mark.slow),
+    pytest.param(20.0, id="hardening spring"),
+]
 
-@pytest.mark.parametrize("hardening", [0.0, 20.0], ids=["linear", "hardening spring"])
+
+@pytest.mark.parametrize("hardening", SPRINGS)
 @pytest.mark.parametrize("name", ["equal", "jittered", "teeth"])
 def test_meets_the_truth(name, hardening):
     """Without noise what is left is the arithmetic."""
@@ -18,7 +23,7 @@ def test_meets_the_truth(name, hardening):
         )
 
 
-@pytest.mark.parametrize("hardening", [0.0, 20.0], ids=["linear", "hardening spring"])
+@pytest.mark.parametrize("hardening", SPRINGS)
 def test_agree_with_each_other(hardening):
     made = fits(hardening)
     for key in TRUE:

@@ -9,6 +9,7 @@ import pytest
 import casadi_engine as ce
 from casadi_engine.errors import EstimationError
 from casadi_engine.identifiability import loss_sweep
+from tests.quick import few
 
 DATA = Path(__file__).resolve().parents[2] / "data"
 
@@ -83,7 +84,7 @@ def thesis_start(record):
     return {"omega_eng": speed, "omega_load": speed, "twist": 0.0}
 
 
-@pytest.mark.parametrize("file", ["normal_1200rpm", "misfire_1200rpm"])
+@pytest.mark.parametrize("file", few(["normal_1200rpm", "misfire_1200rpm"], "misfire_1200rpm"))
 def test_with_the_start_estimated_all_five_are_u_shaped(two_masses, file):
     record = ce.read_experiment(DATA / f"{file}.csv.gz")
     names = ("1/J_eng", "C_eng", "K_el", "1/J_load", "C_el")

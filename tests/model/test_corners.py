@@ -60,6 +60,7 @@ def test_a_smooth_model_is_itself_and_whole_numbers_stay():
     assert rate(stepped, 0.5) == rate(slide(lambda v, f: f * ca.floor(3 * v)), 0.5)
 
 
+@pytest.mark.slow  # a spring that is, is repaired in test_own_jumps.py
 def test_repair_takes_friction_that_is_written_as_a_sign():
     """What is hidden beside it is found, and both have their sizes."""
     t = np.arange(400) * 0.01

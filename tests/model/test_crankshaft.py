@@ -12,6 +12,7 @@ import casadi_engine as ce
 from casadi_engine.errors import ModelError, ParameterError, TieError
 from casadi_engine.model import Blueprint, Coupling, Driven, Geometry, Inertia, declare_chain, thesis_ties
 from casadi_engine.parameters import compile as compile_parameters
+from tests.quick import few
 
 PI = np.pi
 R, L, A_P, M_EQ, P_CRANK = 0.043, 0.145, 0.0058, 0.7, 1.0e5
@@ -253,8 +254,13 @@ def line(count):
 
 @pytest.mark.parametrize(
     ("count", "form"),
-    [(count, form) for count in (3, 6) for form in ("linear", "measured", "state")]
-    + [(1, "measured"), (2, "state"), (8, "linear"), (12, "measured")],
+    few(
+        [(count, form) for count in (3, 6) for form in ("linear", "measured", "state")]
+        + [(1, "measured"), (2, "state"), (8, "linear"), (12, "measured")],
+        (3, "linear"),
+        (3, "measured"),
+        (2, "state"),
+    ),
 )
 def test_uneven_firing_is_the_independent_simulation(count, form):
     values = shaft(count, line(count))

@@ -59,8 +59,21 @@ def closed(model, **values):
     return ode.full().ravel(), out.full().ravel()
 
 
-@pytest.mark.parametrize("name", MODELS)
-@pytest.mark.parametrize("sharp", [False, True])
+@pytest.mark.parametrize(
+    ("name", "sharp"),
+    [
+        # the larger models take long, and are alike
+        pytest.param(
+            name,
+            sharp,
+            marks=pytest.mark.slow
+            if name not in ("two", "two linear") or (sharp and name == "two linear")
+            else (),
+        )
+        for name in MODELS
+        for sharp in (False, True)
+    ],
+)
 def test_at_amplitude_zero_the_model_is_the_old_one_and_keeps_its_linear_core(name, sharp):
     base = MODELS[name]
     old_ode, old_out = closed(base)

@@ -239,6 +239,7 @@ def test_a_simulation_shows_any_delay_exactly_behind_it(late):
     np.testing.assert_allclose(shown[after], np.cos(turn * (t - late))[after], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_dry_friction_that_is_kept_sharp_is_fitted_beside_a_delay():
     """Events take steps as they come: there is none to be as fine as that of the fit before."""
     t = np.arange(300) * 0.01

@@ -68,6 +68,7 @@ def test_a_posterior_is_that_of_the_highest_optimum_wherever_it_was_looked_for_f
     assert found.log_evidence == pytest.approx(post.log_evidence, abs=0.1)
 
 
+@pytest.mark.slow
 def test_walkers_that_do_not_agree_say_what_the_evidence_cannot_exceed(fit, post, monkeypatch):
     pytest.importorskip("emcee")
     monkeypatch.setattr(ensemble, "FEWEST", 1e9)
@@ -79,6 +80,7 @@ def test_walkers_that_do_not_agree_say_what_the_evidence_cannot_exceed(fit, post
     assert post.log_evidence < limit == pytest.approx(best[0], abs=0.05)
 
 
+@pytest.mark.slow
 def test_walkers_that_do_not_agree_are_judged_by_weights(fit, post, monkeypatch):
     pytest.importorskip("emcee")
     target = Target(fit)

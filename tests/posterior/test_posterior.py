@@ -41,7 +41,7 @@ def test_mean_spread_and_evidence_are_those_of_quadrature(run_up, closed_form, p
     assert found.log_evidence_error < 0.05
 
 
-@pytest.mark.parametrize("gap", [False, True])
+@pytest.mark.parametrize("gap", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_an_unknown_noise_level_is_part_of_it(run_up, gap):
     found = ce.posterior(ce.estimate(ce.one_inertia(), run_up(gap=gap), progress=False))
     count = 190 if gap else 200
@@ -51,6 +51,7 @@ def test_an_unknown_noise_level_is_part_of_it(run_up, gap):
     assert "sigma(omega)" in str(found)
 
 
+@pytest.mark.slow  # each is held against closed forms of its own
 def test_ensemble_and_importance_sampling_agree(fit, post):
     pytest.importorskip("emcee")
     walked = ce.posterior(fit, method="ensemble", evaluations=9_000)

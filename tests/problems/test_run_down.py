@@ -250,6 +250,7 @@ def test_a_linear_form_with_the_measured_speed_agrees(page, real):
     assert fit.values["J_eng"] == pytest.approx(0.02194, abs=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 def test_the_scatter_between_cycles_is_larger_than_the_error_of_white_noise(page, problem, real):
     record = problem.read(real("ENGINEOFF4"))

@@ -141,6 +141,7 @@ def test_crank_speed_alone(quick):
     assert lines["chapter 6 (a)", "no pressure in a car"].ours == "engine known: peaks within 1.3 %, 0.3 deg"
 
 
+@pytest.mark.slow
 def test_table_4_11(quick):
     lines = quick("friction_map")
     assert lines["Table 4.11", "C_eng over speed and load"].ours == "6 of 6 within 95 % intervals"
@@ -153,6 +154,7 @@ def test_the_law_behind_table_4_11(quick):
     assert lines["Table 4.11", "36 coefficients"].ours == words
 
 
+@pytest.mark.slow
 def test_the_driveline(quick):
     lines = quick("driveline")
     found = lines["chapter 6 (c)", "the rest of the powertrain"].ours

@@ -28,6 +28,7 @@ from casadi_engine.simulation.intervals import cut
 from casadi_engine.simulation.knot_sensitivities import knot_sensitivities
 from casadi_engine.simulation.null_path import null_path
 from casadi_engine.simulation.propagator import make_propagator
+from tests.quick import few
 
 DATA = Path(__file__).parents[2] / "data"
 START = np.array([125.6, 125.6, -0.03])
@@ -212,7 +213,7 @@ def test_knots_add_up_to_the_whole_torque_and_are_causal():
     assert mean == pytest.approx(found[:, :, :900].reshape(31, 1, 225, 4).mean(axis=3), abs=1e-12)
 
 
-@pytest.mark.parametrize("count", [2, 31, 602])
+@pytest.mark.parametrize("count", few([2, 31, 602], 2, 31))
 @pytest.mark.parametrize("dragged", [False, True])
 def test_a_knot_is_a_hat_over_time(count, dragged):
     """Knots far apart and closer than samples, of a linear model and of one whose equation varies along the path."""
@@ -312,7 +313,7 @@ SHARP = {
 }
 
 
-@pytest.mark.parametrize("name", SHARP)
+@pytest.mark.parametrize("name", few(SHARP, "cubic_stiffness", "load_step"))
 def test_candidates_are_the_slopes_of_the_sharp_independent_simulator(simulator, name):
     """The residual of the null model on a record with a little of the effect, less that without."""
     port, unit, law = SHARP[name]

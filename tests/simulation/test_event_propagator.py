@@ -84,6 +84,7 @@ def test_sensitivities_through_a_jump_and_a_corner(start, finer):
         assert np.abs(slope).max() > 1e-2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", [(0.0, 0.0), (-0.5, -0.5), (-2.0, 0.0)])
 def test_a_pair_of_sharp_laws_is_fitted_from_where_it_can_be_simulated(start):
     """The start values are the true ones: what can be simulated with them can be fitted with them."""

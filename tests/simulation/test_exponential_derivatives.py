@@ -10,6 +10,7 @@ from casadi_engine.model import Blueprint
 from casadi_engine.simulation.exponential_runge_kutta import ExponentialPropagator
 from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.split import split
+from tests.quick import few
 
 TOLERANCE = 1e-9
 
@@ -61,7 +62,7 @@ CASES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", few(CASES, *list(CASES)[::4]))
 def test_first_and_second_derivatives_equal_casadis(made, name):
     options = dict(CASES[name])
     m, b, q = options.pop("plan", (2, 2, 2))

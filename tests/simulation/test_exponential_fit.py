@@ -35,7 +35,7 @@ def with_joint_laws(model):
 
 
 def record(model, truth, rng):
-    step, count = 1e-3, 3000
+    step, count = 1e-3, 1500
     t = step * np.arange(count)
     channels = {"theta": 126 * t, "omega": np.full(count, 126.0)}
     for k in range(4):
@@ -68,4 +68,4 @@ def test_a_fit_finds_the_laws_parameters_within_their_errors():
         found, error = fit.estimates[name].value, fit.estimates[name].stderr
         assert abs(found - values[name]) < 4 * error
         assert error < 0.5 * values[name]
-    assert abs(fit.cost / 3000 - 1) < 0.1
+    assert abs(fit.cost / 1500 - 1) < 0.1

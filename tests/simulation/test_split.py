@@ -139,7 +139,7 @@ def test_an_output_that_multiplies_a_state_with_a_channel_has_no_split():
 
 SYMBOLS = [ca.SX.sym(name) for name in ("q", "v", "u", "t", "k")]
 POINT = st.lists(st.floats(-2, 2, width=16), min_size=5, max_size=5)
-REPEATABLE = settings(max_examples=100, deadline=None, derandomize=True)
+REPEATABLE = settings(max_examples=30, deadline=None, derandomize=True)
 
 
 def put(expression, *values):
@@ -218,7 +218,7 @@ def test_a_linear_core_is_the_model_whatever_jumps(ode, output, point):
 def test_the_expressions_of_these_tests_leave_a_split_more_often_than_not():
     seen = {"split": 0, "not": 0}
 
-    @settings(max_examples=60, deadline=None, derandomize=True, database=None)
+    @settings(max_examples=30, deadline=None, derandomize=True, database=None)
     @given(*[expressions(SYMBOLS) for _ in range(4)])
     def count(ode, law, effect, drive):
         seen["split" if split(train(ode, law, effect, 0, drive=drive)) is not None else "not"] += 1

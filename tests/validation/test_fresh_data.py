@@ -94,7 +94,7 @@ def first():
 
 
 def test_the_right_model_from_a_weak_record_passes_on_a_strong_one():
-    assert verdicts(range(12)).all()
+    assert verdicts(range(4)).all()
 
 
 @pytest.mark.slow
@@ -103,7 +103,7 @@ def test_the_false_alarm_rate_is_held():
 
 
 def test_a_spring_left_out_is_seen():
-    assert not verdicts(range(3), lambda force, start: cubic(force, start, 1.0)).any()
+    assert not verdicts(range(1), lambda force, start: cubic(force, start, 1.0)).any()
 
 
 def test_the_gap_is_said_to_come_from_the_errors(first):

@@ -110,6 +110,7 @@ def test_moments_of_whiteness_are_those_of_dense_matrices(gaps):
     assert covariance == pytest.approx(np.array(dense), abs=1e-11)
 
 
+@pytest.mark.parametrize("draws", [60, pytest.param(200, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("size", "fitted", "draw"),
     [
@@ -119,16 +120,16 @@ def test_moments_of_whiteness_are_those_of_dense_matrices(gaps):
         (100, 5, lambda rng, n: rng.standard_normal(n) * np.where(rng.random(n) < 0.01, 10.0, 1.0)),
     ],
 )
-def test_whiteness_of_short_records_keeps_its_rate(size, fitted, draw):
+def test_whiteness_of_short_records_keeps_its_rate(size, fitted, draw, draws):
     """At 1 %; a regression on the own past alarmed in 18 to 23 of 100 of the first three."""
     alarms = 0
-    for seed in range(200):
+    for seed in range(draws):
         rng = np.random.default_rng([9, seed])
         jacobian = np.cos(np.pi * np.arange(fitted) * np.linspace(0, 1, size)[:, None])
         e = draw(rng, size)
         e = e - jacobian @ np.linalg.lstsq(jacobian, e, rcond=None)[0]
         alarms += whiteness(e, jacobian=jacobian).p_value <= 0.01
-    assert alarms <= stats.binom.ppf(0.999, 200, 0.01)
+    assert alarms <= stats.binom.ppf(0.999, draws, 0.01)
 
 
 def test_whiteness_agrees_with_ljung_box_in_long_records():
@@ -175,7 +176,7 @@ def test_scale_and_offset_do_not_matter():
 
 
 # The quick runs guard the code, the slow ones (2000 draws a case) the claim.
-QUICK_AND_SLOW = [pytest.param(250, id="quick"), pytest.param(2000, id="study", marks=pytest.mark.slow)]
+QUICK_AND_SLOW = [pytest.param(100, id="quick"), pytest.param(2000, id="study", marks=pytest.mark.slow)]
 
 
 @pytest.mark.parametrize("draws", QUICK_AND_SLOW)
@@ -241,7 +242,7 @@ def test_many_fitted_parameters_do_not_break_whiteness_if_the_jacobian_is_given(
     time_axis = np.linspace(-1.0, 1.0, 400)
     jacobian = np.polynomial.legendre.legvander(time_axis, 29)
     basis = np.linalg.qr(jacobian)[0]
-    draws = rng.standard_normal((200, 400))
+    draws = rng.standard_normal((80, 400))
     residuals = draws - (draws @ basis) @ basis.T
     with_jacobian = [whiteness(e, jacobian=jacobian).p_value for e in residuals]
     without = [whiteness(e).p_value for e in residuals]
@@ -259,12 +260,15 @@ def independence_p_values(*, colour, missing, drive_noise, draws, size=SIZE):
 
 
 @pytest.mark.parametrize(
-    ("colour", "missing", "drive_noise"),
-    [(0.8, 0.0, 0.0), (0.8, 0.2, 1.0)],  # more of them in the study below
+    ("colour", "missing", "drive_noise", "draws"),
+    [
+        (0.8, 0.2, 1.0, 60),  # more of them in the study below
+        *(pytest.param(0.8, *one, 300, marks=pytest.mark.slow) for one in ((0.0, 0.0), (0.2, 1.0))),
+    ],
 )
-def test_a_coloured_residual_keeps_the_rate_of_independence(colour, missing, drive_noise):
+def test_a_coloured_residual_keeps_the_rate_of_independence(colour, missing, drive_noise, draws):
     assert_calibrated(
-        independence_p_values(colour=colour, missing=missing, drive_noise=drive_noise, draws=300)
+        independence_p_values(colour=colour, missing=missing, drive_noise=drive_noise, draws=draws)
     )
 
 
@@ -392,7 +396,7 @@ def test_colour_is_seen_behind_a_regular_stride():
     torque = engine_torque(4 * SIZE)
     p_values = [
         independence(np.repeat(autoregressive(rng, SIZE, 0.8), 4), torque, mask=mask).p_value
-        for _ in range(200)
+        for _ in range(60)
     ]
     assert np.mean(np.less(p_values, 0.05)) < 0.12
 

@@ -11,6 +11,7 @@ import rigs_table
 from rigs_common import NAMES, NoDataError, rig, to_si
 
 import casadi_engine as ce
+from tests.quick import few
 
 
 @lru_cache
@@ -26,7 +27,7 @@ def records_of(name):
 
 
 @pytest.mark.shared
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", few(NAMES, *NAMES[::3]))
 def test_the_writings_of_a_rig_are_one_physics(name):
     one = rig(name)
     (record, *_), _ = records_of(name)
