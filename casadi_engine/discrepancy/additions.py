@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,13 +17,20 @@ import numpy as np
 from casadi_engine.deadline import TimeUp, ask, late
 from casadi_engine.discrepancy.event_times import located
 from casadi_engine.discrepancy.families import chosen_of, costs_of, families_of
-from casadi_engine.discrepancy.linearised import OneStep, one_step, without_effect
+from casadi_engine.discrepancy.in_place import (
+    at_another_time,
+    chance,
+    instead,
+    rival,
+    start_without,
+    step_in_place,
+)
+from casadi_engine.discrepancy.linearised import OneStep, one_step
 from casadi_engine.discrepancy.null_model import null_at
-from casadi_engine.discrepancy.path import FAILURES, Arrived, form_of
+from casadi_engine.discrepancy.path import FAILURES, form_of
 from casadi_engine.discrepancy.refit import Addition, addition
 from casadi_engine.discrepancy.refits import FACTOR, PART, Refits, Tried
 from casadi_engine.discrepancy.score import score
-from casadi_engine.discrepancy.screening import Screened
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.discrepancy.station import Station
 
@@ -31,13 +38,11 @@ from casadi_engine.discrepancy.station import Station
 TIME_UP = "the time was up"
 # What the time did not allow where every effect was refitted once.
 _OTHER_STARTS = "other starts of these effects"
-# Candidates that are refitted in the place of a member, the best by one step; times that a better one is looked from.
-_EXCHANGED, AGAIN = 6, 3
+# Times that a better one is looked from.
+AGAIN = 3
 # A refit has arrived if chi-squared is no higher than without its effect, but for rounded corners; share of the
 # one-step amplitude from which it is tried again.
 _NESTED, _SMALL = 1.0, 0.02
-# Chi-squared by which an event has to be better at another time, by one step, to be refitted there.
-_ELSEWHEN = 1.0
 # Log likelihood that a further effect has to promise to be refitted.
 _NOTHING = 1.0
 
@@ -236,8 +241,24 @@ class Additions:
                 one = chosen_of(self.screened, own, self.families[key])
                 # windows, whose first states are free, tell little of what happens in one of them
                 self._try(one, None, near=one.moves)
+            if key in near:
+                self._at_other_times(key)
             if key in near or self.refits.levels.memory:
                 self._arrive(key)
+
+    def _at_other_times(self, key: Family) -> None:
+        """Refits of an event from a better time, once more where that finds one."""
+        for _ in range(AGAIN):
+            known = self._known(key)
+            last = None if known is None else known.newest(self.here)
+            if known is None or last is None or not last.moves:
+                return
+            for one in at_another_time(self.refits, known, last, self.screened, self.families):
+                ask()
+                self.tell(f"refit {one.label} at another time")
+                self._try(one, start_without(known.arrived, last), near=True)
+            if self._known(key) is known:
+                return
 
     def _arrive(self, key: Family) -> None:
         """Another refit of an effect that has not come below the model without it, of which that is a special case,
@@ -262,7 +283,7 @@ class Additions:
             for one in instead(self.refits, best, last, self.screened, self.families):
                 ask()
                 self.tell(f"refit {one.label} from the parameters of {last.label}")
-                self._try(one, start_without(best.arrived, last))
+                self._try(one, start_without(best.arrived, last), near=one.moves)
             self._containing()
             if max(one.log for one in self._of_families()) <= best.log:
                 return
@@ -337,77 +358,3 @@ class Additions:
         except (*FAILURES, KeyError):
             return None
         return one_step(null, self.screened.candidates, refits.path.levels, sorted(members))
-
-
-def instead(
-    refits: Refits, tried: Tried, member: Addition, screened: Screened, families: Mapping[Family, list[int]]
-) -> list[Addition]:
-    """The candidates that might do as well in the place of a member, the best by one step first; an event also where it
-    does clearly better itself, at another time."""
-    step = step_in_place(refits, tried, member, screened, families)
-    if step is None:
-        return []
-    others = {key: own for key, own in families.items() if key != member.candidate.key}
-    cost = costs_of(screened, step, others)
-    most = rival(refits, tried.arrived.cost, step.none, screened)
-    order = [key for key in sorted(cost, key=lambda key: cost[key]) if cost[key] < most]
-    found = _at_another_time(refits, tried, member, families)
-    found += [chosen_of(screened, step, families[key]) for key in order[:_EXCHANGED]]
-    return [form for one in found for form in one.forms]
-
-
-def _at_another_time(
-    refits: Refits, tried: Tried, member: Addition, families: Mapping[Family, list[int]]
-) -> list[Addition]:
-    """An event of a structure at a time at which it does better by one step, if there is one."""
-    if member.candidate.key not in families:
-        return []
-    null = refits.null(tried)
-    gone = None if null is None else without_effect(null, member, len(refits.null_fit.model.states))
-    with np.errstate(all="ignore"):
-        time = tried.arrived.values.get(f"{member.key}.time")
-        found = None if gone is None else located(refits, member, gone, time)
-    if found is None or found[1] > tried.arrived.cost - _ELSEWHEN:
-        return []
-    return [found[0]]
-
-
-def may_go(
-    refits: Refits, tried: Tried, member: Addition, screened: Screened, families: Mapping[Family, list[int]]
-) -> bool:
-    """True if a structure may well do without a member: one step without it does not clearly tell that it is worse."""
-    step = step_in_place(refits, tried, member, screened, families)
-    return step is None or step.none < rival(refits, tried.arrived.cost, step.none, screened)
-
-
-def step_in_place(
-    refits: Refits, tried: Tried, member: Addition, screened: Screened, families: Mapping[Family, list[int]]
-) -> OneStep | None:
-    """One step of the candidates of some families in the place of a member; None where that fails."""
-    asked = (member.candidate.key, tuple(families), id(screened), tuple(refits.path.levels.items()))
-    known = refits.steps.get(tried)
-    if known is None or known[0] != asked:
-        null, states = refits.null(tried), len(refits.null_fit.model.states)
-        gone = None if null is None else without_effect(null, member, states)
-        members = sorted(k for own in families.values() for k in own)
-        step = None if gone is None else one_step(gone, screened.candidates, refits.path.levels, members)
-        refits.steps[tried] = known = (asked, step)
-    return known[1]
-
-
-def rival(refits: Refits, least: float, none: float, screened: Screened) -> float:
-    """Chi-squared by one step up to which an effect may well be a rival of one with chi-squared ``least``: that takes
-    away all but ``PART`` of what this one takes of its logarithm, as the level of the noise is estimated."""
-    return float(least * max(none / max(least, 1e-300), 1.0) ** PART + chance(refits, screened))
-
-
-def chance(refits: Refits, screened: Screened) -> float:
-    """Chi-squared by which the least of all candidates may lie below the others by chance, at a factor of odds."""
-    memory = max(refits.levels.memory.values(), default=1.0)
-    return 2 * math.log(FACTOR * len(screened.candidates)) * memory
-
-
-def start_without(arrived: Arrived, member: Addition) -> Start:
-    """Where a structure's refit ended, but for the parameters of a member."""
-    values = {n: v for n, v in arrived.values.items() if not n.startswith(f"{member.key}.")}
-    return Start(values, arrived.initial)

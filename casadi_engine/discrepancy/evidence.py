@@ -209,13 +209,24 @@ def innovations(null: NullModel, levels: Levels) -> float:
 def foretold(e: Array) -> float:
     """What the past of a residual (N,) foretells of its squares; all where it is too short to tell."""
     squares = float(e @ e)
-    return squares if len(e) < _SHORT else squares * _predicted(e)[0]
+    if len(e) < _SHORT:
+        return squares
+    variance = _variances(e)
+    return squares * float(1 - variance[-1] / max(variance[0], 1e-300))
 
 
 def _predicted(e: Array) -> tuple[float, int]:
-    """The share of a residual's squares that its past foretells, and from how many samples."""
-    variance = autoregression(e[:, None], np.ones(len(e), dtype=bool)).variances
-    return float(1 - variance[-1] / max(variance[0], 1e-300)), len(variance) - 1
+    """The share of a residual's squares that so many samples of its past foretell, as many as pay for themselves."""
+    variance = _variances(e)
+    orders = np.arange(len(variance))
+    best = int(np.argmin(len(e) * np.log(variance) + orders * math.log(len(e))))
+    return float(1 - variance[best] / variance[0]), best
+
+
+def _variances(e: Array) -> Array:
+    """(p + 1,) of the innovations of autoregressions of a residual, by their order."""
+    found = autoregression(e[:, None], np.ones(len(e), dtype=bool)).variances
+    return np.maximum(found, _TINY)
 
 
 def _prior_rows(null: NullModel, priors: Mapping[str, Prior], turn: Array, random: Array) -> Array:

@@ -12,9 +12,9 @@ from collections.abc import Callable
 import numpy as np
 
 from casadi_engine.deadline import ask, late
-from casadi_engine.discrepancy.additions import instead, may_go, start_without
 from casadi_engine.discrepancy.coloured_errors import coloured_errors
 from casadi_engine.discrepancy.families import BEYOND, families_of
+from casadi_engine.discrepancy.in_place import instead, may_go, start_without
 from casadi_engine.discrepancy.noise_model import estimated_noise
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.refit import addition
