@@ -221,7 +221,7 @@ class Answer:
         if may_hide(done):
             done = replace(done, messages=(*done.messages, _MAY_HIDE))
         done = held_to_chance(done)
-        if asks_for_one(done):
+        if asks_for_one(done, last.effects):
             refitter = self.search.refits.refitter
             done = self._in_time("all records", lambda: with_joint_fit(done, refitter)) or done
         return held_to_rivals(held_to_what_fresh_data_tell(held_to_fresh_data(done)))

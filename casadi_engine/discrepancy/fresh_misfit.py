@@ -100,8 +100,13 @@ def fresh_doubt(repair: Repair) -> str | None:
     excess = found - gaps.estimation_after.gap.chi2_per_sample
     if not _beyond(repair, found) or found - after.within_errors < _EXPLAINED * excess:
         return None
+    which = (
+        "with parameters for all records, within their errors"
+        if after.jointly
+        else "within the errors of the parameters"
+    )
     return (
-        f"on the fresh data chi2/N is {found:.3g}, and {after.within_errors:.3g} within the errors of the parameters: "
+        f"on the fresh data chi2/N is {found:.3g}, and {after.within_errors:.3g} {which}: "
         "these are known too little to describe fresh data, and what they hide cannot be seen"
     )
 
@@ -235,13 +240,17 @@ def _coloured_doubt(repair: Repair) -> str | None:
 
 
 def _left(repair: Repair) -> float:
-    """The gap on fresh data with the effects, by its root mean square, over that without."""
+    """The gap on fresh data with the effects, by its root mean square, over that without; with parameters for all
+    records where these were fitted together."""
     gaps = repair.gaps
     before = None if gaps is None else gaps.validation_before
     after = None if gaps is None else gaps.validation_after
     if before is None or after is None or not before.gap.chi2_per_sample > 0:
         return 1.0
-    return math.sqrt(after.gap.chi2_per_sample / before.gap.chi2_per_sample)
+    found = after.gap.chi2_per_sample
+    if after.jointly and after.within_errors is not None:
+        found = min(found, after.within_errors)
+    return math.sqrt(found / before.gap.chi2_per_sample)
 
 
 def _mostly_left(repair: Repair) -> bool:

@@ -6,12 +6,13 @@ of what other values do; a fit of all records together says it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from casadi_engine.discrepancy.checked_errors import as_fitted
 from casadi_engine.discrepancy.fresh_misfit import fresh_misfit
 from casadi_engine.distributions import chi2_sf
 from casadi_engine.errors import CasadiEngineError
@@ -19,18 +20,23 @@ from casadi_engine.estimation import Fit, estimate
 from casadi_engine.problem.noise import Noise
 
 if TYPE_CHECKING:
-    from casadi_engine.discrepancy.refit import Refitter
+    from casadi_engine.discrepancy.refit import Addition, Refitter
     from casadi_engine.discrepancy.repaired import Repair
 
-# Starts of the fit: the data of the search may have led astray.
+# Starts of the fit where nothing was found: the data of the search may have led astray.
 _STARTS = 4
 
 
-def asks_for_one(repair: Repair) -> bool:
-    """True where nothing was found, fresh data are not described, and a fit of all records can be made."""
+def asks_for_one(repair: Repair, effects: Sequence[Addition]) -> bool:
+    """True where fresh data are not described, and a fit of all records can be made.
+
+    effects : of the answer; an event that may be at another time there, or not at all, has no parameters for both
+    """
     names = [record.name for record in (*repair.data, *repair.fresh)]
-    distinct = len(set(names)) == len(names)
-    return repair.verdict == "nothing missing" and distinct and fresh_misfit(repair) is not None
+    able = len(set(names)) == len(names) and not any(one.placed for one in effects)
+    return (
+        able and repair.verdict in ("nothing missing", "named", "class") and fresh_misfit(repair) is not None
+    )
 
 
 def with_joint_fit(repair: Repair, refitter: Refitter) -> Repair:
@@ -44,12 +50,14 @@ def with_joint_fit(repair: Repair, refitter: Refitter) -> Repair:
     if gaps is None or after is None or noise is None:
         return repair
     levels = {name: level for name, (level, _) in noise.sigma.items()}
+    found_some = bool(repair.effects)
     try:
         with np.errstate(all="ignore"):
             both = estimate(
-                refitter.model, (*repair.data, *repair.fresh), parameters=refitter.parameters,
-                noise=Noise(**dict[str, Any](levels)), starts=_STARTS, progress=False, errors="quadratic",
-                interval=refitter.interval,
+                repair.fit.model, (*repair.data, *repair.fresh),
+                parameters=as_fitted(repair.fit) if found_some else refitter.parameters,
+                noise=Noise(**dict[str, Any](levels)), starts=1 if found_some else _STARTS, progress=False,
+                errors="quadratic", interval=refitter.interval,
             )  # fmt: skip
     except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
         return repair
@@ -64,7 +72,7 @@ def with_joint_fit(repair: Repair, refitter: Refitter) -> Repair:
     risen = _total(_squares(both, searched, levels)) - _total(_squares(repair.fit, searched, levels))
     chance = float(chi2_sf(max(risen, 0.0) / unit, max(len(both.free), 1)))
     every = np.concatenate([*found.values()])
-    side = replace(after, within_errors=float(every.mean()), parameters_p=chance, left=left)
+    side = replace(after, within_errors=float(every.mean()), parameters_p=chance, left=left, jointly=True)
     return replace(repair, gaps=replace(gaps, validation_after=side))
 
 

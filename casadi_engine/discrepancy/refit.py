@@ -177,7 +177,9 @@ class Refitter:
         model = self.extended(effects)
         pars = self.parameters_of(model, effects)
         fit = self._try(model, pars, start)
-        if fit is not None and not fit.converged and math.isfinite(fit.cost):  # often it is a step short of it
+        if (
+            fit is not None and not fit.converged and math.isfinite(fit.cost)
+        ):  # often it is a step short of it
             fit = _better(self._try(model, pars, Start.of(fit), most=_FEWER), fit)
         if fit is None or not fit.converged:
             far = Start(start.values, {}, {}, False)

@@ -154,7 +154,7 @@ class Side:
 
     On fresh data: within_errors : chi-squared per sample that is left once the parameters have moved as far as their
     errors allow; parameters_p : the chance that they would have to move so far; both None elsewhere. left : output ->
-    what share of its squares they leave then
+    what share of its squares they leave then; jointly : that is of one set of parameters for all records
     fits : those that the traces are of
     """
 
@@ -165,6 +165,7 @@ class Side:
     parameters_p: float | None = None
     fits: tuple[Fit, ...] = field(default=(), repr=False)
     left: Mapping[str, float] = field(default_factory=dict)
+    jointly: bool = False
 
 
 @dataclass(frozen=True, eq=False)

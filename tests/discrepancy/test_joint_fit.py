@@ -1,11 +1,16 @@
 """Records that are too short to tell the parameters are no sign of something missing, whatever fresh ones look like."""
 
+from types import SimpleNamespace as stub
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.fresh_misfit import FRESH
+from casadi_engine.discrepancy.confirmation import Gap
+from casadi_engine.discrepancy.fresh_misfit import FRESH, _mostly_left, fresh_doubt
+from casadi_engine.discrepancy.joint_fit import asks_for_one
+from casadi_engine.discrepancy.repaired import Gaps, Side
 
 STEP, NOISE = 4.0, 0.02
 C1, C2, G12, G2 = 600.0, 1600.0, 14.0, 5.0
@@ -67,3 +72,39 @@ def test_what_no_parameters_describe_stays_a_sign(body):
     assert found.verdict != "nothing missing"
     if found.verdict == "unnamed":
         assert FRESH in found.unknown.tests
+
+
+def repair_of(*, found=50.0, within=1.0, jointly=True, names=("a", "b")):
+    """One that fresh data do not fit, by stand-ins: chi2/N 1 where it was found, 100 on fresh data without effects."""
+
+    def side(chi2, **more):
+        gap = Gap(rmse={"y": np.sqrt(chi2)}, chi2_per_sample=chi2, samples=500, fit_percent={"y": 0.0})
+        return Side(gap, {"r": {"y": 0.5}}, {}, **more)
+
+    gaps = Gaps(
+        side(80.0), side(1.0), side(100.0),
+        side(found, within_errors=within, parameters_p=0.4, left={"y": within / found}, jointly=jointly),
+        None, "records",
+    )  # fmt: skip
+    return stub(
+        verdict="named", confirmed=True, gaps=gaps, effects=(stub(),), unknown=None, messages=(),
+        noise=stub(scatter={}, colour={}, sigma={"y": (1.0, True)}),
+        data=(stub(name=names[0]),), fresh=(stub(name=names[1]),),
+    )  # fmt: skip
+
+
+def test_parameters_for_all_records_are_asked_for_where_fresh_data_do_not_fit():
+    misfit = repair_of(within=40.0)
+    assert asks_for_one(misfit, [stub(placed=False)])
+    assert not asks_for_one(misfit, [stub(placed=False), stub(placed=True)])  # an event is of one record
+    assert not asks_for_one(repair_of(within=40.0, names=("a", "a")), [stub(placed=False)])
+    assert not asks_for_one(repair_of(within=1.0), [stub(placed=False)])  # that is within the errors
+
+
+@pytest.mark.parametrize(("jointly", "mostly"), [(True, False), (False, True)])
+def test_what_parameters_for_all_records_leave_is_what_is_left(jointly, mostly):
+    """A step of the parameters only promises as much."""
+    assert _mostly_left(repair_of(jointly=jointly)) is mostly
+    said = fresh_doubt(repair_of(jointly=jointly))
+    assert "on the fresh data chi2/N is 50, and 1 with" in said
+    assert ("with parameters for all records" in said) is jointly
