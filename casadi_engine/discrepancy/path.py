@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
@@ -115,7 +116,8 @@ class Path:
         self._ways: dict[tuple[Any, ...], list[tuple[Windowed, Arrived]]] = {}
         # structure -> least chi-squared over windows, at these levels
         self.bounds: dict[frozenset[tuple[str, str, bool]], float] = {}
-        self._work: list[float] = []  # expected of the first refit, and that of the refits so far
+        # share of the corners' widths -> work of the refits so far, that which is expected of the first one first
+        self._work: dict[float, list[float]] = {}
 
     def from_point(self, effects: Sequence[Addition], start: Start | Arrived | None) -> Arrived | None:
         """The end of a refit from a point, None for the parameters' own values; None where the model fails."""
@@ -164,7 +166,7 @@ class Path:
         _, _, problem = self._problem(())
         with Deadline() as own:
             found = problem.run(start=values, initial=initial, horizons=(None,), most=_STEPS)
-        self._work[:1] = [_AHEAD * _STEPS * own.done / max(found.steps, 1)]
+        self._done(_AHEAD * _STEPS * own.done / max(found.steps, 1), first=True)
         return _arrived(problem, found, self.levels)
 
     def residuals(self, effects: Sequence[Addition], arrived: Arrived) -> NullModel:
@@ -305,7 +307,7 @@ class Path:
         lags = nearest_lags(model, known, data)
         for _ in range(_LATER):
             try:
-                way = self._through_windows(effects, start, lags) if windows else None
+                way = self._in_windows(effects, start, lags) if windows else None
                 if way is not None and way.end is None:  # what wide corners leave is no bound
                     form = form_of(effects)
                     self.bounds[form] = min(way.there.cost, self.bounds.get(form, math.inf))
@@ -326,13 +328,30 @@ class Path:
             start, windows, lags = found, False, own
         return found
 
-    def _through_windows(
+    def _in_windows(
         self, effects: Sequence[Addition], start: Start | Arrived | None, lags: Mapping[str, float]
+    ) -> _Way | None:
+        """The search over windows; where no integrator follows sharp corners of effects that are there already, from
+        wide ones, and None where it follows none: the whole record may be followed."""
+        wide = self.cornered(effects[-1:])
+        with suppress(*FAILURES):
+            return self._through_windows(effects, start, lags, wide=wide)
+        with suppress(*FAILURES):
+            return None if wide else self._through_windows(effects, start, lags, wide=self.cornered(effects))
+        return None
+
+    def _through_windows(
+        self,
+        effects: Sequence[Addition],
+        start: Start | Arrived | None,
+        lags: Mapping[str, float],
+        *,
+        wide: bool,
     ) -> _Way:
         """The search over windows, from wide corners to those that there are."""
         refitter, own, there = self.refitter, self.refitter.share, None
         key = (form_of(effects), own, tuple(lags.items()))
-        levels = range(_WIDER if self.cornered(effects[-1:]) else 0, -1, -1)
+        levels = range(_WIDER if wide else 0, -1, -1)
         try:
             for level in levels:
                 refitter.share = own * SHARPER_BY**level
@@ -379,15 +398,26 @@ class Path:
                 near = start.refit.nodes if initial is not None and isinstance(start, Arrived) else None
                 found = problem.run(start=values, initial=initial, near=near, **how)
         if found.converged:  # what wanders is no measure of what refits cost
-            self._work.append(own.done)
+            self._done(own.done)
             self._least[id(problem)] = min(own.done, self._least.get(id(problem), math.inf))
         return _arrived(problem, found, self.levels, lags)
 
     def allowed(self, problem: RefitProblem) -> float:
         """Work that a refit may cost: some of what they cost in the middle, less if one of this structure arrived."""
-        known = self._work[1:] or self._work
+        # sharper corners cost more: what wider ones did is no measure of them
+        share = self.refitter.share
+        work = self._work.get(share if share in self._work else min(self._work, default=share), [])
+        known = work[1:] or work
         most = _MANY * float(np.median(known)) if known else math.inf
         return max(min(most, _AGAIN * self._least.get(id(problem), math.inf)), _FREE)
+
+    def _done(self, work: float, *, first: bool = False) -> None:
+        """Remember what a refit cost; first : what the first one may, in place of what was expected of it before."""
+        known = self._work.setdefault(self.refitter.share, [])
+        if first:
+            known[:1] = [work]
+        else:
+            known.append(work)
 
     def _problem(
         self, effects: Sequence[Addition], lags: Mapping[str, float] = MappingProxyType({})

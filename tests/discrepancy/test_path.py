@@ -229,3 +229,50 @@ def test_residuals_of_a_refit_are_those_of_its_own_levels(rubbing, pendulum):
     after = path.residuals([rubbing.one], arrived).records[0].residual["y"]
     np.testing.assert_array_equal(before, after)
     assert np.std(after) == pytest.approx(pendulum.level, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("sharp", "fails", "asked"),
+    [
+        (False, (), [False]),
+        (False, (False,), [False, True]),
+        (False, (False, True), [False, True]),
+        (True, (), [True]),
+        (True, (True,), [True]),
+    ],
+)
+def test_windows_that_no_integrator_follows_begin_with_wide_corners(monkeypatch, sharp, fails, asked):
+    """Of all effects, where those of the newest one are not sharp anyway; then the whole record has to do."""
+    path, seen, way = Path.__new__(Path), [], object()
+    first, newest = SimpleNamespace(corners=True), SimpleNamespace(corners=sharp)
+
+    def through(effects, start, lags, *, wide):
+        seen.append(wide)
+        if wide in fails:
+            raise FloatingPointError("its states or slopes are not finite")
+        return way
+
+    monkeypatch.setattr(path, "_through_windows", through)
+    monkeypatch.setattr(path, "cornered", lambda effects: any(one.corners for one in effects))
+    found = path._in_windows([first, newest], None, {})
+    assert seen == asked
+    assert found is (None if len(fails) == len(asked) else way)
+
+
+def test_sharper_corners_are_measured_by_what_they_cost_themselves():
+    path, problem = Path.__new__(Path), SimpleNamespace()
+    path._work, path._least, path.refitter = {}, {}, SimpleNamespace(share=1.0)
+    assert path.allowed(problem) == np.inf
+    path._done(1e7, first=True)  # expected of the first refit
+    assert path.allowed(problem) == 20 * 1e7
+    for work in (1e6, 2e6, 3e6):
+        path._done(work)
+    assert path.allowed(problem) == 20 * 2e6
+    path.refitter.share = 0.25
+    assert path.allowed(problem) == 20 * 2e6  # until there is one
+    path._done(5e8)
+    assert path.allowed(problem) == 20 * 5e8
+    path.refitter.share = 4.0  # wider ones on the way to them
+    assert path.allowed(problem) == 20 * 5e8
+    path.refitter.share = 1.0
+    assert path.allowed(problem) == 20 * 2e6
