@@ -439,7 +439,11 @@ class _Job:
             "more starts; a wrong optimum looks like missing physics"
         )
         if cut:
-            why = "interrupted in the fit without effects: nothing was searched"
+            why = (
+                "interrupted in the fit without effects: nothing was searched. Give it more time, budget=..., or fewer "
+                "starts, starts=1; where ce.estimate follows the record no better, begin with what "
+                'ce.estimate(model, data, approach="prediction") finds, as start values'
+            )
         status = fit.status if cut else f"the fit without effects has {fit.status}"
         if at_fault is not None:
             status, why = of, at_fault

@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 from casadi_engine.discrepancy.evidence import Levels, innovations, levels_left
 from casadi_engine.discrepancy.null_model import NullModel, RecordNull
 from casadi_engine.discrepancy.refits import Tried
+from casadi_engine.estimation.autoregression import autoregression
 
 COUNT = 1000
 
@@ -35,7 +36,22 @@ def test_white_residuals_count_by_their_level():
     found = innovations(null_of(e), Levels({"y": 1e-3}))
     assert found == pytest.approx(0.5 * COUNT * np.log(np.mean(e**2)), rel=1e-9)
     stated = innovations(null_of(e), Levels({"y": 3.0}))  # no smaller than what was stated
-    assert stated == pytest.approx(COUNT * np.log(3.0), rel=1e-9)
+    normal = COUNT * np.log(3.0) + 0.5 * float(e @ e) / 9.0 - 0.5 * COUNT
+    assert stated == pytest.approx(normal, rel=1e-9)
+
+
+def test_colour_costs_what_its_numbers_cost():
+    """Half the logarithm of the samples each, and only as many as pay for themselves; white noise has none."""
+    random = np.random.default_rng(4)
+    memory = Levels({"y": 1e-3}, {"y": 10.0})
+    white = random.standard_normal(COUNT)
+    assert innovations(null_of(white), memory) == innovations(null_of(white), Levels({"y": 1e-3}))
+    slow = np.sin(np.arange(COUNT) / 40) + 0.7 * random.standard_normal(COUNT)
+    variances = autoregression(slow[:, None], np.ones(COUNT, dtype=bool)).variances / COUNT
+    whole = variances * float(slow @ slow) / variances[0]
+    worth = [0.5 * COUNT * np.log(v / COUNT) + 0.5 * k * np.log(COUNT) for k, v in enumerate(whole)]
+    assert 0 < np.argmin(worth)
+    assert innovations(null_of(slow), memory) == pytest.approx(min(worth), rel=1e-9)
 
 
 @pytest.mark.parametrize("share", [0.5, 0.9])

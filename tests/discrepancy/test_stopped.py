@@ -101,7 +101,9 @@ def test_ctrl_c_in_the_fit_without_effects(repaired, monkeypatch):
     monkeypatch.setattr(import_module("casadi_engine.discrepancy.repair"), "estimate", pressed)
     found = repaired()
     assert (found.status, found.verdict) == ("interrupted", None)
-    assert found.messages == ("interrupted in the fit without effects: nothing was searched",)
+    (said,) = found.messages
+    assert said.startswith("interrupted in the fit without effects: nothing was searched. Give it more time")
+    assert 'ce.estimate(model, data, approach="prediction")' in said
 
 
 def test_the_budget_is_said_at_the_top(repaired):
