@@ -50,7 +50,7 @@ def test_colour_costs_what_its_numbers_cost():
     variances = autoregression(slow[:, None], np.ones(COUNT, dtype=bool)).variances / COUNT
     whole = variances * float(slow @ slow) / variances[0]
     worth = [0.5 * COUNT * np.log(v / COUNT) + 0.5 * k * np.log(COUNT) for k, v in enumerate(whole)]
-    assert 0 < np.argmin(worth)
+    assert np.argmin(worth) > 0
     assert innovations(null_of(slow), memory) == pytest.approx(min(worth), rel=1e-9)
 
 
