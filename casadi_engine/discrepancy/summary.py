@@ -288,7 +288,7 @@ def _equation(repair: Repair) -> list[Lines]:
 def _not_found(repair: Repair) -> list[Lines]:
     """Sizes that would have been found; what these data say little of stands behind, in words. None along a model that
     lacks what was not named."""
-    if repair.verdict == "unnamed" or not repair.not_found:
+    if repair.verdict == "unnamed" or repair.unknown is not None or not repair.not_found:
         return []
     told = [one for one in repair.not_found if one.excluded and not one.twin]
     forms = shortened(lambda most: _sizes(repair, told, most), min(len(told), LISTED), 3, 1)

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 # Right in 95 % of records.
 ENOUGH = 3.3
+# Fixed parameters that are named in one line.
+_NAMED = 4
 
 
 def headline(repair: Repair) -> str:
@@ -134,7 +136,7 @@ def next_step(repair: Repair) -> str:
         if not any(one.excluded for one in repair.not_found):
             return "record more before you rely on it: these data exclude no effect of any size"
         listed = "use the model; larger effects than those listed are excluded"
-        return f"{listed}, others are not" if may_hide(repair) else listed
+        return f"{listed}{', others are not' if may_hide(repair) else ''}{_on_fixed(repair)}"
     if repair.verdict == "unnamed":
         return _without_name(repair)
     if repair.verdict == "class":
@@ -146,6 +148,17 @@ def next_step(repair: Repair) -> str:
     if repair.confirmed is False:
         return "test it on more fresh data before you use it: those that were given do not confirm it"
     return "go on with repair.fit, the repaired model: print(repair.fit)"
+
+
+def _on_fixed(repair: Repair) -> str:
+    """That estimates are right where the parameters that are fixed are: a wrong one that others make up for leaves no
+    gap."""
+    pars = repair.fit.parameters
+    fixed = [name for name in pars if not pars[name].vary and pars[name].tie is None and "." not in name]
+    if not fixed:
+        return ""
+    more = f" and {len(fixed) - _NAMED} more" if len(fixed) > _NAMED else ""
+    return f"; its values count on what is fixed: {', '.join(fixed[:_NAMED])}{more}"
 
 
 def _unconfirmed(repair: Repair) -> str:

@@ -41,6 +41,15 @@ def test_an_effect_may_hide_in_coloured_noise():
     )
 
 
+def test_values_count_on_what_is_fixed():
+    """What is fixed at a wrong value leaves no gap where others make up for it."""
+    pars = ce.one_inertia().parameters()
+    pars.fix("J_eng")
+    found = nothing_of(swing(0.1 * np.random.default_rng(3).standard_normal(600)), parameters=pars)
+    assert found.verdict == "nothing missing"
+    assert next_step(found).endswith("are excluded; its values count on what is fixed: J_eng")
+
+
 def test_a_parameter_at_a_bound_is_told_where_nothing_was_added():
     pars = ce.one_inertia().parameters()
     pars["J_eng"].set(max=float(pars["J_eng"].value) * 0.9998, value=float(pars["J_eng"].value) * 0.9)

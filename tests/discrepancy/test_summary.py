@@ -52,6 +52,13 @@ def joined(found):
     return " ".join(str(found).split())
 
 
+def test_no_size_is_excluded_beside_what_has_no_name(leaking):
+    """Scores along a model that lacks more than was named say nothing of what else could be seen."""
+    assert "Smallest detectable sizes" in joined(replace(leaking, unknown=None))
+    more = Unknown("what is left is no noise", {})
+    assert "Smallest detectable sizes" not in joined(replace(leaking, unknown=more))
+
+
 def test_a_tank_is_spoken_of_as_a_tank(leaking):
     words = joined(leaking)
     assert "tank.coulomb_friction.torque = " in words
