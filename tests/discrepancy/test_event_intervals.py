@@ -96,7 +96,7 @@ def test_swings_that_explain_as_much_are_in_the_interval(found, monkeypatch):
     assert high - low < 6 * PERIOD
     (said,) = (text for text in again.messages if "may be a swing earlier or later" in text)
     assert said.startswith(f"{NAME} may be a swing")
-    assert said.endswith(" s")
+    assert said.endswith(" s; all other errors are those at this one")
     assert again.effects[0].parameters[NAME] == own
     assert again.effects[0].amplitude.stderr is not None
 
