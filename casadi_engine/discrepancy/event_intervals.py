@@ -46,8 +46,8 @@ def with_intervals_of_times(repair: Repair, refits: Refits) -> Repair:
     fit = replace(repair.fit, estimates={**repair.fit.estimates, **found})
     effects = tuple(with_errors_of(one, fit) for one in repair.effects)
     said = [
-        f"{name} may be a swing earlier or later: chi-squared comes as low between {low:.5g} and {high:.5g} {one.unit}; "
-        "all other errors are those at this one"
+        f"{name} may be a swing earlier or later: chi-squared comes as low between {low:.5g} and {high:.5g} "
+        f"{one.unit}; all other errors are those at this one"
         for name, one in found.items()
         for low, high in [one.interval or (one.value, one.value)]
     ]
