@@ -81,7 +81,7 @@ def test_the_plausible_size_is_that_which_moves_an_output_by_its_variation():
 
 def printed(some, said="nothing missing"):
     class Found:
-        not_found, verdict, model = tuple(some), said, ce.one_inertia()
+        not_found, verdict, model, unknown = tuple(some), said, ce.one_inertia(), None
 
     forms = _not_found(Found())
     return " ".join(" ".join(forms[0] if forms else ()).split())
