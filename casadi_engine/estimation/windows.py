@@ -177,6 +177,10 @@ class Place:
     squares: Squares
 
 
+def _closes(place: Place) -> bool:
+    return max(own.gaps for own in place.records) < _OPEN
+
+
 class Windows:
     """Least squares in the parameters alone, over one horizon; ``here`` is the best point so far.
 
@@ -205,7 +209,7 @@ class Windows:
             nodes = self._moved(here, v)
         found = self._at(v, nodes)
         for _ in range(_CLOSINGS):
-            if found is None or max(own.gaps for own in found.records) < _OPEN:
+            if found is None or _closes(found):
                 break
             found = self._at(v, self._moved(found, v))
         if found is None:
@@ -219,6 +223,11 @@ class Windows:
         """The best point so far."""
         assert self.here is not None  # a search has begun
         return self.here
+
+    @property
+    def closes(self) -> bool:
+        """True where the gaps at the best point are small enough for its cost to count."""
+        return _closes(self.best)
 
     @property
     def gaps(self) -> float:
