@@ -221,6 +221,9 @@ def in_place_of(last: Station, law: UnknownLaw) -> Unknown | None:
     words = law_words(last.fit.model, family)
     names = " and ".join(one.name for one in last.effects)
     much = f"{odds:.2g} times" if law.log < _SAID else "far"
+    if names and law.is_beside:
+        words += f"{likeness_words(law.course)}, beside {names}"
+        return Unknown(words, {}, family.port, family.signal, None, law.course)
     if not names:
         rest = "noise of that colour" if last.screened.noise.colour else "noise alone"
         words += f"{likeness_words(law.course)}: {much} more probable than {rest}"

@@ -53,18 +53,26 @@ class UnknownLaw:
     """The function that is most probable: its course, the log of how much more probable the model is with it than with
     the effects, the share of what it takes from chi-squared that these take too, and whether they are several at its
     own port: one name that comes near is worth keeping, several that together imitate a function are not; near : the
-    share from which on one does."""
+    share from which on one does; beside : the log of how much more probable the function is with the effects beside it
+    than without them: what they do is no imitation of it then."""
 
     course: Course
     log: float
     share: float
     several: bool = False
     near: float = _NEAR
+    beside: float = -math.inf
+
+    @property
+    def is_beside(self) -> bool:
+        """True where the effects do what the function does not: it is missing too, not in their place."""
+        return self.log >= math.log(FACTOR) and self.beside >= math.log(FACTOR)
 
     @property
     def excludes(self) -> bool:
         """True where the effects are no answer: far less probable, and much of what the function does is left."""
-        return self.log >= math.log(FACTOR) and (self.share < self.near or self.several)
+        far = self.log >= math.log(FACTOR) and not self.is_beside
+        return far and (self.share < self.near or self.several)
 
 
 def near_of(tried: Tried, port: str) -> float:
@@ -124,9 +132,17 @@ def unknown_law(refits: Refits, tried: Tried, further: float) -> UnknownLaw | No
     least = evidence(best.digest, refits.levels).cost
     share = (none - named.cost) / (none - least) if none > least else 1.0
     course = _course(best.digest, best.family, refits.levels)
-    return UnknownLaw(
-        course, log, share, several_at(tried, best.family.port), near_of(tried, best.family.port)
-    )
+    own_columns = {r: {o: c[:, list(best.family.members)] for o, c in made.items()} for r, made in columns.items()}
+    both = _counted(_beside(null, own_columns), priors, best.family, held, random)
+    alone = evidence(best.digest, refits.levels).log
+    beside = -math.inf if both is None else _most(both, best.family, refits.levels) - alone - math.log(choices)
+    port = best.family.port
+    return UnknownLaw(course, log, share, several_at(tried, port), near_of(tried, port), beside)
+
+
+def _most(made: Digest, family: Family, levels: Levels) -> float:
+    """The log evidence beside a function of the size that serves best."""
+    return max(evidence(of_size(made, _names(family), share), levels).log for share in SIZES)
 
 
 @dataclass
