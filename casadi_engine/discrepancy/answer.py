@@ -78,6 +78,7 @@ _LEFT_OUT = {
     "leftover": "what no effect of the library names",
     "latent torque": "where something acts",
     "unknown law": "a law that no effect names, in the place of those found",
+    "left out": "what was left out and does the same",
 }
 
 
@@ -269,7 +270,7 @@ class Answer:
 
     def _options(self, null: Station, last: Station) -> dict[str, Any]:
         """What was asked for, and what that may have cost: effects left out that are like those found."""
-        words = self._timed("left out", lambda: left_out_alike(null, last))
+        words = self._in_time("left out", lambda: left_out_alike(null, last, self.search.refits))
         return {**self.options, "left out": words} if words else self.options
 
     def _gaps(self, null: Station, last: Station, proof: Confirmation) -> Gaps:

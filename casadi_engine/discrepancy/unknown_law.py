@@ -132,12 +132,16 @@ def unknown_law(refits: Refits, tried: Tried, further: float) -> UnknownLaw | No
     least = evidence(best.digest, refits.levels).cost
     share = (none - named.cost) / (none - least) if none > least else 1.0
     course = _course(best.digest, best.family, refits.levels)
-    own_columns = {r: {o: c[:, list(best.family.members)] for o, c in made.items()} for r, made in columns.items()}
+    own_columns = {
+        r: {o: c[:, list(best.family.members)] for o, c in made.items()} for r, made in columns.items()
+    }
     both = _counted(_beside(null, own_columns), priors, best.family, held, random)
     alone = evidence(best.digest, refits.levels).log
-    beside = -math.inf if both is None else _most(both, best.family, refits.levels) - alone - math.log(choices)
+    further_by = (
+        -math.inf if both is None else _most(both, best.family, refits.levels) - alone - math.log(choices)
+    )
     port = best.family.port
-    return UnknownLaw(course, log, share, several_at(tried, port), near_of(tried, port), beside)
+    return UnknownLaw(course, log, share, several_at(tried, port), near_of(tried, port), further_by)
 
 
 def _most(made: Digest, family: Family, levels: Levels) -> float:

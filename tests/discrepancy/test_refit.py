@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import casadi_engine as ce
 from casadi_engine.discrepancy import path as refits
@@ -96,9 +97,10 @@ def coverage(fits, name, truth):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("draws", [1, pytest.param(3, marks=pytest.mark.slow)])
-def test_dry_friction_of_a_slow_drive_is_found_within_its_error(draws):
-    """A width by the typical speed of an engine made 0.47 N m of 0.3, and a false companion."""
+def test_dry_friction_of_a_slow_drive_is_found_within_its_error():
+    """A width by the typical speed of an engine made 0.47 N m of 0.3, and a false companion. Errors of many draws are
+    those of a normal distribution, within what one of a thousand such studies would exceed."""
+    draws = 16
     model, fits = ce.one_inertia(), []
     pars = model.parameters()
     pars["J_eng"].set(0.08, min=1e-3, max=10)
@@ -119,8 +121,9 @@ def test_dry_friction_of_a_slow_drive_is_found_within_its_error(draws):
         fits.append(fit)
     for name, truth in (("engine.coulomb_friction.torque", 0.3), ("J_eng", 0.1), ("C_eng", 0.02)):
         off = coverage(fits, name, truth)
-
-        assert np.abs(off).max() < 1.96, name
+        low, high = stats.chi2.ppf([0.0005, 0.9995], draws)
+        assert low < np.sum(off**2) < high, name
+        assert abs(off.mean()) < 3.3 / np.sqrt(draws), name
 
 
 @pytest.mark.slow  # a friction of 8 N m, and how it is confirmed: test_repair.py
