@@ -378,7 +378,8 @@ class Path:
                 there = found
         finally:
             refitter.share = own
-        assert first is not None and there is not None  # of one level at least
+        assert first is not None  # of one level at least
+        assert there is not None
         return _Way(key, first, there, None)
 
     def _after_windows(
