@@ -11,6 +11,7 @@ from typing import Any
 from casadi_engine.deadline import TimeUp
 from casadi_engine.discrepancy.answer_words import at_bounds, elsewhere, so_far, without_answer
 from casadi_engine.discrepancy.by_chance import held_to_chance
+from casadi_engine.discrepancy.by_member import told_by_member
 from casadi_engine.discrepancy.certificate import (
     class_matrix,
     equation_of,
@@ -123,6 +124,8 @@ class Answer:
         )  # what was left out first, and came back
         self.messages[:] = [words for words in self.messages if not words.startswith(named or "\0")]
         verdict = _verdict(found, claim.unknown)
+        pool = {key: one.arrived.values for key, one in self.search.pool.items()}
+        self.messages += told_by_member(found, key_of(last.effects), pool, last.fit)
         self._say(null, last, proof)
         blank = Repair(
             "answered",
