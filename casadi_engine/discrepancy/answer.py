@@ -60,6 +60,7 @@ from casadi_engine.discrepancy.repaired import (
     Repair,
     Unknown,
     Verdict,
+    more_probable,
 )
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.discrepancy.too_few import held_to_what_fresh_data_tell
@@ -350,7 +351,8 @@ def _effects(proof: Confirmation) -> tuple[tuple[FoundEffect, ...], tuple[FoundE
 
 def _verdict(found: Sequence[FoundEffect], unknown: Unknown | None) -> Verdict:
     if found:
-        return "class" if any(len(one.members) > 1 for one in found) else "named"
+        several = any(len(one.members) > 1 for one in found)
+        return "class" if several or more_probable(unknown) else "named"  # a law of no name is a member too
     return "nothing missing" if unknown is None else "unnamed"
 
 
