@@ -76,6 +76,8 @@ _MAY_HIDE = (
 # Shares of the spare time behind a budget at which the tests beside the library have to be there, and the rest that an
 # answer can do without.
 _TESTS, _EXTRA = 0.75, 0.9
+# What ± are worth where effects explain not all.
+_MORE = "± count noise alone: what is still unexplained may move the values by more"
 _LEFT_OUT = {
     "leftover": "what no effect of the library names",
     "latent torque": "where something acts",
@@ -223,6 +225,8 @@ class Answer:
             timing=self.timing,
             messages=tuple(dict.fromkeys(self.messages)),
         )
+        if done.effects and done.unknown is not None:
+            done = replace(done, messages=(_MORE, *done.messages))
         if may_hide(done):
             done = replace(done, messages=(*done.messages, _MAY_HIDE))
         done = held_to_chance(done)
