@@ -77,15 +77,14 @@ class FirstPoints(LaidProblem):
     def _simulated(self, x: Array, *, resting: bool = False) -> Array | None:
         """The point with the nodes of one run of each record; None where no nodes change.
 
-        Measured outputs say little of the states of a model without a linear core. resting : a run may also begin where
-        all states rest that no output shows, whichever comes nearer to the data, for all models that bend: over one
-        interval an unseen state may seem to be far off
+        Measured outputs say little of the states of a model without a linear core, and where laws bend, what nodes from
+        them lead to may explain less than the start does. resting : a run may also begin where all states rest that no
+        output shows, whichever comes nearer to the data: over one interval an unseen state may seem to be far off
         """
         found, nv = x.copy(), self.problem.nv
         z = self.coordinates.values(x[:nv])
         for record, lay, bounds in zip(self.records, self.problem.layouts, self._initial, strict=True):
-            bends = isinstance(record.propagator, RungeKuttaPropagator) or (resting and not record.linear)
-            if not bends or lay.m == 1:
+            if record.linear or lay.m == 1:
                 continue
             begins = [lay.take(x)]
             if resting:

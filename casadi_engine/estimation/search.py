@@ -204,8 +204,8 @@ class Search(FirstPoints):
         if simulated is None or not self._lower(simulated, solution.x):
             return solution
         other = self.solver.solve(simulated, self.lower, self.upper)
-        better = other.status == "converged" and self._lower(other.x, solution.x)
-        best = other if better or solution.status != "converged" else solution
+        # an optimum above what the search began at, or came by, is none to end at
+        best = other if self._lower(other.x, solution.x) or solution.status != "converged" else solution
         return replace(best, iterations=solution.iterations + other.iterations)
 
     def _levelled(self, solution: Solution) -> tuple[Solution, int]:
