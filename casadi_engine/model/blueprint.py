@@ -23,8 +23,8 @@ from casadi_engine.model.declared_units import (
 )
 from casadi_engine.model.model import Model
 from casadi_engine.model.port_places import check_slots_act, check_slots_are_used
-from casadi_engine.model.port_units import with_units
 from casadi_engine.model.rates import with_rates
+from casadi_engine.model.slot_units import with_units
 from casadi_engine.model.symbol_checks import check_symbols, column, hashes
 from casadi_engine.parameters import near_matches
 
@@ -378,9 +378,20 @@ class Blueprint:
     def _all_ports(self) -> Ports:
         groups = (self._states, self._inputs, self._drives, self._parameters)
         units = [(made[1], made[0].unit) for group in groups for made in group.values()]
-        odes = [(state.unit, self._odes[name] * self._seconds) for name, (state, _) in self._states.items()]
+        # those that have a unit if none was given
+        defaults = ((self._parameters, "1"), (self._drives, "N m"))
+        may_lack = {
+            made[1].element_hash()
+            for group, unit in defaults
+            for made in group.values()
+            if made[0].unit == unit
+        }
+        odes = {
+            name: (state.unit, self._odes[name] * self._seconds) for name, (state, _) in self._states.items()
+        }
+        per = self._time_unit or "s"
         ports = with_units(
-            self._ports, [*units, (self._time, "s")], odes, stated=self._stated, per=self._time_unit or "s"
+            self._ports, [*units, (self._time, "s")], odes, stated=self._stated, may_lack=may_lack, per=per
         )
         added = [
             Port(f"input_{name}", "input", f"channel {name}", {"value": symbol})

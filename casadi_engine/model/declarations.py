@@ -119,6 +119,7 @@ class Port:
     ends : names of the two ports that a link or pipe joins; what an effect adds there leaves the first and enters the
         second
     units : signal -> its unit, of those whose unit is known
+    why_no_unit : why the unit of the slot is not stated, where the equations leave it open
     """
 
     name: str
@@ -129,6 +130,7 @@ class Port:
     unit: str = "N m"
     ends: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
+    why_no_unit: str = ""
 
     def __post_init__(self) -> None:
         if not isinstance(self.kind, str) or self.kind not in PORT_KINDS:
