@@ -76,7 +76,7 @@ class Amount:
     @property
     def is_plain(self) -> bool:
         """True if its bare number, or the square of it, is one by which no unit converts."""
-        return any(_is_near(abs(self.number) ** k, one) for k in (1, 2) for one in _PLAIN_RATIOS)
+        return _is_plain(abs(self.number))
 
     @property
     def tells(self) -> bool:
@@ -86,7 +86,7 @@ class Amount:
     @property
     def unit(self) -> str:
         """The text of its units."""
-        return unit_product(*self.powers)
+        return _text(self.powers)
 
     def in_si(self) -> Amount:
         """The amount in SI where its number takes it there, as in 0.001*R for R in mOhm; else as it is."""
@@ -103,6 +103,16 @@ class Amount:
 def amount_of(unit: str, *, loose: bool = False) -> Amount:
     """The amount of a symbol in a unit that was stated."""
     return Amount(1.0, read_unit(unit).written, loose, True)
+
+
+@lru_cache(maxsize=1024)
+def _is_plain(number: float) -> bool:
+    return any(_is_near(number**k, one) for k in (1, 2) for one in _PLAIN_RATIOS)
+
+
+@lru_cache(maxsize=1024)
+def _text(powers: Powers) -> str:
+    return unit_product(*powers)
 
 
 @lru_cache(maxsize=1024)
@@ -226,19 +236,20 @@ def _sum(terms: Sequence[Amount]) -> Amount | None:
     return replace(loose[0], number=1.0, loose=True) if loose else None
 
 
-def kind(amount: Amount) -> dict[str, Fraction]:
-    """The dimension of an amount without angles."""
-    found: dict[str, Fraction] = {}
-    for name, power in amount.powers:
-        for base, own in read_unit(name).exponents:
-            if base != "rad":
-                found[base] = found.get(base, Fraction(0)) + own * power
-    return {base: power for base, power in found.items() if power}
+def is_of_one_kind(one: Amount, other: Amount) -> bool:
+    """True for amounts of one dimension, angles left out."""
+    return _dimension(one.powers) == _dimension(other.powers)
 
 
 def is_alike(one: Amount, other: Amount) -> bool:
     """True for amounts of one dimension, angles left out, in units of one size."""
-    return kind(one) == kind(other) and _is_near(factor(one.powers), factor(other.powers))
+    return is_of_one_kind(one, other) and _is_near(factor(one.powers), factor(other.powers))
+
+
+@lru_cache(maxsize=1024)
+def _dimension(powers: Powers) -> Powers:
+    own = (power for power in read_unit(_text(powers)).exponents if power[0] != "rad")
+    return tuple(own)
 
 
 def symbols_of(units: Sequence[tuple[Any, str]], may_lack: Collection[int]) -> Iterator[Amount | None]:

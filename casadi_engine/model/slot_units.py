@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -20,7 +21,7 @@ from casadi_engine.model.amounts import (
     amount_of,
     amounts_of,
     is_alike,
-    kind,
+    is_of_one_kind,
     steps_of,
     symbols_of,
 )
@@ -209,7 +210,7 @@ def _unit(way: Way) -> Found:
         return Found(_text(by_rate), "rate") if sure else Found()
     if by_rate.is_plain:
         return Found(_text(by_rate), "rate")
-    same = [one for one in weak if kind(one) == kind(by_rate)]
+    same = [one for one in weak if is_of_one_kind(one, by_rate)]
     if same:
         return Found(_text(same[0]), "rate")
     number = f"{abs(top.between.number):.6g}"
@@ -232,7 +233,7 @@ def _by_neighbours(way: Way, by_rate: Amount | None) -> Found | None:
         if all(is_alike(told[0], other) for other in told[1:]):
             return Found(_best(told, by_rate, top), "neighbour")
         # one that is what the rate asks for is right, if no other of its kind is of another size
-        fit = [one for one in told if by_rate is not None and kind(one) == kind(by_rate)]
+        fit = [one for one in told if by_rate is not None and is_of_one_kind(one, by_rate)]
         if by_rate is not None and top.is_plain and fit and all(is_alike(one, by_rate) for one in fit):
             return Found(_best(fit, by_rate, top), "neighbour")
         texts = list(dict.fromkeys(_text(one) for one in told))
@@ -251,7 +252,10 @@ def _best(told: Sequence[Amount], by_rate: Amount | None, top: Amount) -> str:
 
 
 def _text(amount: Amount) -> str:
-    return named(amount.unit)
+    return _named(amount.unit)
+
+
+_named = lru_cache(maxsize=1024)(named)
 
 
 def _agreed(found: Sequence[Found]) -> Found:
