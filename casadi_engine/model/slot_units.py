@@ -214,7 +214,7 @@ def _unit(way: Way) -> Found:
     if same:
         return Found(_text(same[0]), "rate")
     number = f"{abs(top.between.number):.6g}"
-    why = f"the number {number} between it and d({top.rate})/dt may convert units or not"
+    why = f"the number {number} stands between it and d({top.rate})/dt, and may convert units or not"
     return Found(NOT_STATED, "number", why)
 
 
