@@ -16,6 +16,7 @@ from typing import Any
 
 import casadi as ca
 
+from casadi_engine.experiment.unit_parser import LARGEST_POWER
 from casadi_engine.experiment.units import NOT_STATED, read_unit, unit_product
 
 Powers = tuple[tuple[str, Fraction], ...]
@@ -28,16 +29,7 @@ _ROUNDING = 1e-9
 _CONVERTED = 1e-4
 
 _SUMS = (ca.OP_ADD, ca.OP_SUB, ca.OP_FMIN, ca.OP_FMAX)
-_KEEPS = (
-    ca.OP_ASSIGN,
-    ca.OP_NEG,
-    ca.OP_FABS,
-    ca.OP_FLOOR,
-    ca.OP_CEIL,
-    ca.OP_COPYSIGN,
-    ca.OP_FMOD,
-    ca.OP_LIFT,
-)
+_KEEPS = (ca.OP_ASSIGN, ca.OP_NEG, ca.OP_FABS, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_COPYSIGN, ca.OP_FMOD)
 _POWERS = {ca.OP_SQ: Fraction(2), ca.OP_SQRT: Fraction(1, 2), ca.OP_INV: Fraction(-1)}
 _DIMENSIONLESS = (
     ca.OP_EXP, ca.OP_LOG, ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_ASIN, ca.OP_ACOS, ca.OP_ATAN, ca.OP_ATAN2,
@@ -70,13 +62,21 @@ class Amount:
 
     def to_the(self, power: Fraction) -> Amount:
         """The amount to a power."""
-        number = abs(self.number) ** float(power) if self.number else math.nan
+        try:
+            number = abs(self.number) ** float(power)
+        except (OverflowError, ZeroDivisionError):
+            number = math.nan
         return replace(self, number=number, powers=tuple((name, own * power) for name, own in self.powers))
 
     @property
     def is_plain(self) -> bool:
-        """True if its bare number, or the square of it, is one by which no unit converts."""
-        return _is_plain(abs(self.number))
+        """True if its bare number, or the square of it, is one by which no unit converts; no unit has huge powers."""
+        return _is_plain(abs(self.number)) and all(abs(power) <= LARGEST_POWER for _, power in self.powers)
+
+    @property
+    def is_one(self) -> bool:
+        """True if its number is 1 or -1."""
+        return _is_near(abs(self.number), 1.0)
 
     @property
     def tells(self) -> bool:
@@ -90,14 +90,11 @@ class Amount:
 
     def in_si(self) -> Amount:
         """The amount in SI where its number takes it there, as in 0.001*R for R in mOhm; else as it is."""
-        if self.is_plain or not self.powers or not math.isfinite(self.number):
+        if _is_plain(abs(self.number)) or not self.powers or not 0 < abs(self.number) < math.inf:
             return self
-        if not _is_near(abs(self.number), factor(self.powers), _CONVERTED):
+        if abs(math.log(abs(self.number)) - log_factor(self.powers)) > _CONVERTED:
             return self
-        powers = read_unit(
-            unit_product(*((read_unit(name).si, power) for name, power in self.powers))
-        ).written
-        return replace(self, number=math.copysign(1.0, self.number), powers=powers)
+        return replace(self, number=math.copysign(1.0, self.number), powers=_si(self.powers))
 
 
 def amount_of(unit: str, *, loose: bool = False) -> Amount:
@@ -116,13 +113,23 @@ def _text(powers: Powers) -> str:
 
 
 @lru_cache(maxsize=1024)
-def factor(powers: Powers) -> float:
-    """What takes a number in these units into SI."""
-    found = 1.0
+def log_factor(powers: Powers) -> float:
+    """The logarithm of what takes a number in these units into SI."""
+    found = 0.0
     for name, power in powers:
         own = read_unit(name)
-        found *= (float(own.factor) * math.pi ** float(own.pi)) ** float(power)
+        found += float(power) * (math.log(own.factor) + float(own.pi) * math.log(math.pi))
     return found
+
+
+@lru_cache(maxsize=1024)
+def _si(powers: Powers) -> Powers:
+    """The SI units of units to powers, in the same symbols."""
+    found: dict[str, Fraction] = {}
+    for name, power in powers:
+        for base, own in read_unit(read_unit(name).si).written:
+            found[base] = found.get(base, Fraction(0)) + own * power
+    return tuple((base, power) for base, power in found.items() if power)
 
 
 def _over(one: float, other: float) -> float:
@@ -227,13 +234,13 @@ def _power(one: Amount | None, power: Amount | None) -> Amount | None:
 def _sum(terms: Sequence[Amount]) -> Amount | None:
     """The amount of a sum: that of a term that tells one, if no other contradicts it."""
     telling = [term for term in terms if term.tells]
+    telling = [term for term in telling if term.is_one] or telling
     if telling:
-        same = all(is_alike(telling[0], other) for other in telling[1:])
-        return replace(telling[0], number=1.0) if same else None
+        return telling[0] if all(is_alike(telling[0], other) for other in telling[1:]) else None
     if len(terms) > 1 and all(not term.powers for term in terms):
         return Amount(1.0, (), any(term.loose for term in terms), any(term.symbols for term in terms))
     loose = [term for term in terms if term.is_plain and term.symbols]
-    return replace(loose[0], number=1.0, loose=True) if loose else None
+    return replace(loose[0], loose=True) if loose else None
 
 
 def is_of_one_kind(one: Amount, other: Amount) -> bool:
@@ -243,13 +250,16 @@ def is_of_one_kind(one: Amount, other: Amount) -> bool:
 
 def is_alike(one: Amount, other: Amount) -> bool:
     """True for amounts of one dimension, angles left out, in units of one size."""
-    return is_of_one_kind(one, other) and _is_near(factor(one.powers), factor(other.powers))
+    return is_of_one_kind(one, other) and abs(log_factor(one.powers) - log_factor(other.powers)) < _ROUNDING
 
 
 @lru_cache(maxsize=1024)
 def _dimension(powers: Powers) -> Powers:
-    own = (power for power in read_unit(_text(powers)).exponents if power[0] != "rad")
-    return tuple(own)
+    found: dict[str, Fraction] = {}
+    for name, power in powers:
+        for base, own in read_unit(name).exponents:
+            found[base] = found.get(base, Fraction(0)) + own * power
+    return tuple(sorted((base, power) for base, power in found.items() if power and base != "rad"))
 
 
 def symbols_of(units: Sequence[tuple[Any, str]], may_lack: Collection[int]) -> Iterator[Amount | None]:

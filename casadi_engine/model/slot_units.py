@@ -61,7 +61,10 @@ class Found:
     why: str = ""
 
 
+# From the innermost sum to the rate.
 Way = tuple[Rung, ...]
+# The rate behind something of which no unit is known: it tells nothing.
+_UNKNOWN: Way = (Rung((), Amount(loose=True, symbols=True)),)
 
 
 def with_units(
@@ -154,15 +157,15 @@ def _hand_down(
 
 
 def _through(step: Step, place: int, way: Way, amounts: Sequence[Amount | None]) -> Way:
-    """A way as seen from one of the parts of a step, empty where the step tells nothing of that."""
+    """A way as seen from one of the parts of a step."""
     if (step.keeps and place == 0) or (step.does == ca.OP_IF_ELSE_ZERO and place == 1):
         return way
     if step.does == ca.OP_TWICE:
         return _behind(way, Amount(2.0), 1)
     if step.does == ca.OP_MUL or (step.does == ca.OP_DIV and place == 0):
         by = amounts[step.of[1 - place]]
-        return () if by is None else _behind(way, by, 1 if step.does == ca.OP_MUL else -1)
-    return ()
+        return _UNKNOWN if by is None else _behind(way, by, 1 if step.does == ca.OP_MUL else -1)
+    return _UNKNOWN
 
 
 def _behind(way: Way, by: Amount, power: int) -> Way:
@@ -191,8 +194,6 @@ def _terms(k: int, steps: Sequence[Step]) -> list[int]:
 
 def _unit(way: Way) -> Found:
     """The unit of a slot by one of its ways to a rate: by the innermost sum that tells, else by the rate itself."""
-    if not way:
-        return Found()
     top = way[-1]
     # a rate tells nothing where what stands between may lack its unit
     known = bool(top.beside) and not top.between.loose
@@ -206,7 +207,7 @@ def _unit(way: Way) -> Found:
     weak = [one for one in weak if one.is_plain]
     if not top.between.symbols:
         # a number alone may stand for a mass, unless what is added to the slot is a rate as well
-        sure = abs(top.between.number) == 1 and any(is_alike(one, by_rate) for one in weak)
+        sure = top.between.is_one and any(is_alike(one, by_rate) for one in weak)
         return Found(_text(by_rate), "rate") if sure else Found()
     if by_rate.is_plain:
         return Found(_text(by_rate), "rate")
@@ -223,22 +224,36 @@ def _by_neighbours(way: Way, by_rate: Amount | None) -> Found | None:
     top = way[-1].between
     for rung in way[:-1]:
         # a + 8*slot tells nothing where the 8 may be one over an inertia; 8*(a + slot) does
-        mass = not top.symbols and abs(rung.between.number) != 1
+        mass = not top.symbols and not rung.between.is_one
         if rung.between.loose or mass:
             continue
         told = [rung.slot(one) for one in rung.beside if one.powers and not one.loose]
-        told = [one for one in told if one.is_plain]
+        told = _surest([one for one in told if one.is_plain], by_rate)
         if not told:
             continue
+        # a rate is held to what it asks for where all that stands between has a unit and no bare number
+        asked = by_rate if by_rate is not None and top.symbols and top.is_plain else None
+        fit = [one for one in told if asked is not None and is_of_one_kind(one, asked)]
+        if not fit and asked is not None:
+            texts = f"{_text(told[0])}, and d({way[-1].rate})/dt asks for {_text(asked)}"
+            return Found(NOT_STATED, "neighbours", f"what it is added to is in {texts}")
+        told = fit or told
         if all(is_alike(told[0], other) for other in told[1:]):
             return Found(_best(told, by_rate, top), "neighbour")
-        # one that is what the rate asks for is right, if no other of its kind is of another size
-        fit = [one for one in told if by_rate is not None and is_of_one_kind(one, by_rate)]
-        if by_rate is not None and top.is_plain and fit and all(is_alike(one, by_rate) for one in fit):
-            return Found(_best(fit, by_rate, top), "neighbour")
-        texts = list(dict.fromkeys(_text(one) for one in told))
-        return Found(NOT_STATED, "neighbours", f"what it is added to is in {' and in '.join(texts[:3])}")
+        texts = " and in ".join(list(dict.fromkeys(_text(one) for one in told))[:3])
+        return Found(NOT_STATED, "neighbours", f"what it is added to is in {texts}")
     return None
+
+
+def _surest(told: Sequence[Amount], by_rate: Amount | None) -> list[Amount]:
+    """Terms without a bare number; and those with one by which no unit converts, of the same kind or of the rate's.
+
+    2*x may be a force by a spring of 2 N/m.
+    """
+    sure = [one for one in told if one.is_one]
+    model = sure[0] if sure else by_rate
+    others = [one for one in told if not one.is_one and model is not None and is_of_one_kind(one, model)]
+    return [*sure, *others]
 
 
 def _best(told: Sequence[Amount], by_rate: Amount | None, top: Amount) -> str:

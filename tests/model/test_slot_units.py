@@ -232,6 +232,40 @@ def test_neighbours_of_two_sizes_contradict_each_other():
     assert one_slot(lambda v, slot, m, F, G: (F + 1e-3 * G + slot) / m, m="t", F="kN", G="N").unit == "kN"
 
 
+def test_a_sum_and_a_rate_of_two_kinds_contradict_each_other():
+    port = one_slot(lambda v, slot, m, x: (slot - x) / m, m="kg", x="m")
+    assert (port.unit, port.why_no_unit) == ("-", "what it is added to is in m, and d(v)/dt asks for N")
+    assert one_slot(lambda v, slot, m, x, F: (slot - x + F) / m, m="kg", x="m", F="N").unit == "N"
+    # a spring of 2 N/m, whose unit nobody said
+    assert one_slot(lambda v, slot, m, x: (slot - 2 * x) / m, m="kg", x="m").unit == "N"
+    assert (
+        one_slot(lambda v, slot, m, x, r: (slot - (2 * x + 3 * x) * r) / m, m="kg", x="m", r="1/m").unit
+        == "N"
+    )
+
+
+def test_what_a_slot_is_added_to_tells_behind_anything():
+    b = ce.Blueprint("cell", time_unit="s")
+    u, gain = b.state("u", unit="V"), b.state("gain")
+    slot = b.port("here", "inertia", {"speed": u})
+    b.ode("u", gain * (b.input("I", unit="mA") + slot))
+    b.ode("gain", -gain)
+    b.output("y", u, unit="V")
+    assert b.model().ports["here"].unit == "mA"
+    assert one_slot(lambda v, slot, k: ca.sin(slot + k), k="deg").unit == "deg"
+    assert one_slot(lambda v, slot, k: ca.fmin(slot, k) / 8.3, k="kN").unit == "kN"
+    assert (
+        one_slot(lambda v, slot, m: ca.if_else(v > 0, slot, 0) / m, m="g", state=("v", "mm/s")).unit
+        == "mm g/s2"
+    )
+
+
+def test_huge_powers_and_numbers_are_survived():
+    port = one_slot(lambda v, slot, k: k**40 * v**300 * 1e300 * 1e300 * (slot + k**30), k="km")
+    assert port.unit in ("-", "N")
+    assert one_slot(lambda v, slot, k: slot * (1e200 * k) ** 2, k="km").unit in ("-", "N")
+
+
 def test_odes_of_two_sizes_contradict_each_other():
     b = ce.Blueprint("two", time_unit="s")
     v, _ = b.state("v", unit="m/s"), b.state("w", unit="m/s")
