@@ -104,7 +104,7 @@ def amount_of(unit: str, *, loose: bool = False) -> Amount:
 
 @lru_cache(maxsize=1024)
 def _is_plain(number: float) -> bool:
-    return any(_is_near(number**k, one) for k in (1, 2) for one in _PLAIN_RATIOS)
+    return any(_is_near(own, one) for own in (number, number * number) for one in _PLAIN_RATIOS)
 
 
 @lru_cache(maxsize=1024)
