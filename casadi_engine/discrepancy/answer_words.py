@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from casadi_engine.discrepancy.choice import TIME_UP, Choice
 from casadi_engine.discrepancy.families import BEYOND
 from casadi_engine.discrepancy.station import Station
+from casadi_engine.model import Model
 
 
 def so_far(search: Choice) -> list[str]:
@@ -56,3 +57,9 @@ def at_bounds(names: Sequence[str], least: Sequence[str]) -> list[str]:
     others = [name for name in names if name not in least]
     said = [f"{name} is known from below alone: larger ones explain these data as well" for name in least]
     return said + ([f"in the repaired model {', '.join(others)} is at a bound"] if others else [])
+
+
+def open_units(model: Model, ports: Sequence[str]) -> list[str]:
+    """Of the ports that have a part in the answer and whose unit the equations leave open, why, and what to do."""
+    cures = [model.ports[name].unit_cure for name in ports if name in model.ports.names]
+    return [words for words in dict.fromkeys(cures) if words]

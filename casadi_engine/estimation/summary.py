@@ -13,6 +13,7 @@ from casadi_engine.estimation.behind_a_bound import NOT_TOLD
 from casadi_engine.estimation.fit import Estimate, Fit
 from casadi_engine.estimation.followed import not_followed
 from casadi_engine.estimation.gain_table import gain_rows, predictor_words
+from casadi_engine.experiment.units import unit_words
 
 if TYPE_CHECKING:
     from casadi_engine.parameters import Parameter
@@ -215,7 +216,7 @@ def parameter_rows(fit: Fit) -> list[tuple[str, str, str, str, str]]:
         (
             name,
             with_error(estimate.value, _error(estimate)),
-            estimate.unit,
+            unit_words(estimate.unit),
             percent(estimate.value, _error(estimate)),
             "  ".join(_notes(fit, name, estimate)),
         )

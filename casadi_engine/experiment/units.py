@@ -92,6 +92,15 @@ def unit_product(*factors: tuple[str, Fraction | int]) -> str:
     return product_text(found)
 
 
+def unit_words(unit: str) -> str:
+    """A unit in the cell of a table: as it is, or that it is not stated.
+
+    >>> unit_words("N m"), unit_words("-")
+    ('N m', 'not stated')
+    """
+    return "not stated" if unit == NOT_STATED else unit
+
+
 def read_data_unit(unit: Any, *, where: str = "") -> Unit:
     """The unit of data; as `read_unit`, but C and F alone are refused, for they may be meant as temperatures."""
     text = unit.strip() if isinstance(unit, str) else ""

@@ -23,8 +23,8 @@ from casadi_engine.model.declared_units import (
 )
 from casadi_engine.model.model import Model
 from casadi_engine.model.port_places import check_slots_act, check_slots_are_used
-from casadi_engine.model.port_units import with_units
 from casadi_engine.model.rates import with_rates
+from casadi_engine.model.slot_units import with_units
 from casadi_engine.model.symbol_checks import check_symbols, column, hashes
 from casadi_engine.parameters import near_matches
 
@@ -148,8 +148,12 @@ class Blueprint:
             On what moves in metres the names are the same: ``speed`` [m/s] of a mass, ``twist`` [m] and ``twist_rate``
             [m/s] of a spring or damper. The slot accelerates an inertia: it enters the ode of ``speed`` with +. At a
             coupling it pulls the sides together: it enters the ode of the side that a positive twist is ahead with -
-        unit : of the slot; None takes the one that the ode asks for in which the slot stands, as far as the units that
-            were declared tell; else N m, N where the signals are states in m or m/s, and "-" where they are in neither.
+        unit : of the slot; None takes that of what the slot is added to, ``I`` in ``R*(I + slot)``, else the one that
+            the ode asks for, as far as the units that were declared tell; else N m, N where the signals are states in m
+            or m/s, and "-" where they are in neither. It is "-" as well, and ``print(model.ports)`` says why, where a
+            bare number stands between slot and rate that may convert units, as in ``1e3*slot/m``, unless it takes what
+            it multiplies into SI (``1e-3*R`` for R in mOhm), or is one by which no unit converts (2, 3/4, the root of
+            2); and where what the slot is added to is in units of two sizes. State it then: ``unit="N"``.
             Amplitudes of effects follow it and the signals: N s/m or W/K for N m s/rad
 
         Raises ModelError for a name that is taken, a kind or unit that does not exist, and a signal that is no scalar.
@@ -378,9 +382,20 @@ class Blueprint:
     def _all_ports(self) -> Ports:
         groups = (self._states, self._inputs, self._drives, self._parameters)
         units = [(made[1], made[0].unit) for group in groups for made in group.values()]
-        odes = [(state.unit, self._odes[name] * self._seconds) for name, (state, _) in self._states.items()]
+        # those that have a unit if none was given
+        defaults = ((self._parameters, "1"), (self._drives, "N m"))
+        may_lack = {
+            made[1].element_hash()
+            for group, unit in defaults
+            for made in group.values()
+            if made[0].unit == unit
+        }
+        odes = {
+            name: (state.unit, self._odes[name] * self._seconds) for name, (state, _) in self._states.items()
+        }
+        per = self._time_unit or "s"
         ports = with_units(
-            self._ports, [*units, (self._time, "s")], odes, stated=self._stated, per=self._time_unit or "s"
+            self._ports, [*units, (self._time, "s")], odes, stated=self._stated, may_lack=may_lack, per=per
         )
         added = [
             Port(f"input_{name}", "input", f"channel {name}", {"value": symbol})

@@ -158,7 +158,7 @@ def declare_cylinders(
         changes.append(one.change)
     signals = {"angle": turned[0], "speed": speeds[0], "gas_torque": sum(gas_torques)}
     signals["combustion_torque"] = sum(burned)
-    common = b.port("cylinders", "cylinder", signals, description="all cylinders together")
+    common = b.port("cylinders", "cylinder", signals, unit="N m", description="all cylinders together")
     return Cylinders(tuple(drives), tuple(slots), common, tuple(changes))
 
 

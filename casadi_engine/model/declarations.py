@@ -16,7 +16,7 @@ from typing import Any, overload
 
 from casadi_engine.effects.protocol import PORT_KINDS
 from casadi_engine.errors import ModelError, UnitError
-from casadi_engine.experiment.units import NOT_STATED, read_unit, unit_product
+from casadi_engine.experiment.units import NOT_STATED, read_unit, unit_product, unit_words
 from casadi_engine.model.port_units import MECHANICAL, follows_port, is_speed, quantity
 from casadi_engine.parameters import Parameter, near_matches
 
@@ -119,6 +119,7 @@ class Port:
     ends : names of the two ports that a link or pipe joins; what an effect adds there leaves the first and enters the
         second
     units : signal -> its unit, of those whose unit is known
+    why_no_unit : why the unit of the slot is not stated, where the equations leave it open
     """
 
     name: str
@@ -129,6 +130,7 @@ class Port:
     unit: str = "N m"
     ends: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
+    why_no_unit: str = ""
 
     def __post_init__(self) -> None:
         if not isinstance(self.kind, str) or self.kind not in PORT_KINDS:
@@ -146,6 +148,16 @@ class Port:
                 cure="declare both inertias; what joins them is called a_and_b",
             )
         object.__setattr__(self, "signals", MappingProxyType(dict(self.signals)))
+
+    @property
+    def unit_cure(self) -> str:
+        """What to do about the unit of the slot where the equations leave it open; "" where nothing is to be done."""
+        if not self.why_no_unit:
+            return ""
+        return (
+            f"the unit of what acts at {self.name} is not stated: {self.why_no_unit}; say it where the port is "
+            f'declared, b.port("{self.name}", ..., unit="...")'
+        )
 
     @property
     def parameter(self) -> str:
@@ -266,6 +278,11 @@ class Ports(Sequence[Port]):
         """The ports that can take a torque, in the order of the model's slot vector w."""
         return tuple(port for port in self._ports if port.slot is not None)
 
+    @property
+    def unit_cures(self) -> tuple[str, ...]:
+        """Of each port whose unit the equations leave open, why, and what to do."""
+        return tuple(port.unit_cure for port in self._ports if port.unit_cure)
+
     @cached_property
     def links(self) -> tuple[Port, ...]:
         """A link ``a_and_b`` for every two inertias whose slots have the same known unit and that have a signal of one
@@ -321,14 +338,14 @@ class Ports(Sequence[Port]):
     def __str__(self) -> str:
         rows = [("port", "kind", "slot", "signals")]
         for port in self._ports:
-            rows.append(
-                (port.name, port.kind, "-" if port.slot is None else port.unit, ", ".join(port.signals))
-            )
+            slot = "-" if port.slot is None else unit_words(port.unit)
+            rows.append((port.name, port.kind, slot, ", ".join(port.signals)))
         widths = [max(len(row[column]) for row in rows) for column in range(3)]
-        return "\n".join(
+        lines = [
             "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=False)) + "  " + row[3]
             for row in rows
-        )
+        ]
+        return "\n".join([*lines, *self.unit_cures])
 
     def __repr__(self) -> str:
         return f"Ports({', '.join(self.names)})"

@@ -13,6 +13,7 @@ import numpy as np
 
 from casadi_engine.effects.protocol import Law
 from casadi_engine.errors import EffectError
+from casadi_engine.experiment.units import unit_words
 from casadi_engine.model.declarations import Port
 from casadi_engine.model.port_view import PortView
 
@@ -64,7 +65,7 @@ def check_units(effect: Any, port: Port) -> None:
             signals = "".join(f", {signal} in {unit}" for signal, unit in port.units.items())
             raise EffectError(
                 f"the unit of {effect.name}.{name} does not go with those of the port {port.name}",
-                seen=f"{name} in {one.unit}; what acts at {port.name} in {port.unit}{signals}",
+                seen=f"{name} in {one.unit}; what acts at {port.name} in {unit_words(port.unit)}{signals}",
                 allowed=f"{right}: a law reads the port's own numbers, and what it gives is added to them",
                 cure=f'state unit="{right}", and let the law convert nothing; units of N m, rad and s, as N m/rad, '
                 "are read in the units of each port",

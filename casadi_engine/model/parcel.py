@@ -17,13 +17,14 @@ _SYMBOLIC = ("x", "u", "d", "w", "t", "p", "ode", "drive_expressions", "laws", "
 
 @dataclass(frozen=True)
 class Parcel:
-    """A model's plain fields, its ports (name, kind, description, unit, signals, slot), and CasADi's text of symbols.
+    """A model's plain fields, its ports (name, kind, description, unit, why it has none, signals, slot), and CasADi's
+    text of symbols.
 
     The text holds the columns of ``_SYMBOLIC``, then signals and slot of port after port: what they share stays shared.
     """
 
     plain: dict[str, Any]
-    ports: tuple[tuple[str, str, str, str, tuple[str, ...], bool], ...]
+    ports: tuple[tuple[str, str, str, str, str, tuple[str, ...], bool], ...]
     text: str
 
 
@@ -36,7 +37,15 @@ def pack(model: Model) -> Parcel:
         symbols += [ca.SX(signal) for signal in port.signals.values()]
         symbols += [] if port.slot is None else [ca.SX(port.slot)]
         ports.append(
-            (port.name, port.kind, port.description, port.unit, tuple(port.signals), port.slot is not None)
+            (
+                port.name,
+                port.kind,
+                port.description,
+                port.unit,
+                port.why_no_unit,
+                tuple(port.signals),
+                port.slot is not None,
+            )
         )
     writer = ca.StringSerializer()
     writer.pack(symbols)
@@ -50,7 +59,8 @@ def unpack(parcel: Parcel) -> Model:
     symbols = iter(ca.StringDeserializer(parcel.text).unpack())
     columns = {name: next(symbols) for name in _SYMBOLIC}
     ports = []
-    for name, kind, description, unit, signals, slot in parcel.ports:
-        port = Port(name, kind, description, {key: next(symbols) for key in signals}, unit=unit)
+    for name, kind, description, unit, why, signals, slot in parcel.ports:
+        known = {key: next(symbols) for key in signals}
+        port = Port(name, kind, description, known, unit=unit, why_no_unit=why)
         ports.append(replace(port, slot=next(symbols)) if slot else port)
     return Model(**parcel.plain, ports=Ports(ports), **columns)

@@ -7,9 +7,7 @@ the equations do not go with the declared ones, nothing is said.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -27,8 +25,6 @@ MECHANICAL = ("torque", "force", "angular acceleration", "acceleration")
 # Units that are written by their own symbol, whatever products they come from: J/K times K/s is W.
 _NAMED = ("N m", "N", "W", "A", "V", "Pa")
 _SCALED, _NEAR, _HALVES = 1.7, 1e-6, 2
-# Relative error of a conversion number that was written by hand, as 9.549 for rpm.
-_CONVERTED = 1e-4
 
 
 def units_of(expressions: Sequence[Any], units: Sequence[tuple[Any, str]]) -> list[str | None]:
@@ -79,80 +75,6 @@ def units_of(expressions: Sequence[Any], units: Sequence[tuple[Any, str]]) -> li
 def _is_free(expression: Any, symbols: ca.SX) -> bool:
     """True if an expression has symbols beside these."""
     return bool(ca.Function("free", [symbols], [expression], {"allow_free": True}).get_free())
-
-
-def with_units(
-    ports: Mapping[str, Any],
-    units: Sequence[tuple[Any, str]],
-    odes: Sequence[tuple[str, Any]],
-    *,
-    stated: Collection[str],
-    per: str,
-) -> dict[str, Any]:
-    """Ports by name with the units of their signals, and of their slots where these were not stated.
-
-    units : pairs of an SX symbol and its unit; odes : of each state its unit and its rate by the unit of time ``per``
-    """
-    signals = [(name, key) for name, port in ports.items() for key in port.signals]
-    found = units_of([ports[name].signals[key] for name, key in signals], units)
-    own: dict[str, dict[str, str]] = {name: {} for name in ports}
-    for (name, key), unit in zip(signals, found, strict=True):
-        if unit is not None:
-            own[name][key] = unit
-    every = ca.vertcat(ca.SX(0, 1), *[port.slot for port in ports.values() if port.slot is not None])
-    asked = [name for name, port in ports.items() if port.slot is not None and name not in stated]
-    by_odes = _units_by_odes([ports[name].slot for name in asked], every, units, odes, per)
-    slots = {name: unit for name, unit in zip(asked, by_odes, strict=True) if unit is not None}
-    return {
-        name: replace(port, units=own[name], unit=slots.get(name, port.unit)) for name, port in ports.items()
-    }
-
-
-def _units_by_odes(
-    slots: Sequence[Any],
-    every: Any,
-    units: Sequence[tuple[Any, str]],
-    odes: Sequence[tuple[str, Any]],
-    per: str,
-) -> list[str | None]:
-    """The units of slots by the odes that they enter, None where these do not tell, or tell of several."""
-    if not slots or not odes:
-        return [None for _ in slots]
-    slopes = ca.jacobian(ca.vertcat(*[ode for _, ode in odes]), ca.vertcat(*slots))
-    entries = list(zip(*slopes.sparsity().get_triplet(), strict=True))
-    told = [(i, k, slopes[i, k]) for i, k in entries if odes[i][0] != NOT_STATED]
-    entered = list(dict.fromkeys(i for i, *_ in told))
-    rests = [ca.substitute(odes[i][1], every, ca.SX.zeros(every.shape)) for i in entered]
-    known = units_of([*(slope for *_, slope in told), *rests], units)
-    added = dict(zip(entered, known[len(told) :], strict=True))  # what is added to the slots of an ode
-    alone = {i for i, rest in zip(entered, rests, strict=True) if rest.is_zero()}
-    plain = ca.vertcat(*[symbol for symbol, unit in units if unit == "1"])
-    found: list[set[str | None]] = [set() for _ in slots]
-    for i, k in entries:
-        if odes[i][0] == NOT_STATED:
-            found[k].add(None)
-    for (i, k, slope), unit in zip(told, known, strict=False):
-        wanted, rest = unit_product((odes[i][0], 1), (per, -1)), added[i]
-        # a parameter of unit 1 may be one whose unit was left out, and a number may stand for a mass
-        vague = plain.numel() and ca.depends_on(slope, plain)
-        if not ca.symvar(slope):
-            vague = abs(float(slope)) != 1 or rest is None or not _goes_with(rest, wanted)
-        elif rest is not None and _of_one_kind(rest, wanted):
-            # numbers may convert units, as in 1e3 (F + slot)/m for mm/s2: what is added to a slot shows it
-            wanted = rest
-        elif i in alone and _is_conversion(slope, odes[i][0]):
-            wanted = unit_product(*read_unit(odes[i][0]).exponents, (per, -1))
-        found[k].add(None if vague else slot_unit(wanted, unit))
-    return [each.pop() if len(each) == 1 else None for each in found]
-
-
-def _is_conversion(slope: Any, unit: str) -> bool:
-    """True if the number in a slope takes SI into a unit, as 60/(2 pi) in 60/(2 pi) slot/J for rpm/s."""
-    own = read_unit(unit)
-    factor = float(own.factor) * math.pi ** float(own.pi)
-    symbols = ca.vertcat(*ca.symvar(slope))
-    number = float(ca.Function("number", [symbols], [slope])(np.ones(symbols.numel())))
-    return factor != 1 and abs(abs(number) * factor - 1) < _CONVERTED
 
 
 def _text(powers: Mapping[str, Fraction]) -> str:
@@ -209,24 +131,3 @@ def _dimension(unit: str) -> tuple[tuple[str, Fraction], ...]:
 def _alike(unit: str, other: str) -> bool:
     own, its = read_unit(unit), read_unit(other)
     return own.factor == its.factor and not own.pi and _dimension(unit) == _dimension(other)
-
-
-def slot_unit(rate: str, slope: str | None) -> str | None:
-    """The unit of a slot that enters an ode with this slope; None where it cannot be known.
-
-    rate : unit of the ode; slope : unit of the slope
-
-    >>> slot_unit("rad/s2", "1/(kg m2)"), slot_unit("K/s", "K/J"), slot_unit("mg/(L h)", "1")
-    ('N m', 'W', 'mg/(L h)')
-    """
-    return None if slope is None else named(unit_product((rate, 1), (slope, -1)))
-
-
-def _goes_with(unit: str, other: str) -> bool:
-    """True for units of one dimension, angles left out, and of one size."""
-    return _of_one_kind(unit, other) and read_unit(unit).factor == read_unit(other).factor
-
-
-def _of_one_kind(unit: str, other: str) -> bool:
-    own, its = ({k: v for k, v in read_unit(one).exponents if k != "rad"} for one in (unit, other))
-    return own == its

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 
+from casadi_engine.experiment.units import unit_words
 from casadi_engine.model.lags import delays
 from casadi_engine.model.printing import write_expressions
 from casadi_engine.model.styles import LATEX, TEXT, Style
@@ -117,7 +118,7 @@ def sections(model: Model) -> list[tuple[str, Rows]]:
         (
             declared.name,
             f"{declared.value:.6g}",
-            f"[{declared.unit}]",
+            f"[{unit_words(declared.unit)}]",
             declared.description + ("" if declared.vary else " (fixed)"),
         )
         for declared in model.declarations

@@ -17,6 +17,10 @@ def _number(value: float) -> str:
     return f"{value:.6g}"
 
 
+def _unit(unit: str) -> str:
+    return "not stated" if unit == "-" else unit
+
+
 def _note(parameter: Parameter) -> str:
     notes = []
     if parameter.tie is not None:
@@ -35,7 +39,7 @@ def rows(parameters: Parameters) -> list[tuple[str, ...]]:
     """One row of text cells for each parameter, in the columns of `HEADER`."""
     values = parameters.as_dict()
     return [
-        (name, _number(values[name]), p.unit, _number(p.min), _number(p.max), _note(p))
+        (name, _number(values[name]), _unit(p.unit), _number(p.min), _number(p.max), _note(p))
         for name, p in parameters.items()
     ]
 

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from casadi_engine.discrepancy.repaired import ClassMatrix, FoundEffect, Repair, ScoreRow
+from casadi_engine.discrepancy.wording import in_unit
 from casadi_engine.estimation.summary import number
 from casadi_engine.report import panels
 from casadi_engine.report.sketch import Panel
@@ -113,7 +114,7 @@ def draw_shift(panel: Panel, repair: Repair, effect: FoundEffect) -> None:
             found, place, xerr=None if error is None else 100 * error / scale, color=panels.SIMULATED, capsize=3,
             markersize=5, label=None if words else "found by the refit, with its 95 % interval",
         )  # fmt: skip
-        words.append(f"{name} = {number(estimate.value, '.4g')} {estimate.unit}")
+        words.append(f"{name} = {number(estimate.value, '.4g')}{in_unit(estimate.unit)}")
     panel.axvline(0.0, color="0.4", linewidth=0.8, linestyle=":")
     panel.ynames = (range(len(names)), words)
     panel.ylim, panel.flipped = (-0.6, len(names) - 0.4), True

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair, Side
 from casadi_engine.discrepancy.summary import levels, noise_of_chi2
+from casadi_engine.discrepancy.wording import in_unit
 from casadi_engine.estimation.summary import number, with_error
+from casadi_engine.experiment.units import unit_words
 from casadi_engine.report.tables import table
 
 
@@ -77,7 +79,7 @@ def parameter_table(result: Repair) -> str:
     for name, new in result.fit.estimates.items():
         old = result.null_fit.estimates.get(name)
         if new.fixed:
-            kept.append(f"{name} = {number(new.value)} {new.unit}")
+            kept.append(f"{name} = {number(new.value)}{in_unit(new.unit)}")
             continue
         after = with_error(new.value, None if new.at_bound else new.stderr)
         rows.append(
@@ -85,7 +87,7 @@ def parameter_table(result: Repair) -> str:
                 name,
                 "-" if old is None else with_error(old.value, None if old.at_bound else old.stderr),
                 f"{after}, at its {new.at_bound} bound" if new.at_bound else after,
-                new.unit,
+                unit_words(new.unit),
                 "" if old is None else f"{new.value - old.value:+.3g}",
             )
         )

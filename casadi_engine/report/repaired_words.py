@@ -203,7 +203,7 @@ def moved_parameters(repair: Repair) -> str:
             found.append(
                 (
                     share,
-                    f"{name} {number(old.value, '.4g')}, now {with_error(new.value, new.stderr)} {new.unit}",
+                    f"{name} {number(old.value, '.4g')}, now {with_error(new.value, new.stderr)}{in_unit(new.unit)}",
                 )
             )
     found.sort(key=lambda pair: -pair[0])

@@ -17,6 +17,7 @@ from casadi_engine.errors import ResultError
 from casadi_engine.estimation import summary as fits
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.experiment import Experiment
+from casadi_engine.experiment.units import unit_words
 from casadi_engine.model import Model
 from casadi_engine.report import tables
 from casadi_engine.report.figures import each, figures
@@ -100,7 +101,7 @@ def _(result: Simulated, _validation: Any, arguments: Mapping[str, Any]) -> Page
         wanted=[(result, "overview", "Simulated outputs, over the measured ones where there are any")],
     )
     rows = [
-        (name, f"{value:.6g}", result.parameters[name].unit, result.parameters[name].description)
+        (name, f"{value:.6g}", unit_words(result.parameters[name].unit), result.parameters[name].description)
         for name, value in result.parameters.as_dict().items()
     ]
     given = Section(

@@ -162,7 +162,7 @@ def test_amplitudes_have_the_units_of_their_port():
     assert units(mass(), "stribeck_friction", "body") == {"torque": "N", "fading": "m/s", "width": "m/s"}
     assert units(duffing(("twist",)), "cubic_stiffness", "spring") == {"stiffness": "N/m3"}
     assert units(pendulum(), "viscous_friction", "pivot") == {"coefficient": "1/s"}  # the ode is per inertia
-    assert units(thermal(), "constant_torque", "body") == {"torque": "-"}  # unknown rather than wrong
+    assert units(thermal(), "constant_torque", "body") == {"torque": "K/s"}  # it is added to a rate
     assert units(duffing(("twist",), unit="kN"), "cubic_stiffness", "spring") == {"stiffness": "kN/m3"}
     assert "spring           coupling   N     twist" in str(duffing(("twist",)).ports)
 
