@@ -160,6 +160,12 @@ class Answer:
             if unknown is None and not found and cut:
                 words = so_far(self.search) or ([UNTOLD] if ANY in self.search.failed else [])
                 unknown = Unknown(words[0], {}) if words else None
+        if found and unknown is not None and self._may_be_rounding(last, unknown):
+            self.messages.append(
+                f"what is left at {unknown.port} depends on its {unknown.signal}, and may be that the corners of what "
+                "acts there are rounder in the search than in the data: it was not brought to sharper ones"
+            )
+            unknown = None
         if null.screened.request.blind and not found and not at_own_port(null, unknown):
             way = self.search.way(self.search.best)
             if way is not None and len(way) > 1:
@@ -168,6 +174,14 @@ class Answer:
         sure = proof.judgement is not None and bool(proof.judgement.confirmed)
         doubt = reason_to_withdraw(claim, null, sure) if found else None
         return claim if doubt is None else claim.withdrawn_for(doubt, null, TOO_LITTLE)
+
+    def _may_be_rounding(self, last: Station, unknown: Unknown) -> bool:
+        """True where a function at a port is what rounded corners leave of a law there, and sharper ones are felt."""
+        refits = self.search.refits
+        ports = {one.candidate.port for one in last.effects if refits.path.cornered([one])}
+        return (
+            unknown.course is not None and unknown.port in ports and refits.rounding_felt(last.effects) != 0.0
+        )
 
     def _held_to_laws(self, claim: Claim, null: Station) -> Claim:
         """What is left where laws that no effect names are held against what is claimed."""
