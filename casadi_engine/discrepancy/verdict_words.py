@@ -9,6 +9,7 @@ from casadi_engine.discrepancy.fresh_misfit import FRESH, fresh_doubt, fresh_mis
 from casadi_engine.discrepancy.repaired import UNTOLD, more_probable
 from casadi_engine.discrepancy.wording import (
     AT_FAULT,
+    HINT,
     UNRESOLVED,
     USER,
     is_blind,
@@ -110,6 +111,8 @@ def _on_fresh(repair: Repair) -> str:
 
 def next_step(repair: Repair) -> str:
     """What to do with the answer, for the screen and for the page."""
+    if HINT in repair.options:
+        return "look at the data first, as said above"
     if repair.status == "interrupted":
         return "run it again and let it end; repair.fit is the best model so far"
     if repair.status == AT_FAULT:
