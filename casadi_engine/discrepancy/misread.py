@@ -31,6 +31,10 @@ if TYPE_CHECKING:
 # Per cent of every output that a fit follows which is called good: a twentieth of its squares is left at most. No
 # better than the mean is 0.
 _GOOD = 100 * (1 - math.sqrt(0.05))
+# Per cent that is next to nothing: a tenth of the squares, as initial states explain some of any motion.
+_NOTHING = 100 * (1 - math.sqrt(0.9))
+# Part of the squares of an output that a gain and an offset of its own simulation leave where its sensor is at fault.
+_BENT = 0.2
 # Samples of the outputs on which all ways are looked at, and ways that the parameters are fitted in.
 _SAMPLES, _TRIED = 400, 3
 # Work of a look, of all looks, and of a fit, in multiples of that of one start of the fit before.
@@ -93,19 +97,21 @@ def misread(
     if not poor:
         return None
     job = _Readings(fit.model, fit.data, parameters, noise, options)
-    found = job.good(readings(fit.model, fit.data), work)
+    ways = readings(fit.model, fit.data)
+    if (sensors := _sensors(fit, poor)) is not None:
+        ways = [one for one in ways if one.what == "output" and one.name in sensors]
+    found = job.good(ways, work)
     if found:
-        said = "; so it does ".join(_told(one, shares) for one, shares in found[:2])
+        said = _told(*found[0])
+        said += "".join(f"; as much with {one.words}: {one.check}" for one, _ in found[1:2])
         before = _listed(followed(fit))
         words = f"{said}. As the records are, no fit explains more than {before}"
         return Misread(words, not any(one.named for one, _ in found))
     still = _still(fit)
-    if still and any(share <= 0 for share in poor.values()):
-        outputs = " and ".join(name for name, share in poor.items() if share <= 0)
-        return Misread(
-            f"{still} in all samples, and no fit explains {outputs} better than its mean does: look whether that is so",
-            False,
-        )
+    lost = " and ".join(name for name, share in poor.items() if share <= _NOTHING)
+    if still and lost:
+        words = f"{still} in all samples, and no fit explains more than next to nothing of {lost}"
+        return Misread(f"{words}: look whether that is so", False)
     return None
 
 
@@ -113,15 +119,32 @@ def with_hint(repair: Repair, found: Misread | None) -> Repair:
     """The repair with what may be wrong with its data said first, where it has no name for what is missing."""
     if found is None or repair.verdict in ("named", "class"):
         return repair
-    return replace(repair, options={**repair.options, HINT: f"{found.words[:1].upper()}{found.words[1:]}"})
+    return replace(repair, options={**repair.options, HINT: found.words})
 
 
 def unexplained(fit: Fit) -> dict[str, float]:
-    """Output -> per cent that is followed, of those no better than by their mean; where a parameter went to a bound
-    also of those of which a good part is left."""
+    """Output -> per cent that is followed, of those of which next to nothing is; where a parameter went to a bound also
+    of those of which a good part is left."""
     bound = any(fit.estimates[name].at_bound for name in fit.free if name in fit.estimates)
-    limit = FOLLOWED if bound else 0.0
+    limit = FOLLOWED if bound else _NOTHING
     return {name: share for name, share in followed(fit).items() if share <= limit}
+
+
+def _sensors(fit: Fit, poor: Mapping[str, float]) -> set[str] | None:
+    """The outputs that are poorly followed, where all others are followed and these are but for a gain and an offset:
+    what an input or the time does wrong, every output would show. None elsewhere."""
+    others = [share for name, share in followed(fit).items() if name not in poor]
+    if not others or min(others) < FOLLOWED:
+        return None
+    for traces in fit.traces.values():
+        for name in set(poor) & set(traces):
+            trace = traces[name]
+            y, shown = trace.measured[trace.mask], trace.simulated[trace.mask]
+            if not np.isfinite(shown).all() or not np.std(shown) * np.std(y) > 0:
+                return None
+            if 1 - np.corrcoef(y, shown)[0, 1] ** 2 > _BENT:
+                return None
+    return set(poor)
 
 
 def followed(fit: Fit) -> dict[str, float]:
