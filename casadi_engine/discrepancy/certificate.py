@@ -195,10 +195,23 @@ def unknown_of(screened: Screened) -> Unknown | None:
             )
         return Unknown(f"{words}: something acts, or is picked up by the sensor, at that frequency", alarms)
     if family is None or course is None or family.name not in alarms:
+        if leftover.driven_line is not None:
+            return Unknown(_answers(leftover.driven_line, leftover.driven[leftover.driven_line]), alarms)
         first = next(iter(alarms)).rsplit("/", 2)
         return Unknown(f"the residual of {first[1]} in {first[0]} is not white", alarms)
     words = f"{law_words(screened.null.model, family)}{likeness_words(course)}"
     return Unknown(words, alarms, family.port, family.signal, leftover.family_p, course)
+
+
+def _answers(name: str, inputs: Sequence[str]) -> str:
+    """What a line says that the inputs have too."""
+    record, output, line = name.rsplit("/", 2)
+    noun, verb = ("input", "does") if len(inputs) == 1 else ("inputs", "do")
+    at = line.removeprefix("line ")
+    return (
+        f"the residual of {output} in {record} repeats what the {noun} {' and '.join(inputs)} {verb} {at}: "
+        "what is missing answers to it"
+    )
 
 
 def _swings_at(screened: Screened, name: str, output: str, frequency: float) -> bool:

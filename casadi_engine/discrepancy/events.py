@@ -63,11 +63,14 @@ def _in_record(step: OneStep, own: Sequence[int], amplitude: float) -> tuple[flo
     """How much an event of this amplitude takes from chi-squared at its best time; 0 and None where it only adds."""
     members = np.asarray(own)
     error: Array = step.error[members]
-    gain = np.where(
-        np.isfinite(error) & (error > 0),
-        amplitude * (2 * step.amplitude[members] - amplitude) / np.maximum(error, 1e-300) ** 2,
-        -math.inf,
-    )
+    acts = np.isfinite(error) & (error > 0)
+    gain = np.full(len(members), -math.inf)
+    # what takes anything off is finite, as both factors are two standard scores at most; where an amplitude is far too
+    # large for a candidate, what it adds may be beyond all numbers
+    with np.errstate(over="ignore"):
+        gain[acts] = (amplitude / error[acts]) * (
+            (2 * step.amplitude[members][acts] - amplitude) / error[acts]
+        )
     best = int(np.argmax(gain))
     return (float(gain[best]), int(members[best])) if gain[best] > 0 else (0.0, None)
 

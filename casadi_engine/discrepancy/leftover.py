@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from casadi_engine.discrepancy.compression import compress, scatter_columns
+from casadi_engine.discrepancy.driven_lines import driven_by
 from casadi_engine.discrepancy.linear_algebra import Array, without
 from casadi_engine.discrepancy.noise_choice import innovation_p, white_p
 from casadi_engine.discrepancy.noise_model import left_over
@@ -40,6 +41,7 @@ class Leftover:
     tests : name -> p-value of a residual test ("record/output/whiteness", "record/output/line at ...") or of a family
     of functions; level : a p-value below it is an alarm; family, course : the family of the smallest p-value and its
     function; lines : test of a line -> what a sine of that frequency takes off chi-squared; drop : what the family does
+    driven : test of a line that is rejected -> the inputs that have it too
     """
 
     tests: Mapping[str, float]
@@ -49,6 +51,7 @@ class Leftover:
     course: Course | None = None
     lines: Mapping[str, float] | None = None
     drop: float = 0.0
+    driven: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def alarms(self) -> dict[str, float]:
@@ -59,7 +62,19 @@ class Leftover:
 
     @property
     def line(self) -> str | None:
-        """The line that is rejected and explains most; None without one, or where the family explains more."""
+        """The line that is rejected and explains most; None without one, where the family explains more, or where the
+        inputs have it too: it is what answers to them."""
+        best = self._clearest
+        return None if best in self.driven else best
+
+    @property
+    def driven_line(self) -> str | None:
+        """The line that would be ``line``, if the inputs had it not."""
+        best = self._clearest
+        return best if best in self.driven else None
+
+    @property
+    def _clearest(self) -> str | None:
         found = {name: drop for name, drop in (self.lines or {}).items() if name in self.alarms}
         best = max(found, key=lambda name: found[name], default=None)
         return best if best is not None and found[best] > self.drop else None
@@ -73,7 +88,7 @@ def leftover(screened: Screened) -> Leftover:
     """
     rest = screened.alpha - screened.share
     null, choice = screened.null, screened.choice
-    tests, lines = _residual_tests(screened)
+    tests, lines, driven = _residual_tests(screened)
     found, families = family_candidates(null)
     scores = None
     if found:
@@ -86,16 +101,15 @@ def leftover(screened: Screened) -> Leftover:
             rows.append((row, family))
     level = 0.5 * rest / max(len(tests), 1)
     if not rows or scores is None:
-        return Leftover(tests, level, lines=lines)
+        return Leftover(tests, level, lines=lines, driven=driven)
     law = NullDistribution([row for row, _ in rows], seed=screened.seed)
     p_values = {row.name: float(row.p_value(scores.y[:, None])[0]) for row, _ in rows}
     best, family = min(rows, key=lambda pair: p_values[pair[0].name])
     pooled = law.pooled(p_values[best.name])
     # on the scale of the residual tests
     tests[family.name] = pooled * level / (0.5 * rest)
-    return Leftover(
-        tests, level, family, pooled, family_course(scores, family), lines, _explained(scores, best)
-    )
+    course, drop = family_course(scores, family), _explained(scores, best)
+    return Leftover(tests, level, family, pooled, course, lines, drop, driven)
 
 
 def _explained(scores: Scores, row: Row) -> float:
@@ -103,11 +117,14 @@ def _explained(scores: Scores, row: Row) -> float:
     return float(((row.frame.T @ scores.y) ** 2).sum())
 
 
-def _residual_tests(screened: Screened) -> tuple[dict[str, float], dict[str, float]]:
-    """Test -> p-value, of whiteness and of lines; line -> what it explains."""
+def _residual_tests(
+    screened: Screened,
+) -> tuple[dict[str, float], dict[str, float], dict[str, tuple[str, ...]]]:
+    """Test -> p-value, of whiteness and of lines; line -> what it explains; line -> the inputs that have it too."""
     null, choice = screened.null, screened.choice
     tests: dict[str, float] = {}
     lines: dict[str, float] = {}
+    driven: dict[str, tuple[str, ...]] = {}
     slopes = {record.name: dict(record.slopes) for record in null.records}
     random = {r.name: scatter_columns(r, choice.scatter) for r in null.records} if choice.scatter else None
     left = left_over(null, choice.noise, slopes, random)
@@ -126,7 +143,7 @@ def _residual_tests(screened: Screened) -> tuple[dict[str, float], dict[str, flo
 
             def line(e, record=record, output=output):  # type: ignore[no-untyped-def]
                 found = _line(record, output, e)
-                return None if found is None else found[1]
+                return None if found is None else found.p
 
             def known(p, test, record=record, output=output):  # type: ignore[no-untyped-def]
                 # one that is no alarm is left as it is
@@ -138,14 +155,27 @@ def _residual_tests(screened: Screened) -> tuple[dict[str, float], dict[str, flo
                 tests[f"{record.name}/{output}/whiteness"] = known(p, white)
             found = _line(record, output, e)
             if found is not None:
-                name, chance, power = found
-                tests[name] = known(chance, line)
-                lines[name] = power / choice.noise.sigma[output] ** 2
-    return tests, lines
+                tests[found.name] = known(found.p, line)
+                lines[found.name] = found.power / choice.noise.sigma[output] ** 2
+                if found.p < screened.alpha - screened.share and (own := _inputs_at(record, output, found)):
+                    driven[found.name] = own
+    return tests, lines, driven
 
 
-def _line(record: Any, output: str, e: Array) -> tuple[str, float, float] | None:
-    """The test for a line in the spectrum of a residual, its p-value, and the squares that a sine there explains."""
+@dataclass(frozen=True)
+class _Found:
+    """The test for a line in the spectrum of a residual, its p-value, and the squares that a sine there explains;
+    frequency : in cycles per sample, which are ``gap`` s apart."""
+
+    name: str
+    p: float
+    power: float
+    frequency: float
+    gap: float
+
+
+def _line(record: Any, output: str, e: Array) -> _Found | None:
+    """The clearest line in a residual; None where there is no test."""
     length, index = record.length[output], record.index[output]
     full, valid = np.zeros(length), np.zeros(length, dtype=bool)
     full[index], valid[index] = e, True
@@ -160,4 +190,14 @@ def _line(record: Any, output: str, e: Array) -> tuple[str, float, float] | None
     # no finer than one over the record's length
     digits = max(0, math.ceil(math.log10(time[-1] - time[0])))
     name = f"{record.name}/{output}/line at {found.frequency / gap.mean():.{digits}f} Hz"
-    return name, found.p, float(e @ e - left @ left)
+    return _Found(name, found.p, float(e @ e - left @ left), found.frequency, float(gap.mean()))
+
+
+def _inputs_at(record: Any, output: str, found: _Found) -> tuple[str, ...]:
+    """The inputs that have a line of a residual too, over the time in which its output was measured."""
+    grid, time = record.path.grid, record.time[output]
+    own = np.arange(time[0], time[-1] + 0.5 * found.gap, found.gap)
+    rows = zip(
+        record.path.model.inputs, grid.rows, strict=False
+    )  # behind the inputs there may be their rates
+    return driven_by(found.frequency, {v.name: np.interp(own, grid.time, row) for v, row in rows})

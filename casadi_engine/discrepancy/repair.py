@@ -25,6 +25,7 @@ from casadi_engine.discrepancy.fresh_misfit import FRESH
 from casadi_engine.discrepancy.input_hold import other_hold
 from casadi_engine.discrepancy.lost_fit import explained, found_again
 from casadi_engine.discrepancy.lower_rate import at_lower_rate
+from casadi_engine.discrepancy.misread import Misread, misread, with_hint
 from casadi_engine.discrepancy.noise_choice import ColourChoice, check_choice
 from casadi_engine.discrepancy.null_model import refuse_jumps
 from casadi_engine.discrepancy.one_law import told_as_one_law
@@ -216,6 +217,7 @@ class _Job:
     null_fit: Fit | None = None
     search: Choice | None = None
     felt: float = 0.0
+    misread: Misread | None = None
 
     def stop(self) -> None:
         """End the search with what it has; called at the first Ctrl-C."""
@@ -288,7 +290,9 @@ class _Job:
             null_fit, pars, work = self._null(jobs, scores)
             if null_fit.status == "interrupted" or not math.isfinite(null_fit.cost):
                 return self._no_answer(null_fit, alpha)
-            at_fault = noise_alone(null_fit) or at_its_limit(null_fit) or wild_samples(null_fit)
+            at_fault = _fault_of(null_fit)
+            if at_fault is None and self.misread is not None and self.misread.certain:
+                at_fault = self.misread.words
             if at_fault is not None:
                 return self._no_answer(null_fit, alpha, at_fault)
             self.felt = self._felt_by_corners(null_fit)
@@ -338,7 +342,7 @@ class _Job:
         left = _not_searched(search, made)
         felt = search.refits.rounding_felt(search.chosen.effects)
         made = with_errors_of_rounding(told_as_one_law(made), felt, ended=bool(left))
-        return replace(made, stopped=self._by if left else "", not_searched=left)
+        return with_hint(replace(made, stopped=self._by if left else "", not_searched=left), self.misread)
 
     def _null(self, jobs: int | None, scores: Any) -> tuple[Fit, Parameters, float]:
         """The fit without effects, the parameters that later fits start from, and the work of a start."""
@@ -358,6 +362,12 @@ class _Job:
                 again = estimate(self.model, self.portion.data, parameters=self.parameters, warm=fit, **more)
                 fit = again if again.converged else fit
         self.null_fit = fit
+        if _fault_of(fit) is None:
+            self.misread = misread(
+                fit, self.parameters, self.noise, self.options, own.done / self.several["starts"]
+            )
+            if self.misread is not None and self.misread.certain:
+                return fit, self.parameters, own.done
         if not_followed(fit) and not (fit.converged and explained(scores(fit))):
             self.tell("fit without effects by predictions, as the simulation does not follow the data")
             self.null_fit = fit = found_again(fit, own.done, given)
@@ -401,10 +411,11 @@ class _Job:
         best = self.null_fit if self.search is None else self.search.fit
         self.timing["total"] = time.perf_counter() - self.begun
         why = "interrupted before the search was at its end: the best model so far has no verdict"
-        return Repair(
+        made = Repair(
             "interrupted", None, None, self.null_fit, best, alpha, data=self.portion.data, fresh=self.portion.fresh,
             timing=self.timing, options=self.asked, messages=(why,), stopped=self._by,
         )  # fmt: skip
+        return with_hint(made, self.misread)
 
     def _felt_by_corners(self, fit: Fit) -> float:
         """By how much wider corners of the user's own laws change chi-squared of the fit without effects, where no
@@ -452,6 +463,11 @@ class _Job:
             status, None, None, fit, fit, alpha, data=self.portion.data, fresh=self.portion.fresh,
             timing=self.timing, options=self.asked, messages=(why,), stopped=self._by if cut else "",
         )  # fmt: skip
+
+
+def _fault_of(fit: Fit) -> str | None:
+    """What to say of outputs that a search has no use for; None where there are none."""
+    return noise_alone(fit) or at_its_limit(fit) or wild_samples(fit)
 
 
 def _not_searched(search: Choice, made: Repair) -> tuple[str, ...]:

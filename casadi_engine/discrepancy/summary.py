@@ -200,7 +200,10 @@ def _gap_lines(repair: Repair, most: int) -> Lines:
         turns = any(variable.name == "theta" for variable in repair.model.inputs)
         part = "cycle" if turns else "piece"
         size = with_error(gain.mean, gain.se)
-        lines += [f"  fresh data: 2 ln(likelihood) changes by {size} per {part}, over {gain.cycles} {part}s"]
+        # beside a gap that is that of the model as it was given
+        gone = "" if repair.effects else " with what was withdrawn"
+        changes = f"2 ln(likelihood) changes by {size} per {part}{gone}, over {gain.cycles} {part}s"
+        lines += [f"  fresh data: {changes}"]
     return lines
 
 

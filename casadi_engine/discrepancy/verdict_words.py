@@ -9,6 +9,7 @@ from casadi_engine.discrepancy.fresh_misfit import FRESH, fresh_doubt, fresh_mis
 from casadi_engine.discrepancy.repaired import UNTOLD, more_probable
 from casadi_engine.discrepancy.wording import (
     AT_FAULT,
+    HINT,
     UNRESOLVED,
     USER,
     is_blind,
@@ -110,12 +111,14 @@ def _on_fresh(repair: Repair) -> str:
 
 def next_step(repair: Repair) -> str:
     """What to do with the answer, for the screen and for the page."""
-    if repair.status == "interrupted":
-        return "run it again and let it end; repair.fit is the best model so far"
     if repair.status == AT_FAULT:
         return "look at the data, as said above, and repair again"
     if repair.status == UNRESOLVED:
         return "give the model its laws with sharp=True, or records with more motion, and repair again"
+    if HINT in repair.options:
+        return "look at the data first, as said above"
+    if repair.status == "interrupted":
+        return "run it again and let it end; repair.fit is the best model so far"
     if repair.verdict is None:
         return "fix the baseline fit first: other start values, wider bounds, or more starts"
     if repair.stopped:

@@ -185,9 +185,9 @@ def _certificate(result: Repair) -> Section:
         rows = [(number(gain.mean, ".4g"), number(gain.se, ".3g"), str(gain.cycles), _yes(result.confirmed))]
         part = "cycle" if any(one.name == "theta" for one in result.model.inputs) else "piece"
         header = ("mean", "standard error", f"{part}s", "confirmed (mean > 2 s.e.)")
-        made.append(
-            table(header, rows, right=(0, 1, 2), caption=f"Fall of chi-squared per {part} of data not used")
-        )
+        gone = "" if result.effects else ", with what was withdrawn"
+        caption = f"Fall of chi-squared per {part} of data not used{gone}"
+        made.append(table(header, rows, right=(0, 1, 2), caption=caption))
     what = {
         "records": "Fresh records: the parameters are kept, only initial states are found.",
         "cycles": "No fresh record was given: each record kept {held} for confirmation.",

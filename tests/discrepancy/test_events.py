@@ -46,6 +46,15 @@ def test_a_record_that_an_event_only_makes_worse_has_none():
     assert found.times == {"time": {"a": 2.0, "b": math.inf}}
 
 
+@pytest.mark.filterwarnings("error")
+def test_an_amplitude_far_beyond_a_candidate_only_adds():
+    """In a record where one time explains hardly anything, with an amplitude that another record asks for."""
+    step = step_of([1, 9, 2, 0, 0, 2])
+    step.amplitude[3], step.error[3] = 1e-170, 1e-170
+    found = by_one_step(candidates("ab"), step, range(6))
+    assert found.times == {"time": {"a": 2.0, "b": math.inf}}
+
+
 def test_no_time_where_the_error_is_not_known():
     step = step_of([0, 9, 0, 9, 0, 0])
     step.error[3] = np.inf

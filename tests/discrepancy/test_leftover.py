@@ -1,5 +1,7 @@
 """What the residual tests say beside the library: which of them speaks."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -24,11 +26,21 @@ def test_there_is_no_line_without_one():
     assert Leftover({"run/omega/whiteness": 1e-20}, 1e-3).line is None
 
 
-def screened(law):
-    """A torque that the model lacks, on one inertia in steps of a random torque; white noise of a stated level."""
+def test_a_line_that_the_inputs_have_too_does_not_speak():
+    tests, lines = {LINE: 1e-9, "run/omega/whiteness": 1e-20}, {LINE: 900.0}
+    found = Leftover(tests, 1e-3, lines=lines, drop=100.0, driven={LINE: ("T",)})
+    assert (found.line, found.driven_line) == (None, LINE)
+    assert Leftover(tests, 1e-3, lines=lines, drop=1e3, driven={LINE: ("T",)}).driven_line is None
+
+
+def screened(law, swing=None):
+    """A torque that the model lacks, on one inertia in steps of a random torque, or one that swings at three
+    frequencies; white noise of a stated level."""
     rng = np.random.default_rng(3)
     t = 0.02 * np.arange(500)
     torque, w, seen = np.repeat(rng.uniform(-3, 3, 25), 20), 0.5, []
+    if swing is not None:
+        torque = sum(np.sin(2 * np.pi * f * t + f) for f in swing)
     for k in range(len(t)):
         seen.append(w)
         for part in range(50):
@@ -52,3 +64,18 @@ def test_a_torque_of_time_is_no_function_of_the_speed():
 def test_a_torque_of_the_speed_is_no_line():
     words = unknown_of(screened(lambda s, w: 0.4 * np.sin(3 * w))).sentence
     assert words.startswith("an unknown torque at engine that depends on its speed")
+
+
+@pytest.mark.parametrize(("swing", "foreign"), [((0.45, 1.7, 3.1), False), ((0.45, 2.3, 4.1), True)])
+def test_what_comes_back_as_an_input_does_is_no_foreign_line(swing, foreign):
+    found = screened(lambda s, w: 0.3 * np.cos(2 * np.pi * 1.7 * s), swing)
+    assert found.leftover.alarms[LINE.replace("run", "run/1")] < 1e-6
+    words = "the spectrum of the residual of omega in run/1 has a line at 1.7"
+    assert unknown_of(found).sentence.startswith(words) == foreign
+
+
+def test_where_nothing_explains_more_than_such_a_line_it_is_said_what_it_repeats():
+    found = Leftover({LINE: 1e-9}, 1e-3, lines={LINE: 900.0}, driven={LINE: ("T", "p")})
+    assert unknown_of(SimpleNamespace(leftover=found)).sentence == (
+        "the residual of omega in run repeats what the inputs T and p do at 1.7 Hz: what is missing answers to it"
+    )

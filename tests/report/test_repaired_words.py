@@ -9,6 +9,7 @@ from casadi_engine.discrepancy.confirmation import PairedGain
 from casadi_engine.discrepancy.fresh_misfit import fresh_misfit, held_to_fresh_data
 from casadi_engine.discrepancy.repaired import REFUSED, UNCONFIRMED, Member, NextExperiment, Unknown
 from casadi_engine.discrepancy.verdict_words import headline, next_step
+from casadi_engine.discrepancy.withdrawal import withdrawn
 from casadi_engine.estimation.fit import Estimate
 from casadi_engine.report.repaired_words import (
     effect_words,
@@ -453,6 +454,15 @@ def test_only_a_loss_beyond_chance_contradicts_what_is_withdrawn(repaired, gain,
     found = held_to_fresh_data(replace(repaired, effects=(one,), confirmed=False, unknown=None, gaps=gaps))
     assert f"Withdrawn: {words}" in str(found).splitlines()
     assert f"Found first and withdrawn, {words}: sensor_offset at sensor_omega." in verdict_lines(found)
+
+
+def test_a_change_of_likelihood_is_that_of_what_was_withdrawn(repaired):
+    """It stands below a gap that is the same before and after."""
+    assert "with what was withdrawn" not in " ".join(str(repaired).split())
+    found = withdrawn(repaired, UNCONFIRMED, None)
+    (line,) = [own for own in str(found).splitlines() if "2 ln(likelihood)" in own]
+    assert "per cycle with what was withdrawn, over 10 cycles" in line
+    assert len(line) <= 100
 
 
 def test_effects_that_were_withdrawn_for_other_reasons_stand_apart(repaired):

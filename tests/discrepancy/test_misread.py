@@ -1,0 +1,185 @@
+"""Data that are stated wrong are told before a search; what a model lacks is no fault of the data."""
+
+import re
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import casadi_engine as ce
+from casadi_engine.discrepancy.misread import followed, misread, readings, unexplained
+
+STEP, COUNT = 0.02, 700
+UNITS = {"F": "N", "pos": "m", "vel": "m/s"}
+WORK = 1e8
+
+
+def cart(*, both=True, stiffest=60.0):
+    """A mass on a spring; its mass is known."""
+    b = ce.Blueprint("cart")
+    c = b.parameter("c", 1.0, unit="N s/m", min=0.01, max=20)
+    k = b.parameter("k", 30.0, unit="N/m", min=1, max=stiffest)
+    x, v = b.state("x", unit="m"), b.state("v", unit="m/s")
+    force = b.input("F", unit="N")
+    b.ode("x", v)
+    acting = force - c * v - k * x + b.port("cart", "inertia", {"speed": v, "angle": x})
+    b.ode("v", acting / b.parameter("m", 2.0, unit="kg", vary=False))
+    b.output("pos", x, unit="m")
+    if both:
+        b.output("vel", v, unit="m/s")
+    return b.model()
+
+
+def run(law=lambda t, x, v: 0.0, *, seed=0, k=25.0, c=1.6, push=True):
+    """name -> (N,) of time, force and what is measured, with noise of two per cent."""
+    rng = np.random.default_rng(seed)
+    t = STEP * np.arange(COUNT)
+    force = np.repeat(rng.uniform(-8, 8, COUNT // 35), 35) * push
+
+    def rates(s, y):
+        return [y[1], (force[min(int(s / STEP), COUNT - 1)] - c * y[1] - k * y[0] + law(s, *y)) / 2.0]
+
+    made = solve_ivp(rates, (0, t[-1]), [0.0, 0.0], t_eval=t, rtol=1e-8, atol=1e-10, max_step=STEP)
+    shown = {
+        name: y + 0.02 * np.std(y) * rng.standard_normal(COUNT)
+        for name, y in zip(("pos", "vel"), made.y, strict=True)
+    }
+    return {"time": t, "F": force, **shown}
+
+
+def recorded(made, **factors):
+    """A record in which channels, or the time, are shown times a factor."""
+    shown = {name: factors.get(name, 1.0) * values for name, values in made.items()}
+    return ce.Experiment.from_arrays(
+        "run", units=UNITS, hold={"F": "zero", "pos": "first", "vel": "first"}, **shown
+    )
+
+
+def asked(model, record):
+    fit = ce.estimate(model, record, starts=2, progress=False)
+    return fit, misread(fit, model.parameters(), None, {}, WORK)
+
+
+@pytest.mark.parametrize(
+    ("factors", "words"),
+    [
+        ({"F": -1.0}, "with the input F reversed the fit explains"),
+        ({"F": 1e3}, "with the input F times 0.001 (numbers in N labelled kN)"),
+        ({"F": 1e-3}, "with the input F times 1000 (numbers in kN labelled N)"),
+        ({"time": 1e3}, "with the time times 0.001 (milliseconds stated as seconds)"),
+        ({"time": 1e-3}, "with the time times 1000 (seconds stated as milliseconds)"),
+    ],
+)
+def test_what_is_stated_wrong_is_told(factors, words):
+    fit, found = asked(cart(), recorded(run(), **factors))
+    assert unexplained(fit)
+    assert found.certain
+    assert words in found.words
+    shares = re.search(r"explains (\d+) % of pos and (\d+) % of vel: look", found.words).groups()
+    assert min(map(int, shares)) >= 90
+
+
+def tank():
+    """A store that empties by itself, seen twice, in a unit that is taken for no other."""
+    b = ce.Blueprint("tank")
+    level = b.state("level", unit="K")
+    inflow = b.input("q", unit="K/s") + b.port("tank", "inertia", {"speed": level}, unit="K/s")
+    b.ode("level", inflow - b.parameter("a", 0.3, unit="1/s", min=0.01, max=3) * level)
+    b.output("seen", level, unit="K")
+    b.output("rate", 0.5 * level, unit="K")
+    return b.model()
+
+
+def filled(*, seen=1.0, q_shown=1.0):
+    rng, t = np.random.default_rng(2), 0.05 * np.arange(600)
+    q = np.repeat(rng.uniform(0, 2, 30), 20)
+    made = solve_ivp(lambda s, y: np.interp(s, t, q) - 0.4 * y, (0, t[-1]), [0.0], t_eval=t, max_step=0.05).y[
+        0
+    ]
+    shown = {"seen": seen * made, "rate": 0.5 * made}
+    shown = {name: y + 0.01 * np.std(y) * rng.standard_normal(600) for name, y in shown.items()}
+    units = {"q": "K/s", "seen": "K", "rate": "K"}
+    return ce.Experiment.from_arrays("run", time=t, units=units, q=q_shown * q, **shown)
+
+
+def test_a_prefix_of_an_output_is_told():
+    """Of a unit that is taken for no other; where one is, a search names the units."""
+    _, found = asked(tank(), filled(seen=1e3))
+    assert found.certain
+    assert "with the output seen times 0.001" in found.words
+
+
+def test_what_a_gain_of_the_sensor_tells_is_left_to_the_search():
+    """One output of a linear model reversed is the same as the input reversed."""
+    record = recorded(run(), pos=-1.0)
+    _, found = asked(cart(both=False), record)
+    assert not found.certain
+    assert found.words.count("reversed") == 2
+    assert "; as much with the " in found.words
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        lambda t, x, v: 6.0,
+        lambda t, x, v: 40.0,
+        lambda t, x, v: -25.0 * x,
+        lambda t, x, v: -150.0 * x,
+        lambda t, x, v: -3e4 * x**3,
+        lambda t, x, v: -6 * np.tanh(v / 0.01),
+        lambda t, x, v: 15 * np.sin(3.4 * t),
+        lambda t, x, v: -20 * v,
+        lambda t, x, v: 30.0 * (t > 7),
+    ],
+    ids=["load", "large load", "stiffness", "large stiffness", "hardening", "friction", "drive", "damping", "step"],
+)  # fmt: skip
+@pytest.mark.parametrize("both", [True, False])
+def test_what_the_model_lacks_is_no_fault_of_the_data(law, both):
+    _, found = asked(cart(both=both), recorded(run(law, seed=4)))
+    assert found is None or not found.certain
+
+
+def test_a_good_fit_is_not_asked_for_another_reading():
+    fit, found = asked(cart(), recorded(run()))
+    assert found is None
+    assert min(followed(fit).values()) > 90
+    assert unexplained(fit) == {}
+
+
+def test_an_input_that_never_moves_is_pointed_at():
+    _, found = asked(tank(), filled(q_shown=0.0))
+    assert not found.certain
+    assert found.words.startswith("q is 0 in all samples, and no fit explains more than next to nothing of")
+
+
+def test_an_input_that_never_moves_is_read_in_no_other_way():
+    still = recorded(run() | {"F": np.zeros(COUNT)})
+    assert {one.what for one in readings(cart(), [still])} == {"time"}
+    assert {one.what for one in readings(cart(), [recorded(run())])} == {"time", "input"}
+
+
+def test_what_one_sensor_of_several_shows_is_no_fault_of_an_input():
+    """Its gain, which a search tells: no other way to read the data is tried."""
+    fit, found = asked(cart(), recorded(run(), vel=-1.0))
+    assert unexplained(fit)
+    assert found is None
+
+
+def test_a_repair_ends_with_what_is_wrong_with_the_data():
+    found = ce.repair(cart(), recorded(run(), F=-1.0), starts=1, progress=False)
+    assert (found.status, found.verdict) == ("the data are at fault", None)
+    text = " ".join(str(found).split())
+    assert "Note: with the input F reversed the fit explains" in text
+    assert "look at its sign" in text
+    assert "Next: look at the data, as said above, and repair again" in text
+
+
+def test_a_doubt_about_the_data_leads_an_answer_without_a_name():
+    record = filled(q_shown=0.0)
+    found = ce.repair(tank(), record, effects=["coulomb_friction"], starts=1, progress=False)
+    assert found.verdict == "unnamed"
+    text = str(found)
+    assert " q is 0 in all samples, and no fit explains more than" in " ".join(
+        text.split("  data ", maxsplit=1)[0].split()
+    )
+    assert "Next: look at the data first, as said above" in text
