@@ -22,6 +22,7 @@ from casadi_engine.discrepancy.parameter_doubt import doubted, within_errors
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.refit import Addition
 from casadi_engine.discrepancy.refits import Key, key_of
+from casadi_engine.discrepancy.repaired import Unknown
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.discrepancy.unknown_law import does_more
 from casadi_engine.discrepancy.ways import way_so_far

@@ -155,7 +155,10 @@ def does_more(refits: Refits, tried: Tried, last: Addition, port: str, signal: s
     if bare is None or not families:
         return False
     columns = family_columns(null, candidates)
-    priors, random = priors_of(null, refits.path.parameters(tried.effects), tried.effects), refits.random(null)
+    priors, random = (
+        priors_of(null, refits.path.parameters(tried.effects), tried.effects),
+        refits.random(null),
+    )
     most = []
     for model, held in ((null, tried.arrived.held), (bare, tried.arrived.held - own)):
         made = [
@@ -167,7 +170,7 @@ def does_more(refits: Refits, tried: Tried, last: Addition, port: str, signal: s
 
 
 def depends_on_more(one: Addition, signal: str) -> bool:
-    """True for an effect that depends on more of the motion and the inputs than what a signal of its port is made of."""
+    """True for an effect that depends on more of the motion and inputs than what a signal of its port is made of."""
     model = one.candidate.source.model
     acts = ca.vertcat(one.candidate.source.slots, one.candidate.source.drives, one.candidate.source.outputs)
     known = model.ports[one.candidate.port].signals.get(signal, ca.SX())

@@ -235,7 +235,7 @@ def uncertainty(search: Search, best: Attempt) -> Uncertainty:
 def _inside_bounds(
     search: Search, information: Array, found: Covariance, held: NDArray[np.intp], force: Array
 ) -> tuple[Array | None, list[Array]]:
-    """What estimates at a bound add to the covariance: a root of it with their own errors in it, (N, known of them), and
+    """What estimates at a bound add to the covariance: a root (N, known) of it, with their own errors in it, and
     directions (N,) of which they leave nothing known.
 
     The data say that such a parameter is at its bound or inside by as much as its own error, which may be all of its

@@ -104,8 +104,8 @@ def test_errors_cover_the_truth_where_an_estimate_ends_at_its_bound():
 
 
 def test_in_coloured_noise_the_errors_beside_a_bound_are_those_without_it():
-    """What is at its bound takes a part of a slow noise with it, as it does where nothing bounds it. Counted without it,
-    the others took more with every round than was there, up to errors of 1e21 of theirs."""
+    """What is at its bound takes a part of a slow noise with it, as it does where nothing bounds it. Without it the
+    others took more with every round than was there: errors grew by a factor of 1e21."""
     rng, count = np.random.default_rng(3), 400
 
     def slow():

@@ -98,13 +98,11 @@ def through_lag(time, knots, after, before, tau):
     """A lag from rest whose input is a line between knots, after[k] behind knot k to before[k] at the next one."""
     found, value = np.zeros(len(time)), 0.0
     for a, b, first, last in zip(knots, knots[1:], after, before, strict=False):
-        slope = (last - first) / (b - a)
-        path = lambda t: (
-            first + slope * (t - a - tau) + (value - first + slope * tau) * np.exp(-(t - a) / tau)
-        )  # noqa: B023, E731
         inside = (time >= a) & (time <= b)
-        found[inside] = path(time[inside])
-        value = path(b)
+        since = np.append(time[inside], b) - a
+        slope = (last - first) / (b - a)
+        path = first + slope * (since - tau) + (value - first + slope * tau) * np.exp(-since / tau)
+        found[inside], value = path[:-1], path[-1]
     return found
 
 
