@@ -4,8 +4,7 @@ A fit weighs all samples alike. With J the weighted slopes of the outputs and V 
 its estimates scatter by A^-1 B A^-1, A = J'J and B = J'VJ, priors in both; A^-1 is right for V = 1 alone. V is that of
 an autoregression of the residual where neighbours go together, and the mean square of the residual where this is
 larger than stated. Estimates take part of the noise out of the residual, the more the slower it is; what they took is
-known from their errors, so that both are found in turn. What is at a bound moves the others by its own error, and
-takes its own part. No error becomes smaller than that of white noise of the fit's
+known from their errors, so that both are found in turn. No error becomes smaller than that of white noise of the fit's
 levels.
 
 Source: White, Econometrica 48 (1980) 817; with autoregressions, den Haan & Levin (1997).
@@ -121,7 +120,7 @@ def with_own_noise(
     """The errors that count with the noise as the residuals show it; by how much they are larger (N,) than before, of
     the parameters in the search's coordinates and the initial states; and how many independent samples the most
     coloured output is worth."""
-    white = errors.moving
+    white = errors.covariance.matrix
     ratio = np.ones(len(white))
     if not noises or not errors.optimal or not np.isfinite(white).all():
         return errors, ratio, math.inf
@@ -139,7 +138,7 @@ def with_own_noise(
         then, now = (np.sqrt(np.maximum(np.diag(a), 0.0)) for a in (before, matrix))
         if (np.abs(now - then) <= _SETTLED * size).all():
             break
-    here = np.diag(errors.covariance.matrix) > 0
+    here = size > 0
     ratio[here] = np.sqrt(np.maximum(np.diag(matrix)[here], 0.0)) / size[here]
     return errors.widened(more), ratio, few
 

@@ -64,8 +64,6 @@ class Uncertainty:
     step: Array | None = None
     released: Released | None = None  # where bounds or inequalities act: the errors if they did not
     blind: Sequence[Array] = ()  # directions of which nothing is known but for what is at its bound
-    # (N, held) root of what estimates at a bound add to the covariance, with their own errors, which it leaves out
-    beside: Array | None = None
 
     @property
     def v(self) -> Array:
@@ -77,26 +75,12 @@ class Uncertainty:
         """What the data do not determine, in words."""
         return tuple(Direction(*in_words(d, _names(self.search))) for d in self.covariance.directions)
 
-    @property
-    def moving(self) -> Array:
-        """(N, N) covariance with what is at a bound inside it by its own error, as the others were told to move with
-        it: the inverse of the information but for directions that nothing tells."""
-        matrix = self.covariance.matrix
-        if self.beside is None:
-            return matrix
-        own = self.beside @ self.beside.T
-        held = (np.diag(matrix) == 0) & (np.diag(own) > 0)
-        return np.where(held[:, None] | held[None, :], own, matrix)
-
     def widened(self, more: Array) -> Uncertainty:
         """The same where the slopes of the loss scatter by ``more`` (N, N) than the information says."""
         known = self.released
         if known is not None:
             known = replace(known, covariance=_widened(known.covariance, more))
-        all_ = self.moving
-        seen = np.diag(self.covariance.matrix) > 0
-        matrix = np.where(seen[:, None] & seen[None, :], all_ + all_ @ more @ all_, self.covariance.matrix)
-        return replace(self, covariance=replace(self.covariance, matrix=matrix), released=known, beside=None)
+        return replace(self, covariance=_widened(self.covariance, more), released=known)
 
     def of_parameters(self) -> Array:
         """(nz, nz) covariance in the parameters' units; NaN where the data do not determine an entry."""
@@ -222,27 +206,25 @@ def uncertainty(search: Search, best: Attempt) -> Uncertainty:
     step = -found.matrix @ gradient
     decrement = float(-gradient @ step)
     held = np.flatnonzero(closed[: search.problem.nv] & ~fixed[: search.problem.nv])
-    beside, blind = _inside_bounds(search, information, found, held, force)
-    if beside is not None:
-        others = beside.copy()
-        others[held] = 0.0  # they have no symmetric error
-        found = replace(found, matrix=found.matrix + others @ others.T)
+    more, blind = _inside_bounds(search, information, found, held, force)
+    found = replace(found, matrix=found.matrix + more)
     acts = bool(closed[: search.problem.nv].any()) or bool(acting)
     released = _released(search, best, information, closed, x[: search.problem.nv]) if acts else None
-    return Uncertainty(search, x, bound, found, acting, optimal, decrement, step, released, blind, beside)
+    return Uncertainty(search, x, bound, found, acting, optimal, decrement, step, released, blind)
 
 
 def _inside_bounds(
     search: Search, information: Array, found: Covariance, held: NDArray[np.intp], force: Array
-) -> tuple[Array | None, list[Array]]:
-    """What estimates at a bound add to the covariance: a root (N, known) of it, with their own errors in it, and
-    directions (N,) of which they leave nothing known.
+) -> tuple[Array, list[Array]]:
+    """What estimates at a bound add to the covariance of the others, and directions (N,) of which they leave nothing
+    known.
 
     The data say that such a parameter is at its bound or inside by as much as its own error, which may be all of its
     range: the others move with it. Nothing is added where the data pull it beyond the bound by more than chance does.
     """
+    more: Array = np.zeros_like(information)
     if not len(held) or not np.isfinite(information).all():
-        return None, []
+        return more, []
     moved = -found.matrix @ information[:, held]
     moved[held] = np.eye(len(held))
     own = information[np.ix_(held, held)] + information[held] @ (moved - np.eye(len(information))[:, held])
@@ -251,10 +233,10 @@ def _inside_bounds(
     lost = values <= _HELD * max(float(np.diag(information)[held].max()), 1e-300)
     known = vectors[:, ~lost] / np.sqrt(values[~lost])
     if float(((known.T @ force[held]) ** 2).sum()) > _CHANCE:
-        return None, []
-    blind = moved @ vectors[:, lost]
-    blind[held] = 0.0
-    return moved @ known, list(blind.T)
+        return more, []
+    moved[held] = 0.0  # they have no symmetric error
+    spread = moved @ known
+    return spread @ spread.T, list((moved @ vectors[:, lost]).T)
 
 
 def _released(
