@@ -11,6 +11,7 @@ from typing import Any
 from casadi_engine.deadline import TimeUp
 from casadi_engine.discrepancy.answer_words import at_bounds, elsewhere, so_far, without_answer
 from casadi_engine.discrepancy.by_chance import held_to_chance
+from casadi_engine.discrepancy.by_member import told_by_member
 from casadi_engine.discrepancy.certificate import (
     class_matrix,
     equation_of,
@@ -59,6 +60,7 @@ from casadi_engine.discrepancy.repaired import (
     Repair,
     Unknown,
     Verdict,
+    more_probable,
 )
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.discrepancy.too_few import held_to_what_fresh_data_tell
@@ -74,6 +76,8 @@ _MAY_HIDE = (
 # Shares of the spare time behind a budget at which the tests beside the library have to be there, and the rest that an
 # answer can do without.
 _TESTS, _EXTRA = 0.75, 0.9
+# What ± are worth where effects explain not all.
+_MORE = "± count noise alone: what is still unexplained may move the values by more"
 _LEFT_OUT = {
     "leftover": "what no effect of the library names",
     "latent torque": "where something acts",
@@ -123,6 +127,8 @@ class Answer:
         )  # what was left out first, and came back
         self.messages[:] = [words for words in self.messages if not words.startswith(named or "\0")]
         verdict = _verdict(found, claim.unknown)
+        pool = {key: one.arrived.values for key, one in self.search.pool.items()}
+        self.messages += told_by_member(found, key_of(last.effects), pool, last.fit)
         self._say(null, last, proof)
         blank = Repair(
             "answered",
@@ -219,6 +225,8 @@ class Answer:
             timing=self.timing,
             messages=tuple(dict.fromkeys(self.messages)),
         )
+        if done.effects and done.unknown is not None:
+            done = replace(done, messages=(_MORE, *done.messages))
         if may_hide(done):
             done = replace(done, messages=(*done.messages, _MAY_HIDE))
         done = held_to_chance(done)
@@ -347,7 +355,8 @@ def _effects(proof: Confirmation) -> tuple[tuple[FoundEffect, ...], tuple[FoundE
 
 def _verdict(found: Sequence[FoundEffect], unknown: Unknown | None) -> Verdict:
     if found:
-        return "class" if any(len(one.members) > 1 for one in found) else "named"
+        several = any(len(one.members) > 1 for one in found)
+        return "class" if several or more_probable(unknown) else "named"  # a law of no name is a member too
     return "nothing missing" if unknown is None else "unnamed"
 
 

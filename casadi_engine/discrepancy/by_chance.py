@@ -13,7 +13,6 @@ from casadi_engine.discrepancy.confirmation import CHANCE
 from casadi_engine.discrepancy.fresh_misfit import SURE, fresh_misfit
 from casadi_engine.discrepancy.repaired import UNCONFIRMED, Repair
 from casadi_engine.discrepancy.withdrawal import withdrawn
-from casadi_engine.distributions import t_sf
 
 
 def held_to_chance(repair: Repair) -> Repair:
@@ -57,9 +56,9 @@ def _may_be_chance(repair: Repair) -> bool:
 def _p_of_fresh_data(repair: Repair) -> float | None:
     """How often chance makes a gain on fresh data as large as that found; None where they cannot tell."""
     gain = None if repair.gaps is None else repair.gaps.gain_per_cycle
-    if gain is None or gain.mean is None or gain.se is None:
+    if gain is None or gain.chance is None:
         return None
-    return float(t_sf(gain.mean / max(gain.se, 1e-300), gain.cycles - 1))
+    return gain.chance
 
 
 def _both(one: float, other: float) -> float:

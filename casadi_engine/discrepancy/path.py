@@ -90,12 +90,14 @@ class Arrived:
 @dataclass(frozen=True, eq=False)
 class _Way:
     """A search over windows: what it is known by, where it ended with the widest corners, and with those that there
-    are; end : of an earlier refit that came the same way, None where it is the first."""
+    are; end : of an earlier refit that came the same way, None where it is the first; wider : by how many steps corners
+    are wider there than they are to be, where windows with sharper ones led astray."""
 
     key: tuple[Any, ...]
     first: Windowed
     there: Windowed
     end: Arrived | None
+    wider: int = 0
 
 
 class Path:
@@ -308,14 +310,17 @@ class Path:
         for _ in range(_LATER):
             try:
                 way = self._in_windows(effects, start, lags) if windows else None
-                if way is not None and way.end is None:  # what wide corners leave is no bound
+                if (
+                    way is not None and way.end is None and not way.wider
+                ):  # what wide corners leave is no bound
                     form = form_of(effects)
                     self.bounds[form] = min(way.there.cost, self.bounds.get(form, math.inf))
                     if way.there.cost > most:
                         return None
                 found = way.end if way is not None and way.end is not None else None
-                after = None if way is None else way.there
-                found = found or self._ended_with(effects, start, patience, lags, after)
+                if found is None and way is not None:
+                    found = self._after_windows(effects, way, patience, lags)
+                found = found or self._ended_with(effects, start, patience, lags, None)
             except (*FAILURES, TimeUp):
                 return None
             if found is None:
@@ -349,7 +354,9 @@ class Path:
         wide: bool,
     ) -> _Way:
         """The search over windows, from wide corners to those that there are."""
-        refitter, own, there = self.refitter, self.refitter.share, None
+        refitter, own = self.refitter, self.refitter.share
+        first: Windowed | None = None
+        there: Windowed | None = None
         key = (form_of(effects), own, tuple(lags.items()))
         levels = range(_WIDER if wide else 0, -1, -1)
         try:
@@ -360,16 +367,35 @@ class Path:
                     _begun(problem, effects, {} if start is None else start.values) if there is None else None
                 )
                 with Deadline(work=self.allowed(problem)):
-                    there = problem.windowed(values, there, most=_STEPS)
-                if level == levels[0]:
-                    first, unit = there, max(1.0, there.cost / max(problem.count, 1))
+                    found = problem.windowed(values, there, most=_STEPS)
+                if first is None or there is None:
+                    first, unit = found, max(1.0, found.cost / max(problem.count, 1))
                     for one, end in self._ways.get(key, ()):
-                        if end.settled and abs(one.cost - there.cost) <= 2 * self.felt_errors**2 * unit:
-                            return _Way(key, first, there, end)
+                        if end.settled and abs(one.cost - found.cost) <= 2 * self.felt_errors**2 * unit:
+                            return _Way(key, first, found, end)
+                elif not found.converged and found.cost > there.cost:
+                    return _Way(key, first, there, None, wider=level + 1)
+                there = found
         finally:
             refitter.share = own
-        assert there is not None  # of one level at least
+        assert first is not None  # of one level at least
+        assert there is not None
         return _Way(key, first, there, None)
+
+    def _after_windows(
+        self, effects: Sequence[Addition], way: _Way, patience: float, lags: Mapping[str, float]
+    ) -> Arrived | None:
+        """The end over whole records after a search over windows; with corners as wide as they were there first."""
+        refitter, own, found = self.refitter, self.refitter.share, None
+        try:
+            for level in range(way.wider, -1, -1):
+                refitter.share = own * SHARPER_BY**level
+                found = self._ended_with(effects, found, patience, lags, way.there if found is None else None)
+                if found is None:
+                    return None
+        finally:
+            refitter.share = own
+        return found
 
     def _model(self, effects: Sequence[Addition], lags: Mapping[str, float]) -> Model:
         """The model with these effects and, beside those of the base, these lags of its sensors."""

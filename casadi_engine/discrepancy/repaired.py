@@ -281,7 +281,8 @@ class Repair:
     """The answer of ``repair``.
 
     status : "answered", or why there is no answer
-    verdict : "named", "class", "unnamed", "nothing missing", or None without an answer
+    verdict : "named", "class" (one of several, a law of no name among them), "unnamed", "nothing missing", or None
+        without an answer
     confirmed : fresh data agree; False where they withdrew the repair; None without fresh data or with too few cycles
     null_fit : the fit without effects, on the data of the search; fit : with all effects found (the null fit if none)
     model, parameters : the repaired model and its parameters

@@ -56,7 +56,7 @@ class UnknownLaw:
     the effects, the share of what it takes from chi-squared that these take too, and whether they are several at its
     own port: one name that comes near is worth keeping, several that together imitate a function are not; near : the
     share from which on one does; beside : the log of how much more probable the function is with the effects beside it
-    than without them: what they do is no imitation of it then."""
+    than without them, where none of them is a law there itself: what they do is no imitation of it then."""
 
     course: Course
     log: float
@@ -132,12 +132,13 @@ def unknown_law(refits: Refits, tried: Tried, further: float) -> UnknownLaw | No
     least = evidence(best.digest, refits.levels).cost
     share = (none - named.cost) / (none - least) if none > least else 1.0
     course = _course(best.digest, best.family, refits.levels)
-    both = _counted(_beside(null, _members(columns, best.family)), priors, best.family, held, random)
-    alone = evidence(best.digest, refits.levels).log
-    further_by = (
-        -math.inf if both is None else _most(both, best.family, refits.levels) - alone - math.log(choices)
-    )
     port = best.family.port
+    further_by = -math.inf
+    if not any(
+        one.candidate.port == port and one.is_law for one in effects
+    ):  # which may bend to a part of it
+        both = _counted(_beside(null, _members(columns, best.family)), priors, best.family, held, random)
+        further_by = _further(both, best, refits.levels) - math.log(choices)
     return UnknownLaw(course, log, share, several_at(tried, port), near_of(tried, port), further_by)
 
 
@@ -187,6 +188,14 @@ def _members(columns: Mapping[str, Mapping[str, Array]], family: Family) -> dict
 def _most(made: Digest, family: Family, levels: Levels) -> float:
     """The log evidence beside a function of the size that serves best."""
     return max(evidence(of_size(made, _names(family), share), levels).log for share in SIZES)
+
+
+def _further(both: Digest | None, alone: _Rival, levels: Levels) -> float:
+    """The log of how much more probable a function is with effects beside it, of the size that serves best, than
+    alone."""
+    if both is None:
+        return -math.inf
+    return _most(both, alone.family, levels) - evidence(alone.digest, levels).log
 
 
 @dataclass

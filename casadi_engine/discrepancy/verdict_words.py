@@ -139,8 +139,10 @@ def next_step(repair: Repair) -> str:
         return f"{listed}{', others are not' if may_hide(repair) else ''}{_on_fixed(repair)}"
     if repair.verdict == "unnamed":
         return _without_name(repair)
-    if repair.verdict == "class":
+    if repair.verdict == "class" and any(len(one.members) > 1 for one in repair.effects):
         return _of_class(repair)
+    if more_probable(repair.unknown):
+        return _without_name(repair)
     if repair.unknown is not None:
         return "look at the figures of the residuals after the repair: they hold more"
     if repair.confirmed is None:

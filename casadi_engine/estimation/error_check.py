@@ -129,8 +129,9 @@ def words_of(doubts: Sequence[Doubt], missing: Sequence[str]) -> list[str]:
 
 
 def _moves(errors: Uncertainty, nv: int, count: int) -> list[Array]:
-    """Directions (N,), one standard error long, the initial states on their way with them."""
-    matrix = errors.covariance.matrix
+    """Directions (N,), one standard error long, the initial states on their way with them; what is at a bound stays
+    there."""
+    matrix = errors.kept
     values, vectors = np.linalg.eigh(matrix[:nv, :nv])
     top = [k for k in np.argsort(values)[::-1][:count] if values[k] > 1e-12 * values[-1]]
     return [matrix[:, :nv] @ vectors[:, k] / np.sqrt(values[k]) for k in top]
@@ -148,7 +149,7 @@ class _Around:
         self.entries, self.lower, self.upper = (
             _entries(search, x) for x in (errors.x, search.lower, search.upper)
         )
-        self._inverse = np.linalg.pinv(covariance.matrix[:nv, :nv], hermitian=True)
+        self._inverse = np.linalg.pinv(errors.kept[:nv, :nv], hermitian=True)
         # a long record's slopes are not kept: one direction has to do, and its initial state follows to first order
         self.long = not all(
             isinstance(point.parts, list) for point in search.problem.at(best.solution.x).records
@@ -243,7 +244,7 @@ class _Around:
         prior = search.problem.priors.evaluate(self.errors.v)[3] @ step[:nv]
         gradient[:nv] += prior
         size = sum(float(np.sum(q**2)) for q in change) + float(step[:nv] @ prior)
-        matrix = self.errors.covariance.matrix
+        matrix = self.errors.kept
         inside, moved = float(gradient @ matrix @ gradient), matrix[:nv] @ gradient
         outside = max(size - inside, 0.0)
         # where initial states are at their best already, a profile lowers the rise by the parameters alone
@@ -377,8 +378,10 @@ def _rivals(search: Search, best: Attempt, errors: Uncertainty, optima: Sequence
 
 
 def _bounds(search: Search, errors: Uncertainty) -> list[Doubt]:
-    """Parameters whose interval of two standard errors reaches a bound, or is too wide to be symmetric."""
+    """Parameters whose interval of two standard errors reaches a bound, is too wide to be symmetric, or is wider to the
+    side to which they go with what is at a bound and may be inside."""
     found, matrix, low, high = [], errors.covariance.matrix, search.lower, search.upper
+    kept, resting = errors.kept, [n for n, side in zip(search.pmap.free, errors.bound, strict=False) if side]
     for k, name in enumerate(search.pmap.free):
         value, size = errors.v[k], float(np.sqrt(matrix[k, k]))
         if errors.bound[k] is not False or not size:
@@ -388,4 +391,6 @@ def _bounds(search: Search, errors: Uncertainty) -> list[Doubt]:
             found.append((k, f"{name} reaches its {side} bound within {_FAR:g} standard errors"))
         elif search.coordinates.log[k] and size > _WIDE:
             found.append((k, f"{name} is known to {100 * size:.2g} %"))
+        elif size > (1 + _WIDE) * np.sqrt(max(kept[k, k], 0.0)):
+            found.append((k, f"{name} goes with {' and '.join(resting)}, at a bound"))
     return [Doubt("bound", text, np.eye(len(matrix))[k]) for k, text in found]

@@ -79,13 +79,14 @@ class Windowed:
 
     values : name -> value of the free parameters; nodes, begun : (M, n) scaled states at which each record's intervals
     begin, and those over the first horizon; cost : chi-squared, no more than that of whole records near by, as the
-    first states of all windows are free
+    first states of all windows are free; converged : it is an optimum
     """
 
     values: Mapping[str, float]
     nodes: tuple[Array, ...]
     begun: tuple[Array, ...]
     cost: float
+    converged: bool = True
 
 
 def in_time(record: RecordTerm, slopes: Array, scale: Array, states: Array) -> RefitRecord:

@@ -151,7 +151,7 @@ class RefitProblem:
                     else [*after.nodes]
                 )
                 for counts in ladder if after is None else ladder[-1:]:
-                    place, _ = self._descended(counts, v, nodes, most, last=False)
+                    place, status = self._descended(counts, v, nodes, most, last=False)
                     v, nodes = place.v, list(place.nodes)
                     begun = begun or nodes
             except (FloatingPointError, np.linalg.LinAlgError):
@@ -159,7 +159,8 @@ class RefitProblem:
                     return self.windowed(start, after, most=most)
                 raise
         values = dict(zip(self.pmap.free, self.coordinates.values(v).tolist(), strict=True))
-        return Windowed(values, tuple(nodes), tuple(begun or nodes), 2 * place.squares.cost)
+        cost = 2 * place.squares.cost
+        return Windowed(values, tuple(nodes), tuple(begun or nodes), cost, status == "converged")
 
     def step_in_places(self) -> bool:
         """Take steps that are short where a corner is passed, in place of those of a linear core, which are alike
@@ -193,10 +194,9 @@ class RefitProblem:
             v, nodes = place.v, list(place.nodes)
             states = states or nodes
         self._as_fine_as(warm)
-        windows = None if states is None else self._run_on(ladder[-1], v, nodes)
         if near:
             self._shortened(ladder[-1], v, nodes)
-        place, status = self._descended(ladder[-1], v, nodes, most, last=True, windows=windows)
+        place, status = self._descended(ladder[-1], v, nodes, most, last=True)
         for _ in range(_SHORTENED):
             try:
                 misfit = 2 * place.squares.cost / max(self.count, 1)
@@ -208,29 +208,6 @@ class RefitProblem:
             except TimeUp:  # what there is stays what it was
                 status = _TIME_UP
         return self._answer(place, states or list(place.nodes), status)
-
-    def _run_on(self, counts: list[int], v: Array, nodes: list[Array]) -> Windows:
-        """Where a search over whole records begins after one over windows: at the states of these or, where their gaps
-        do not close, at those of one run from the first of them if that leaves less.
-
-        Where corners bound the states, closing all gaps at once may lead far away from a run that was close by.
-        """
-        there = Windows(self.records, self.priors, counts, nodes)
-        if (there(v) is not None and there.closes) or (run := self._runs(v, nodes)) is None:
-            return there
-        simulated = Windows(self.records, self.priors, counts, run)
-        self._steps += 1
-        if simulated(v) is None:
-            return there
-        return min(simulated, there, key=lambda one: one.best.squares.cost + one.gaps if one.here else np.inf)
-
-    def _runs(self, v: Array, nodes: list[Array]) -> list[Array] | None:
-        """The states of one run of each record from the first of its nodes; None where there is none."""
-        try:
-            found = [chained_nodes(r, v, own[0]) for r, own in zip(self.records, nodes, strict=True)]
-        except (FloatingPointError, np.linalg.LinAlgError):
-            return None
-        return found if all(np.isfinite(own).all() for own in found) else None
 
     def _shortened(self, counts: list[int], v: Array, nodes: list[Array]) -> None:
         """Give the integration steps as short as they have to be at a point."""
@@ -249,19 +226,10 @@ class RefitProblem:
             record.as_fine_as(None if warm is None else warm.fineness.get(record.experiment.name))
 
     def _descended(
-        self,
-        counts: list[int],
-        v: Array,
-        nodes: list[Array],
-        most: int,
-        *,
-        last: bool,
-        windows: Windows | None = None,
+        self, counts: list[int], v: Array, nodes: list[Array], most: int, *, last: bool
     ) -> tuple[Place, str]:
-        """Where the search over one horizon ends, and its status; over the last one gaps are closed.
-
-        windows : of this horizon, if it was begun already"""
-        windows = windows or Windows(self.records, self.priors, counts, nodes)
+        """Where the search over one horizon ends, and its status; over the last one gaps are closed."""
+        windows = Windows(self.records, self.priors, counts, nodes)
         if windows(v) is None:
             raise FloatingPointError("its states or slopes are not finite")
         converged, (low, high) = False, self.bounds

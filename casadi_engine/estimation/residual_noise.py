@@ -127,14 +127,14 @@ def with_own_noise(
     points, size = search.problem.at(best.solution.x).records, np.sqrt(np.maximum(np.diag(white), 0.0))
     slopes = [_slopes(search.records[one.at], points[one.at], one, search.loss) for one in noises]
     places = [_entries(search, one.at) for one in noises]
-    matrix, more = white, np.zeros_like(white)
+    matrix, more = errors.told, np.zeros_like(white)
     for _ in range(_ROUNDS):
         before, more, few = matrix, np.zeros_like(white), math.inf
         for one, own, at in zip(noises, slopes, places, strict=True):
             scatter, samples = _scatter(one, own, matrix[np.ix_(at, at)])
             more[np.ix_(at, at)] += _beyond(scatter, own.T @ own)
             few = min(few, samples)
-        matrix = white + white @ more @ white
+        matrix = errors.told + errors.scattered(more)
         then, now = (np.sqrt(np.maximum(np.diag(a), 0.0)) for a in (before, matrix))
         if (np.abs(now - then) <= _SETTLED * size).all():
             break
@@ -179,8 +179,7 @@ def _scatter(one: OwnNoise, slopes: Array, errors: Array) -> tuple[Array, float]
         taken = slopes @ (vectors * np.sqrt(np.maximum(values, 0.0)))
         columns = np.concatenate([columns, taken], axis=1)
     noise = autoregression(columns, one.valid)
-    predictor = _lasting(noise.predictors[-1], len(slopes))
-    answer = lfilter([1.0], predictor, np.eye(1, len(slopes))[0])
+    predictor, answer = _lasting(noise.predictors[-1], len(slopes))
     count, power = int(one.valid.sum()), float((answer**2).sum())
     level = math.sqrt(float((columns**2).sum()) / count / power)
     # the noise was there before the record began
@@ -190,11 +189,21 @@ def _scatter(one: OwnNoise, slopes: Array, errors: Array) -> tuple[Array, float]
     return np.asarray(passed.T @ passed), count * power * float(predictor.sum()) ** 2
 
 
-def _lasting(predictor: Array, samples: int) -> Array:
-    """The predictor with a memory of no more than the record: least squares may find one that grows."""
-    largest = float(np.abs(np.roots(predictor)).max(initial=0.0))
-    limit = 1 - 1 / samples
-    return predictor if largest <= limit else predictor * (limit / largest) ** np.arange(len(predictor))
+def _lasting(predictor: Array, samples: int) -> tuple[Array, Array]:
+    """The predictor with a memory of no more than the record, and the answer (samples,) to one shock: least squares may
+    find one that grows. Of a memory as long as the record, e^-2 of the power comes later than the record is long."""
+    from scipy.signal import lfilter
+
+    lags, shrunk = np.arange(len(predictor)), 0.0
+    shock = np.eye(1, 2 * samples)[0]
+    while True:
+        with np.errstate(over="ignore", invalid="ignore"):
+            own = predictor * np.exp(-shrunk * lags)
+            power = lfilter([1.0], own, shock) ** 2
+            first, later = power[:samples].sum(), power[samples:].sum()
+        if later <= math.exp(-2) * first:  # false for what is no number
+            return own, lfilter([1.0], own, shock[:samples])
+        shrunk = 2 * shrunk or 1 / samples
 
 
 def _beyond(scatter: Array, white: Array) -> Array:

@@ -64,6 +64,8 @@ class Uncertainty:
     step: Array | None = None
     released: Released | None = None  # where bounds or inequalities act: the errors if they did not
     blind: Sequence[Array] = ()  # directions of which nothing is known but for what is at its bound
+    # (N, k) how all move with what is at its bound and may be inside, in its standard errors
+    inside: Array | None = None
 
     @property
     def v(self) -> Array:
@@ -75,12 +77,45 @@ class Uncertainty:
         """What the data do not determine, in words."""
         return tuple(Direction(*in_words(d, _names(self.search))) for d in self.covariance.directions)
 
+    @property
+    def kept(self) -> Array:
+        """(N, N) the covariance where what is at a bound stays there."""
+        if self.inside is None:
+            return self.covariance.matrix
+        rest = self._beside_bounds(self.inside)
+        return np.asarray(self.covariance.matrix - rest @ rest.T)
+
+    @property
+    def told(self) -> Array:
+        """(N, N) the covariance of everything, what is at a bound and may be inside too."""
+        return self.kept if self.inside is None else np.asarray(self.kept + self.inside @ self.inside.T)
+
+    def scattered(self, more: Array) -> Array:
+        """(N, N) what the covariance of everything grows by where the slopes of the loss scatter by ``more`` (N, N)
+        than the information says."""
+        found = self.kept @ more @ self.kept
+        if self.inside is not None:
+            found = found + self.inside @ (self.inside.T @ more @ self.inside) @ self.inside.T
+        return np.asarray(found)
+
+    def _beside_bounds(self, inside: Array) -> Array:
+        """(N, k) how what is at no bound moves with what is."""
+        held = np.array([side is not False for side in self.bound])
+        return np.where(held[:, None], 0.0, inside)
+
     def widened(self, more: Array) -> Uncertainty:
         """The same where the slopes of the loss scatter by ``more`` (N, N) than the information says."""
         known = self.released
         if known is not None:
-            known = replace(known, covariance=_widened(known.covariance, more))
-        return replace(self, covariance=_widened(self.covariance, more), released=known)
+            grown = known.covariance.matrix @ more @ known.covariance.matrix
+            known = replace(
+                known, covariance=replace(known.covariance, matrix=known.covariance.matrix + grown)
+            )
+        grown, held = self.scattered(more), np.array([side is not False for side in self.bound])
+        grown[held, :] = grown[:, held] = 0.0  # it has no symmetric error
+        return replace(
+            self, covariance=replace(self.covariance, matrix=self.covariance.matrix + grown), released=known
+        )
 
     def of_parameters(self) -> Array:
         """(nz, nz) covariance in the parameters' units; NaN where the data do not determine an entry."""
@@ -178,10 +213,6 @@ class Uncertainty:
         return found
 
 
-def _widened(known: Covariance, more: Array) -> Covariance:
-    return replace(known, matrix=known.matrix + known.matrix @ more @ known.matrix)
-
-
 def uncertainty(search: Search, best: Attempt) -> Uncertainty:
     """Errors at the best point, with the noise levels that the search is weighted by."""
     information, gradient = _information(search, best)
@@ -206,25 +237,26 @@ def uncertainty(search: Search, best: Attempt) -> Uncertainty:
     step = -found.matrix @ gradient
     decrement = float(-gradient @ step)
     held = np.flatnonzero(closed[: search.problem.nv] & ~fixed[: search.problem.nv])
-    more, blind = _inside_bounds(search, information, found, held, force)
-    found = replace(found, matrix=found.matrix + more)
+    inside, blind = _inside_bounds(search, information, found, held, force)
+    if inside is not None:
+        rest = np.where(closed[:, None], 0.0, inside)  # what is at a bound has no symmetric error
+        found = replace(found, matrix=found.matrix + rest @ rest.T)
     acts = bool(closed[: search.problem.nv].any()) or bool(acting)
     released = _released(search, best, information, closed, x[: search.problem.nv]) if acts else None
-    return Uncertainty(search, x, bound, found, acting, optimal, decrement, step, released, blind)
+    return Uncertainty(search, x, bound, found, acting, optimal, decrement, step, released, blind, inside)
 
 
 def _inside_bounds(
     search: Search, information: Array, found: Covariance, held: NDArray[np.intp], force: Array
-) -> tuple[Array, list[Array]]:
-    """What estimates at a bound add to the covariance of the others, and directions (N,) of which they leave nothing
-    known.
+) -> tuple[Array | None, list[Array]]:
+    """How all move (N, k) with estimates that are at a bound, in the standard errors that these have inside it, None
+    where they add nothing; and directions (N,) of which they leave nothing known.
 
     The data say that such a parameter is at its bound or inside by as much as its own error, which may be all of its
     range: the others move with it. Nothing is added where the data pull it beyond the bound by more than chance does.
     """
-    more: Array = np.zeros_like(information)
     if not len(held) or not np.isfinite(information).all():
-        return more, []
+        return None, []
     moved = -found.matrix @ information[:, held]
     moved[held] = np.eye(len(held))
     own = information[np.ix_(held, held)] + information[held] @ (moved - np.eye(len(information))[:, held])
@@ -233,10 +265,10 @@ def _inside_bounds(
     lost = values <= _HELD * max(float(np.diag(information)[held].max()), 1e-300)
     known = vectors[:, ~lost] / np.sqrt(values[~lost])
     if float(((known.T @ force[held]) ** 2).sum()) > _CHANCE:
-        return more, []
-    moved[held] = 0.0  # they have no symmetric error
-    spread = moved @ known
-    return spread @ spread.T, list((moved @ vectors[:, lost]).T)
+        return None, []
+    inside = moved @ known
+    moved[held] = 0.0
+    return inside, list((moved @ vectors[:, lost]).T)
 
 
 def _released(

@@ -199,6 +199,18 @@ def chained_nodes(record: RecordTerm, v: Array, first: Array) -> Array:
     return np.ascontiguousarray(path.x[: plan.m * plan.length : plan.length, :, 0])[: plan.m]
 
 
+def run_through(record: RecordTerm, v: Array, nodes: Array, starts: NDArray[np.intp]) -> Array:
+    """Nodes (M, n), scaled, of runs that start at those of the intervals numbered ``starts`` (w,), the first one among
+    them."""
+    if len(starts) == 1:
+        return chained_nodes(record, v, nodes[0])
+    found, sizes = nodes.copy(), np.diff(np.append(starts, len(nodes)))
+    for k in range(1, int(sizes.max())):  # as many turns as the longest run has intervals
+        at = starts[sizes > k] + k
+        found[at] = record.propagator.propagate(v[record.active], found, 0).end.T[at - 1]
+    return found
+
+
 def joined_nodes(record: RecordTerm, v: Array, near: Array) -> Array:
     """Nodes (M, n) of the trajectory that starts at the first of nodes near it, scaled.
 

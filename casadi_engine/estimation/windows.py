@@ -21,6 +21,7 @@ from casadi_engine.errors import ModelError
 from casadi_engine.estimation.constraints import Priors
 from casadi_engine.estimation.levenberg_marquardt import Squares
 from casadi_engine.estimation.record import RecordPoint, RecordTerm
+from casadi_engine.estimation.starts import run_through
 
 Array = NDArray[np.float64]
 
@@ -176,9 +177,15 @@ class Place:
     records: tuple[Condensed, ...]
     squares: Squares
 
+    @property
+    def gaps(self) -> float:
+        """By how much closing the gaps may change the cost: the square of what it does to first order."""
+        return sum(own.gaps * float(own.squares[-1, -1]) for own in self.records)
 
-def _closes(place: Place) -> bool:
-    return max(own.gaps for own in place.records) < _OPEN
+    @property
+    def open(self) -> float:
+        """The largest share of a record's squared residuals that closing its gaps changes."""
+        return max(own.gaps for own in self.records)
 
 
 class Windows:
@@ -208,10 +215,8 @@ class Windows:
         if here is not None:
             nodes = self._moved(here, v)
         found = self._at(v, nodes)
-        for _ in range(_CLOSINGS):
-            if found is None or _closes(found):
-                break
-            found = self._at(v, self._moved(found, v))
+        if found is not None and found.open >= _OPEN:
+            found = self._joined(found)
         if found is None:
             return None
         if here is None or found.squares.cost < here.squares.cost:
@@ -225,20 +230,16 @@ class Windows:
         return self.here
 
     @property
-    def closes(self) -> bool:
-        """True where the gaps at the best point are small enough for its cost to count."""
-        return _closes(self.best)
-
-    @property
     def gaps(self) -> float:
-        """By how much closing the gaps at the best point may change the cost: the square of what it does to first
-        order."""
-        return sum(own.gaps * float(own.squares[-1, -1]) for own in self.best.records)
+        """By how much closing the gaps at the best point may change the cost."""
+        return self.best.gaps
 
     def closed(self) -> float:
-        """Close the gaps at the best point by one more evaluation there; how much the cost has changed."""
+        """Close the gaps at the best point by one more evaluation there, or by a run; how much the cost has changed."""
         here = self.best
         found = self._at(here.v, self._moved(here, here.v))
+        if found is None or (found.open >= _OPEN and found.gaps >= here.gaps):
+            found = self._run(here)
         if found is None:
             return np.inf
         self.here = found
@@ -249,6 +250,31 @@ class Windows:
         if not np.array_equal(v, self.best.v) or self.gaps <= most or not np.isfinite(self.closed()):
             return None
         return self.best.squares
+
+    def _joined(self, begun: Place) -> Place:
+        """The same parameters with the gaps closed, by steps as long as these close them: where corners bound the
+        states they may lead far away from a run that is close by."""
+        found = begun
+        for _ in range(_CLOSINGS):
+            there = self._at(found.v, self._moved(found, found.v))
+            if there is None or there.gaps >= found.gaps:
+                break
+            found = there
+            if found.open < _OPEN:
+                return found
+        run = self._run(begun)
+        return found if run is None else min(run, found, key=lambda one: one.squares.cost + one.gaps)
+
+    def _run(self, here: Place) -> Place | None:
+        """The same parameters where every window is a run from its first state; None where there is none."""
+        try:
+            nodes = tuple(
+                run_through(record, here.v, at, own.starts)
+                for record, at, own in zip(self.records, here.nodes, here.records, strict=True)
+            )
+        except (FloatingPointError, np.linalg.LinAlgError, ModelError):
+            return None
+        return self._at(here.v, nodes) if all(np.isfinite(at).all() for at in nodes) else None
 
     def _moved(self, here: Place, v: Array) -> tuple[Array, ...]:
         """The intervals' starts at v from a point near by, with the states that serve best there."""

@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from casadi_engine.discrepancy.confirmation import (
+    CHANCE,
     Residuals,
     gains,
     gap,
@@ -13,7 +15,9 @@ from casadi_engine.discrepancy.confirmation import (
     paired_gain,
     share_closed,
     share_explained,
+    signed_rank_sf,
 )
+from casadi_engine.distributions import t_sf
 
 
 def residuals(shift, *, cycles=8, seed=0, sigma=0.1, n=100, record="fresh"):
@@ -46,6 +50,32 @@ def test_a_loss_is_refused_and_chance_is_neither():
     loss = paired_gain([residuals(0.0)], [residuals(0.1)])
     assert loss.confirmed is False
     assert loss.refused is True
+
+
+def test_one_large_gain_does_not_hide_that_all_are_gains():
+    """A sensor's gain that a start from rest shows: 282 +- 155 per piece, of which none is less than 42."""
+    shift = np.repeat(np.array([4.0, *[0.06] * 9]), 100)
+    before, after = residuals(0.0, cycles=10), residuals(0.0, cycles=10)
+    found = paired_gain([replace(before, e=before.e + shift)], [after])
+    assert t_sf(found.mean / found.se, 9) > CHANCE
+    assert found.confirmed is True
+    # as large a gain alone, between losses, says nothing
+    shift[100:] = 0.0
+    worse = replace(after, e=after.e + np.where(shift > 0, 0.0, 0.03))
+    assert paired_gain([replace(before, e=before.e + shift)], [worse]).confirmed is False
+
+
+@pytest.mark.parametrize("count", [3, 10])
+def test_ranks_are_those_of_wilcoxon(count):
+    for seed in range(5):
+        values = np.random.default_rng(seed).standard_normal(count) + 0.3
+        order = np.argsort(np.argsort(np.abs(values))) + 1
+        wanted = stats.wilcoxon(values, alternative="greater", method="exact").pvalue
+        assert signed_rank_sf(int(order[values > 0].sum()), count) == pytest.approx(wanted, rel=1e-9)
+    middle = 70 * 71 // 4
+    exact = stats.wilcoxon(np.arange(1, 71) * np.resize([1, -1], 70), alternative="greater", method="exact")
+    assert signed_rank_sf(int(exact.statistic), 70) == pytest.approx(exact.pvalue, rel=0.02)
+    assert signed_rank_sf(middle, 70) == pytest.approx(0.5, abs=0.01)
 
 
 @pytest.mark.parametrize("cycles", [3, 20])

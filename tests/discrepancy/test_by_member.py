@@ -1,0 +1,54 @@
+"""Values beside another name of a class."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from casadi_engine.discrepancy.by_member import told_by_member
+from casadi_engine.discrepancy.repaired import Member
+
+GAIN, RESISTANCE, OTHER = ("sensor_gain", "i"), ("wrong_value", "Re"), ("load_step", "coil")
+
+
+def found(*members):
+    return SimpleNamespace(name=GAIN[0], at=GAIN[1], members=(Member(*GAIN, 1.0, 0.5), *members))
+
+
+def fit(**values):
+    return SimpleNamespace(
+        estimates={
+            name: SimpleNamespace(value=value, stderr=error, unit="g")
+            for name, (value, error) in values.items()
+        }
+    )
+
+
+def test_what_another_name_makes_of_the_parameters_is_told():
+    """The refits' difference is added to the value of the fit, whose corners may be sharper."""
+    values = {
+        frozenset({GAIN}): {"M": 16.70, "K": 2.0},
+        frozenset({RESISTANCE}): {"M": 13.94, "K": 2.01},
+    }
+    one = fit(M=(16.77, 0.03), K=(2.0, 0.01))
+    (words,) = told_by_member([found(Member(*RESISTANCE, -1.0, 0.5))], frozenset({GAIN}), values, one)
+    assert (
+        words
+        == "± hold for the names that lead: with wrong_value at Re in the place of sensor_gain at i M is 14.01 g"
+    )
+
+
+def test_two_in_the_place_of_one():
+    values = {frozenset({GAIN}): {"M": 1.0}, frozenset({RESISTANCE, OTHER}): {"M": 2.0}}
+    members = [found(Member(*RESISTANCE, 1.0, 0.5, " with load_step at coil"))]
+    (words,) = told_by_member(members, frozenset({GAIN}), values, fit(M=(1.0, 0.1)))
+    assert words.endswith("with wrong_value at Re with load_step at coil M is 2 g")
+
+
+@pytest.mark.parametrize("more", ["", " in place of it and load_step at coil"])
+def test_nothing_is_said_of_what_is_alike_or_not_known(more):
+    values = {frozenset({GAIN}): {"M": 1.0}}
+    if not more:
+        values[frozenset({RESISTANCE})] = {"M": 1.01}
+    members = [found(Member(*RESISTANCE, 1.0, 0.5, more))]
+    assert told_by_member(members, frozenset({GAIN}), values, fit(M=(1.0, 0.1))) == []
+    assert told_by_member(members, frozenset({OTHER}), values, fit(M=(1.0, 0.1))) == []
