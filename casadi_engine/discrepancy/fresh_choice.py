@@ -22,7 +22,9 @@ from casadi_engine.discrepancy.parameter_doubt import doubted, within_errors
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.refit import Addition
 from casadi_engine.discrepancy.refits import Key, key_of
+from casadi_engine.discrepancy.repaired import Unknown
 from casadi_engine.discrepancy.station import Station
+from casadi_engine.discrepancy.unknown_law import does_more
 from casadi_engine.discrepancy.ways import way_so_far
 from casadi_engine.estimation import Fit
 
@@ -208,12 +210,14 @@ class FreshChoice:
 
     def _bent_together(self, stations: list[Station]) -> list[Station]:
         """The stations without effects that only together with others of their port come near to a law of no name: what
-        they leave is again a function of a signal there."""
+        they leave is again a function of a signal there. One that does what no function of that signal does stays."""
         while len(stations) > 2:
             last = stations[-1]
             unknown = unknown_of(last.screened)
             at = [one.candidate.port for one in last.effects]
             if unknown is None or unknown.port != at[-1] or at.count(at[-1]) < 2:
+                break
+            if self._does_more(last, unknown):
                 break
             self.messages.append(
                 f"{last.effects[-1].name} {LEFT_OUT} with it, too, what is left depends on {unknown.signal} there, "
@@ -221,6 +225,13 @@ class FreshChoice:
             )
             stations = stations[:-1]
         return stations
+
+    def _does_more(self, last: Station, unknown: Unknown) -> bool:
+        """True if the last effect is missing beside the law of no name, not instead of it."""
+        tried = self.search.pool.get(key_of(last.effects))
+        if tried is None or unknown.port is None or unknown.signal is None:
+            return False
+        return does_more(self.search.refits, tried, last.effects[-1], unknown.port, unknown.signal)
 
     def _misfit(self, station: Station, pairs: Pairs | None) -> float:
         """Chi-squared per sample of the fresh data, over that of the noise or of the search, where it is beyond chance

@@ -10,9 +10,10 @@ finding, unless they explain most of what the function does: then they stay, and
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import casadi as ca
 import numpy as np
 from scipy import linalg
 
@@ -29,6 +30,7 @@ from casadi_engine.discrepancy.random_families import (
     family_candidates,
     family_columns,
 )
+from casadi_engine.discrepancy.refit import Addition
 from casadi_engine.discrepancy.refits import Refits, Tried
 
 # Sizes of the function over which its evidence is averaged: what moves an output by its own variation, down to the
@@ -108,9 +110,7 @@ def unknown_law(refits: Refits, tried: Tried, further: float) -> UnknownLaw | No
     columns = family_columns(null, candidates)
     found: list[_Rival] = []
     for family in families:
-        members = list(family.members)
-        own_columns = {r: {o: c[:, members] for o, c in made.items()} for r, made in columns.items()}
-        beside = _beside(bare, own_columns)
+        beside = _beside(bare, _members(columns, family))
         made = _counted(beside, priors, family, held - own, random)
         if made is not None:
             logs = [evidence(of_size(made, _names(family), share), refits.levels).log for share in SIZES]
@@ -137,11 +137,57 @@ def unknown_law(refits: Refits, tried: Tried, further: float) -> UnknownLaw | No
     if not any(
         one.candidate.port == port and one.is_law for one in effects
     ):  # which may bend to a part of it
-        members = list(best.family.members)
-        terms = {r: {o: c[:, members] for o, c in every.items()} for r, every in columns.items()}
-        both = _counted(_beside(null, terms), priors, best.family, held, random)
+        both = _counted(_beside(null, _members(columns, best.family)), priors, best.family, held, random)
         further_by = _further(both, best, refits.levels) - math.log(choices)
     return UnknownLaw(course, log, share, several_at(tried, port), near_of(tried, port), further_by)
+
+
+def does_more(refits: Refits, tried: Tried, last: Addition, port: str, signal: str) -> bool:
+    """True where an effect is no part of an imitation of a law that the library lacks, a function of one signal at a
+    port: it depends on something else as well, and beside the function that serves best, and the other effects, the
+    model is still far more probable with it than without it."""
+    null = refits.null(tried) if depends_on_more(last, signal) else None
+    if null is None:
+        return False
+    own = {name for name in null.parameters if name.startswith(f"{last.key}.")}
+    bare = _without(null, [last.amplitude], own)
+    candidates, every = family_candidates(null, ports=[port])
+    families = [family for family in every if family.signal == signal]
+    if bare is None or not families:
+        return False
+    columns = family_columns(null, candidates)
+    priors, random = (
+        priors_of(null, refits.path.parameters(tried.effects), tried.effects),
+        refits.random(null),
+    )
+    most = []
+    for model, held in ((null, tried.arrived.held), (bare, tried.arrived.held - own)):
+        made = [
+            (_counted(_beside(model, _members(columns, family)), priors, family, held, random), family)
+            for family in families
+        ]
+        most.append(max((_most(d, f, refits.levels) for d, f in made if d is not None), default=-math.inf))
+    return math.isfinite(most[1]) and most[0] - most[1] - math.log(last.choices) >= math.log(FACTOR)
+
+
+def depends_on_more(one: Addition, signal: str) -> bool:
+    """True for an effect that depends on more of the motion and inputs than what a signal of its port is made of."""
+    model = one.candidate.source.model
+    acts = ca.vertcat(one.candidate.source.slots, one.candidate.source.drives, one.candidate.source.outputs)
+    known = model.ports[one.candidate.port].signals.get(signal, ca.SX())
+    moving = ca.symvar(ca.vertcat(model.x, model.u, model.d))
+    return any(ca.depends_on(acts, symbol) and not ca.depends_on(known, symbol) for symbol in moving)
+
+
+def _members(columns: Mapping[str, Mapping[str, Array]], family: Family) -> dict[str, dict[str, Array]]:
+    """The columns of a family's own terms."""
+    members = list(family.members)
+    return {r: {o: c[:, members] for o, c in made.items()} for r, made in columns.items()}
+
+
+def _most(made: Digest, family: Family, levels: Levels) -> float:
+    """The log evidence beside a function of the size that serves best."""
+    return max(evidence(of_size(made, _names(family), share), levels).log for share in SIZES)
 
 
 def _further(both: Digest | None, alone: _Rival, levels: Levels) -> float:
@@ -149,9 +195,7 @@ def _further(both: Digest | None, alone: _Rival, levels: Levels) -> float:
     alone."""
     if both is None:
         return -math.inf
-    terms = _names(alone.family)
-    most = max(evidence(of_size(both, terms, share), levels).log for share in SIZES)
-    return most - evidence(alone.digest, levels).log
+    return _most(both, alone.family, levels) - evidence(alone.digest, levels).log
 
 
 @dataclass

@@ -11,7 +11,7 @@ from .engine import Engine, burn_factors
 from .geometry import CYCLE
 from .hidden import Hidden, place
 from .pressure import Cylinders, unequal_cylinders
-from .run import Plant, warm_up
+from .run import Plant, Start, warm_up
 from .shaft import Shaft, crankshaft_shaft, two_mass_shaft
 from .simulate import LOAD_TORQUE, SAMPLE_RATE, Record, add_noise, observe, sample_count
 from .switches import Torque, torques_of
@@ -44,6 +44,7 @@ def simulate_hidden(
     cylinders: Cylinders | None = None,
     rate: float = SAMPLE_RATE,
     steps: int = 1,
+    starts: Sequence[Start] | None = None,
 ) -> list[Record]:
     """Integrate all cases together and sample them as `simulate_shaft` does; one record for each.
 
@@ -51,6 +52,7 @@ def simulate_hidden(
     load       braking torque [N m], a number or a function of an array of times [s]
     duration   length of the records [s], instead of so many complete cycles
     steps      steps of the integrator in each sample; 1 leaves errors below 1e-9 rad/s (see the tests)
+    starts     of each case: what a warm-up came to before, instead of one
     Every run starts on the warmed-up orbit of the engine without hidden effects, which act from time 0 on: a
     fit that knows them and has the initial state free describes the record exactly.
     A record holds what `simulate_shaft` gives; its pressures are those of the burn strengths without misfire
@@ -69,7 +71,13 @@ def simulate_hidden(
         for c in cases
     ]
     true = [_burned(factors, case) for factors, case in zip(told, cases, strict=True)]
-    engines, starts = _starts(made, people, told, cases, brake, speed_rpm)
+    if starts is None:
+        engines, begun = _starts(made, people, told, cases, brake, speed_rpm)
+    else:
+        engines = [
+            Engine(people, factors, starts[run].strength) for factors, run in zip(told, order, strict=True)
+        ]
+        begun = [np.array(starts[run].state) for run in order]
     table = make_table(made, people)
     factors = np.stack([e.strength * f for e, f in zip(engines, true, strict=True)], axis=1)
     strength = factors[table.cylinders.T]  # (S, H, runs, events)
@@ -77,7 +85,7 @@ def simulate_hidden(
     batch = Batch(made, table, brake, strength, torques, len(cases), rule_for(made, 1.0 / (rate * steps)))
     least = sample_count(speed_rpm, cycles) * rate / SAMPLE_RATE
     count = round(1.01 * least) if duration is None else round(duration * rate)
-    states, modes = _integrate(batch, np.array(starts).T, count, rate, steps)
+    states, modes = _integrate(batch, np.array(begun).T, count, rate, steps)
     records: list[Record] = [{}] * len(cases)
     for run, case in enumerate(cases):
         own, length = states[:, :, run], count

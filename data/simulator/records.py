@@ -4,12 +4,14 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from .hidden import Hidden, hidden
 from .hidden_runs import Case, simulate_hidden
-from .simulate import Record, simulate_crankshaft, simulate_two_mass
+from .run import Start
+from .simulate import SAMPLE_RATE, Record, simulate_crankshaft, simulate_two_mass
 
 SECRET = Path(__file__).resolve().parent.parent / "hidden_effect" / "truth.json"
 
@@ -33,11 +35,18 @@ def hidden_truth() -> tuple[Hidden, ...]:
 
 
 def simulate_two_mass_hidden(
-    speed_rpm: float, *, misfire: Mapping[int, str], scatter_seed: int, noise_seed: int
+    speed_rpm: float,
+    *,
+    misfire: Mapping[int, str],
+    scatter_seed: int,
+    noise_seed: int,
+    duration: float | None = None,
+    start: Start | None = None,
 ) -> Record:
     """One record of the two-mass engine that has what `hidden_truth` says."""
     case = Case(hidden_truth(), scatter_seed, noise_seed, misfire)
-    return simulate_hidden("two_mass", [case], speed_rpm=speed_rpm)[0]
+    starts = None if start is None else [start]
+    return simulate_hidden("two_mass", [case], speed_rpm=speed_rpm, duration=duration, starts=starts)[0]
 
 
 @dataclass(frozen=True)
@@ -52,15 +61,30 @@ class Plan:
     noise_seed: int
     assumed: bool = False  # p3 and p4 are cylinders 1 and 2 shifted in crank angle, not what drove the engine
 
-    def record(self) -> dict[str, np.ndarray]:
-        """The columns of the file, in the order of the contract."""
+    def simulated(self, **options: Any) -> Record:
+        """All that the simulator tells."""
         misfire = {} if self.misfire is None else {self.misfire: "all"}
-        made = self.model(
-            self.speed_rpm, misfire=misfire, scatter_seed=self.scatter_seed, noise_seed=self.noise_seed
-        )
+        seeds = {"scatter_seed": self.scatter_seed, "noise_seed": self.noise_seed}
+        return self.model(self.speed_rpm, misfire=misfire, **seeds, **options)
+
+    def warmed_up(self) -> Start:
+        """What its warm-up comes to."""
+        return start_of(self.simulated(duration=2 / SAMPLE_RATE))
+
+    def columns(self, made: Record) -> dict[str, np.ndarray]:
+        """The columns of the file, in the order of the contract."""
         if self.assumed:
-            made |= {"p3": made["p3_assumed"], "p4": made["p4_assumed"]}
+            made = made | {"p3": made["p3_assumed"], "p4": made["p4_assumed"]}
         return {name: made[name] for name in CONTRACT}
+
+    def record(self, start: Start | None = None) -> dict[str, np.ndarray]:
+        """The columns of the file; start : None for a warm-up."""
+        return self.columns(self.simulated(**({} if start is None else {"start": start})))
+
+
+def start_of(made: Record) -> Start:
+    """From what a record began."""
+    return Start(float(made["strength"]), tuple(made["states"][:, 0].tolist()))
 
 
 PLANS = (

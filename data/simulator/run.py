@@ -18,6 +18,14 @@ SETTLED = 1e-4  # rad/s between one warm-up cycle and the next
 
 
 @dataclass(frozen=True)
+class Start:
+    """What a warm-up comes to: the burn strength [Pa], and the state (2n,) at angle 0."""
+
+    strength: float
+    state: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class Plant:
     """What the state equation needs; `extra(t, state)` is a torque on each inertia (n,), or None."""
 

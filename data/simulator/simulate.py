@@ -8,7 +8,7 @@ import numpy as np
 from .engine import Engine, burn_factors
 from .geometry import CYCLE
 from .pressure import Cylinders, unequal_cylinders
-from .run import Extra, Plant, integrate, warm_up
+from .run import Extra, Plant, Start, integrate, warm_up
 from .shaft import Shaft, crankshaft_shaft, two_mass_shaft
 
 SAMPLE_RATE = 14402.0  # Hz
@@ -50,6 +50,7 @@ def simulate_shaft(
     extra: Extra | None = None,
     rate: float = SAMPLE_RATE,
     rtol: float = 1e-11,
+    start: Start | None = None,
 ) -> Record:
     """Warm up, integrate and sample one record.
 
@@ -62,6 +63,7 @@ def simulate_shaft(
     sigma         standard deviation of the white noise on the speeds [rad/s]; 0 gives the clean record
     extra         torque on every inertia, extra(time, state) -> (n,) N m: an effect that a model may lack;
                   the warm-up has it too, with time counted from the start of each of its cycles
+    start         what a warm-up came to before, instead of one
     Returns arrays (N,) by the names of the data contract, and the truth behind them: omega_true and
     omega_load_true [rad/s], T_1..T_4 [N m], p3_assumed and p4_assumed [Pa], states (2n, N),
     factors (4, cycles + 2) and strength [Pa].
@@ -70,11 +72,14 @@ def simulate_shaft(
     factors = burn_factors(cylinders, cycles=cycles, scatter=scatter, seed=scatter_seed, misfire=misfire)
     load_at = load if callable(load) else lambda _time: float(load)
     plant = Plant(shaft, Engine(cylinders, factors), load_at, extra)
-    engine, start = warm_up(plant, speed_rpm * np.pi / 30.0)
+    if start is None:
+        engine, state = warm_up(plant, speed_rpm * np.pi / 30.0)
+    else:
+        engine, state = plant.engine.with_strength(start.strength), np.array(start.state)
     least = round(sample_count(speed_rpm, cycles) * rate / SAMPLE_RATE) if duration is None else 0
     longest = 1.01 * least if duration is None else duration * rate
     times = np.arange(round(longest)) / rate
-    states = integrate(Plant(shaft, engine, load_at, extra), start, times, rtol=rtol)
+    states = integrate(Plant(shaft, engine, load_at, extra), state, times, rtol=rtol)
     if duration is None:
         # scatter leaves the mean speed a little free: keep what completes the last cycle
         complete = int(np.searchsorted(states[0], cycles * CYCLE)) + 1

@@ -177,12 +177,24 @@ def error(fit: Fit, name: str, truth: Mapping[str, float]) -> float:
     return 100 * abs(fit.values[name] / truth[name] - 1)
 
 
-def stderr(fit: Fit, name: str) -> float:
-    """Standard error of an estimate [%] by the curvature at the optimum, which is what the thesis's covariances are,
-    also where the fit doubts it; infinite where there is none, as at a bound."""
+def stderr(fit: Fit, name: str, *, own: bool = False) -> float:
+    """Standard error of an estimate [%] by the curvature at the optimum and white noise of the fit's level, which is
+    what the thesis's covariances are, also where the fit doubts it; infinite where there is none, as at a bound.
+
+    own : count with the noise that the residual shows, as the fit itself does
+    """
     one = fit.estimates[name]
     size = one.quadratic or one.stderr
-    return float("inf") if size is None or one.at_bound else 100 * size / abs(one.value)
+    if size is None or one.at_bound:
+        return float("inf")
+    return 100 * size / abs(one.value) / (1.0 if own else fit.own_noise.get(name, 1.0))
+
+
+def squares(fit: Fit, truth: Mapping[str, float]) -> float:
+    """Square of the errors of all these over their covariance: as many as they are on average, if it is right."""
+    own = [fit.free.index(name) for name in truth]
+    off = fit.z[own] - np.array(list(truth.values()))
+    return float(off @ np.linalg.solve(fit.covariance[np.ix_(own, own)], off))
 
 
 def print_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

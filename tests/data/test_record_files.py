@@ -9,9 +9,20 @@ from pathlib import Path
 import generate
 import numpy as np
 import pytest
-from simulator.files import compare, compress, read_columns, read_hashes, to_text
+from scipy.integrate import solve_ivp
+from simulator import Engine, burn_factors, two_mass_shaft, unequal_cylinders
+from simulator.files import (
+    compare,
+    compress,
+    read_columns,
+    read_hashes,
+    read_starts,
+    to_text,
+    write_starts,
+)
 from simulator.hidden import PLACES
 from simulator.records import CONTRACT, PLANS, Plan, hidden_truth
+from simulator.run import Plant, Start
 from simulator.simulate import simulate_two_mass
 
 HEADER = "time [s],theta [rad],p1 [Pa],p2 [Pa],p3 [Pa],p4 [Pa],T_load [N m],omega [rad/s],omega_load [rad/s]"
@@ -147,8 +158,32 @@ def test_regenerating_every_other_record_gives_the_kept_file(plan):
     assert good, message
 
 
-def tiny(_speed_rpm: float, **_seeds: object) -> dict[str, np.ndarray]:
-    return {name: np.linspace(0.0, 1.0, 5) for name in CONTRACT}
+def test_starts_are_listed_and_close_the_mean_cycle_of_their_engine(data_folder):
+    """By another integrator than the warm-up's own, of another order."""
+    starts = read_starts(data_folder)
+    assert list(starts) == PATHS
+    start, plan = starts[QUICK.path], QUICK
+    factors = burn_factors(unequal_cylinders(), cycles=10, seed=plan.scatter_seed)[:, :1]
+    shaft = two_mass_shaft()
+    plant = Plant(shaft, Engine(unequal_cylinders(), factors, start.strength), lambda _: 57.0)
+    round_trip = solve_ivp(
+        plant.equation(), (0, 1), start.state, method="RK45", rtol=1e-8, atol=1e-8,
+        events=lambda t, x: x[0] - 4 * np.pi if t > 0.01 else -1.0,
+    )  # fmt: skip
+    end, lasts = round_trip.y_events[0][0], round_trip.t_events[0][0]
+    assert np.abs(end[1:3] - start.state[1:3]).max() < 2e-4
+    assert 4 * np.pi / lasts == pytest.approx(plan.speed_rpm * np.pi / 30, abs=2e-4)
+
+
+WARM = {"speed": 100.0}  # rad/s, what the warm-up of a tiny record comes to
+
+
+def tiny(_speed_rpm: float, start: Start | None = None, **_options: object) -> dict[str, np.ndarray]:
+    """A record that follows its start."""
+    start = Start(1e6, (0.0, WARM["speed"], 100.0, 1e-2)) if start is None else start
+    columns = {name: np.linspace(0.0, 1.0, 5) for name in CONTRACT}
+    columns |= {"theta": start.state[1] * columns["time"], "strength": np.array(start.strength)}
+    return columns | {"states": np.array(start.state)[:, None]}
 
 
 @pytest.fixture
@@ -167,7 +202,29 @@ def test_generate_writes_and_then_finds_the_files_good(scratch, capsys):
     assert generate.main(["--only", "a.csv"]) == 0
     assert (scratch / "a.csv.gz").read_bytes() == first
     assert generate.main(["--check"]) == 0
-    assert capsys.readouterr().out.count("identical bytes") == 2
+    assert capsys.readouterr().out.count("identical bytes; its warm-up comes within 0.0e+00") == 2
+
+
+def test_a_warm_up_has_to_come_near_the_kept_start_and_the_record_follows_that(scratch, capsys, monkeypatch):
+    """Steps of a warm-up depend on the processor's last bits: 5e-8 by one that has wider registers, of which the angle
+    at a record's end makes 1.8e-6 rad. The record from the same start agrees to its last digits."""
+    generate.main([])
+    kept = read_starts(scratch)
+    monkeypatch.setitem(WARM, "speed", 100 * (1 + 5e-8))
+    assert generate.main(["--check", "--only", "a.csv"]) == 0
+    assert "identical bytes; its warm-up comes within 5.0e-08 of the kept one" in capsys.readouterr().out
+    one = kept["a.csv.gz"]
+    other = Start(one.strength, (one.state[0], WARM["speed"], *one.state[2:]))
+    write_starts(scratch, kept | {"a.csv.gz": other})  # from which the file was not made
+    assert generate.main(["--check", "--only", "a.csv"]) == 1
+    assert "theta differs by up to 5000.0 units in its last place" in capsys.readouterr().out
+    write_starts(scratch, kept)
+    monkeypatch.setitem(WARM, "speed", 100 * (1 + 5e-6))
+    assert generate.main(["--check", "--only", "a.csv"]) == 1
+    assert "its warm-up comes within 5.0e-06 of the kept one" in capsys.readouterr().out
+    write_starts(scratch, {})
+    assert generate.main(["--check", "--only", "a.csv"]) == 1
+    assert "starts.json does not list its start" in capsys.readouterr().out
 
 
 def test_check_reports_missing_and_changed_files(scratch, capsys):
@@ -188,7 +245,7 @@ def test_only_with_an_unknown_text_lists_the_records(scratch, capsys):
 
 
 def test_compare_tolerates_the_last_digit_and_no_more():
-    columns = tiny(1200.0)
+    columns = {name: np.linspace(0.0, 1.0, 5) for name in CONTRACT}
     kept = compress(to_text(columns))
     last_digit = columns | {"omega": columns["omega"] + 1e-4}
     wrong = columns | {"omega": columns["omega"] + 1e-3}

@@ -276,25 +276,37 @@ def test_the_effects_that_would_be_left_out_in_the_end_are_told_to_the_search(mo
 
 
 @pytest.mark.parametrize(
-    ("ports", "port", "left"),
+    ("ports", "port", "more", "left"),
     [
-        (["spring", "spring"], "spring", 1),
-        (["spring", "load"], "spring", 2),  # the last one is elsewhere
-        (["load", "spring"], "spring", 2),  # and none beside it there
-        (["spring", "spring"], None, 2),  # nothing is left, or no function
-        (["spring", "spring", "spring"], "spring", 1),
+        (["spring", "spring"], "spring", (), 1),
+        (["spring", "load"], "spring", (), 2),  # the last one is elsewhere
+        (["load", "spring"], "spring", (), 2),  # and none beside it there
+        (["spring", "spring"], None, (), 2),  # nothing is left, or no function
+        (["spring", "spring", "spring"], "spring", (), 1),
+        (["spring", "spring"], "spring", (2,), 2),  # the last does what no function of the twist does
+        (["spring", "spring", "spring"], "spring", (2,), 2),
     ],
 )
 def test_effects_that_leave_a_function_of_their_own_signal_come_down_to_the_first(
-    monkeypatch, ports, port, left
+    monkeypatch, ports, port, more, left
 ):
     """A spring of an exponential had come out as one that hardens and a play of a thousandth of its way."""
     effects = tuple(stub(name=f"{k} at {at}", candidate=stub(port=at)) for k, at in enumerate(ports))
     stations = [stub(effects=effects[:k], screened=k) for k in range(len(effects) + 1)]
     unknown = None if port is None else stub(port=port, signal="twist")
     monkeypatch.setattr(module, "unknown_of", lambda screened: unknown)
+    asked = []
+
+    def answer(refits, tried, last, port, signal):
+        asked.append((last, port, signal))
+        return len(tried) in more
+
+    monkeypatch.setattr(module, "does_more", answer)
+    monkeypatch.setattr(module, "key_of", len)
     said = []
-    found = FreshChoice(None, None, print, said)._bent_together(stations)
+    search = stub(pool={k: range(k) for k in range(len(effects) + 1)}, refits=None)
+    found = FreshChoice(search, None, print, said)._bent_together(stations)
+    assert all(one == (effects[-k - 1], "spring", "twist") for k, one in enumerate(asked))
     assert len(found) == left + 1
     assert len(said) == len(ports) - left
     assert all("is left out: with it, too, what is left depends on twist there" in words for words in said)

@@ -11,7 +11,10 @@ import casadi_engine as ce
 from casadi_engine.discrepancy import answer
 from casadi_engine.discrepancy.certificate import in_place_of, law_words
 from casadi_engine.discrepancy.random_families import Family
-from casadi_engine.discrepancy.unknown_law import UnknownLaw
+from casadi_engine.discrepancy.refit import Refitter, addition
+from casadi_engine.discrepancy.refits import Refits
+from casadi_engine.discrepancy.screening import screen
+from casadi_engine.discrepancy.unknown_law import UnknownLaw, depends_on_more, does_more
 
 
 def brake(speed):
@@ -144,3 +147,78 @@ def test_a_share_above_all_that_a_law_does_is_not_said(share, said):
     words = in_place_of(last, UnknownLaw(course, 9.5, share)).sentence
     assert words.endswith("the nearest of the library, which explains 90 % of what that does") is said
     assert ("explains" in words) is said
+
+
+# ---- an effect beside a law of no name
+
+
+class LoadFriction(ce.Effect):
+    """Dry friction that is a share of the load."""
+
+    name, attaches, kin = "load_friction", ("inertia",), ("coulomb_friction",)
+    sentence = "dry friction at {port} that grows with the load"
+    amplitude = ce.effects.Amplitude("share", unit="1", min=0)
+    nuisance = {}  # noqa: RUF012
+
+    def law(self, port, p, math):
+        return -p.share * port.load * math.sign(port.speed, width=0.1)
+
+
+def under_load():
+    """0.4 kg m2 under a load that is measured."""
+    b = ce.Blueprint("under_load")
+    inertia = b.parameter("J", 0.4, unit="kg m2", min=0.2, max=0.8)
+    friction = b.parameter("d", 0.15, unit="N m s/rad", min=0, max=3)
+    torque, load = (b.input(name, unit="N m", scale=10) for name in ("T", "load"))
+    speed = b.state("w", unit="rad/s", scale=10)
+    port = b.port("engine", "inertia", {"speed": speed, "load": load})
+    b.ode("w", (torque - load - friction * speed + port) / inertia)
+    b.output("omega", speed, unit="rad/s", scale=10)
+    return b.model()
+
+
+def run_under_load(tied):
+    """With 0.3 of the load more and the brake; tied : the load is half the speed, else it has a course of its own."""
+    time, rng = np.arange(300) * 0.04, np.random.default_rng(1)
+    tones = 2 * np.pi * np.array([0.06, 0.17, 0.43])
+
+    def course(level, size):
+        return level + size * np.sin(tones[:, None] * time + rng.uniform(0, 6, (3, 1))).sum(axis=0)
+
+    torque, own = course(10.0, 1.5), course(5.0, 1.0)
+
+    def rate(t, w):
+        load = 0.5 * w if tied else np.interp(t, time, own)
+        return (np.interp(t, time, torque) - 1.3 * load - 0.15 * w - 2 * brake(w / 2)) / 0.4
+
+    speed = solve_ivp(rate, (0, time[-1]), [8.0], t_eval=time, rtol=1e-9, atol=1e-9, max_step=0.04).y[0]
+    return ce.Experiment.from_arrays(
+        "run",
+        time=time,
+        units={"T": "N m", "load": "N m", "omega": "rad/s"},
+        T=torque,
+        load=0.5 * speed if tied else own,
+        omega=speed + 0.02 * rng.standard_normal(len(time)),
+    )
+
+
+@pytest.mark.parametrize("tied", [False, True])
+def test_only_what_no_function_of_the_speed_does_is_missing_beside_it(tied):
+    """Friction of a load that goes its own way is no part of a law in speed; that of a load which the speed tells may
+    be, and dry friction is."""
+    data, known = run_under_load(tied), ce.Noise(omega=0.02)
+    model = under_load()
+    fit = ce.estimate(model, data, noise=known, progress=False, errors="quadratic")
+    screened = screen(fit, ["coulomb_friction", LoadFriction()])
+    dry, of_load = (
+        addition(next(c for c in screened.candidates if c.effect == name), size)
+        for name, size in (("coulomb_friction", 1.0), ("load_friction", 0.3))
+    )
+    refitter = Refitter(model, model.parameters(), (data,), known, {"max_iterations": 100})
+    refits = Refits(refitter, fit, screened.noise, cylinders="assumed", tell=lambda _: None)
+    refits.none(fit)
+    (both,) = refits.tried((dry, of_load), None)
+    assert depends_on_more(of_load, "speed")
+    assert does_more(refits, both, of_load, "engine", "speed") is not tied
+    assert not depends_on_more(dry, "speed")
+    assert not does_more(refits, both, dry, "engine", "speed")

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import casadi_engine as ce
 
@@ -100,3 +101,33 @@ def test_errors_cover_the_truth_where_an_estimate_ends_at_its_bound():
     assert len(there) > 15  # of some 25
     within = [abs(f.estimates["b"].value - 1.0) < 1.96 * f.estimates["b"].stderr for f in there]
     assert np.mean(within) > 0.9  # 0.65 by the errors that hold at the bound
+
+
+def test_in_coloured_noise_the_errors_beside_a_bound_are_those_without_it():
+    """What is at its bound takes a part of a slow noise with it, as it does where nothing bounds it. Without it the
+    others took more with every round than was there: errors grew by a factor of 1e21."""
+    rng, count = np.random.default_rng(3), 400
+
+    def slow():
+        return np.sqrt(1 - 0.9**2) * lfilter([1.0], [1.0, -0.9], rng.standard_normal(count + 200))[200:]
+
+    second = slow()
+    first = 0.999 * second + np.sqrt(1 - 0.999**2) * slow()
+    columns = np.stack([first, second], axis=1)
+    white = SIGMA * np.sqrt(np.linalg.inv(columns.T @ columns)[0, 0])
+    noises = (SIGMA * slow() for _ in range(100))
+    # below its bound, and within what chance does there in white noise
+    noise = next(one for one in noises if -1.5 * white < np.linalg.lstsq(columns, one)[0][0] < -0.3 * white)
+    channels = {"u1": first, "u2": second, "y": second + noise}
+    units = dict.fromkeys(channels, "1")
+    record = ce.Experiment.from_arrays(
+        "r", time=np.arange(count) * 0.1, inputs=("u1", "u2"), units=units, **channels
+    )
+    known = {"noise": ce.Noise(y=SIGMA), "initial": {"rest": 0.0}, "progress": False}
+    bound, free = (ce.estimate(plane(low=low), record, **known) for low in (0.0, -100.0))
+    assert bound.estimates["a"].at_bound == "min"
+    assert free.own_noise["b"] > 2
+    errors = [fit.estimates["b"].stderr or fit.estimates["b"].quadratic for fit in (bound, free)]
+    assert errors[0] == pytest.approx(errors[1], rel=0.05)
+    assert bound.own_noise["b"] == pytest.approx(free.own_noise["b"], rel=0.05)
+    assert bound.own_noise["a"] == 1.0

@@ -49,7 +49,7 @@ class Case:
     SciPy. outputs : name -> SI values from (t, x, p, u). start : state -> value at the first time.
     units : channel (and "time", if not s) -> unit of the record. time : (N,) s, of the outputs.
     inputs : name -> (time [s], values in the record's unit). hold : of the inputs.
-    breaks : instants at which the rates jump, from p. switch : the function g(x, p) whose sign is s in `rates`
+    breaks : instants at which the rates jump or bend, from p. switch : the function g(x, p) whose sign is s in `rates`
     free : the parameter to recover. guess : where its search starts
     known_start : the initial state is given to the fit; else the fit finds it. level : noise by the range of an output
     method : of SciPy; Radau for stiff ones. cause : words of which a refusal must name one
