@@ -177,6 +177,9 @@ class Refitter:
         model = self.extended(effects)
         pars = self.parameters_of(model, effects)
         fit = self._try(model, pars, start)
+        if start.converged and (fit is None or not fit.converged):
+            # it is near an optimum in one run, and gaps between intervals may not close where corners are sharp
+            fit = _better(self._try(model, pars, start, most=_FEWER, interval="single"), fit)
         if (
             fit is not None and not fit.converged and math.isfinite(fit.cost)
         ):  # often it is a step short of it
@@ -314,11 +317,12 @@ class Refitter:
         warm: Start | None,
         *,
         most: int = _ITERATIONS,
+        interval: Any = None,
     ) -> Fit | None:
-        """One estimate of at most so many iterations."""
+        """One estimate of at most so many iterations; interval : None for the usual one."""
         most = min(int(self.options.get("max_iterations", most)), most)
         options = dict(self.options) | {"max_iterations": most, "errors": "quadratic", "progress": False}
-        options["interval"] = self.interval
+        options["interval"] = self.interval if interval is None else interval
         if warm is not None and self.in_places:
             warm = replace(warm, in_places=True)
         try:

@@ -226,7 +226,7 @@ def uncertainty(search: Search, best: Attempt) -> Uncertainty:
     if search.constraints.count:  # what the bounds have to hold beside the constraints
         pull = search.constraints.evaluate(best.v)[1].T @ best.solution.lam_g[: search.constraints.count]
         force[: search.problem.nv] += search.problem.samples * pull
-    bound = _at_bounds(search, best, open_, force)
+    bound = _at_bounds(search, best, open_, force, np.diag(information))
     for k, side in enumerate(bound[: search.problem.nv]):
         if side is not False:
             x[k] = search.lower[k] if side == "min" else search.upper[k]
@@ -337,8 +337,9 @@ def _acts(near: float, force: float, variance: float) -> bool:
     return bool(near < _NEAR * np.sqrt(max(variance, 0.0)) and shift > _BEYOND * near)
 
 
-def _at_bounds(search: Search, best: Attempt, open_: Covariance, force: Array) -> list[AtBound]:
-    """For v and the initial states: False, "min" or "max"; force : slopes of half chi-squared there."""
+def _at_bounds(search: Search, best: Attempt, open_: Covariance, force: Array, alone: Array) -> list[AtBound]:
+    """For v and the initial states: False, "min" or "max"; force : slopes of half chi-squared there; alone : (N,) their
+    information with all others held: one is put on its bound without them, which the data must not tell either."""
     problem, x, found = search.problem, best.solution.x, []
     entries = list(range(problem.nv))
     for lay in problem.layouts:
@@ -347,7 +348,8 @@ def _at_bounds(search: Search, best: Attempt, open_: Covariance, force: Array) -
         low, high = x[entry] - search.lower[entry], search.upper[entry] - x[entry]
         side: AtBound = "min" if low <= high else "max"
         own = float(force[k]) if side == "min" else -float(force[k])
-        acts = _acts(float(min(low, high)), own, float(open_.matrix[k, k]))
+        near = float(min(low, high))
+        acts = _acts(near, own, float(open_.matrix[k, k])) and max(near, 0.0) ** 2 * alone[k] < _NEAR**2
         found.append(side if acts else False)
     return found
 
