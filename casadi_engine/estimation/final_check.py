@@ -146,14 +146,19 @@ def _saddle(search: Search, errors: Uncertainty, cost: float) -> str | None:
 def _corner(search: Search, errors: Uncertainty, residuals: Sequence[Array]) -> bool:
     """True where no part of the promised step, too small to see, brings what it promises: slopes jump there.
 
-    Chi-squared has a corner where the instant of an event passes a sample.
+    Chi-squared has a corner where the instant of an event passes a sample. Along what the data hardly determine the
+    step is as long as slopes may hold, by rounding it may be any.
     """
-    if errors.step is None or not errors.decrement <= _FALL:
+    if errors.step is None:
         return False
     nv, lower, upper = len(errors.v), search.lower, search.upper
+    size = np.where(search.coordinates.log, 1.0, np.maximum(1.0, np.abs(errors.v)))
+    reach = 1.0 / max(1.0, float(np.abs(errors.step[:nv] / size).max(initial=0.0)))
+    if not (reach * (2 - reach) * errors.decrement <= _FALL):
+        return False
     cost = printed_cost(search, errors.v, residuals)
     records = [_in_one_piece(search, record) for record in search.records]
-    for share in _PARTS:
+    for share in reach * np.array(_PARTS):
         v = np.clip(errors.v + share * errors.step[:nv], lower[:nv], upper[:nv])
         moved, at = [], nv
         try:

@@ -83,8 +83,8 @@ def test_one_optimum_keeps_its_error(found):
 
 
 def test_swings_that_explain_as_much_are_in_the_interval(found, monkeypatch):
-    """As much is here what whole fits that begin one and two swings earlier end at."""
-    ends = [cost_at(found.fit, found.fit.values[NAME] + k * PERIOD) for k in (-2, -1)]
+    """As much is here what whole fits that begin one swing earlier and later end at."""
+    ends = [cost_at(found.fit, found.fit.values[NAME] + k * PERIOD) for k in (-1, 1)]
     assert all(abs(time - found.fit.values[NAME]) > 0.7 * PERIOD for _, time in ends)
     monkeypatch.setattr(module, "_WITHIN", 1.1 * (max(cost for cost, _ in ends) - found.fit.cost))
     again = repaired()
