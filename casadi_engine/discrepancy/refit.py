@@ -177,19 +177,23 @@ class Refitter:
         model = self.extended(effects)
         pars = self.parameters_of(model, effects)
         fit = self._try(model, pars, start)
-        if start.converged and (fit is None or not fit.converged):
-            # it is near an optimum in one run, and gaps between intervals may not close where corners are sharp
-            fit = _better(self._try(model, pars, start, most=_FEWER, interval="single"), fit)
         if (
             fit is not None and not fit.converged and math.isfinite(fit.cost)
         ):  # often it is a step short of it
             fit = _better(self._try(model, pars, Start.of(fit), most=_FEWER), fit)
+        if start.converged and (fit is None or not fit.converged) and self._has_corners(effects):
+            # it is near an optimum in one run, and gaps between intervals may not close beside sharp corners
+            fit = _better(self._try(model, pars, start, most=_FEWER, interval="single"), fit)
         if fit is None or not fit.converged:
             far = Start(start.values, {}, {}, False)
             fit = _better(fit, self._try(model, pars, far))
         if fit is None or not fit.converged:
             return fit
         return self._smallest(fit, effects, effects)
+
+    def _has_corners(self, effects: Sequence[Addition]) -> bool:
+        """True if corners of a law are rounded over a width."""
+        return any(getattr(self.rounded(one), "width", None) is not None for one in effects)
 
     def _smallest(self, fit: Fit, effects: Sequence[Addition], new: Sequence[Addition]) -> Fit:
         """The fit with amplitudes that have no error, one larger than themselves, or rest on their upper bound, as
