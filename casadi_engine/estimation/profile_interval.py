@@ -11,6 +11,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.deadline import Deadline, TimeUp, ask
 from casadi_engine.distributions import chi2_isf, f_isf
 from casadi_engine.errors import ModelError
 from casadi_engine.estimation.search import Attempt, Search
@@ -23,6 +24,8 @@ LEVEL = 0.95
 # Refits on one side; the share of the root of the threshold within which an end counts as found; and how much further
 # than the quadratic has it an end is looked for.
 _MOST, _CLOSE, _FAR = 6, 0.03, 4.0
+# Errors of a logarithm from which no ends are looked for: a factor of a million.
+_ENDLESS = 14.0
 # Evaluations of the problem that a refit takes at least.
 _EVALUATIONS = 4
 # A refit that is this much below the optimum has found another one.
@@ -93,6 +96,8 @@ class Profiles:
         limit = float(search.lower[k] if sign < 0 else search.upper[k])
         x, here, height, inner = self.best.solution.x, float(errors.v[k]), 0.0, float(errors.v[k])
         there = here + sign * root * size
+        if search.coordinates.log[k] and root * size > _ENDLESS:
+            return None  # the data do not determine it
         outer: tuple[float, float] | None = None
         for _ in range(_MOST):
             there = min(there, limit) if sign > 0 else max(there, limit)
@@ -126,11 +131,15 @@ class Profiles:
             start = self._foreseen(k, value, x)
             lower, upper = self.search.lower.copy(), self.search.upper.copy()
             lower[k] = upper[k] = value
-            found = self.search.solver.solve(start, lower, upper, exact=True)
+            with Deadline(max(self.seconds - self._spent, 0.0), clock=time.process_time):
+                found = self.search.solver.solve(start, lower, upper, exact=True)
             if found.status != "converged":
                 return None
             rise = self._cost(found.x) - self.base
         except (FloatingPointError, np.linalg.LinAlgError, ModelError):
+            return None
+        except TimeUp:
+            ask()  # all of the time, or what profiles may take
             return None
         finally:
             self._spent, self._done = self._spent + time.process_time() - begun, self._done + 1
