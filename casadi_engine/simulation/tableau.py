@@ -99,7 +99,11 @@ def stage_sensitivities(scheme: Tableau, by_x: Array, by_z: Array) -> tuple[Arra
     identity[:, :n] = np.eye(n)
     if scheme.implicit:
         right = np.concatenate([by_x, by_z], axis=-1)
-        slopes = _unstacked(np.linalg.solve(_coupling(scheme, by_x), _stacked(right)), scheme.stages)
+        try:
+            solved = np.linalg.solve(_coupling(scheme, by_x), _stacked(right))
+        except np.linalg.LinAlgError as fault:  # as where the states themselves are no numbers
+            raise FloatingPointError("the stages of an implicit step have no slopes") from fault
+        slopes = _unstacked(solved, scheme.stages)
     else:
         slopes = _empty_like(by_x, wide)
         for i in range(scheme.stages):

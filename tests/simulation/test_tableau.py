@@ -138,3 +138,10 @@ def test_many_steps_are_made_in_parts_that_a_deadline_can_end(scheme, monkeypatc
         deadline.stop()
         with pytest.raises(TimeUp):
             stage_sensitivities(scheme, by_x, by_z)
+
+
+def test_stages_without_slopes_are_no_step(monkeypatch):
+    """An orbit that overflows on the way made a bare LinAlgError of a search that looked for a run."""
+    monkeypatch.setattr(tableau, "_coupling", lambda _scheme, by_x: np.zeros((1, 3, 3)))
+    with pytest.raises(FloatingPointError, match="implicit step have no slopes"):
+        stage_sensitivities(RADAU, np.ones((3, 1, 1, 1)), np.ones((3, 1, 1, 1)))
