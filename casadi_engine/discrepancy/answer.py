@@ -77,7 +77,7 @@ _MAY_HIDE = (
 # answer can do without.
 _TESTS, _EXTRA = 0.75, 0.9
 # What ± are worth where effects explain not all.
-_MORE = "± count noise alone: what is still unexplained may move the values by more"
+_MORE = "the ± cover noise alone; what is still unexplained may move the values by more"
 _LEFT_OUT = {
     "leftover": "what no effect of the library names",
     "latent torque": "where something acts",
@@ -162,8 +162,8 @@ class Answer:
                 unknown = Unknown(words[0], {}) if words else None
         if found and unknown is not None and self._may_be_rounding(last, unknown):
             self.messages.append(
-                f"what is left at {unknown.port} depends on its {unknown.signal}, and may be that the corners of what "
-                "acts there are rounder in the search than in the data: it was not brought to sharper ones"
+                f"what is left at {unknown.port} depends on {unknown.signal}: the corners of the law there are "
+                "rounded, which may cause it, and no fit with sharper corners was reached"
             )
             unknown = None
         if null.screened.request.blind and not found and not at_own_port(null, unknown):

@@ -39,7 +39,7 @@ def told_by_member(
             off, words = max(apart, key=lambda pair: pair[0][0][0])
             names = ", ".join(f"{name} is {text}" for _, name, text in off[:_TOLD])
             more = f", and {len(off) - _TOLD} more are others" if len(off) > _TOLD else ""
-            said.append(f"± hold for the names that lead: {words} {names}{more}")
+            said.append(f"values and ± hold only for the names that lead: {words} {names}{more}")
     return said
 
 

@@ -116,8 +116,10 @@ def misread(
 
 
 def with_hint(repair: Repair, found: Misread | None) -> Repair:
-    """The repair with what may be wrong with its data said first, where it has no name for what is missing."""
-    if found is None or repair.verdict in ("named", "class"):
+    """The repair with what may be wrong with its data said first, unless it has a name for what is missing, of a size
+    that the data tell: a gain of an input without one stands for any sign and unit."""
+    told = repair.verdict in ("named", "class") and all(e.amplitude.stderr for e in repair.effects)
+    if found is None or told:
         return repair
     return replace(repair, options={**repair.options, HINT: found.words})
 

@@ -179,7 +179,8 @@ def _scatter(one: OwnNoise, slopes: Array, errors: Array) -> tuple[Array, float]
         taken = slopes @ (vectors * np.sqrt(np.maximum(values, 0.0)))
         columns = np.concatenate([columns, taken], axis=1)
     noise = autoregression(columns, one.valid)
-    predictor, answer = _lasting(noise.predictors[-1], len(slopes))
+    predictor = _lasting(noise.predictors[-1], len(slopes))
+    answer = lfilter([1.0], predictor, np.eye(1, len(slopes))[0])
     count, power = int(one.valid.sum()), float((answer**2).sum())
     level = math.sqrt(float((columns**2).sum()) / count / power)
     # the noise was there before the record began
@@ -189,21 +190,11 @@ def _scatter(one: OwnNoise, slopes: Array, errors: Array) -> tuple[Array, float]
     return np.asarray(passed.T @ passed), count * power * float(predictor.sum()) ** 2
 
 
-def _lasting(predictor: Array, samples: int) -> tuple[Array, Array]:
-    """The predictor with a memory of no more than the record, and the answer (samples,) to one shock: least squares may
-    find one that grows. Of a memory as long as the record, e^-2 of the power comes later than the record is long."""
-    from scipy.signal import lfilter
-
-    lags, shrunk = np.arange(len(predictor)), 0.0
-    shock = np.eye(1, 2 * samples)[0]
-    while True:
-        with np.errstate(over="ignore", invalid="ignore"):
-            own = predictor * np.exp(-shrunk * lags)
-            power = lfilter([1.0], own, shock) ** 2
-            first, later = power[:samples].sum(), power[samples:].sum()
-        if later <= math.exp(-2) * first:  # false for what is no number
-            return own, lfilter([1.0], own, shock[:samples])
-        shrunk = 2 * shrunk or 1 / samples
+def _lasting(predictor: Array, samples: int) -> Array:
+    """The predictor with a memory of no more than the record: least squares may find one that grows."""
+    largest = float(np.abs(np.roots(predictor)).max(initial=0.0))
+    limit = 1 - 1 / samples
+    return predictor if largest <= limit else predictor * (limit / largest) ** np.arange(len(predictor))
 
 
 def _beyond(scatter: Array, white: Array) -> Array:

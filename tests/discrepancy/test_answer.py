@@ -8,6 +8,7 @@ import pytest
 import casadi_engine as ce
 from casadi_engine.discrepancy import answer_words as words
 from casadi_engine.discrepancy import fresh_choice
+from casadi_engine.discrepancy.answer import Answer
 from casadi_engine.discrepancy.choice import TIME_UP
 from casadi_engine.discrepancy.fresh import Judgement
 from casadi_engine.discrepancy.fresh_choice import FreshChoice
@@ -189,3 +190,16 @@ def test_what_the_time_left_unfitted_is_told_where_it_is_far_more_probable():
     assert words.so_far(search) == []
     search.failed, pool["play"].counted = {"a play": TIME_UP}, -98.0
     assert words.so_far(search) == []
+
+
+@pytest.mark.parametrize(
+    ("port", "felt", "rounding"),
+    [("trolley", 4.0, True), ("trolley", float("nan"), True), ("trolley", 0.0, False), ("mass", 4.0, False)],
+)
+def test_what_rounded_corners_leave_at_their_port_is_no_law_of_no_name(port, felt, rounding):
+    friction = SimpleNamespace(candidate=SimpleNamespace(port="trolley"))
+    path = SimpleNamespace(cornered=lambda effects: True)
+    refits = SimpleNamespace(path=path, rounding_felt=lambda effects: felt)
+    asked = SimpleNamespace(search=SimpleNamespace(refits=refits))
+    unknown = SimpleNamespace(port=port, course=object())
+    assert Answer._may_be_rounding(asked, SimpleNamespace(effects=(friction,)), unknown) is rounding

@@ -31,10 +31,8 @@ def test_what_another_name_makes_of_the_parameters_is_told():
     }
     one = fit(M=(16.77, 0.03), K=(2.0, 0.01))
     (words,) = told_by_member([found(Member(*RESISTANCE, -1.0, 0.5))], frozenset({GAIN}), values, one)
-    assert (
-        words
-        == "± hold for the names that lead: with wrong_value at Re in the place of sensor_gain at i M is 14.01 g"
-    )
+    place = "with wrong_value at Re in the place of sensor_gain at i"
+    assert words == f"values and ± hold only for the names that lead: {place} M is 14.01 g"
 
 
 def test_two_in_the_place_of_one():

@@ -1,13 +1,16 @@
 """Data that are stated wrong are told before a search; what a model lacks is no fault of the data."""
 
 import re
+from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.misread import followed, misread, readings, unexplained
+from casadi_engine.discrepancy.misread import Misread, followed, misread, readings, unexplained, with_hint
+from casadi_engine.discrepancy.wording import HINT
 
 STEP, COUNT = 0.02, 700
 UNITS = {"F": "N", "pos": "m", "vel": "m/s"}
@@ -183,3 +186,21 @@ def test_a_doubt_about_the_data_leads_an_answer_without_a_name():
         text.split("  data ", maxsplit=1)[0].split()
     )
     assert "Next: look at the data first, as said above" in text
+
+
+@dataclass(frozen=True)
+class _Asked:
+    verdict: str
+    effects: tuple
+    options: dict
+
+
+@pytest.mark.parametrize(
+    ("verdict", "error", "said"),
+    [("named", 0.01, False), ("named", None, True), ("class", None, True), ("unnamed", None, True)],
+)
+def test_a_doubt_stays_beside_a_gain_of_no_known_size(verdict, error, said):
+    """An input that is reversed was named a gain of -1.53, as inertia and stiffness took the rest."""
+    effects = () if verdict == "unnamed" else (SimpleNamespace(amplitude=SimpleNamespace(stderr=error)),)
+    found = with_hint(_Asked(verdict, effects, {}), Misread("with the input F reversed", certain=False))
+    assert (HINT in found.options) is said

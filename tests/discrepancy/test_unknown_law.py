@@ -81,6 +81,11 @@ def test_a_name_that_comes_near_an_unknown_law_says_so(braked, tmp_path):
     assert "the nearest of the library, which explains" in unknown.sentence
     text = str(braked)
     assert "or rather a law that the library lacks" in " ".join(text.split())
+    assert braked.verdict == "class"
+    assert "Note: the ± cover noise alone; what is still unexplained may move the values by more" in " ".join(
+        text.split()
+    )
+    assert "Next: look at the curve of the unknown torque" in " ".join(text.split())
     assert "More probable in its place: an unknown torque at engine" in " ".join(text.split())
     ce.report(braked, tmp_path / "page.html")
     assert "In its place: an unknown torque at engine" in (tmp_path / "page.html").read_text()
