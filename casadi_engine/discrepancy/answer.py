@@ -42,7 +42,7 @@ from casadi_engine.discrepancy.fresh_fits import events_told
 from casadi_engine.discrepancy.fresh_misfit import held_to_fresh_data
 from casadi_engine.discrepancy.joint_fit import asks_for_one, with_joint_fit
 from casadi_engine.discrepancy.latent_torque import LatentTorque, latent_torques
-from casadi_engine.discrepancy.law_refit import refitted_law
+from casadi_engine.discrepancy.law_refit import is_far, refitted_law
 from casadi_engine.discrepancy.left_out import left_out_alike
 from casadi_engine.discrepancy.next_experiment import next_experiment
 from casadi_engine.discrepancy.noise_model import NoiseModel
@@ -190,7 +190,8 @@ class Answer:
         law = self._law(last, unknown_law) if found or (unknown is None and coloured) else None
         rival = None if law is None else in_place_of(last, law)
         # near the truth the law that is linearised is told from the effects; else it is refitted
-        asked = rival is not None or coloured or (unknown is not None and not found)
+        asked = rival is not None or (unknown is not None and not found)
+        asked = asked or (coloured and self._in_time("unknown law", lambda: self._is_far(last)) is True)
         if asked and not null.screened.request.blind:  # an error of a sensor may be all there is
             far = self._law(last, refitted_law)
             told = None if far is None else in_place_of(last, far)
@@ -248,6 +249,11 @@ class Answer:
             refitter = self.search.refits.refitter
             done = self._in_time("all records", lambda: with_joint_fit(done, refitter)) or done
         return held_to_rivals(held_to_what_fresh_data_tell(held_to_fresh_data(done)))
+
+    def _is_far(self, last: Station) -> bool:
+        """See ``law_refit.is_far``."""
+        tried = self.search.pool.get(key_of(last.effects))
+        return tried is not None and is_far(self.search.refits.path.residuals(tried.effects, tried.arrived))
 
     def _law(self, last: Station, told: Callable[..., UnknownLaw | None]) -> UnknownLaw | None:
         """A law that no effect names, in the place of those found, that these do not exclude."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any
 
 from casadi_engine.deadline import TimeUp
@@ -66,16 +67,21 @@ def with_checked_errors(
     return replace(repair, fit=checked, effects=effects, messages=said)
 
 
-def with_errors_of_rounding(repair: Repair, felt: float, *, ended: bool) -> Repair:
+def with_errors_of_rounding(
+    repair: Repair, felt: float, moved: Mapping[str, float] = MappingProxyType({}), *, ended: bool
+) -> Repair:
     """The same with errors that count how corners are rounded: larger by what sharper ones may move the estimates;
     none where the search was ended before these were tried, as what they do is foretold from wider ones alone.
 
     felt : chi-squared by which sharper corners may change it, nan where that is not known, 0 where none is felt
+    moved : parameter -> what sharper corners may move it by, where that is known
     """
     if not repair.effects or felt == 0 or (math.isnan(felt) and not ended):
         return repair
-    factor, found = math.sqrt(1 + felt), {}
+    found = {}
     for name, one in repair.fit.estimates.items():
+        error = one.stderr or one.quadratic
+        factor = math.hypot(1, moved[name] / error) if error and name in moved else math.sqrt(1 + felt)
         if one.stderr is None:
             interval = None if ended else _stretched(one, factor, _limits(repair.fit, name))
             found[name] = replace(one, interval=interval)

@@ -57,22 +57,22 @@ def with_intervals_of_times(repair: Repair, refits: Refits) -> Repair:
 def _as_good(refits: Refits, tried: Tried, one: Addition) -> Iterator[tuple[str, Array]]:
     """The time of an event in each record, by its parameter's name, with all times (K,) that explain as much."""
     null = refits.null(tried) if one.moves and list(one.nuisance) == ["time"] else None
-    gone = None if null is None else without_effect(null, one, len(refits.null_fit.model.states))
-    if null is None or gone is None:
+    if null is None:
         return
     values, data = tried.arrived.values, refits.refitter.data
-    with np.errstate(all="ignore"):
-        made, step = finer_candidates(
-            one.candidate, gone, data, refits.path.levels, values.get(f"{one.key}.time")
-        )
-    if step is None:
-        return
     count = sum(len(e) for record in null.records for e in record.residual.values())
     unit = max(1.0, tried.arrived.cost / count) * max(refits.levels.memory.values(), default=1.0)
     for record in data:
         name = f"{one.key}.time" if f"{one.key}.time" in values else f"{one.key}.time@{record.name}"
         size = values.get(f"{one.amplitude}@{record.name}", values.get(one.amplitude))
-        if name not in values or not size:
+        # what it does in the other records stays: what their residuals would be without it is no word on this time
+        gone = without_effect(null, one, len(refits.null_fit.model.states), only=record.name)
+        if name not in values or not size or gone is None:
+            continue
+        only = record.name if len(data) > 1 else None
+        with np.errstate(all="ignore"):
+            made, step = finer_candidates(one.candidate, gone, data, refits.path.levels, values[name], only)
+        if step is None:
             continue
         shared = size if one.amplitude in values and len(data) > 1 else None
         times, cost = _over_time(made, step, record.name, size, shared)

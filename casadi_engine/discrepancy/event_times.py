@@ -7,6 +7,7 @@ serves to tell that something happened; when it did is looked for on a finer one
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -20,6 +21,7 @@ from casadi_engine.discrepancy.linearised import OneStep, one_step
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.refit import Addition, addition
 from casadi_engine.discrepancy.refits import Refits
+from casadi_engine.effects import Grid
 from casadi_engine.experiment import Experiment
 
 # How many times finer that grid is, over how many steps of the other to both sides of where the event is, and how many
@@ -43,12 +45,19 @@ def located(
 
 
 def finer_candidates(
-    one: Candidate, null: NullModel, data: Sequence[Experiment], levels: Any, at: float | None
+    one: Candidate,
+    null: NullModel,
+    data: Sequence[Experiment],
+    levels: Any,
+    at: float | None,
+    only: str | None = None,
 ) -> tuple[list[Candidate], OneStep | None]:
-    """The candidates of an event on a finer grid of times, and one step of them; of one record about where it is."""
+    """The candidates of an event on a finer grid of times, in all records or in one of them, and one step of them;
+    where there is one record about where it is."""
     if not _timed(one):
         return [], None
-    effect, (begin, length) = one.source.effect, (data[0].span[0], data[0].duration)
+    effect, own = one.source.effect, next((r for r in data if r.name == only), data[0])
+    begin, length = own.span[0], own.duration
     grid = effect.nuisance["time"]
     if len(data) == 1:
         step = (grid.stop - grid.start) / (grid.steps - 1)
@@ -57,12 +66,29 @@ def finer_candidates(
         if low >= high:
             return [], None
         grid = replace(grid, start=low, stop=high, steps=2 * _ASIDE + 1)
-    steps = min((grid.steps - 1) * _FINER, _MOST // len(data)) + 1
+    steps = min((grid.steps - 1) * _FINER, _MOST // (len(data) if only is None else 1)) + 1
+    grid = replace(grid, steps=steps)
+    if at is not None:  # which is one of the times then: the others are held against it
+        grid = _through(grid, (at - begin) / length)
     dense = copy.copy(effect)
-    object.__setattr__(dense, "nuisance", {"time": replace(grid, steps=steps)})
+    object.__setattr__(dense, "nuisance", {"time": grid})
     every = library_candidates(null, data, (dense,), again=True)
-    made = [replace(own, source=replace(own.source, effect=effect)) for own in every if own.key == one.key]
+    made = [
+        replace(found, source=replace(found.source, effect=effect))
+        for found in every
+        if found.key == one.key and (only is None or only in found.direction)  # type: ignore[operator]
+    ]
     return made, one_step(null, made, levels) if made else None
+
+
+def _through(grid: Grid, value: float) -> Grid:
+    """The same grid moved by less than a step, so that a value inside it is one of its own."""
+    step = (grid.stop - grid.start) / (grid.steps - 1)
+    before = math.floor((value - grid.start) / step + 1e-9)
+    after = math.floor((grid.stop - value) / step + 1e-9)
+    if before < 0 or after < 0 or before + after < 1:
+        return grid
+    return replace(grid, start=value - before * step, stop=value + after * step, steps=before + after + 1)
 
 
 def _timed(one: Candidate) -> bool:

@@ -50,6 +50,9 @@ _STEPS, _FEW = 30, 12
 # Horizons over which every function is refitted; those go on to the whole record whose chi-squared over these is within
 # such a factor of the least.
 _SHORT, _NEAR = 3, 2.0
+# A simulation that is off by this share of what an output varies by has slopes that are off as much: a law that is
+# found along it leaves a hundredth of the squares that one along the motion itself would take.
+_FAR = 0.1
 # Terms of a function.
 _TERMS = 20
 # Factor of all terms, which is one: they are what is estimated.
@@ -109,6 +112,17 @@ def refitted_law(refits: Refits, tried: Tried, further: float) -> UnknownLaw | N
     best = max(found, key=lambda one: one.log)
     price = math.log(len(setups)) - (len(tried.effects) - 1) * max(further, 0.0)
     return replace(best, log=best.log - price)
+
+
+def is_far(null: NullModel) -> bool:
+    """True if what the past of a residual foretells is so much of what an output varies by that slopes along the
+    simulation are not those along the motion."""
+    for record in null.records:
+        for output, e in record.residual.items():
+            off = math.sqrt(max(foretold(e), 0.0) / len(e))
+            if off > _FAR * float(np.std(record.path.grid.measured[output].values)):
+                return True
+    return False
 
 
 def _chance(refits: Refits, tried: Tried, many: int) -> float:

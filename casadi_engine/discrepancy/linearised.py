@@ -65,8 +65,9 @@ def _step_of_members(
     return OneStep(cost, amplitude, error, own.none)
 
 
-def without_effect(null: NullModel, one: Addition, states: int) -> NullModel | None:
-    """The model linearised where an effect is, without it: candidates are to take its place.
+def without_effect(null: NullModel, one: Addition, states: int, only: str | None = None) -> NullModel | None:
+    """The model linearised where an effect is, without it, or without it in one record: candidates are to take its
+    place; what it does in other records stays as it is.
 
     What its amplitude does to the outputs is to be explained along with the residual, by the others' slopes.
     states : how many the model has without effects
@@ -83,7 +84,8 @@ def without_effect(null: NullModel, one: Addition, states: int) -> NullModel | N
     for record in null.records:
         slopes, residual = {}, {}
         for output, own in record.slopes.items():
-            residual[output] = record.residual[output] + own[:, zero] @ (null.values[zero] / size[zero])
+            done = own[:, zero] @ (null.values[zero] / size[zero]) if only in (None, record.name) else 0.0
+            residual[output] = record.residual[output] + done
             slopes[output] = np.delete(own, gone, axis=1)
         records.append(replace(record, slopes=slopes, residual=residual))
     return replace(

@@ -37,6 +37,8 @@ _NOTHING = 100 * (1 - math.sqrt(0.9))
 _BENT = 0.2
 # Samples of the outputs on which all ways are looked at, and ways that the parameters are fitted in.
 _SAMPLES, _TRIED = 400, 3
+# Kinds of ports at which an effect is another way to read the data.
+_READ = ("input", "sensor", "parameter")
 # Work of a look, of all looks, and of a fit, in multiples of that of one start of the fit before.
 _LOOK, _LOOKS, _MORE = 0.5, 5.0, 4.0
 # Ways that leave no more than this factor times the squares of the best one are as good.
@@ -117,8 +119,10 @@ def misread(
 
 def with_hint(repair: Repair, found: Misread | None) -> Repair:
     """The repair with what may be wrong with its data said first, unless it has a name for what is missing, of a size
-    that the data tell: a gain of an input without one stands for any sign and unit."""
-    told = repair.verdict in ("named", "class") and all(e.amplitude.stderr for e in repair.effects)
+    that the data tell: a gain of an input without one stands for any sign and unit, a law does not."""
+    told = repair.verdict in ("named", "class") and all(
+        e.amplitude.stderr or repair.model.ports[e.at].kind not in _READ for e in repair.effects
+    )
     if found is None or told:
         return repair
     return replace(repair, options={**repair.options, HINT: found.words})

@@ -113,6 +113,8 @@ class Path:
         self._kept: list[Addition] = []
         # chi-squared by which corners that are sharper still may change the best fit; nan where it is not known
         self.felt = math.nan
+        # parameter -> by how much such corners may change it, where refits with two widths tell
+        self.moved: dict[str, float] = {}
         self._least: dict[int, float] = {}  # the least work that a refit of a structure took
         # structure, share and lags -> where searches over windows of it came by, and ended
         self._ways: dict[tuple[Any, ...], list[tuple[Windowed, Arrived]]] = {}
@@ -230,8 +232,8 @@ class Path:
                             break
                         refitter.sharpest = max(refitter.sharpest, share)
                     cost = _cost_along(self._problem(effects, arrived.lags)[2], arrived.values, states)
-                    # what is left falls by the factor from one share to the next
-                    self.felt = FELT * abs(cost - last) / (SHARPER_BY - 1) / felt
+                    if level:  # what is left falls by the factor from one share to the next
+                        self.felt, self.moved = FELT * abs(cost - last) / (SHARPER_BY - 1) / felt, {}
                     if self.felt * SHARPER_BY < FELT:
                         self.felt = 0.0
                         return wider
@@ -267,6 +269,11 @@ class Path:
                 if there is None or (not there.settled and there.cost > last.cost):
                     break
                 self.felt = FELT * abs(there.cost - last.cost) / (SHARPER_BY - 1) / felt
+                self.moved = {
+                    name: abs(one - last.values[name]) / (SHARPER_BY - 1)
+                    for name, one in there.values.items()
+                    if name in last.values
+                }
                 reached, last = (share, there), there
                 if self.felt < FELT or not there.settled:
                     break

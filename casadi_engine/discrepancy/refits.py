@@ -386,7 +386,7 @@ class Refits:
         if left == 0:
             return []
         known = (
-            f"sharper ones may change chi-squared by {left:.2g} and estimates by {math.sqrt(left):.2g} standard errors"
+            f"sharper ones may change chi-squared by {left:.2g}; the standard errors count with what that moves"
             if math.isfinite(left)
             else "by how much sharper ones would change the estimates is not known"
         )

@@ -341,7 +341,9 @@ class _Job:
             return self._no_answer(null_fit, alpha, why, UNRESOLVED)
         left = _not_searched(search, made)
         felt = search.refits.rounding_felt(search.chosen.effects)
-        made = with_errors_of_rounding(told_as_one_law(made), felt, ended=bool(left))
+        made = with_errors_of_rounding(
+            told_as_one_law(made), felt, search.refits.path.moved, ended=bool(left)
+        )
         return with_hint(replace(made, stopped=self._by if left else "", not_searched=left), self.misread)
 
     def _null(self, jobs: int | None, scores: Any) -> tuple[Fit, Parameters, float]:

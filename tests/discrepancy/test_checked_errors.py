@@ -127,6 +127,14 @@ def test_a_rounding_whose_effect_is_known_makes_errors_larger():
     assert found.messages == made.messages
 
 
+def test_what_two_widths_say_of_a_parameter_counts_with_its_own_error():
+    made = repaired(1.5, 200.0)
+    own = made.effects[0].amplitude.stderr
+    found = with_errors_of_rounding(made, 20.0, {"p": 0.75 * own}, ended=False)
+    assert found.effects[0].amplitude.stderr == pytest.approx(1.25 * own)
+    assert found.fit.estimates["p"].stderr == pytest.approx(1.25 * own)
+
+
 @pytest.mark.parametrize(("felt", "ended"), [(0.0, True), (0.0, False), (np.nan, False)])
 def test_a_rounding_that_is_not_felt_changes_nothing(felt, ended):
     made = repaired(1.5, 200.0)

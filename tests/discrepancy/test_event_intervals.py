@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace as stub
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -99,6 +100,44 @@ def test_swings_that_explain_as_much_are_in_the_interval(found, monkeypatch):
     assert said.endswith(" s; all other errors are those at this one")
     assert again.effects[0].parameters[NAME] == own
     assert again.effects[0].amplitude.stderr is not None
+
+
+def ride(name, seed, at):
+    """A mass on a damper, and a load of 3 N from a time on: chi-squared has one optimum over its time."""
+    t = np.arange(0, 60, 0.05)
+    push = 6 * np.sin(0.8 * t + seed) + 4 * np.sin(0.13 * t + 2 * seed)
+    v, ends = np.zeros(len(t)), [0.0]
+    for begin, end, load in ((0.0, at, 0.0), (at, t[-1], 3.0)):
+        run = solve_ivp(
+            lambda x, y, load=load: [np.interp(x, t, push) - y[0] * (1 + 0.05 * abs(y[0])) - load],
+            (begin, end), ends, rtol=1e-9, atol=1e-12, max_step=0.05, dense_output=True,
+        )  # fmt: skip
+        inside = (t >= begin) & (t <= end)
+        v[inside], ends = run.sol(t[inside])[0], run.y[:, -1]
+    v += 0.03 * np.random.default_rng(seed).standard_normal(len(t))
+    return ce.Experiment.from_arrays(name, time=t, units={"u": "N", "v": "m/s"}, u=push, v=v)
+
+
+def test_times_in_several_records_of_one_amplitude_have_errors():
+    """Each time was asked without the load of the other record, which other parameters then took: 130 s had the
+    interval from 129.8 to 388."""
+    b = ce.Blueprint("cart")
+    u, c = b.input("u", unit="N"), b.parameter("c", 1.2, unit="N s/m", min=0.1, max=10)
+    d = b.parameter("d", 0.1, unit="N s2/m2", min=0, max=1)
+    v = b.state("v", unit="m/s")
+    b.ode("v", u - c * v - d * v * ca.fabs(v) + b.port("cart", "inertia", {"speed": v}, unit="N"))
+    b.output("v", v, unit="m/s")
+    wanted = {"a": 17.3, "b": 31.2}
+    data = [ride(name, 1 + k, at) for k, (name, at) in enumerate(wanted.items())]
+    made = ce.repair(
+        b.model(), data, fresh=[ride("c", 5, 24.1), ride("d", 6, 40.3)], effects=["load_step"], starts=1,
+        progress=False,
+    )  # fmt: skip
+    for record, at in wanted.items():
+        own = made.effects[0].parameters[f"cart.load_step.time@{record}"]
+        assert own.stderr is not None
+        assert own.stderr < 0.1
+        assert abs(own.value - at) < 4 * own.stderr
 
 
 # ---- over time

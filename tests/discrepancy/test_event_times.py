@@ -100,8 +100,9 @@ def test_a_finer_grid_is_about_where_the_event_is(scored, data):
 def test_a_finer_grid_is_about_the_time_that_is_asked_for(scored, data, at):
     one = added(scored, AT).candidate
     made, _ = finer_candidates(one, scored.null, (data,), scored.noise.sigma, at)
-    times = [own.nuisance["time"] for own in made]
+    times = np.array([own.nuisance["time"] for own in made])
     assert min(times) < at < max(times)
+    assert np.abs(times - at).min() < 1e-9  # it is one of them
     assert max(times) - min(times) < 0.5 * data.duration
     gone, none = finer_candidates(one, scored.null, (data,), scored.noise.sigma, at + 1e3)
     assert (gone, none) == ([], None)

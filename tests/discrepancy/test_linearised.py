@@ -87,6 +87,15 @@ def test_what_an_effect_explains_is_left_to_others_and_its_numbers_are_gone():
     np.testing.assert_array_equal(found.turn, null.turn[:, [0, 3]])
 
 
+def test_what_an_effect_does_in_other_records_may_stay():
+    null = hand_made(np.diag([1.0, 0.5, 2.0, 1.0]))
+    here, elsewhere = without_effect(null, DRY, 1, only="run"), without_effect(null, DRY, 1, only="other")
+    every = without_effect(null, DRY, 1)
+    np.testing.assert_array_equal(here.records[0].residual["y"], every.records[0].residual["y"])
+    np.testing.assert_array_equal(elsewhere.records[0].residual["y"], null.records[0].residual["y"])
+    np.testing.assert_array_equal(elsewhere.records[0].slopes["y"], every.records[0].slopes["y"])
+
+
 def test_amplitudes_by_record_go_together():
     null = hand_made(np.eye(4))
     null = replace(null, parameters=("k", "load.dry.torque@a", "load.dry.torque@b", "load.dry_too.torque"))

@@ -193,14 +193,26 @@ class _Asked:
     verdict: str
     effects: tuple
     options: dict
+    model: object
 
 
 @pytest.mark.parametrize(
-    ("verdict", "error", "said"),
-    [("named", 0.01, False), ("named", None, True), ("class", None, True), ("unnamed", None, True)],
+    ("verdict", "kind", "error", "said"),
+    [
+        ("named", "input", 0.01, False),
+        ("named", "input", None, True),
+        ("named", "inertia", None, False),
+        ("class", "parameter", None, True),
+        ("unnamed", "input", None, True),
+    ],
 )
-def test_a_doubt_stays_beside_a_gain_of_no_known_size(verdict, error, said):
-    """An input that is reversed was named a gain of -1.53, as inertia and stiffness took the rest."""
-    effects = () if verdict == "unnamed" else (SimpleNamespace(amplitude=SimpleNamespace(stderr=error)),)
-    found = with_hint(_Asked(verdict, effects, {}), Misread("with the input F reversed", certain=False))
+def test_a_doubt_stays_beside_a_gain_of_no_known_size(verdict, kind, error, said):
+    """An input that is reversed was named a gain of -1.53, as inertia and stiffness took the rest; drag that explains
+    all, with a likelihood that no error describes, is no doubt about a load that is constant."""
+    one = SimpleNamespace(amplitude=SimpleNamespace(stderr=error), at="here")
+    model = SimpleNamespace(ports={"here": SimpleNamespace(kind=kind)})
+    effects = () if verdict == "unnamed" else (one,)
+    found = with_hint(
+        _Asked(verdict, effects, {}, model), Misread("with the input F reversed", certain=False)
+    )
     assert (HINT in found.options) is said
