@@ -202,8 +202,9 @@ class Additions:
         step = self._own_step(range(len(candidates)))
         if step is None:
             return
+        again = {key for own in self.screened.second_names.values() for key in own}
         for k in np.flatnonzero(np.isfinite(step.error)):
-            if (key := candidates[k].key) not in self.families or int(k) not in self.families[key]:
+            if (key := candidates[k].key) not in again and int(k) not in self.families.get(key, ()):
                 self.families[key] = [*self.families.get(key, ()), int(k)]
         cost = costs_of(self.screened, step, self.families)
         # what has no values to be looked for on a grid is told sooner

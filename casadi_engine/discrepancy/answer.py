@@ -9,7 +9,14 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from casadi_engine.deadline import TimeUp
-from casadi_engine.discrepancy.answer_words import at_bounds, elsewhere, open_units, so_far, without_answer
+from casadi_engine.discrepancy.answer_words import (
+    at_bounds,
+    elsewhere,
+    open_units,
+    so_far,
+    undetermined,
+    without_answer,
+)
 from casadi_engine.discrepancy.by_chance import held_to_chance
 from casadi_engine.discrepancy.by_member import told_by_member
 from casadi_engine.discrepancy.certificate import (
@@ -341,6 +348,7 @@ class Answer:
         late = [
             name for name, e in last.fit.estimates.items() if e.at_bound is not False and name not in bound
         ]
+        self.messages += undetermined(last.fit)
         self.messages += open_units(last.fit.model, [one.candidate.port for one in last.effects])
         if len(proof.kept) > 1:
             self.messages += may_vanish(last.fit)

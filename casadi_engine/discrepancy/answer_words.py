@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from casadi_engine.discrepancy.choice import TIME_UP, Choice
 from casadi_engine.discrepancy.families import BEYOND
 from casadi_engine.discrepancy.station import Station
+from casadi_engine.estimation.fit import Fit
+from casadi_engine.estimation.standard_errors import UNDETERMINED
 from casadi_engine.model import Model
 
 
@@ -47,6 +49,16 @@ def elsewhere(last: Station) -> list[str]:
             if any(t is not None and t.value >= record.span[1] for t in times):
                 found.append(f"record {record.name} shows no {one.candidate.effect} at {one.candidate.port}")
     return found
+
+
+def undetermined(fit: Fit) -> list[str]:
+    """That the values of some parameters are not the data's, where these do not determine them."""
+    names = [name for name, one in fit.estimates.items() if one.why == UNDETERMINED and not one.fixed]
+    if not names:
+        return []
+    return [
+        f"the data do not determine {', '.join(names)}: fix one or give it a prior; print(repair.fit) says more"
+    ]
 
 
 def at_bounds(names: Sequence[str], least: Sequence[str]) -> list[str]:

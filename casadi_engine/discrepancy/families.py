@@ -17,11 +17,12 @@ _SAME = 0.1
 
 
 def families_of(screened: Screened) -> dict[tuple[str, str], list[int]]:
-    """(effect, port) -> its testable candidates."""
+    """(effect, port) -> its testable candidates; of effects that are the same in the equations the first one."""
     found: dict[tuple[str, str], list[int]] = {}
     for k in screened.order:
         found.setdefault(screened.candidates[k].key, []).append(k)
-    return found
+    again = {key for own in screened.second_names.values() for key in own}
+    return {key: own for key, own in found.items() if key not in again}
 
 
 def costs_of(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any
 
 from casadi_engine.discrepancy.refit import Addition, whitened_cost
@@ -83,13 +84,20 @@ def reached(
 
 
 def class_of(
-    pool: Mapping[Any, Any], key: Key, one: Addition, factor: float, price: float, misfit: float = 1.0
+    pool: Mapping[Any, Any],
+    key: Key,
+    one: Addition,
+    factor: float,
+    price: float,
+    misfit: float = 1.0,
+    second_names: Mapping[tuple[str, str], Sequence[tuple[str, str]]] = MappingProxyType({}),
 ) -> tuple[Member, ...]:
     """The effects that are not excluded in the place of one of a structure, with their probabilities, itself first.
 
     Two effects may stand in the place of it, and one in the place of it and another; price : of one effect more. An
     effect of which its refit has left nothing explains nothing in its place. misfit : chi-squared per sample of fresh
     data, in the noise's: where it is more than 1 no structure is right, and evidence counts by as much less.
+    second_names : effects that are the same as one in the equations, which is why that one alone was refitted.
     """
     own = one.candidate.key
     rest = key - {own}
@@ -103,6 +111,7 @@ def class_of(
         for other, log in known.items()
         if len(other) == len(key) and rest < other
     }
+    logs |= {(same, ""): log for (k, _), log in logs.items() for same in second_names.get(k, ())}
     least = max(logs.values(), default=0.0) - math.log(factor)
     for other, log in known.items():
         new = other - key

@@ -37,6 +37,7 @@ from casadi_engine.discrepancy.refit import Refitter
 from casadi_engine.discrepancy.repaired import Repair
 from casadi_engine.discrepancy.requests import check_alpha, left_out, read_request
 from casadi_engine.discrepancy.screening import Screened, screen_in_turn
+from casadi_engine.discrepancy.wider_bounds import with_wider_bounds
 from casadi_engine.discrepancy.wording import AT_FAULT, BUDGET, UNRESOLVED, USER
 from casadi_engine.effects.candidate import Known
 from casadi_engine.errors import CasadiEngineError, EstimationError, ExperimentError
@@ -56,6 +57,8 @@ from casadi_engine.problem.noise import Noise
 from casadi_engine.simulation.grid import lay_grid
 
 _STARTS, _MOST = 4, 4
+# Work that a fit without its bounds may cost, in multiples of that of one start of the fit without effects.
+_AGAIN = 2.0
 # Behind a budget or a Ctrl-C an answer is made of what was found, within this share of the budget or so many seconds;
 # share of that time up to which the fit without effects and its scores may last, without which there is no answer.
 _SPARE, _LEAST_SPARE, _FIRST = 0.1, 2.0, 0.5
@@ -344,7 +347,10 @@ class _Job:
         made = with_errors_of_rounding(
             told_as_one_law(made), felt, search.refits.path.moved, ended=bool(left)
         )
-        return with_hint(replace(made, stopped=self._by if left else "", not_searched=left), self.misread)
+        made = with_hint(replace(made, stopped=self._by if left else "", not_searched=left), self.misread)
+        with self.deadline.spared(1.0), suppress(TimeUp), Deadline(work=_AGAIN * work):
+            made = with_wider_bounds(made, self.parameters, self.noise, options)
+        return made
 
     def _null(self, jobs: int | None, scores: Any) -> tuple[Fit, Parameters, float]:
         """The fit without effects, the parameters that later fits start from, and the work of a start."""

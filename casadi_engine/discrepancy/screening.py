@@ -32,6 +32,7 @@ from casadi_engine.discrepancy.null_distribution import NullDistribution, librar
 from casadi_engine.discrepancy.null_model import NullModel, null_model
 from casadi_engine.discrepancy.requests import Request, check_alpha, read_request
 from casadi_engine.discrepancy.score import Scores, score
+from casadi_engine.discrepancy.second_names import second_names_of
 from casadi_engine.distributions import normal_isf
 from casadi_engine.effects.candidate import Known
 from casadi_engine.errors import EstimationError
@@ -110,6 +111,11 @@ class Screened:
     def pooled(self, k: int) -> float:
         """p-value of a candidate's score pooled over the library."""
         return self.law.pooled(float(self.scores.p_value[k]))
+
+    @cached_property
+    def second_names(self) -> dict[tuple[str, str], tuple[tuple[str, str], ...]]:
+        """See ``second_names_of``."""
+        return second_names_of(self.candidates, self.columns, self.order)
 
     @cached_property
     def leftover(self) -> Leftover:

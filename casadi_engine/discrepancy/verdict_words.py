@@ -9,6 +9,7 @@ from casadi_engine.discrepancy.fresh_misfit import FRESH, fresh_doubt, fresh_mis
 from casadi_engine.discrepancy.repaired import UNTOLD, more_probable
 from casadi_engine.discrepancy.wording import (
     AT_FAULT,
+    BOUNDS,
     HINT,
     UNRESOLVED,
     USER,
@@ -115,6 +116,8 @@ def next_step(repair: Repair) -> str:
         return "look at the data, as said above, and repair again"
     if repair.status == UNRESOLVED:
         return "give the model its laws with sharp=True, or records with more motion, and repair again"
+    if BOUNDS in repair.options:
+        return "look at the bounds first, as said above, and repair again with wider ones"
     if HINT in repair.options:
         return "look at the data first, as said above"
     if repair.status == "interrupted":

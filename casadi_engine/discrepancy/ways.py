@@ -85,5 +85,6 @@ def _idle(before: Station, one: Addition) -> bool:
 def _reached(
     search: Choice, before: Station, station: Station, key: Key, own: tuple[Addition, ...]
 ) -> Station:
-    members = class_of(search.pool, key, own[-1], FACTOR, search.price, search.misfit)
+    names = before.screened.second_names
+    members = class_of(search.pool, key, own[-1], FACTOR, search.price, search.misfit, names)
     return reached(before, station, own, members)

@@ -23,6 +23,7 @@ USER, BUDGET = "the user", "the time budget"
 AT_FAULT = "the data are at fault"
 # Key of a repair's options under which what may be wrong with its data is kept, where that is no more than a doubt.
 HINT = "hint"
+BOUNDS = "bounds in the way"
 # Status of a repair whose gap may be what rounds the corners of the user's own laws.
 UNRESOLVED = "the corners of the model's own laws are not resolved"
 # Names listed in a sentence; correlation beyond which two effects are one.
@@ -38,7 +39,9 @@ _SURE, _WITHIN = 0.02, 3.0
 def first_words(repair: Repair) -> list[str]:
     """What has to be known before the verdict is read: where nothing physical was tested, and what was not tried."""
     said = [
-        str(repair.options[key]) for key in (HINT, "exchanged", "hold", "left out") if key in repair.options
+        str(repair.options[key])
+        for key in (BOUNDS, HINT, "exchanged", "hold", "left out")
+        if key in repair.options
     ]
     said += _of_internal_ports(repair.null_fit.model)
     if is_blind(repair) and _only_internal(repair.null_fit.model):

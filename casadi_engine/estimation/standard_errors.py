@@ -32,6 +32,8 @@ _NEAR, _BEYOND = 0.03, 3.0
 # Chi-squared by which the data may ask for less than a bound by chance, and standard errors of 95 %: a range counts as
 # an error of so much less.
 _CHANCE, _TWO_SIDED = 4.0, 1.96
+# Why an estimate has no error that no record tells.
+UNDETERMINED = "the data do not determine it"
 # A variance below this share of what its parts would give is rounding: the constraints leave nothing open.
 _HELD = 1e-12
 
@@ -173,7 +175,7 @@ class Uncertainty:
             return None, "the search did not end at an optimum"
         size = float(np.linalg.norm(slope))
         if any(abs(d[: len(slope)] @ slope) > 1e-6 * size for d in self.covariance.directions):
-            return None, "the data do not determine it"
+            return None, UNDETERMINED
         if any(abs(d[: len(slope)] @ slope) > 1e-6 * size for d in self.blind):
             return None, "the data tell it only for what is at its bound"
         variance = float(slope @ matrix @ slope)
@@ -206,7 +208,7 @@ class Uncertainty:
             elif not self.optimal:
                 why = "the search did not end at an optimum"
             elif any(abs(d[at + k]) >= 1e-6 for d in self.covariance.directions):
-                why = "the data do not determine it"
+                why = UNDETERMINED
             else:
                 error = float(np.sqrt(self.covariance.matrix[at + k, at + k]) * record.scale[k])
             found[state.name] = Estimate(float(start[k]), error, state.unit, side, why, fixed)

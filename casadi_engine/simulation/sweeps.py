@@ -6,6 +6,8 @@ few intervals, or of one long simulation, by CasADi's virtual machine, which nee
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
@@ -181,6 +183,7 @@ def _stacked(parts: list[Array]) -> Array:
     return np.stack([part.transpose(1, 2, 0) for part in parts]).transpose(0, 3, 1, 2)
 
 
+@np.errstate(all="ignore")  # what does not arrive has no numbers
 def solve_stages(scheme: Tableau, function: object, x: Array, guess: Array, given: Array) -> Array:
     """Stage values (stages, n, K) of implicit steps from x (n, K), NaN for those where Newton's method does not arrive.
 
@@ -197,12 +200,12 @@ def solve_stages(scheme: Tableau, function: object, x: Array, guess: Array, give
     stages = guess[..., left]
     base, change = stages, np.full(stages.shape, np.inf)
     norm, share = np.full(len(left), np.inf), np.ones(len(left))
+    own, rest = x[:, left], known[..., left]
     for _ in range(_ITERATIONS):
         if not len(left):
             break
         ask(_CALL + size * len(left))
-        own = x[:, left]
-        asked, off = _asked(scheme, function, own, stages, known[..., left])
+        asked, off = _asked(scheme, function, own, stages, rest)
         moved = np.abs(asked)
         largest = np.abs(stages).max(axis=0) + np.abs(own)
         # What has decayed is known to the rounding of the states that it follows from: there it moves to and fro.
@@ -210,12 +213,18 @@ def solve_stages(scheme: Tableau, function: object, x: Array, guess: Array, give
         arrived = (rests | (moved <= SMALL * largest + 1e-30)).all(axis=(0, 1))
         found[..., left[arrived]] = (stages + asked)[..., arrived]
         nearer = off < (1 - _LESS * share) * norm
-        share = np.where(nearer, np.minimum(2 * share, 1.0), 0.5 * share)
-        base, change, norm = (
-            np.where(nearer, new, old) for new, old in ((stages, base), (asked, change), (off, norm))
-        )
+        if nearer.all():
+            base, change, norm = stages, asked, off
+            share = np.minimum(2 * share, 1.0)
+        else:
+            share = np.where(nearer, np.minimum(2 * share, 1.0), 0.5 * share)
+            base, change, norm = (
+                np.where(nearer, new, old) for new, old in ((stages, base), (asked, change), (off, norm))
+            )
         on = ~arrived & (share > _LEAST)
-        left, base, change, norm, share = left[on], base[..., on], change[..., on], norm[on], share[on]
+        if not on.all():
+            left, base, change, norm, share = left[on], base[..., on], change[..., on], norm[on], share[on]
+            own, rest = own[:, on], rest[..., on]
         stages = base + share * change
     return found
 
@@ -224,20 +233,23 @@ def _asked(scheme: Tableau, function: object, x: Array, stages: Array, known: Ar
     """The change (stages, n, K) that Newton's method asks for, NaN where it has none, and the norms (K,) of the
     residuals, infinite there."""
     size, n, count = stages.shape
-    columns = np.ascontiguousarray(stages.transpose(1, 0, 2)).reshape(n, -1)
+    columns = stages.transpose(1, 0, 2).reshape(n, -1)
     value, slope = function(columns, known.reshape(len(known), size * count))  # type: ignore[operator]
     value = value.reshape(n, size, count).transpose(1, 0, 2)
-    residual = stages - x - np.einsum("ij,jnk->ink", scheme.a, value)
+    residual = stages - x - (scheme.a @ value.reshape(size, n * count)).reshape(stages.shape)
     by_x = slope.reshape(n, n, size, count).transpose(2, 3, 1, 0)
+    norm = np.sqrt(np.einsum("snk,snk->k", residual, residual))
+    if np.isfinite(norm).all() and np.isfinite(slope).all():
+        with suppress(np.linalg.LinAlgError):
+            return newton_step(scheme, by_x, residual.transpose(0, 2, 1)).transpose(0, 2, 1), norm
     fine = np.isfinite(residual).all(axis=(0, 1)) & np.isfinite(by_x).all(axis=(0, 2, 3))
-    asked, norm = np.full(stages.shape, np.nan), np.full(count, np.inf)
+    asked = np.full(stages.shape, np.nan)
     try:
         made = newton_step(scheme, by_x[:, fine], residual[..., fine].transpose(0, 2, 1))
     except np.linalg.LinAlgError:
-        return asked, norm
+        return asked, np.full(count, np.inf)
     asked[..., fine] = made.transpose(0, 2, 1)
-    norm[fine] = np.sqrt((residual[..., fine] ** 2).sum(axis=(0, 1)))
-    return asked, norm
+    return asked, np.where(fine, norm, np.inf)
 
 
 def advance(

@@ -185,15 +185,16 @@ def stage_multipliers(scheme: Tableau, by_x: Array, mu: Array) -> Array:
 
 
 def newton_step(scheme: Tableau, by_x: Array, residual: Array) -> Array:
-    """The change (S, ..., n) of the stage values that Newton's method asks for; residual : (S, ..., n) of
-    X_i - x - sum_j a_ij φ_j."""
-    size, n = scheme.stages, by_x.shape[-1]
-    matrix = np.zeros((*by_x.shape[1:-2], size * n, size * n))
-    for i in range(size):
-        for j in range(size):
-            matrix[..., i * n : (i + 1) * n, j * n : (j + 1) * n] = -scheme.a[i, j] * by_x[j]
-    matrix += np.eye(size * n)
-    return -_unstacked(np.linalg.solve(matrix, _stacked(residual[..., None])), size)[..., 0]
+    """The change (S, K, n) of the stage values of K steps that Newton's method asks for; residual : (S, K, n) of
+    X_i - x - sum_j a_ij φ_j, by_x : (S, K, n, n)."""
+    size, count, n = residual.shape
+    # rows (s, i), columns (t, j) of every step at once: this is done some hundred thousand times for one fit
+    parts = np.empty((count, size, n, size, n))
+    np.multiply(-scheme.a[:, None, :, None], by_x.transpose(1, 2, 0, 3)[:, None], out=parts)
+    parts.reshape(count, (size * n) ** 2)[:, :: size * n + 1] += 1.0
+    right = residual.transpose(1, 0, 2).reshape(count, size * n, 1)
+    made = -np.linalg.solve(parts.reshape(count, size * n, size * n), right)
+    return np.asarray(made.reshape(count, size, n).transpose(1, 0, 2), dtype=np.float64)
 
 
 def _coupling(scheme: Tableau, by_x: Array) -> Array:

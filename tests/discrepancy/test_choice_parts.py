@@ -39,14 +39,16 @@ def choice_of(monkeypatch, *structures, best=NONE, refused=()):
     does not converge."""
     found = Choice(None, None, 4, print)
     found.refits = stub(pool={one.key: one for one in structures}, improved=set(), tried=lambda *_: [])
-    found.stations[NONE] = stub(fit="null fit", screened=stub(candidates=[]))
+    found.stations[NONE] = stub(fit="null fit", screened=stub(candidates=[], second_names={}))
     found.best = best
     found.asked = []
 
     def station(self, one):
         self.asked.append(one.key)
         if one.key not in refused and one.key not in self.stations:
-            self.stations[one.key] = stub(fit=f"fit of {one.label}", screened=stub(candidates=[]))
+            self.stations[one.key] = stub(
+                fit=f"fit of {one.label}", screened=stub(candidates=[], second_names={})
+            )
         return self.stations.get(one.key)
 
     monkeypatch.setattr(Choice, "station_of", station)
@@ -188,7 +190,7 @@ def on_the_way(monkeypatch, known, waits=True):
     found = choice_of(monkeypatch, *structures)
     for names, candidates in known.items():
         own = [stub(key=(name, "p")) for name in candidates]
-        screened = stub(candidates=own, choice=stub(waits=waits))
+        screened = stub(candidates=own, choice=stub(waits=waits), second_names={})
         found.stations[key_of(*names)] = stub(fit=names, screened=screened)
     monkeypatch.setattr(ways, "reached", lambda before, station, own, members: station)
     return found

@@ -30,7 +30,7 @@ def solved(scheme, rate, slope, x, t, h):
         residual = values - x - scheme.a @ phi
         if np.abs(residual).max() < 1e-14:
             break
-        values = values + newton_step(scheme, by_x, residual)
+        values = values + newton_step(scheme, by_x[:, None], residual[:, None])[:, 0]
     assert np.abs(residual).max() < 1e-12
     return x + scheme.b @ phi
 

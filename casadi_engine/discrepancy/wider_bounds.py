@@ -1,0 +1,82 @@
+"""A bound that is wrong looks like physics that the model lacks: what the model would be without the bounds that it
+rests on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from casadi_engine.discrepancy.misread import followed
+from casadi_engine.discrepancy.refit import merit
+from casadi_engine.discrepancy.repaired import Repair
+from casadi_engine.discrepancy.wording import BOUNDS, si
+from casadi_engine.errors import CasadiEngineError
+from casadi_engine.estimation import Fit, estimate
+from casadi_engine.parameters import Parameters
+from casadi_engine.problem.noise import Noise
+
+# A bound moves out by this factor: what has a sign keeps it, and what is zero or infinite beyond is near enough.
+_WIDER = 1e3
+# Part of what the effects close that the wider bound has to close for the bound to be the likelier cause; of what is
+# left of an output where no effect is known.
+_AS_MUCH, _HALF = 0.9, 0.5
+
+
+def with_wider_bounds(
+    repair: Repair, parameters: Parameters, noise: Noise | None, options: Mapping[str, Any]
+) -> Repair:
+    """The same, and at the top that the bounds on which parameters rest may be all that is wrong, where a fit without
+    them closes as much of the gap as the answer does."""
+    null = repair.null_fit
+    if repair.verdict in (None, "nothing missing"):
+        return repair
+    wide, moved = _wider(null, parameters)
+    if not moved:
+        return repair
+    own = {**options, "noise": noise, "progress": False, "errors": "quadratic"}
+    try:
+        found = estimate(null.model, repair.data, parameters=wide, **own)
+    except CasadiEngineError:
+        return repair
+    if not found.converged or not _as_good(found, repair):
+        return repair
+    rests = " and ".join(
+        f"{name} rests on its bound of {bound:.5g}{_unit(null, name)}" for name, bound in moved.items()
+    )
+    values = " and ".join(f"{name} = {found.values[name]:.5g}{_unit(null, name)}" for name in moved)
+    shares = " and ".join(
+        f"{share:.3g} % of {name} in place of {before:.3g} %"
+        for (name, share), before in zip(followed(found).items(), followed(null).values(), strict=True)
+    )
+    words = f"{rests}: with {values} the model without any effect follows {shares}. Look whether the bound is right"
+    return replace(repair, options={**repair.options, BOUNDS: words})
+
+
+def _unit(fit: Fit, name: str) -> str:
+    return si(fit.estimates[name].unit)
+
+
+def _wider(fit: Fit, parameters: Parameters) -> tuple[Parameters, dict[str, float]]:
+    """The parameters with bounds far out of those on which estimates rest, and these bounds; not where the bound is
+    zero, which is a sign."""
+    wide, moved = parameters.copy(), {}
+    for name, one in fit.estimates.items():
+        if not one.at_bound or name not in parameters.names or parameters[name].tie is not None:
+            continue
+        own = parameters[name]
+        bound = own.min if one.at_bound == "min" else own.max
+        if not bound:
+            continue
+        out = (bound > 0) == (one.at_bound == "max")
+        wide[name].set(**{one.at_bound: bound * _WIDER if out else bound / _WIDER})
+        moved[name] = bound
+    return wide, moved
+
+
+def _as_good(found: Fit, repair: Repair) -> bool:
+    before, after = merit(repair.null_fit), merit(found)
+    if repair.effects:
+        return before - after >= _AS_MUCH * (before - merit(repair.fit))
+    then, now = followed(repair.null_fit), followed(found)
+    return any((1 - now[name] / 100) <= _HALF * (1 - share / 100) for name, share in then.items())
