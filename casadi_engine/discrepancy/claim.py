@@ -48,7 +48,8 @@ def reason_to_withdraw(claim: Claim, null: Station, confirmed: bool) -> Unknown 
     or are errors of sensors and inputs alone, or several that nothing confirms, and leave more than noise; None where
     they are one."""
     if not confirmed and not _visible(claim.found):
-        return _too_small(claim.found)
+        small, beside = _too_small(claim.found), unknown_of(null.screened)
+        return small if beside is None else replace(beside, sentence=f"{beside.sentence}; {small.sentence}")
     noise, proof = claim.last.screened.noise, claim.proof
     ports = null.fit.model.ports
     instruments = all(ports[one.at].kind in ("sensor", "input") for one in claim.found)

@@ -361,7 +361,7 @@ class _Job:
             "data": self.portion.data,
             "parameters": self.parameters,
         }
-        given |= {"jobs": jobs, **self.several, **options}
+        given |= {"jobs": jobs, "enough": "white", **self.several, **options}
         with Deadline(best=True) as own:
             fit = estimate(**given)
             # as its message tells a person to, who may have wanted no more than so many
@@ -369,13 +369,11 @@ class _Job:
                 more = options | {"max_iterations": _FURTHER * options["max_iterations"]}
                 again = estimate(self.model, self.portion.data, parameters=self.parameters, warm=fit, **more)
                 fit = again if again.converged else fit
-        self.null_fit = fit
+        self.null_fit, work = fit, own.done / max(sum(one.starts for one in fit.optima), 1)
         if _fault_of(fit) is None:
-            self.misread = misread(
-                fit, self.parameters, self.noise, self.options, own.done / self.several["starts"]
-            )
+            self.misread = misread(fit, self.parameters, self.noise, self.options, work)
             if self.misread is not None and self.misread.certain:
-                return fit, self.parameters, own.done
+                return fit, self.parameters, work
         if not_followed(fit) and not (fit.converged and explained(scores(fit))):
             self.tell("fit without effects by predictions, as the simulation does not follow the data")
             self.null_fit = fit = found_again(fit, own.done, given)
@@ -383,7 +381,7 @@ class _Job:
         self.null_fit = fit
         pars = with_widths(pars, widths_of(fit, pars))
         self.timing["null fit"] = time.perf_counter() - self.begun
-        return fit, pars, own.done / self.several["starts"]
+        return fit, pars, work
 
     @property
     def patient(self) -> bool:

@@ -9,8 +9,10 @@ import numpy as np
 
 from casadi_engine.effects.protocol import Amplitude, Effect
 
-# Share of its mean by which an output varies at least, that a gain acts otherwise than an offset.
-_VARIES = 0.1
+# Share of its mean by which an output varies at least, that a gain acts otherwise than an offset: of a tenth, what varies
+# is then moved by a ten-thousandth of the mean, which is below what sensors resolve. Whether the data tell one from the
+# other where it varies more, their likelihood says.
+_VARIES = 1e-3
 
 
 @dataclass(frozen=True)
@@ -56,8 +58,7 @@ class SensorDelay(Effect):
 class SensorGain(Effect):
     """A sensor that shows too much or too little, y (1 + gain): by its calibration, or as its unit is another one.
 
-    It is not looked for where the output hardly varies beside its mean, as an absolute temperature: an offset does the
-    same there.
+    It is not looked for where the output is all but constant: an offset does the same there.
 
     >>> SensorGain().describe("sensor_speed")
     'a wrong gain of sensor_speed'

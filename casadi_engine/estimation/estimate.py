@@ -26,6 +26,7 @@ from casadi_engine.estimation.loss import read_loss
 from casadi_engine.estimation.lower_rate import ONE_SEARCH, lower_rate
 from casadi_engine.estimation.moved_jumps import refuse_moved_jumps
 from casadi_engine.estimation.multistart import attempts_from, distinct_optima, interrupted, settled
+from casadi_engine.estimation.nothing_left import nothing_left
 from casadi_engine.estimation.options import begun_at, chosen, seconds_for_intervals, small, whole
 from casadi_engine.estimation.parallel import checked_jobs
 from casadi_engine.estimation.search import Attempt, Search
@@ -57,6 +58,7 @@ def estimate(
     starts: int = 1,
     seed: int = 0,
     neighbours: int = 0,
+    enough: str = "all",
     jobs: int | None = 1,
     warm: Any = None,
     progress: Any = None,
@@ -86,6 +88,8 @@ def estimate(
     starts, seed : number of starts, the first from the set's values, the others drawn within the bounds
     neighbours : number of directions, those the data tell least of, along which to look for a lower optimum beside
         the best: searches that start to either side of it; in the frequency domain one is looked along in any case
+    enough : "all" starts; or "white": no other start beside the first where that has ended at a residual that is white,
+        of the stated level, and is small beside what the simulation follows, as no other optimum can be better
     jobs : processes for the starts and neighbours, by joblib (extra "cluster"): the same answer as in one; None takes
         what ``joblib.parallel_config`` says, such as a dask cluster
     warm : a Fit (or loaded result) whose parameters and initial states are the start
@@ -148,6 +152,7 @@ def estimate(
         _searched,
         seed=seed,
         jobs=jobs,
+        enough=nothing_left if chosen("enough", enough, ("all", "white")) == "white" else None,
         progress=progress,
         check=seconds_for_intervals(errors),
         shown={
@@ -194,6 +199,7 @@ def _searched(
     *,
     seed: int,
     jobs: int | None,
+    enough: Callable[[Search, Attempt], bool] | None,
     progress: Any,
     check: float | None,
     shown: Mapping[str, Any],
@@ -220,7 +226,8 @@ def _searched(
         several = jobs != 1 and starts + neighbours > 1
         workers = Workers(changed, jobs, interrupts, first.tell) if several else None
         drawn = first.drawn(starts, seed)
-        attempts = attempts_from(first, drawn, neighbours, outcomes=workers.outcomes if workers else None)
+        outcomes = workers.outcomes if workers else None
+        attempts = attempts_from(first, drawn, neighbours, outcomes=outcomes, enough=enough)
         if first is not search:
             attempts = on_whole_data(search, first, attempts)
         best, attempts = settled(search, attempts)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -37,7 +38,12 @@ Outcomes = Callable[[list[Array], bool, "Begun | None"], Iterator[Attempt | Esti
 
 
 def attempts_from(
-    search: Search, starts: list[Array], neighbours: int = 0, *, outcomes: Outcomes | None = None
+    search: Search,
+    starts: list[Array],
+    neighbours: int = 0,
+    *,
+    outcomes: Outcomes | None = None,
+    enough: Callable[[Search, Attempt], bool] | None = None,
 ) -> list[Attempt]:
     """The outcome of every start up to an interruption; starts at which the model fails are passed over, if it does not
     fail at all of them.
@@ -45,12 +51,18 @@ def attempts_from(
     Beside an optimum in the frequency domain, where a look costs little, the data's weakest direction is always
     followed; what is found there counts as an attempt only if it is another optimum.
     outcomes : runs several starts at a time, in their order (see ``workers``); None runs one after the other
+    enough : says of the first attempt that no other start is asked for
     """
     attempts: list[Attempt] = []
     run = outcomes or Starts(search)
     try:
         try:
-            if _tried(run, attempts, starts):
+            if enough is not None and len(starts) > 1:
+                with suppress(EstimationError):  # the others may do
+                    _tried(run, attempts, starts[:1])
+                if attempts:
+                    starts = [] if enough(search, attempts[0]) else starts[1:]
+            if not interrupted(attempts) and _tried(run, attempts, starts):
                 pending, asked = best_of(attempts).pending, len(attempts)
                 if neighbours or pending:
                     search.quiet = not neighbours
