@@ -146,12 +146,13 @@ class ViscousFriction(Effect):
 
 @dataclass(frozen=True)
 class QuadraticDrag(_Rounded):
-    """Drag of a fan, of air or of oil: a torque against the motion that grows with its square, −c ω |ω|."""
+    """Drag of a fan, of air or of oil, or of a damper with an orifice: a torque against the motion that grows with its
+    square, −c ω |ω|."""
 
     width: float | None = None
 
     name = "quadratic_drag"
-    attaches = ("inertia",)
+    attaches = ("inertia", "coupling")
     kin = ("viscous_friction", "coulomb_friction")
     sentence = "drag at {port} that grows with the square of {motion}"
     neutral = "a loss at {port} that grows with the square of {motion}"
@@ -163,8 +164,10 @@ class QuadraticDrag(_Rounded):
         return super().narrowed(port)
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
-        """−c ω |ω|."""
-        return -p.coefficient * port.speed * math.abs(port.speed, width=rounding(port, self.width))
+        """∓c ω |ω|."""
+        signal, side = motion(port)
+        rate = getattr(port, signal)
+        return side * p.coefficient * rate * math.abs(rate, width=rounding(port, self.width))
 
 
 @dataclass(frozen=True)

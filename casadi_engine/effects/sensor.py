@@ -9,9 +9,9 @@ import numpy as np
 
 from casadi_engine.effects.protocol import Amplitude, Effect
 
-# Share of its mean by which an output varies at least, that a gain acts otherwise than an offset: of a tenth, what varies
-# is then moved by a ten-thousandth of the mean, which is below what sensors resolve. Whether the data tell one from the
-# other where it varies more, their likelihood says.
+# Share of its mean by which an output varies at least, that a gain acts otherwise than an offset: one of a tenth moves
+# what varies by a ten-thousandth of the mean then, which is below what sensors resolve. Whether the data tell one from
+# the other where it varies more, their likelihood says.
 _VARIES = 1e-3
 
 

@@ -120,7 +120,7 @@ CASES = {
     "twist": (duffing(("twist",)), {"spring": {"cubic_stiffness"}}),
     "twist and more": (
         duffing(("twist", "twist_rate", "stiffness")),
-        {"spring": FRICTION | {"cubic_stiffness", "backlash"}},
+        {"spring": FRICTION | {"cubic_stiffness", "quadratic_drag", "backlash"}},
     ),
     "several": (several(), {"first": AT_SPEED, "second": AT_SPEED}),
 }
@@ -256,7 +256,7 @@ def test_a_search_leaves_out_what_cannot_act_and_lists_it():
     assert left_out["backlash"] == NotApplicable(
         "backlash", "spring", ("stiffness",), ("stretch", "twist", "twist_rate"), "the port has no stiffness"
     )
-    assert left_out["quadratic_drag"].why == "the model has no port of the kind inertia"
+    assert left_out["stribeck_friction"].why == "the model has no port of the kind inertia"
     assert "Not applicable: backlash at spring: the port has no stiffness" in str(screened)
 
 

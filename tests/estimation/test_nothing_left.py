@@ -75,6 +75,8 @@ def test_one_start_is_one():
 
 
 def test_a_repair_of_a_model_that_lacks_nothing_fits_it_once():
-    made = ce.repair(oscillator(), record(3), progress=False, effects=["sensor_gain"], noise=ce.Noise(x=SIGMA))
+    made = ce.repair(
+        oscillator(), record(3), progress=False, effects=["sensor_gain"], noise=ce.Noise(x=SIGMA)
+    )
     assert made.verdict == "nothing missing"
     assert starts(made.null_fit) == 1
