@@ -18,13 +18,14 @@ from casadi_engine.simulation.propagator import fineness_of
 Array = NDArray[np.float64]
 Made = TypeVar("Made")
 
-# A start is given up that has cost so many times as much as the best one so far, and is not lower by this much of
-# -2 log likelihood.
+# A start is given up that has cost, with those given up before it, so many times as much as the best one so far, and is
+# not lower by this much of -2 log likelihood.
 MANY, LOWER = 20.0, 1.0
 # Units of work that any start may cost, a second or two: a search in the frequency domain integrates nothing.
 FREE = 1e6
 GIVEN_UP = (
-    f"not converged: given up, for it had cost {MANY:.0f} times as much as the best start and was not lower"
+    f"not converged: given up, for it cost, with others before it, {MANY:.0f} times as much as the best start and was "
+    "not lower"
 )
 
 
@@ -83,6 +84,7 @@ class Starts:
         self.search = search
         self._beside: Begun | None = None
         self._best: tuple[float, float] | None = None  # merit, and the least work that led to it
+        self._lost = 0.0  # work of starts that were given up
 
     def __call__(
         self, starts: list[Array], first: bool, beside: Begun | None = None
@@ -104,13 +106,15 @@ class Starts:
 
     def _run(self, start: Array, *, first: bool) -> Attempt | None:
         """One start; None where the time was over before it had come to anything."""
-        allowed = np.inf if self._best is None else max(MANY * self._best[1], FREE)
+        allowed = np.inf if self._best is None else max(MANY * self._best[1] - self._lost, FREE)
         back = fineness_kept(self.search)
         attempt, work = self._within(start, allowed, first=first)
         if attempt is not None and attempt.cut and not late():
             back()
             if self._best is not None and attempt.merit < self._best[0] - LOWER:
                 attempt, work = self._within(start, np.inf, first=first)
+            else:
+                self._lost += work
         if attempt is not None and attempt.solution.status == "converged":
             merit, least = self._best or (np.inf, np.inf)
             if attempt.merit < merit - LOWER:

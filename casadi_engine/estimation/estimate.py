@@ -253,8 +253,8 @@ def _given_up(attempts: Sequence[Attempt]) -> tuple[str, ...]:
     if not count:
         return ()
     return (
-        f"{count} of {len(attempts)} starts given up: each had cost {MANY:.0f} times as much as the best one, and was "
-        "not lower",
+        f"{count} of {len(attempts)} starts given up: together they cost {MANY:.0f} times as much as the best one, and "
+        "were not lower",
     )
 
 

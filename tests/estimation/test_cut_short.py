@@ -59,9 +59,25 @@ def test_a_start_that_costs_too_much_is_given_up_and_said(record, costly):
     fit = ce.estimate(swinging(), record, starts=3, progress=False)
     assert fit.converged
     assert {name: round(fit.values[name], 1) for name in TRUE} == TRUE
-    said = "2 of 3 starts given up: each had cost 20 times as much as the best one, and was not lower"
+    said = "2 of 3 starts given up: together they cost 20 times as much as the best one, and were not lower"
     assert said in fit.messages
     assert {one.status for one in fit.optima} == {"converged", GIVEN_UP}
+
+
+def test_what_starts_have_lost_is_not_lost_again(record, costly, monkeypatch):
+    """Each of three cost twenty times the first one, a minute in place of a second."""
+    monkeypatch.setattr(cut_short, "FREE", 1e3)
+    search = search_of(record)
+    run = Starts(search)
+    starts = search.drawn(4, 0)
+    spent = []
+    for k, start in enumerate(starts):
+        with Deadline() as own:
+            tuple(run([start], k == 0))
+        spent.append(own.done)
+    best = run._best[1]
+    assert sum(spent[1:]) < 1.2 * cut_short.MANY * best + 3e3
+    assert spent[1] > 0.9 * cut_short.MANY * best
 
 
 def test_no_start_is_given_up_where_all_are_quick(record):
