@@ -14,15 +14,18 @@ from casadi_engine.cli.options import Debug
 from casadi_engine.errors import OutputError, ProblemError
 
 Name = Annotated[str, typer.Argument(metavar="NAME", help="Name of the problem; writes NAME.py.")]
+Equations = Annotated[
+    bool, typer.Option("--equations", help="For a system of your own equations, in place of an engine.")
+]
 
 
-def new(name: Name, debug: Debug = False) -> None:
+def new(name: Name, equations: Equations = False, debug: Debug = False) -> None:
     """Write a commented problem file NAME.py that runs on a data file of yours; nothing is overwritten."""
-    raise typer.Exit(guarded("new", lambda: _work(name), debug=debug))
+    raise typer.Exit(guarded("new", lambda: _work(name, equations), debug=debug))
 
 
-def _work(name: str) -> int:
-    path = write_template(name)
+def _work(name: str, equations: bool) -> int:
+    path = write_template(name, equations=equations)
     shown = os.fspath(path)
     say(
         f"Written: {shown}\n"
@@ -32,8 +35,9 @@ def _work(name: str) -> int:
     return ANSWERED
 
 
-def write_template(name: str) -> Path:
-    """Write the template as NAME.py (NAME may have folders before it, which must be there).
+def write_template(name: str, *, equations: bool = False) -> Path:
+    """Write the template, of an engine or of any equations, as NAME.py (NAME may have folders before it, which must be
+    there).
 
     ProblemError for a name that is not acceptable, OutputError for a file that is there or cannot be made.
     """
@@ -49,7 +53,8 @@ def write_template(name: str) -> Path:
             allowed="up to 100 letters A-Z a-z, digits, _ and -, not starting with -",
             cure="give a name such as my_engine",
         )
-    resource = importlib.resources.files("casadi_engine.cli") / "template.txt"
+    template = "template_equations.txt" if equations else "template.txt"
+    resource = importlib.resources.files("casadi_engine.cli") / template
     text = resource.read_text(encoding="utf-8").replace("{{name}}", path.stem)
     try:
         # Mode x: a file that appears in this very moment is not overwritten either.

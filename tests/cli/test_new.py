@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import os
 
+import numpy as np
+import pandas as pd
 import pytest
+from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.cli.new import write_template
@@ -22,6 +25,35 @@ def test_it_writes_a_file_and_says_what_next(tmp_path, monkeypatch, call):
     assert text.startswith('"""my_engine: ')
     compile(text, "my_engine.py", "exec")
     assert os.listdir(tmp_path) == ["my_engine.py"]
+
+
+def test_the_template_of_ones_own_equations_fits_a_record_and_is_repaired(tmp_path, monkeypatch, call):
+    """A wheel with dry friction, written in the units that the file shows."""
+    monkeypatch.chdir(tmp_path)
+    done = call("new", "wheel-rig", "--equations")
+    assert (done.code, done.err) == (0, "")
+    text = (tmp_path / "wheel-rig.py").read_text()
+    assert "{{" not in text
+    assert 'missing = b.port("wheel", "inertia", {"speed": speed, "angle": angle})' in text
+    t = np.arange(0, 20, 0.02)
+    for seed in (1, 2):
+        torque = 3 * np.sin(2.1 * t + seed) + 2 * np.sin(5.3 * t)
+
+        def rate(time, y, torque=torque):
+            dry = 0.5 * np.tanh(y[1] / 1e-3)
+            return [y[1], (np.interp(time, t, torque) - 4 * y[0] - 0.2 * y[1] - dry) / 0.15]
+
+        run = solve_ivp(rate, (0, 20), [0, 0], t_eval=t, rtol=1e-7, atol=1e-9, max_step=0.02, method="LSODA")
+        shown = np.degrees(run.y[0]) + 0.3 * np.random.default_rng(seed).standard_normal(len(t))
+        table = pd.DataFrame({"time [s]": t, "T [N mm]": 1e3 * torque, "angle [deg]": shown})
+        table.to_csv(tmp_path / f"record_{seed}.csv", index=False)
+    done = call("fit", "wheel-rig.py", "--data", "record_1.csv", "--validate", "record_2.csv")
+    assert done.code == 0
+    assert "Fit of wheel: converged" in done.out
+    effects = ("--effects", "coulomb_friction", "--effects", "quadratic_drag")
+    done = call("repair", "wheel-rig.py", "--data", "record_1.csv", "--validate", "record_2.csv", *effects)
+    assert done.code == 0
+    assert "coulomb_friction at wheel is missing, confirmed on fresh data" in done.out
 
 
 def test_it_says_how_a_model_of_ones_own_gets_a_port(tmp_path):
