@@ -22,11 +22,14 @@ from casadi_engine.discrepancy.refits import FACTOR, Key, Refits, Tried, key_of
 from casadi_engine.discrepancy.screening import Screened
 
 Tell = Callable[[str], None]
+# Log evidence by which a law's special case may be less probable than its chi-squared beside the law's makes it.
+_TIE = 1.0
 
 
 def special_cases(refits: Refits, best: Key, screened: Screened, tell: Tell) -> None:
     """Refit the most probable structures with a law's special case in its place, where that was not tried beside
-    the other effects, as what the law has more may be what one of these does, or where its refit had not arrived."""
+    the other effects, as what the law has more may be what one of these does, or where its refit had not arrived or is
+    less probable."""
     now, families = refits.pool[best], families_of(screened)
     least = now.log - math.log(FACTOR)
     for one in [t for t in refits.pool.values() if len(t.key) == len(now.key) > 0 and t.log > least]:
@@ -35,7 +38,7 @@ def special_cases(refits: Refits, best: Key, screened: Screened, tell: Tell) -> 
             if limit in one.key or limit not in families:
                 continue
             known = refits.pool.get(one.key - {member.candidate.key} | {limit})
-            if known is not None and (known.arrived.settled or len(one.key) > 1):
+            if known is not None and (len(one.key) > 1 or _at_its_best(known, one)):
                 continue
             ask()
             tell(f"{limit[0]} in place of {member.label}, in {one.label}")
@@ -44,6 +47,16 @@ def special_cases(refits: Refits, best: Key, screened: Screened, tell: Tell) -> 
             rest = (other for other in one.effects if other is not member)
             start = start_without(one.arrived, member)
             refits.tried((*rest, addition(candidate, size)), start)
+
+
+def _at_its_best(case: Tried, law: Tried) -> bool:
+    """True if the refit of a law's special case has arrived where that is as probable as it can be.
+
+    It has fewer numbers, so that nothing but its chi-squared makes it less probable than the law, if the two ended at
+    one place of whatever valley there is along which the data tell nothing.
+    """
+    worse = 0.5 * max(case.evidence.cost - law.evidence.cost, 0.0)
+    return case.arrived.settled and case.log > law.log - worse - _TIE
 
 
 def exchanged(refits: Refits, best: Tried, here: Tried, screened: Screened, tell: Tell) -> Tried:

@@ -35,13 +35,13 @@ def explained(screened: Screened) -> bool:
     return best > _EXPLAINED * float((left**2).sum())
 
 
-def found_again(fit: Fit, work: float, given: Mapping[str, Any]) -> Fit:
+def found_again(fit: Fit, work: float, given: Mapping[str, Any], seconds: float = math.inf) -> Fit:
     """The fit by predictions, if that follows the data better; else the fit.
 
-    work : of the fit, in units of ``Deadline``; given : what ``estimate`` was given for it
+    work : of the fit, in units of ``Deadline``; given : what ``estimate`` was given for it; seconds : that it may take
     """
     try:
-        with Deadline(work=_MORE * work, best=True):
+        with Deadline(seconds, work=_MORE * work, best=True):
             other = estimate(**{**given, "approach": "prediction", "starts": 1, "neighbours": 0})
     except (TimeUp, CasadiEngineError, FloatingPointError):  # there is a fit
         return fit

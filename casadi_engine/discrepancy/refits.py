@@ -39,6 +39,9 @@ from casadi_engine.estimation.corner_widths import FELT, ROUNDED
 PART = 0.3
 # Levels that fall by this share are new ones, at which refits go on.
 _RELEVELLED = 0.7
+# Chi-squared within which two ends are one valley, as refits are off by as much, and share of a value by which it is at
+# another place there.
+_VALLEY, _PLACE = 0.1, 0.1
 # Log evidence by which an optimum of a structure is another one.
 _BETTER = 1.0
 # Rivals that are refitted with sharper corners.
@@ -132,6 +135,16 @@ class Tried:
         return drop if drop > _ELSEWHERE * size else size
 
 
+def _no_better(one: Arrived, known: Arrived) -> bool:
+    """True for a refit that ended above a known one, or at its place; along a valley in which the data tell nothing
+    another place may be more probable a priori."""
+    if one.cost >= known.cost + _VALLEY:
+        return True
+    pairs = [(own, known.values.get(name, math.nan)) for name, own in one.values.items()]
+    here = all(abs(own - there) <= _PLACE * max(abs(own), abs(there)) for own, there in pairs)
+    return one.cost >= known.cost - 1e-6 and here
+
+
 def key_of(effects: Sequence[Addition]) -> Key:
     """Effects and ports, in no order."""
     return frozenset(one.candidate.key for one in effects)
@@ -190,7 +203,7 @@ class Refits:
         known = self.pool.get(key)
         if arrived is None or not math.isfinite(arrived.cost):
             return [] if known is None else [known]
-        if known is not None and known.form == form_of(effects) and known.arrived.cost <= arrived.cost + 1e-6:
+        if known is not None and known.form == form_of(effects) and _no_better(arrived, known.arrived):
             return [known]
         made = self._counted(effects, arrived)
         if made is not None and (known is None or made.log > known.log or self._excused(known, made)):

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from casadi_engine.blas_threads import one_blas_thread
-from casadi_engine.deadline import Deadline, TimeUp
+from casadi_engine.deadline import Deadline, TimeUp, late
 from casadi_engine.discrepancy.answer import Answer
 from casadi_engine.discrepancy.assumed_pressure import carry, remarks, settle_scatter
 from casadi_engine.discrepancy.checked_errors import with_checked_errors, with_errors_of_rounding
@@ -57,6 +57,11 @@ from casadi_engine.problem.noise import Noise
 from casadi_engine.simulation.grid import lay_grid
 
 _STARTS, _MOST = 4, 4
+# Share of the time that is left of the budget that the fit without effects may take, once more that by predictions, and
+# a third of it other readings of the data: one that lacks an effect may crawl without end, and the search goes on from
+# where it is.
+_NULL = 0.3
+_SHARE_OVER = "not converged: its share of the time budget was over"
 # Work that a fit without its bounds may cost, in multiples of that of one start of the fit without effects.
 _AGAIN = 2.0
 # Behind a budget or a Ctrl-C an answer is made of what was found, within this share of the budget or so many seconds;
@@ -362,21 +367,25 @@ class _Job:
             "parameters": self.parameters,
         }
         given |= {"jobs": jobs, "enough": "white", **self.several, **options}
-        with Deadline(best=True) as own:
+        with Deadline(_NULL * self.deadline.left, best=True) as own:
             fit = estimate(**given)
             # as its message tells a person to, who may have wanted no more than so many
             if "one more step" in fit.status or (fit.status == OUT_OF_ITERATIONS and self.patient):
                 more = options | {"max_iterations": _FURTHER * options["max_iterations"]}
                 again = estimate(self.model, self.portion.data, parameters=self.parameters, warm=fit, **more)
                 fit = again if again.converged else fit
+        stopped = late() or self._by == USER
+        if fit.status == "interrupted" and not stopped and math.isfinite(fit.cost):
+            fit = replace(fit, status=_SHARE_OVER)  # it goes on as refits do, which begin in short windows
         self.null_fit, work = fit, own.done / max(sum(one.starts for one in fit.optima), 1)
         if _fault_of(fit) is None:
-            self.misread = misread(fit, self.parameters, self.noise, self.options, work)
+            with suppress(TimeUp), Deadline(_NULL / 3 * self.deadline.left):
+                self.misread = misread(fit, self.parameters, self.noise, self.options, work)
             if self.misread is not None and self.misread.certain:
                 return fit, self.parameters, work
         if not_followed(fit) and not (fit.converged and explained(scores(fit))):
             self.tell("fit without effects by predictions, as the simulation does not follow the data")
-            self.null_fit = fit = found_again(fit, own.done, given)
+            self.null_fit = fit = found_again(fit, own.done, given, _NULL * self.deadline.left)
         fit, pars = settle_scatter(fit, self.parameters, noise=self.noise, options=self.options)
         self.null_fit = fit
         pars = with_widths(pars, widths_of(fit, pars))
