@@ -59,8 +59,8 @@ from casadi_engine.simulation.grid import lay_grid
 _STARTS, _MOST = 4, 4
 # Share of the time that is left of the budget that the fit without effects may take, once more that by predictions, and
 # a third of it other readings of the data: one that lacks an effect may crawl without end, and the search goes on from
-# where it is.
-_NULL = 0.3
+# where it is. Seconds that the first of these may take in any case.
+_NULL, _AT_LEAST = 0.3, 5.0
 _SHARE_OVER = "not converged: its share of the time budget was over"
 # Work that a fit without its bounds may cost, in multiples of that of one start of the fit without effects.
 _AGAIN = 2.0
@@ -367,15 +367,15 @@ class _Job:
             "parameters": self.parameters,
         }
         given |= {"jobs": jobs, "enough": "white", **self.several, **options}
-        with Deadline(_NULL * self.deadline.left, best=True) as own:
+        share = max(_NULL * self.deadline.left, _AT_LEAST)
+        with Deadline(share, best=True) as own:
             fit = estimate(**given)
             # as its message tells a person to, who may have wanted no more than so many
             if "one more step" in fit.status or (fit.status == OUT_OF_ITERATIONS and self.patient):
                 more = options | {"max_iterations": _FURTHER * options["max_iterations"]}
                 again = estimate(self.model, self.portion.data, parameters=self.parameters, warm=fit, **more)
                 fit = again if again.converged else fit
-        stopped = late() or self._by == USER
-        if fit.status == "interrupted" and not stopped and math.isfinite(fit.cost):
+        if fit.status == "interrupted" and own.over and not late() and math.isfinite(fit.cost):
             fit = replace(fit, status=_SHARE_OVER)  # it goes on as refits do, which begin in short windows
         self.null_fit, work = fit, own.done / max(sum(one.starts for one in fit.optima), 1)
         if _fault_of(fit) is None:
