@@ -230,6 +230,7 @@ class Answer:
             place = place_of(screened.null, _noise_of_place(last), latent)
         split = self._in_time("next experiment", lambda: _split(proof.kept))
         self.timing["total"] = time.perf_counter() - self.begun
+        named = {(member.name, member.at) for one in blank.effects for member in one.members}
         done = replace(
             blank,
             threshold=screened.threshold,
@@ -238,7 +239,7 @@ class Answer:
             scores=score_rows(screened),
             matrix=class_matrix(screened),
             where=place,
-            not_found=not_found(last.screened),
+            not_found=tuple(one for one in not_found(last.screened) if (one.name, one.at) not in named),
             not_applicable=screened.not_applicable,
             next_experiment=split,
             equation=equation_of(last.fit.model, null.fit.model) if blank.effects else None,

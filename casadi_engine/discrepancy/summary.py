@@ -92,8 +92,12 @@ def _tested_lines(repair: Repair, noise: list[str]) -> Lines:
         rate = f"false alarms {100 * repair.alpha:.3g} % over all tests"
         limit = f", |z| > {repair.threshold:.2f}" if repair.candidates else ""
         seconds = repair.timing.get("total", math.nan)
-        lines += [f"  tested     {repair.candidates} candidates, {rate}{limit}; {number(seconds, '.2g')} s"]
+        lines += [f"  tested     {repair.candidates} candidates, {rate}{limit}; {_seconds(seconds)} s"]
     return lines
+
+
+def _seconds(value: float) -> str:
+    return f"{value:.0f}" if value >= 10 else number(value, ".2g")
 
 
 def _noise(repair: Repair) -> list[str]:

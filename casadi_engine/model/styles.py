@@ -61,8 +61,9 @@ def _pi_multiple(value: float) -> Fraction | None:
 
 
 def _digits(value: float) -> str:
-    """The shortest text that reads back as `value`; whole numbers without a point."""
-    return str(int(value)) if value.is_integer() and value < 1e15 else repr(value)
+    """The shortest text that reads back as `value` to 15 digits, as sums and squares are rounded in the last one; whole
+    numbers without a point."""
+    return str(int(value)) if value.is_integer() and value < 1e15 else repr(float(f"{value:.15g}"))
 
 
 class TextStyle:
