@@ -309,7 +309,10 @@ class Path:
         most: float = math.inf,
     ) -> Arrived | None:
         """The end of a refit; samples of late sensors are read anew until it says that they are no later."""
-        model, data = self._model(effects, {}), self.refitter.data
+        try:
+            model, data = self._model(effects, {}), self.refitter.data
+        except FAILURES:  # effects that cannot be together
+            return None
         known = {one.amplitude: one.start for one in effects} | dict(
             start.values if start is not None else {}
         )

@@ -94,7 +94,8 @@ def check_side(model: Model, port: Port) -> None:
     """Raise EffectError where the slot of a port acts the other way round: friction would drive.
 
     What acts in an inertia's slot must raise its speed; in a coupling's, pull the twist back. Tried at the start values
-    of the parameters.
+    of the parameters, without the effects that are attached: a mass that a search has made negative is no fault of the
+    slot.
     """
     if port.slot is None or port.kind not in ("inertia", "coupling"):
         return
@@ -114,7 +115,10 @@ def check_side(model: Model, port: Port) -> None:
     )
     if slope.get_free():
         return
-    values = np.array([one.value for one in model.declarations])
+    of_effects = tuple(f"{one.at}.{one.effect.name}." for one in model.effects)
+    values = np.array(
+        [0.0 if of_effects and one.name.startswith(of_effects) else one.value for one in model.declarations]
+    )
     found = []
     for share in (0.3, 0.7):
         x = np.array([share * variable.scale for variable in model.states])

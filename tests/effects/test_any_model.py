@@ -246,6 +246,17 @@ def test_a_broken_law_of_ones_own_is_named_and_listed(result, message):
     assert why.startswith("the law of broken at body ")
 
 
+def test_a_mass_that_a_search_has_made_negative_is_no_fault_of_a_slot():
+    """It had ended a search: friction beside a wrong mass of -2 kg would drive."""
+    b = ce.Blueprint("sledge")
+    v, m = b.state("v", unit="m/s"), b.parameter("m", 2.0, unit="kg", vary=False)
+    b.ode("v", (b.input("u", unit="N") + b.port("runner", "inertia", {"speed": v})) / m)
+    b.output("v", v, unit="m/s")
+    wrong = b.model().with_effect(ce.effects.WrongValue(), at="parameter_m", values={"share": -2.0})
+    made = wrong.with_effect(ce.effects.CoulombFriction(), at="runner")
+    assert [one.key for one in made.effects] == ["parameter_m.wrong_value", "runner.coulomb_friction"]
+
+
 def test_a_search_leaves_out_what_cannot_act_and_lists_it():
     model = duffing(("stretch", "twist", "twist_rate"))
     data = record(model)
