@@ -173,6 +173,15 @@ class Path:
         self._done(_AHEAD * _STEPS * own.done / max(found.steps, 1), first=True)
         return _arrived(problem, found, self.levels)
 
+    def cost_without(self, effects: Sequence[Addition], arrived: Arrived, amplitude: str) -> float:
+        """Chi-squared where a refit arrived, an amplitude put to zero and all else as it is; inf where that fails."""
+        _, _, problem = self._problem(effects, arrived.lags)
+        values = {n: 0.0 if n.partition("@")[0] == amplitude else v for n, v in arrived.values.items()}
+        with suppress(*FAILURES), np.errstate(all="ignore"):
+            states = [path.x for path in problem.paths(arrived.values, arrived.refit.nodes)]
+            return _cost_along(problem, values, states)
+        return math.inf
+
     def residuals(self, effects: Sequence[Addition], arrived: Arrived) -> NullModel:
         """Residuals and slopes where a refit of these effects ended, as its own integrator has them; without the paths
         that candidates act along."""

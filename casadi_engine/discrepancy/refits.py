@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -60,7 +60,9 @@ class Tried:
 
     pool : all structures at the time it is asked; own : log evidence in noise of the level and colour that it leaves
     itself, where what the best leaves is coloured; failed : its whole fit did not converge; fresh : log probability of
-    fresh data beside that by the structure which foretells them best, where they were asked
+    fresh data beside that by the structure which foretells them best, where they were asked; acts : amplitude -> the
+    root of what chi-squared rises by where it is put to zero, of those whose slopes say that they are nothing: of an
+    overflow that is as fast as it likes the slope is nearly none
     """
 
     effects: tuple[Addition, ...]
@@ -71,6 +73,7 @@ class Tried:
     own: float | None = None
     failed: bool = False
     fresh: float = 0.0
+    acts: dict[str, float] = field(default_factory=dict)
 
     @property
     def key(self) -> Key:
@@ -128,6 +131,7 @@ class Tried:
         size = max((abs(values[n]) / self.evidence.error.get(n, math.inf) for n in own), default=math.inf)
         without, alone = self.pool().get(self.key - {one.candidate.key}), self.evidence.alone
         there = max((abs(values[n]) / alone.get(n, math.inf) for n in own), default=0.0)
+        there = max(there, self.acts.get(one.amplitude, 0.0))
         if without is None or not math.isfinite(size) or there < _THERE:
             return size
         gain = 2 * (self.counted - without.counted) if self.own is not None else 0.0
@@ -225,7 +229,23 @@ class Refits:
                 found = evidence(made, self.levels)
         except FAILURES:
             return None
-        return Tried(effects, arrived, made, found, lambda: self.pool) if math.isfinite(found.log) else None
+        if not math.isfinite(found.log):
+            return None
+        tried = Tried(effects, arrived, made, found, lambda: self.pool)
+        tried.acts = self._acts(tried)
+        return tried
+
+    def _acts(self, tried: Tried) -> dict[str, float]:
+        """See ``Tried.acts``; in the noise of the evidence."""
+        found, arrived, alone = {}, tried.arrived, tried.evidence.alone
+        for one in tried.effects:
+            own = [n for n in arrived.values if n.partition("@")[0] == one.amplitude]
+            there = max((abs(arrived.values[n]) / alone.get(n, math.inf) for n in own), default=0.0)
+            if own and there < _THERE:
+                rise = self.path.cost_without(tried.effects, arrived, one.amplitude) - arrived.cost
+                share = tried.evidence.cost / max(arrived.cost, 1e-300)
+                found[one.amplitude] = math.sqrt(max(rise * share, 0.0)) if math.isfinite(rise) else 0.0
+        return found
 
     def random(self, null: NullModel) -> dict[str, dict[str, Array]] | None:
         """Columns of the random amplitudes of combustions whose pressure was assumed."""

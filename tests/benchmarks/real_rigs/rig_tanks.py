@@ -88,9 +88,10 @@ def _record(name, u, y, every=1):
     time = 4.0 * every * np.arange(len(y[::every]))
     # the pump's voltage holds from sample to sample
     mean = u[: len(time) * every].reshape(-1, every).mean(axis=1)
-    return ce.Experiment.from_arrays(
+    made = ce.Experiment.from_arrays(
         name, time=time, units={"u": "V", "y": "V"}, hold={"u": "zero", "y": "first"}, u=mean, y=y[::every]
     )
+    return made.masked("y", y[::every] < SPAN)  # the sensor reads no more
 
 
 def by_hand():
