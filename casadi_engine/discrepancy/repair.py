@@ -172,6 +172,7 @@ def repair(
     cylinders = scatter if method == "exact" else None
     carried = carry(model, pars, portion.data, portion.fresh, cylinders=cylinders)
     portion = replace(portion, data=carried.data, fresh=carried.fresh)
+    initial = _of_data(initial, portion)
     options = {
         "interval": interval, "initial": initial, "method": method, "max_iterations": max_iterations,
     }  # fmt: skip
@@ -502,6 +503,14 @@ def _largest(model: Model, records: Sequence[Experiment]) -> dict[str, float]:
         if value.is_symbolic() and any(course.size for course in seen):
             found[str(value)] = float(max(course.max() for course in seen if course.size))
     return found
+
+
+def _of_data(initial: Any, portion: Portions) -> Any:
+    """The initial states that were given, without those of records that are fresh alone: these are found there."""
+    if not isinstance(initial, Mapping) or not all(isinstance(one, Mapping) for one in initial.values()):
+        return initial
+    fresh = {one.name for one in portion.fresh} - {one.name for one in portion.data}
+    return {name: own for name, own in initial.items() if name not in fresh}
 
 
 def _seconds(budget: Any) -> float:

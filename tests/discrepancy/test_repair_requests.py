@@ -481,3 +481,13 @@ def test_a_class_in_place_of_an_effect_is_told_so(shaft, friction):
 def test_an_effect_that_fits_nowhere_is_told_what_it_needs(shaft, friction):
     with pytest.raises(EffectError, match="seen: misfire: the model has no port of the kind cylinder"):
         ce.repair(shaft.model, friction, effects="misfire")
+
+
+def test_initial_states_of_fresh_records_are_no_fault():
+    """They are found there; those of a record that is nowhere are refused by the fit."""
+    portion = SimpleNamespace(data=[SimpleNamespace(name="a")], fresh=[SimpleNamespace(name="b")])
+    first = {"x": 0.0}
+    of_data = import_module("casadi_engine.discrepancy.repair")._of_data
+    assert of_data({"a": first, "b": first, "c": first}, portion) == {"a": first, "c": first}
+    assert of_data(first, portion) is first
+    assert of_data(None, portion) is None
