@@ -1,6 +1,7 @@
 """repair and screen asked for particular effects and ports, on few data, and with input that cannot be used."""
 
 from importlib import import_module
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
