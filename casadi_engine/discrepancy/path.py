@@ -178,8 +178,7 @@ class Path:
         _, _, problem = self._problem(effects, arrived.lags)
         values = {n: 0.0 if n.partition("@")[0] == amplitude else v for n, v in arrived.values.items()}
         with suppress(*FAILURES), np.errstate(all="ignore"):
-            states = [path.x for path in problem.paths(arrived.values, arrived.refit.nodes)]
-            return _cost_along(problem, values, states)
+            return problem.glance(values, arrived.refit.nodes)
         return math.inf
 
     def residuals(self, effects: Sequence[Addition], arrived: Arrived) -> NullModel:

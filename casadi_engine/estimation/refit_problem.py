@@ -298,6 +298,11 @@ class RefitProblem:
                 break
         return float(sum(np.sum(r**2) for r in residuals))
 
+    def glance(self, values: Mapping[str, float], nodes: Sequence[Array]) -> float:
+        """The same by the steps that there are."""
+        v = self.coordinates.of(np.array([values[name] for name in self.pmap.free]))
+        return float(sum(np.sum(r**2) for r in simulated(self.records, v, nodes)[0]))
+
     def paths(self, values: Mapping[str, float], nodes: Sequence[Array]) -> list[NullPath]:
         """The records' simulations at these values, likewise."""
         z = np.array([values[name] for name in self.pmap.free])
