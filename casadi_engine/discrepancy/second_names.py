@@ -25,13 +25,13 @@ def second_names_of(
     They do where both move the outputs alike along the records, and enter the equations alike anywhere.
     columns : record -> output -> (N, k) what each candidate does to the outputs
     """
-    every = [*order, *(k for k in range(len(candidates)) if k not in set(order))]
+    ordered = [*order, *sorted(set(range(len(candidates))) - set(order))]
     families: dict[Key, list[int]] = {}
     for k in range(len(candidates)):
         families.setdefault(candidates[k].key, []).append(k)
     found: dict[Key, tuple[Key, ...]] = {}
     done: set[Key] = set()
-    for key in dict.fromkeys(candidates[k].key for k in every):
+    for key in dict.fromkeys(candidates[k].key for k in ordered):
         if key in done:
             continue
         own = [
@@ -69,22 +69,27 @@ def _alike(
 
 
 def _same_anywhere(one: Candidate, other: Candidate) -> bool:
-    """True if two candidates enter the equations alike at states, inputs and parameters drawn at random."""
+    """True if two candidates enter the equations alike at states, inputs and parameters drawn at random; False where
+    these have no value."""
     if one.source.states or other.source.states:
         return False
     first, second = (_anywhere(c.source.model, (c.source.ode, c.source.output)) for c in (one, other))
-    return bool(np.allclose(first, second, rtol=_SAME, atol=0.0, equal_nan=True))
+    fine = np.isfinite(first)
+    alike = np.allclose(first[fine], second[fine], rtol=_SAME, atol=0.0)
+    return bool(fine.any(axis=0).all() and alike)
 
 
 def _anywhere(model: Model, expressions: Sequence[ca.SX]) -> Array:
-    """Expressions (K,) in a model's symbols at a few points near its scales, the same at every call."""
+    """Expressions (4, K) in a model's symbols at points near its scales and start values, the same at every call."""
     symbols = [model.x, model.u, model.d, model.t, model.p]
     function = ca.Function("anywhere", symbols, [ca.densify(ca.vertcat(*expressions))])
     rng = np.random.default_rng(0)
     scale = np.array([state.scale for state in model.states])
+    start = np.array([one.value for one in model.declarations])
     found = []
     for _ in range(4):
-        points = [rng.standard_normal(symbol.numel()) for symbol in symbols]
-        points[0] *= scale
-        found.append(np.asarray(function(*points)).ravel())
-    return np.concatenate(found)
+        x, u, d, t, p = (rng.standard_normal(symbol.numel()) for symbol in symbols)
+        # a parameter keeps its sign: roots and logarithms of it have values
+        near = np.where(start == 0, 0.1 * p, start * np.exp(0.3 * p))
+        found.append(np.asarray(function(scale * x, u, d, t, near)).ravel())
+    return np.array(found)

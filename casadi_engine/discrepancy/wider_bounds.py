@@ -8,10 +8,10 @@ from dataclasses import replace
 from typing import Any
 
 from casadi_engine.discrepancy.misread import followed
+from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.refit import merit
 from casadi_engine.discrepancy.repaired import Repair
 from casadi_engine.discrepancy.wording import BOUNDS, si
-from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation import Fit, estimate
 from casadi_engine.parameters import Parameters
 from casadi_engine.problem.noise import Noise
@@ -37,7 +37,7 @@ def with_wider_bounds(
     own = {**options, "noise": noise, "progress": False, "errors": "quadratic"}
     try:
         found = estimate(null.model, repair.data, parameters=wide, **own)
-    except CasadiEngineError:
+    except FAILURES:
         return repair
     if not found.converged or not _as_good(found, repair):
         return repair

@@ -29,9 +29,11 @@ def nothing_left(search: Search, attempt: Attempt) -> bool:
         for name in record.observation.where:
             r = record.observation.series(point.r, name)
             valid = record.observation.series(record.observation.valid, name).astype(bool)
+            if not valid.any():
+                continue
             measured = record.grid.measured[name].values / search.sigma[search.records[0].outputs.index(name)]
             size = float(np.std(measured[np.isfinite(measured)]))
-            left = float(np.sqrt(np.mean(r[valid] ** 2))) if valid.any() else 0.0
+            left = float(np.sqrt(np.mean(r[valid] ** 2)))
             if left > (1 - FOLLOWED / 100) * size or not _white(np.where(valid, r, 0.0), valid):
                 return False
     return True

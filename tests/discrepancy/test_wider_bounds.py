@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.discrepancy.wider_bounds import with_wider_bounds
@@ -18,14 +19,12 @@ def record(seed=1, cubic=0.0):
     """One inertia on a damper of 0.5 N m s/rad, and a cube of its speed."""
     t = np.arange(0, 20, 0.02)
     torque = 2 + np.sin(1.3 * t) + np.sin(0.4 * t)
-    fine = np.linspace(0, t[-1], 20 * len(t) - 19)
-    push, w = np.interp(fine, t, torque), np.zeros(len(fine))
-    for k in range(len(fine) - 1):  # Heun's method on twenty steps to a sample: error 1e-6
-        h = fine[k + 1] - fine[k]
-        one = (push[k] - 0.5 * w[k] - cubic * w[k] ** 3) / 0.8
-        ahead = w[k] + h * one
-        w[k + 1] = w[k] + h / 2 * (one + (push[k + 1] - 0.5 * ahead - cubic * ahead**3) / 0.8)
-    y = w[::20] + 0.02 * np.random.default_rng(seed).standard_normal(len(t))
+
+    def rate(time, w):
+        return (np.interp(time, t, torque) - 0.5 * w - cubic * w**3) / 0.8
+
+    w = solve_ivp(rate, (0, t[-1]), [0.0], t_eval=t, rtol=1e-9, atol=1e-12, max_step=0.02).y[0]
+    y = w + 0.02 * np.random.default_rng(seed).standard_normal(len(t))
     return ce.Experiment.from_arrays("a", time=t, units={"T": "N m", "omega": "rad/s"}, T=torque, omega=y)
 
 
