@@ -127,9 +127,8 @@ class Drawing:
         return [u[k, : self.target.nv] for k in above[np.argsort(-height[above])][:OPTIMA]]
 
     def _left_out(self, u: Array, height: Array) -> float:
-        """Scatter of what the data that were left out say at some points; zero with all data."""
-        bins = self.target.likelihood.bins
-        if bins is None or bins[0] == bins[1]:
+        """Scatter of what all data say beyond those in use, at some points."""
+        if self.target.likelihood.bins is None:
             return 0.0
         return float(np.std(self.target.full(u) - height))
 

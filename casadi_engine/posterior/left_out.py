@@ -1,4 +1,6 @@
-"""What data that were left out of the likelihood say of draws that were made without them."""
+"""What data that were left out of the likelihood say of draws that were made without them.
+
+With all bins in use it is the last states alone that draws are made with as a quadratic foretells them."""
 
 from __future__ import annotations
 
@@ -29,8 +31,7 @@ def with_all_data(
         not foretell what all data say, and it foretells the rest; without it, or where that does not do either, all
         data are looked at in every draw
     """
-    bins = target.likelihood.bins
-    if bins is None or bins[0] == bins[1]:
+    if target.likelihood.bins is None:
         return drawn, 0.0
     count = max(LOOKED_AT, TERMS * quadratic(drawn.u[:1]).shape[1])
     some = random.choice(len(drawn.u), min(count, len(drawn.u)), replace=False)

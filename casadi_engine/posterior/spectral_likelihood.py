@@ -1,7 +1,8 @@
 """The likelihood of linear models on complete records, the initial states integrated out, by few frequency bins.
 
 In the frequency domain (``estimation.spectral``) initial states enter by t = x_0 + x_N, the sum of the first and the
-last one, linearly: with a normal prior of t (``states``) their integral is exact.
+last one, linearly: with a normal prior of x_0 (``states``), from which x_N follows (``last_state``), their integral is
+exact.
 
 An engine's torque acts at its harmonics: most bins hold noise alone. Those in which the parameters act are chosen once
 by their share of the information, not by what was measured there, so that the likelihood of the chosen bins is one of
@@ -11,6 +12,7 @@ its own. The others wait for the last draws (``full``).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -20,6 +22,7 @@ from casadi_engine.estimation.levenberg_marquardt import Squares
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.spectral import Bins, Response, SpectralRecord, Spectrum
 from casadi_engine.estimation.spectral_squares import largest_share
+from casadi_engine.posterior.last_state import LastStates, last_state
 from casadi_engine.posterior.modal import Basis, Transients
 from casadi_engine.posterior.states import StatePrior
 from casadi_engine.simulation.linear import LinearPropagator
@@ -40,12 +43,15 @@ _TRIED = 2.0 ** -np.arange(8.0, -0.5, -0.5)
 class SpectralLikelihood:
     """Log likelihood of records at parameters v (nv,) and noise levels (ny,), the initial states integrated out.
 
-    bins : used and all; states : of each record, the prior of t
+    bins : used and all; first, states : of each record, the priors of x_0, and of t where searches begin
     """
 
-    def __init__(self, records: Sequence[RecordTerm], size: int, states: Sequence[StatePrior]) -> None:
-        """size : nv, of the vector of parameters; states : of each record, the prior of t"""
-        self.states = list(states)
+    def __init__(self, records: Sequence[RecordTerm], v: Array, first: Sequence[StatePrior]) -> None:
+        """v : (nv,) where searches begin; first : of each record, the prior of its first state"""
+        size = len(v)
+        self.first = list(first)
+        self._last = [LastStates.still(v, record.n) for record in records]
+        self.states = [own.of_sum(*last_state(record, v)) for own, record in zip(first, records, strict=True)]
         self._records = [SpectralRecord(record) for record in records]
         self._size = size
         self._fixed = [not len(_linear(record.record).drives_active) for record in self._records]
@@ -91,6 +97,7 @@ class SpectralLikelihood:
                 bent = turn[np.ix_(active, active)] @ jacobian
                 score = (bent * jacobian).sum(axis=0).reshape(self.outputs, -1, 2).sum(axis=(0, 2))
                 scores[k] = np.maximum(scores[k], score)
+        self._follow(points[0], wholes[0])
         order = np.sort(np.concatenate(scores))[::-1]
         for share in _TRIED:
             limit = order[max(int(share * len(order)) - 1, 0)]
@@ -109,6 +116,14 @@ class SpectralLikelihood:
         rest = rest if np.isfinite(rest) else 0.0
         squares = -2 * (rest + count * float(np.log(sigma).sum()))
         self._others = rest, float(count), squares / max(count * self.outputs, 1), sigma
+
+    def _follow(self, v: Array, information: Array) -> None:
+        """Let the last states follow the parameters, about v."""
+        if all(np.array_equal(one.at, v) and one.slopes.any() for one in self._last):
+            return
+        for k, (own, first) in enumerate(zip(self._records, self.first, strict=True)):
+            self._last[k] = LastStates.about(own.record, first.mean, v, information)
+            self.states[k] = first.of_sum(*last_state(own.record, v))
 
     def _columns(self, k: int, v: Array, sigma: Array) -> Array:
         """Slopes (na, 2 ny K) of one record in all bins, the transients projected out."""
@@ -179,17 +194,31 @@ class SpectralLikelihood:
         return found
 
     def _of_group(self, v: Array, members: list[int], sigma: Array, *, whole: bool) -> Array:
-        """Log likelihood (P,) of records with the same discrete matrices."""
+        """Log likelihood (P,) of records with the same discrete matrices; their last states are simulated for the
+        whole data."""
         first = self._records[members[0]].record
         model = Transients(_linear(first).core, v[:, first.active], sigma)
         total = np.zeros(len(v))
         for k in members:
             basis = self._basis(k, v[0], whole=whole)
             rows, rest = model.at(basis)
-            total += self.states[k].integral(rows, rest, model.turn)[0]
+            if whole:
+                total += self._simulated(k, v, model, rows, rest)
+            else:
+                total += self.states[k].integral(rows, rest, model.turn, self._last[k].moved(v))[0]
             total -= 2 * len(basis.z) * np.log(sigma).sum(axis=1)
             total[~(basis.bins.samples * np.log(model.radius) < np.log(_GROWTH))] = -np.inf
         return total
+
+    def _simulated(self, k: int, v: Array, model: Transients, rows: Array, rest: Array) -> Array:
+        """Log likelihood (P,) of a record whose last state is simulated at each v (P, nv) at which there is a model."""
+        found, record = np.full(len(v), -np.inf), self._records[k].record
+        for p in np.flatnonzero(np.isfinite(model.radius)):
+            ahead, forced = last_state(record, v[p])
+            if np.isfinite(ahead).all() and np.isfinite(forced).all():
+                at, known = slice(p, p + 1), self.first[k].of_sum(ahead, forced)
+                found[p] = known.integral(rows[at], rest[at], model.turn[at])[0][0]
+        return found
 
     # ---- slopes, for searches
 
@@ -210,17 +239,23 @@ class SpectralLikelihood:
 
     def _gram(self, k: int, v: Array, sigma: Array) -> Array:
         response, bins, made, left = self._response(k, v, sigma)
-        known = self.states[k]
+        record, last = self._records[k].record, self._last[k]
+        known = self._there(k, v)
         best = known.best(response.seen, left)
-        flat = response.columns(bins, made, best, _linear(self._records[k].record).drives_active)
+        flat = response.columns(bins, made, best, _linear(record).drives_active)
         flat[0] += known.mean @ response.seen
+        flat[1:] += last.slopes_at(v)[:, record.active].T @ response.seen
         return np.asarray(flat @ flat.T - known.without(response.seen, flat))
 
     def _settled(self, k: int, v: Array, sigma: Array) -> StatePrior:
         """The prior of a record's states as searches use it."""
-        response, _, _, left = self._response(k, v, sigma)
-        rest = left - self.states[k].mean @ response.seen
-        return self.states[k].settled(response.seen, rest)
+        response, _, made, _ = self._response(k, v, sigma)
+        chosen = self._there(k, v).settled(response.seen, made[0])
+        return replace(self.states[k], chosen=chosen.chosen, width=chosen.width)
+
+    def _there(self, k: int, v: Array) -> StatePrior:
+        """The prior of t at v (nv,)."""
+        return self.states[k].moved(self._last[k].moved(v[None])[0])
 
     def _response(
         self, k: int, v: Array, sigma: Array
@@ -234,7 +269,7 @@ class SpectralLikelihood:
             bins = _some(bins, chosen, np.ascontiguousarray(bins.slopes[..., chosen]))
         response = Response(discrete, bins, sigma)
         made = response.residual(bins)
-        return response, bins, made, made[0] + self.states[k].mean @ response.seen
+        return response, bins, made, made[0] + self._there(k, v).mean @ response.seen
 
 
 def _linear(record: RecordTerm) -> LinearPropagator:

@@ -14,15 +14,12 @@ are large. The width is integrated over as well, flat in its logarithm from that
 The motion alone made intervals of a crankshaft too narrow: where all records begin at a moment at which its modes are
 quiet, amplitudes that they have at others are no measure for what noise tells of them.
 
-In the frequency domain the initial states enter by the sum of the first and the last one. The last one is no further
-unknown: drives and parameters lead to it. Taken for as unknown as the first, it made the log likelihood of six records
-of the crankshaft lower by 28 at the truth (`tests/benchmarks/POSTERIOR.md`).
+In the frequency domain the initial states enter by the sum of the first and the last one (``last_state``).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +28,6 @@ from casadi_engine.estimation.options import interval_length
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.starts import chained_nodes
 from casadi_engine.posterior.alike import alike
-from casadi_engine.simulation.linear import LinearPropagator
 
 Array = NDArray[np.float64]
 
@@ -84,13 +80,23 @@ class StatePrior:
         chosen, width = np.unravel_index(np.argmax(logs), logs.shape)
         return replace(self, chosen=int(chosen), width=float(WIDTHS[width]))
 
-    def integral(self, rows: Array, rest: Array, turn: Array | None = None) -> tuple[Array, Array]:
+    def moved(self, by: Array) -> StatePrior:
+        """That of states that lie ``by`` (n,) beside these."""
+        return replace(self, means=self.means + by)
+
+    def integral(
+        self, rows: Array, rest: Array, turn: Array | None = None, moved: Array | None = None
+    ) -> tuple[Array, Array]:
         """Log likelihood (P,) with states, width and which density integrated out, and the mean states (P, n) given the
         data, at P points; NaN where a number is not finite.
 
         rows : (P, n, L) what a state does to the residual, which is ``rest`` (P, L) with states of zero
         turn : (P, n, n) of the coordinates in which the rows are; without any, those of the prior
+        moved : (P, n) how far the prior lies beside this one at each point
         """
+        if moved is not None:
+            by = moved if turn is None else (turn @ moved[..., None])[..., 0]
+            rest = rest + (by[:, None] @ rows)[:, 0]
         logs, states = self._logs(rows, rest, turn)
         top = logs.max(axis=(0, 1))
         share = np.exp(logs - top)
@@ -144,24 +150,6 @@ def state_prior(record: RecordTerm, v: Array, first: Array) -> StatePrior:
         state, apart = again
         shapes.append((state, _root(apart.T @ apart / len(apart), later)))
     return StatePrior(np.array([mean for mean, _ in shapes]), np.array([factor for _, factor in shapes]))
-
-
-def last_state(record: RecordTerm, v: Array) -> tuple[Array, Array]:
-    """What leads from the first state of a linear record without a predictor to the one that follows its last sample,
-    scaled: a matrix (n, n) and the state (n,) that the drives make of zero, which come back there with the other sign.
-    """
-    propagator, count = cast(LinearPropagator, record.propagator), record.grid.samples
-    z = v[record.active]
-    discrete, drives = propagator.discretisation(z, 0), propagator.merged_drives(z).value
-    f, g0, g1 = discrete.f[0], discrete.g0[0], discrete.g1[0]
-    nodes = chained_nodes(record, v, np.zeros(record.n))
-    begin = (len(nodes) - 1) * record.plan.length
-    last = np.concatenate([drives[:, begin:], -drives[:, :1]], axis=1)
-    forced = nodes[-1]
-    for push in (g0 @ last[:, :-1] + g1 @ last[:, 1:]).T:
-        forced = f @ forced + push
-    with np.errstate(all="ignore"):
-        return np.linalg.matrix_power(f, count), forced
 
 
 def _factor(nodes: Array) -> Array:

@@ -16,7 +16,7 @@ from casadi_engine.estimation.spectral_start import no_spectrum
 from casadi_engine.posterior.laplace_likelihood import LaplaceLikelihood
 from casadi_engine.posterior.prior import Prior
 from casadi_engine.posterior.spectral_likelihood import SpectralLikelihood
-from casadi_engine.posterior.states import last_state, state_prior
+from casadi_engine.posterior.states import state_prior
 from casadi_engine.problem.noise import Noise
 
 Array = NDArray[np.float64]
@@ -159,10 +159,7 @@ def _likelihood(fit: Fit, search: Search, v: Array) -> Likelihood:
         first[name] = np.array([one.value for one in fit.initial[name].values()]) / record.scale
         states.append(state_prior(record, v, first[name]))
     if no_spectrum(search) is None and not _held(fit).any():
-        sums = [
-            own.of_sum(*last_state(record, v)) for own, record in zip(states, search.records, strict=True)
-        ]
-        return SpectralLikelihood(search.records, len(v), sums)
+        return SpectralLikelihood(search.records, v, states)
     held = {name: np.array([one.fixed for one in fit.initial[name].values()]) for name in first}
     return LaplaceLikelihood(SingleShots.over(search), first, v, held, states)
 

@@ -36,9 +36,10 @@ from casadi_engine.estimation.record import RecordTerm  # noqa: E402
 from casadi_engine.estimation.search import Search  # noqa: E402
 from casadi_engine.estimation.single_shots import evaluator  # noqa: E402
 from casadi_engine.estimation.starts import chained_nodes  # noqa: E402
+from casadi_engine.posterior.last_state import last_state  # noqa: E402
 from casadi_engine.posterior.modal import Transients  # noqa: E402
 from casadi_engine.posterior.spectral_likelihood import SpectralLikelihood  # noqa: E402
-from casadi_engine.posterior.states import StatePrior, last_state, state_prior  # noqa: E402
+from casadi_engine.posterior.states import StatePrior, state_prior  # noqa: E402
 
 Array = np.ndarray
 VARIANT = "B6"
@@ -103,8 +104,7 @@ def worlds_of(seed: int, left_out: float) -> list[World]:
     priors = [
         state_prior(record, v, own["running"][0]) for record, own in zip(search.records, starts, strict=True)
     ]
-    sums = [own.of_sum(*last_state(record, v)) for own, record in zip(priors, search.records, strict=True)]
-    likelihood = SpectralLikelihood(search.records, len(v), sums)
+    likelihood = SpectralLikelihood(search.records, v, priors)
     likelihood.choose([v], sigma, left_out)
     found = likelihood.squares(v, sigma)
     assert found is not None

@@ -60,11 +60,7 @@ def _closed_form(record, inertia, damper, sigma, likelihood):
     seen = np.isfinite(speed)
     decay = np.exp(-damper / inertia * time)[seen]
     rest, rows = 2.0 / damper * (1 - decay) - speed[seen], SCALE * decay
-    (states,) = likelihood.states
-    if likelihood.bins is not None:  # the prior is that of the first speed plus the last, at 2 s
-        last = np.exp(-damper / inertia * 2.0)
-        rows = rows / (1 + last)
-        rest = rest - 2.0 / damper * (1 - last) * rows / SCALE
+    (states,) = likelihood.states if likelihood.bins is None else likelihood.first
     rest, rows, logs = rest / sigma, rows / sigma, []
     for mean, factor in zip(states.means[:, 0], states.factors[:, 0, 0], strict=True):
         left = rest + mean * rows

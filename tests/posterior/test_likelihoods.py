@@ -42,7 +42,7 @@ def test_a_shaft_has_the_same_likelihood_in_samples_and_in_bins(two_masses):
     held = {name: np.zeros(len(states), dtype=bool) for name, states in first.items()}
     wide = [StatePrior(np.zeros((1, 3)), 1e3 * np.eye(3)[None])]
     samples = LaplaceLikelihood(shots, first, target.start, held, wide)
-    bins = SpectralLikelihood(target.search.records, target.nv, wide)
+    bins = SpectralLikelihood(target.search.records, target.start, wide)
     sigma, random = np.array([0.1]), np.random.default_rng(0)
     points = [target.start, *(target.start + 0.01 * random.standard_normal(target.nv) for _ in range(3))]
     in_bins = np.array([bins.squares(v, sigma).cost for v in points])
@@ -56,7 +56,7 @@ def test_a_shaft_has_the_same_likelihood_in_samples_and_in_bins(two_masses):
 def test_few_bins_keep_the_likelihood_about_the_optimum(two_masses):
     _, target = two_masses
     sigma, random = np.array([0.1]), np.random.default_rng(1)
-    likelihood = SpectralLikelihood(target.search.records, target.nv, WIDE)
+    likelihood = SpectralLikelihood(target.search.records, target.start, WIDE)
     spread = np.linalg.cholesky(np.linalg.inv(likelihood.squares(target.start, sigma).matrix))
     likelihood.choose([target.start], sigma, 0.02)
     used, whole = likelihood.bins
@@ -77,7 +77,7 @@ def test_it_counts_the_directions_of_states_that_the_prior_tells(two_masses):
     sigma = np.array([0.1])
     for width, untold in ((10.0, 0), (1e-9, 3)):
         narrow = [StatePrior(np.zeros((1, 3)), width * np.eye(3)[None])]
-        likelihood = SpectralLikelihood(target.search.records, target.nv, narrow)
+        likelihood = SpectralLikelihood(target.search.records, target.start, narrow)
         assert likelihood.untold(target.start, sigma) == (untold, 3)
 
 
@@ -85,7 +85,7 @@ def test_poles_that_coincide_are_worked_on_plainly(two_masses, monkeypatch):
     _, target = two_masses
     record = target.search.records[0]
     core, sigma = record.propagator.core, np.array([[0.1]] * 2)
-    basis = SpectralLikelihood([record], target.nv, WIDE)._basis(0, target.start, whole=True)
+    basis = SpectralLikelihood([record], target.start, WIDE)._basis(0, target.start, whole=True)
     at, found = np.array([target.start, target.start + 0.1]), []
     for sound in (1e7, 0.0):
         monkeypatch.setattr(import_module("casadi_engine.posterior.modal"), "_SOUND", sound)

@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import casadi_engine as ce
 from casadi_engine.estimation.options import interval_length
-from casadi_engine.posterior.states import WIDTHS, StatePrior, _factor, last_state, state_prior
-from casadi_engine.posterior.target import Target
+from casadi_engine.posterior.states import WIDTHS, StatePrior, _factor, state_prior
 
 
 def prior_of(random, covariance):
@@ -77,31 +75,6 @@ def test_the_last_state_follows_from_the_first(covariance):
     found = prior.of_sum(ahead, forced)
     np.testing.assert_allclose(found.mean, sums.mean(axis=0), atol=0.03)
     np.testing.assert_allclose(found.factor @ found.factor.T, np.cov(sums.T), rtol=0.02, atol=0.1)
-
-
-def test_a_record_leads_to_its_last_state(run_up):
-    """One inertia under a constant torque that changes its sign behind the last sample, held until there."""
-    fit = ce.estimate(ce.one_inertia(), run_up(), noise=ce.Noise(omega=0.02), progress=False)
-    target = Target(fit)
-    ahead, forced = last_state(target.search.records[0], target.start)
-    inertia, damper = fit.values["J_eng"], fit.values["C_eng"]
-    gone = np.exp(-damper / inertia * 2.0)
-    np.testing.assert_allclose(ahead, [[gone]])
-    np.testing.assert_allclose(forced * target.search.records[0].scale, [2.0 / damper * (1 - gone)])
-
-
-def test_the_last_state_is_that_of_a_simulation(two_masses):
-    """A shaft whose drives are joined by lines: sample by sample, the drives coming back."""
-    fit, target = two_masses
-    record = target.search.records[0]
-    first = np.array([one.value for one in fit.initial[record.experiment.name].values()]) / record.scale
-    ahead, forced = last_state(record, target.start)
-    discrete = record.propagator.discretisation(target.start[record.active], 0)
-    drives = record.propagator.merged_drives(target.start[record.active]).value
-    expected = first
-    for here, there in zip(drives.T, [*drives.T[1:], -drives[:, 0]], strict=True):
-        expected = discrete.f[0] @ expected + discrete.g0[0] @ here + discrete.g1[0] @ there
-    np.testing.assert_allclose(ahead @ first + forced, expected, rtol=1e-9)
 
 
 def test_a_trend_is_led_back_to_the_beginning():
