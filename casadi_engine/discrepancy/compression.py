@@ -24,6 +24,8 @@ from casadi_engine.discrepancy.null_model import NullModel, RecordNull
 # Candidates that explain the residual while a level is estimated: no more than this share of an output's samples.
 _SHARE = 0.25
 _ROUNDS = 3
+# Share of what a candidate does that is rounding where the record's start takes the rest.
+_ROUNDED = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,11 +130,16 @@ class Compressed:
                 rest = np.concatenate([rest, np.zeros((len(random) - len(rest), rest.shape[1]))])
                 rest = without(np.linalg.qr(random)[0], rest)
             first = self.parameters + self.starts[record]
-            size += (rest[:, first:-1] ** 2).sum(axis=0)
             states = basis(rest[:, self.parameters : first])
             starts += states.shape[1]
-            free = np.concatenate([rest[:, : self.parameters], rest[:, first:]], axis=1)
-            kept.append(triangle(without(states, free)))
+            free = without(states, np.concatenate([rest[:, : self.parameters], rest[:, first:]], axis=1))
+            kept.append(triangle(free))
+            # what a candidate does is what no other start of the record does too: along an unstable motion all that
+            # acts is first of all another start
+            whole, own = (
+                np.square(part).sum(axis=0) for part in (rest[:, first:-1], free[:, self.parameters : -1])
+            )
+            size += np.where(own > _ROUNDED**2 * whole, own, whole)
         rows = np.concatenate(kept) if kept else np.zeros((0, width))
         if len(self.prior):
             extra = np.zeros((len(self.prior), width))

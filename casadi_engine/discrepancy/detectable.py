@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from casadi_engine.discrepancy.beside_starts import moved_by
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.null_model import RecordNull
 from casadi_engine.discrepancy.priors import PHYSICAL, SENSOR, STATED
@@ -78,11 +79,10 @@ def prior_scales(screened: Screened) -> Array:
     ports = screened.null.model.ports
     found = np.full(len(screened.candidates), np.inf)
     for record in screened.null.records:
-        for output, columns in screened.columns[record.name].items():
+        for output, moved in moved_by(screened.null, record, screened.columns[record.name]).items():
             varied = _variation(record, output)
             if not varied > 0:
                 continue  # an output that stands still says nothing of sizes
-            moved = np.sqrt(np.mean(np.square(columns), axis=0))
             with np.errstate(divide="ignore"):
                 found = np.minimum(found, np.where(moved > 0, varied / moved, np.inf))
     kinds = [ports[one.port].kind for one in screened.candidates]

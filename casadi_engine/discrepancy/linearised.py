@@ -13,6 +13,7 @@ from casadi_engine.discrepancy.linear_algebra import Array, basis, without
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.refit import Addition
+from casadi_engine.discrepancy.rehomed import at_home
 from casadi_engine.discrepancy.score import scores_of
 from casadi_engine.errors import CasadiEngineError
 
@@ -39,6 +40,7 @@ def one_step(
     """
     if members is not None and len(members) < len(candidates):
         return _step_of_members(null, candidates, levels, members)
+    candidates = at_home(candidates, null.model)
     try:
         with np.errstate(all="ignore"):
             columns = {r.name: candidate_columns(r, candidates) for r in null.records}

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from casadi_engine.discrepancy.beside_starts import moved_by
 from casadi_engine.discrepancy.evidence import Prior
 from casadi_engine.discrepancy.exchanged_units import WRONG
 from casadi_engine.discrepancy.null_model import NullModel
@@ -58,8 +59,11 @@ def _amplitude(null: NullModel, k: int, one: Addition) -> float:
     direction = int(np.argmax(np.abs(null.turn[k])))
     sizes = []
     for record in null.records:
-        for output, slopes in record.slopes.items():
-            moved = float(np.sqrt(np.mean(slopes[:, direction] ** 2))) / max(step, 1e-300)
+        own = moved_by(
+            null, record, {o: slopes[:, direction : direction + 1] for o, slopes in record.slopes.items()}
+        )
+        for output, each in own.items():
+            moved = float(each[0]) / max(step, 1e-300)
             varied = float(np.std(record.path.grid.measured[output].values))
             if moved > 0 and varied > 0:
                 sizes.append(share * varied / moved)

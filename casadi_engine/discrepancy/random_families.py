@@ -263,7 +263,8 @@ def _freedom(scores: Scores, family: Family, turn: Array) -> float:
         return math.inf
     members = list(family.members)
     share = (turn**2).sum(axis=0) * family.variances * scores.information[members]
-    return float(share.sum() / (share / scores.freedom[members]).sum())
+    spent = float((share / scores.freedom[members]).sum())
+    return float(share.sum()) / spent if spent > 0 else math.inf
 
 
 def _seen(scores: Scores, family: Family, dimensions: int) -> tuple[Array, Array, Array]:

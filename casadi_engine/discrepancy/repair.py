@@ -37,6 +37,7 @@ from casadi_engine.discrepancy.refit import Refitter
 from casadi_engine.discrepancy.repaired import Repair
 from casadi_engine.discrepancy.requests import check_alpha, left_out, read_request
 from casadi_engine.discrepancy.screening import Screened, screen_in_turn
+from casadi_engine.discrepancy.unstable_records import cut_words, in_pieces
 from casadi_engine.discrepancy.wider_bounds import with_wider_bounds
 from casadi_engine.discrepancy.wording import AT_FAULT, BUDGET, UNRESOLVED, USER
 from casadi_engine.effects.candidate import Known
@@ -227,6 +228,7 @@ class _Job:
     search: Choice | None = None
     felt: float = 0.0
     misread: Misread | None = None
+    cut: tuple[str, ...] = ()  # that records are searched in pieces
 
     def stop(self) -> None:
         """End the search with what it has; called at the first Ctrl-C."""
@@ -294,9 +296,9 @@ class _Job:
 
     def _answered(self, scores: Any, *, alpha: float, most: int, scatter: Any, jobs: int | None) -> Repair:
         """The fit without effects, the search, the answer."""
-        options = self.options
         with self.deadline.spared(_FIRST):
             null_fit, pars, work = self._null(jobs, scores)
+            options = self.options
             if null_fit.status == "interrupted" or not math.isfinite(null_fit.cost):
                 return self._no_answer(null_fit, alpha)
             at_fault = _fault_of(null_fit)
@@ -317,7 +319,7 @@ class _Job:
         self.timing |= search.timing
         if not null_fit.converged and not search.best:
             return self._no_answer(null_fit, alpha)
-        told = remarks(search.chosen.fit, scatter)
+        told = [*remarks(search.chosen.fit, scatter), *self.cut]
         widths = ", ".join(f"{one.width} = {pars[one.width].value:.2g}" for one in self.model.corners)
         told += [_JUMPED.format(widths)] if widths else []
         told += [words for words in null_fit.messages if words.startswith(ROUNDED)]
@@ -378,6 +380,11 @@ class _Job:
                 fit = again if again.converged else fit
         if fit.status == "interrupted" and own.over and not late() and math.isfinite(fit.cost):
             fit = replace(fit, status=_SHARE_OVER)  # it goes on as refits do, which begin in short windows
+        pieces = None if self.cut else in_pieces(self.portion, fit)
+        if pieces is not None:
+            self.cut = (cut_words(fit),)
+            self.portion, self.options = pieces, {**self.options, "initial": None}
+            return self._null(jobs, scores)
         self.null_fit, work = fit, own.done / max(sum(one.starts for one in fit.optima), 1)
         if _fault_of(fit) is None:
             with suppress(TimeUp), Deadline(_NULL / 3 * self.deadline.left):

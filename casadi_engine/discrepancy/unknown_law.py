@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 from scipy import linalg
 
+from casadi_engine.discrepancy.beside_starts import moved_by
 from casadi_engine.discrepancy.evidence import FACTOR, Columns, Digest, Levels, Prior, digest, evidence
 from casadi_engine.discrepancy.fresh_misfit import SEEN
 from casadi_engine.discrepancy.linear_algebra import Array
@@ -334,9 +335,11 @@ def _counted(
     first = null.turn.shape[1] - len(names)
     size = math.inf
     for record in null.records:
-        for output, slopes in record.slopes.items():
-            terms = slopes[:, first : first + len(names)] * np.sqrt(family.variances)
-            moved = math.sqrt(float((terms**2).sum()) / len(terms))
+        terms = {
+            o: s[:, first : first + len(names)] * np.sqrt(family.variances) for o, s in record.slopes.items()
+        }
+        for output, sizes in moved_by(null, record, terms).items():
+            moved = float(np.linalg.norm(sizes))
             varied = float(np.std(record.path.grid.measured[output].values))
             if moved > 0 and varied > 0:
                 size = min(size, varied / moved)

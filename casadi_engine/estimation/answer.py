@@ -132,6 +132,7 @@ def make_fit(
         errors=errors.as_prior(),
         own_noise=_by_name(search, ratio),
         fineness={record.experiment.name: fineness_of(record.propagator) for record in search.records},
+        followed=search.too_long(best.solution.x),
     )
 
 
@@ -266,7 +267,7 @@ def _messages(
     stopped: str,
     noise_words: Sequence[str],
 ) -> tuple[str, ...]:
-    found = [] if reason is None else [cure(reason)]
+    found = [] if reason is None else [cure(reason, search.too_long(best.solution.x))]
     if best.solution.status != "converged":
         found.append("this is not an optimum: the values have no standard errors")
     for direction in errors.directions:

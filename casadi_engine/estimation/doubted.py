@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_engine.estimation.error_check import CALL, Doubt, doubts_of, words_of
+from casadi_engine.estimation.error_check import CALL, Doubt, doubts_of, growing, words_of
 from casadi_engine.estimation.fit import Estimate, Optimum
 from casadi_engine.estimation.profile_interval import LowerOptimumError, Profiles
 from casadi_engine.estimation.search import Attempt, Search
@@ -48,8 +48,10 @@ def judged(
     """
     estimates, initial = errors.estimates(), errors.initial_estimates()
     doubts = doubts_of(search, best, white, optima, residuals, wider=errors) if check is not None else ()
+    unchecked = growing(search, best) if check is not None and errors.optimal else None
+    told = () if unchecked is None else (unchecked,)
     if not doubts or check is None:
-        return Judged(estimates, initial)
+        return Judged(estimates, initial, told)
     matrix, slopes = white.covariance.matrix, errors.slopes()
     with_error = [name for name, one in estimates.items() if one.stderr]
     free = [name for name in search.pmap.free if name in with_error and _of(doubts, slopes[name], matrix)]
@@ -79,7 +81,7 @@ def judged(
         at += record.n
     left = [name for name in free if about[name] is not None]
     felt = [doubt for doubt in doubts if any(doubt is about[name] for name in with_error)]
-    return Judged(estimates, initial, tuple(words_of(felt, [name for name in left if name not in ends])))
+    return Judged(estimates, initial, (*words_of(felt, [name for name in left if name not in ends]), *told))
 
 
 def _stretch(white: Uncertainty, errors: Uncertainty) -> Array:

@@ -21,8 +21,10 @@ from numpy.typing import NDArray
 
 from casadi_engine.distributions import chi2_isf
 from casadi_engine.errors import ModelError
+from casadi_engine.estimation.dichotomy import grows
 from casadi_engine.estimation.final_check import printed_cost, residual, response
 from casadi_engine.estimation.fit import Optimum
+from casadi_engine.estimation.growth import log_growth
 from casadi_engine.estimation.record import RecordPoint, RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty
@@ -53,6 +55,8 @@ _RIVAL = 10.0
 # standard errors apart, that is a tenth of one; where an interval changes its shape, or to another optimum, a third.
 _SHARE = {"rugged": 1e-4, "curved": 0.1, "rival": 0.1}
 CALL = "call ce.posterior(fit)"
+# Logarithm of the growth of a change of the start from which a straight step leads nowhere near where the motion goes.
+_BENT = float(np.log(1e3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,11 +107,26 @@ def doubts_of(
     if not errors.optimal or not search.problem.nv or not np.isfinite(errors.covariance.matrix).all():
         return ()
     found = _rivals(search, best, errors, optima)
-    around = _Around(search, best, errors, residuals)
-    for move in _moves(errors, search.problem.nv, 1 if around.long else _DIRECTIONS):
-        found += around.doubts(move)
+    if growing(search, best) is None:
+        around = _Around(search, best, errors, residuals)
+        for move in _moves(errors, search.problem.nv, 1 if around.long else _DIRECTIONS):
+            found += around.doubts(move)
     found += _bounds(search, wider or errors)
     return tuple(found)
+
+
+def growing(search: Search, best: Attempt) -> str | None:
+    """Why nothing is looked at away from an optimum: a step along which a record's start goes is lost on its way; None
+    where it can be."""
+    points = search.problem.at(best.solution.x).records
+    for record, point in zip(search.records, points, strict=True):
+        if not record.linear and grows(record, point, _BENT):
+            times = np.exp(log_growth(point.path.end_s, record.plan.m - 1))
+            return (
+                "the errors are those of the curvature at the optimum with white noise, and were not checked away from "
+                f"it: a change of the start of {record.experiment.name} grows {times:.0e} times on its way"
+            )
+    return None
 
 
 def words_of(doubts: Sequence[Doubt], missing: Sequence[str]) -> list[str]:

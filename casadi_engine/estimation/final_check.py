@@ -184,14 +184,19 @@ def _in_one_piece(search: Search, record: RecordTerm) -> RecordTerm:
     return whole
 
 
-def cure(reason: str) -> str:
-    """What to do about such a doubt."""
+def cure(reason: str, length: float | None = None) -> str:
+    """What to do about such a doubt; length : [s] of records that can be simulated in one piece, if these cannot."""
     if reason.startswith("one more step"):
         return f"{reason}: go on from here (warm=fit), start elsewhere, or fix what the data do not determine"
     if reason.startswith("the equations have no finite slope"):
         return f"{reason}: take data from before it, or make the equations smooth there"
     if reason.startswith("the data have no slope"):
         return f"{reason}: start elsewhere, not where the outputs do not depend on it (such as 0)"
+    if length is not None:
+        return (
+            f"{reason}: the motion is unstable, and no start leads along the whole record: cut it into pieces of up "
+            f"to {length:.2g} s, record.pieces({length:.2g})"
+        )
     return (
         f"{reason}: the motion is so sensitive to its start that the record cannot be simulated in one piece: "
         "take a shorter record; or states are far from their scale: give b.state(..., scale=...)"

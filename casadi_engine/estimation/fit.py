@@ -138,6 +138,7 @@ class Fit:
     own_noise : free parameter, or record/state for an initial state -> by how much its error is larger than that of
     white noise of the fit's levels, as the residual is coloured or larger than stated; 1 where it is neither
     fineness : record -> how finely it was integrated, for a fit that goes on from here
+    followed : length [s] of records along which an unstable motion can be followed, where these are longer
     """
 
     model: Model
@@ -171,6 +172,7 @@ class Fit:
     errors: ParameterErrors | None = None
     own_noise: Mapping[str, float] = field(default_factory=dict)
     fineness: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    followed: float | None = None
 
     def __str__(self) -> str:
         from casadi_engine.estimation.summary import summary

@@ -9,11 +9,16 @@ from numpy.typing import NDArray
 
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation.record import RecordPoint, RecordTerm
+from casadi_engine.simulation.carried_errors import UNFOLLOWED
 
 Array = NDArray[np.float64]
 
 # Information is made of squares of what grows, and these must stay within the range of floating point.
 _LARGEST = 100 * np.log(10.0)
+# Growth that makes a gap between two intervals, 1e-11 of the states as closely as it closes, one of 1e-3.
+ROUNDING = np.log(UNFOLLOWED)
+# Share of its logarithm that is left to pieces which are to be followed: a growth of 1e6.
+_FOLLOWED = 0.75
 
 
 def log_growth(end_s: Array, intervals: int) -> float:
@@ -33,6 +38,18 @@ def log_growth(end_s: Array, intervals: int) -> float:
         product, log = product / size, log + float(np.log(size))
         largest = max(largest, log)
     return largest
+
+
+def length_for(record: RecordTerm, point: RecordPoint) -> float | None:
+    """The length [s] of a record over which a change of its start grows no more than can be followed; None for one that
+    is as short."""
+    intervals = record.plan.m - 1
+    if not record.n or intervals < 1 or not np.isfinite(point.path.end_s).all():
+        return None
+    log = log_growth(point.path.end_s, intervals)
+    if log <= ROUNDING:
+        return None
+    return float(_FOLLOWED * ROUNDING / log * intervals * record.plan.length * record.grid.step)
 
 
 def check_growth(records: Iterable[RecordTerm], points: Iterable[RecordPoint]) -> None:

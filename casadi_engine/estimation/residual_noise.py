@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.distributions import chi2_sf
 from casadi_engine.estimation.autoregression import autoregression
+from casadi_engine.estimation.dichotomy import grows
 from casadi_engine.estimation.loss import Loss
 from casadi_engine.estimation.record import RecordPoint, RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
@@ -125,6 +126,10 @@ def with_own_noise(
     if not noises or not errors.optimal or not np.isfinite(white).all():
         return errors, ratio, math.inf
     points, size = search.problem.at(best.solution.x).records, np.sqrt(np.maximum(np.diag(white), 0.0))
+    # slopes along what grows beyond all numbers are lost on their way
+    noises = [one for one in noises if not grows(search.records[one.at], points[one.at])]
+    if not noises:
+        return errors, ratio, math.inf
     slopes = [_slopes(search.records[one.at], points[one.at], one, search.loss) for one in noises]
     places = [_entries(search, one.at) for one in noises]
     matrix, more = errors.told, np.zeros_like(white)

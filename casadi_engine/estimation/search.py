@@ -14,6 +14,7 @@ from casadi_engine.deadline import TimeUp, late, lifted
 from casadi_engine.estimation.coordinates import Coordinates
 from casadi_engine.estimation.first_points import FirstPoints
 from casadi_engine.estimation.followed import FOLLOWED
+from casadi_engine.estimation.growth import length_for
 from casadi_engine.estimation.integration import alike, shorten_steps
 from casadi_engine.estimation.ipopt import OUT_OF_ITERATIONS, Solution, Solver
 from casadi_engine.estimation.scales import felt_scale, state_factors
@@ -259,6 +260,8 @@ class Search(FirstPoints):
                 costs = [2 * self.problem.samples * self._objective(point) for point in (run, x)]
                 if alike(*costs):
                     return attempt
+                if self.too_long(x) is not None:
+                    return attempt  # no run is: the intervals, joined to rounding, are the motion
                 if last or not math.isfinite(costs[0]):
                     break
                 solution, more = self._levelled(self.solver.solve(run, self.lower, self.upper, exact=True))
@@ -269,6 +272,13 @@ class Search(FirstPoints):
         except (FloatingPointError, np.linalg.LinAlgError, TimeUp):
             pass
         return replace(attempt, run=False)
+
+    def too_long(self, x: Array) -> float | None:
+        """The length [s] of records over which a gap between intervals that is rounding stays small, where it grows to
+        more than can be left in one of them; None where it does in none."""
+        points = self.problem.at(x).records
+        found = [length_for(record, point) for record, point in zip(self.records, points, strict=True)]
+        return min((one for one in found if one is not None), default=None)
 
     def _blamed(self, solution: Solution) -> Solution:
         """The solution with a status that names the constraints no values meet, if they are why there is no optimum."""

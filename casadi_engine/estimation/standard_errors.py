@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.estimation.dichotomy import eliminated, grows
 from casadi_engine.estimation.fit import AtBound, Direction, Estimate
 from casadi_engine.estimation.growth import check_growth
 from casadi_engine.estimation.loss import Loss
@@ -21,6 +22,7 @@ from casadi_engine.estimation.uncertainty import (
     chained_information,
     in_words,
     invert,
+    orthonormal,
 )
 
 Array = NDArray[np.float64]
@@ -210,14 +212,14 @@ class Uncertainty:
             elif any(abs(d[at + k]) >= 1e-6 for d in self.covariance.directions):
                 why = UNDETERMINED
             else:
-                error = float(np.sqrt(self.covariance.matrix[at + k, at + k]) * record.scale[k])
+                error = float(np.sqrt(max(self.covariance.matrix[at + k, at + k], 0.0)) * record.scale[k])
             found[state.name] = Estimate(float(start[k]), error, state.unit, side, why, fixed)
         return found
 
 
 def uncertainty(search: Search, best: Attempt) -> Uncertainty:
     """Errors at the best point, with the noise levels that the search is weighted by."""
-    information, gradient = _information(search, best)
+    information, gradient, turn = _information(search, best)
     limits = [(low, high) for low, high, _ in search._initial]
     fixed = np.concatenate([np.zeros(search.problem.nv, dtype=bool), *[low == high for low, high in limits]])
     equal = _rows(search, best.v, search.constraints.lower == search.constraints.upper, len(information))
@@ -245,7 +247,29 @@ def uncertainty(search: Search, best: Attempt) -> Uncertainty:
         found = replace(found, matrix=found.matrix + rest @ rest.T)
     acts = bool(closed[: search.problem.nv].any()) or bool(acting)
     released = _released(search, best, information, closed, x[: search.problem.nv]) if acts else None
-    return Uncertainty(search, x, bound, found, acting, optimal, decrement, step, released, blind, inside)
+    told = Uncertainty(search, x, bound, found, acting, optimal, decrement, step, released, blind, inside)
+    return told if turn is None else _turned(told, turn)
+
+
+def _turned(told: Uncertainty, turn: Array) -> Uncertainty:
+    """What is known of [v; initial states] from what is known of other coordinates, that ``turn`` (N, N) leads from."""
+
+    def matrix(own: Covariance) -> Covariance:
+        return replace(
+            own, matrix=turn @ own.matrix @ turn.T, directions=list(orthonormal(own.directions, turn).T)
+        )
+
+    known = told.released
+    if known is not None:
+        known = replace(known, covariance=matrix(known.covariance))
+    return replace(
+        told,
+        covariance=matrix(told.covariance),
+        step=None if told.step is None else turn @ told.step,
+        released=known,
+        blind=list(orthonormal(told.blind, turn).T),
+        inside=None if told.inside is None else turn @ told.inside,
+    )
 
 
 def _inside_bounds(
@@ -290,28 +314,35 @@ def _released(
     return Released(invert(information, np.concatenate([np.zeros(nv, dtype=bool), closed[nv:]]), rows), force)
 
 
-def _information(search: Search, best: Attempt) -> tuple[Array, Array]:
-    """Information matrix over [v; initial states] and gradient of half chi-squared, both through continuity."""
+def _information(search: Search, best: Attempt) -> tuple[Array, Array, Array | None]:
+    """Information matrix over [v; initial states] and gradient of half chi-squared, both through continuity; of records
+    along which changes grow over other coordinates, which the last matrix leads from (None: none does)."""
     problem, x = search.problem, best.solution.x
     point = problem.at(x)
     check_growth(search.records, point.records)
     size = problem.nv + sum(record.n for record in search.records)
-    information = np.zeros((size, size))
+    information, turn, turned = np.zeros((size, size)), np.eye(size), False
     information[: problem.nv, : problem.nv] = problem.priors.evaluate(x[: problem.nv])[3]
     gradient = np.zeros(size)
     gradient[: problem.nv] = point.gradient[: problem.nv] * problem.samples
     at = problem.nv
-    for record, found, lay in zip(search.records, point.records, problem.layouts, strict=True):
+    for record, found, lay, limits in zip(
+        search.records, point.records, problem.layouts, search._initial, strict=True
+    ):
         # Huber's information is that of least squares times the efficiency of the clipped residuals.
-        blocks = record.gauss_newton(found)
-        own = chained_information(record, found, blocks) * efficiency(
-            search.loss, found.r[record.observation.valid]
-        )
+        share = efficiency(search.loss, found.r[record.observation.valid])
         where = np.concatenate([record.active, np.arange(at, at + record.n)])
-        information[np.ix_(where, where)] += own
+        kept = np.isfinite(np.array(limits[:2])).any(axis=0)
+        apart = eliminated(record, found, np.asarray(kept)) if grows(record, found) else None
+        if apart is None:
+            own = chained_information(record, found, record.gauss_newton(found))
+        else:
+            own, turned = apart[0], True
+            turn[at : at + record.n, where] = apart[1][len(record.active) :]
+        information[np.ix_(where, where)] += own * share
         gradient[where] += chained_gradient(record, found, lay.take(point.gradient) * problem.samples)
         at += record.n
-    return information, gradient
+    return information, turn.T @ gradient if turned else gradient, turn if turned else None
 
 
 def efficiency(loss: Loss, r: Array) -> float:

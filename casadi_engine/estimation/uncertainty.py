@@ -7,6 +7,7 @@ Directions without information are named instead of inverted.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -114,6 +115,13 @@ def invert(
     told /= np.linalg.norm(told, axis=1, keepdims=True)
     directions = basis @ np.linalg.svd(told)[2][len(told) :].T
     return Covariance(matrix, int(np.sum(~lost)), list(directions.T))
+
+
+def orthonormal(vectors: Sequence[Array], turn: Array) -> Array:
+    """Orthonormal (N, k) columns of the space that vectors (N,) span where ``turn`` (N, N) leads them."""
+    if not len(vectors):
+        return np.zeros((len(turn), 0))
+    return np.asarray(np.linalg.qr(turn @ np.array(vectors).T)[0])
 
 
 def in_words(vector: Array, names: list[str], most: int = 4) -> tuple[str, dict[str, float]]:

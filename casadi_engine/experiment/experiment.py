@@ -277,6 +277,15 @@ class Experiment:
         """
         return slicing.between(self, start, stop, inputs=inputs)
 
+    def pieces(self, length: float, *, inputs: Iterable[str] | None = None) -> tuple[Experiment, ...]:
+        """Pieces of equal length, of up to ``length`` s each, called name/1, name/2, ...; times stay as they are.
+
+        An unstable motion, as of a machine that a controller balances, is followed by no simulation for long: each
+        piece starts anew. A record that is as short comes back alone, under its name.
+        Raises :class:`ExperimentError` when a piece keeps fewer than two samples of a channel.
+        """
+        return slicing.pieces(self, length, inputs=inputs)
+
     def cycles(
         self,
         first: int,

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 FOUR_STROKE = 4 * math.pi
 # Records are often cut a few samples short of whole cycles; such a cycle still counts.
 CYCLE_SLACK = 0.02
+# Share of a length by which a last piece may be longer, as times are rounded.
+_ROUNDED = 1e-9
 
 
 def finite(value: Any, what: str) -> float:
@@ -41,6 +43,28 @@ def between(experiment: Experiment, start: float, stop: float, *, inputs: Iterab
     channels = _cut(experiment, start, stop, names, closed=True)
     arguments = {"start": start, "stop": stop, "inputs": list(names)}
     return changed(experiment, "between", arguments, channels)
+
+
+def pieces(experiment: Experiment, length: float, *, inputs: Iterable[str] | None) -> tuple[Experiment, ...]:
+    """Pieces of equal length, of up to ``length`` s each."""
+    length, names = finite(length, "length"), _inputs(experiment, inputs)
+    if not length > 0:
+        raise ExperimentError(
+            "pieces have no length", seen=f"length={length:g}", allowed="length > 0 s", cure="give seconds"
+        )
+    start, stop = experiment.span
+    count = math.ceil((stop - start) / length * (1 - _ROUNDED))
+    if count < 2:
+        return (experiment,)
+    edges = np.linspace(start, stop, count + 1)
+    found = []
+    for k in range(count):
+        channels = _cut(experiment, edges[k], edges[k + 1], names, closed=k == count - 1)
+        arguments = {"start": float(edges[k]), "stop": float(edges[k + 1]), "inputs": list(names)}
+        found.append(
+            changed(experiment, "between", arguments, channels).renamed(f"{experiment.name}/{k + 1}")
+        )
+    return tuple(found)
 
 
 def _inputs(experiment: Experiment, inputs: Iterable[str] | None) -> tuple[str, ...]:

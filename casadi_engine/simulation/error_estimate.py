@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadi_engine.errors import SimulationError
+from casadi_engine.simulation.carried_errors import carried_on
 from casadi_engine.simulation.event_propagator import EventPropagator
 from casadi_engine.simulation.exponential_runge_kutta import MOST_SUBSTEPS, ExponentialPropagator
 from casadi_engine.simulation.intervals import Intervals
@@ -114,10 +115,7 @@ def signed_error(propagator: Stepped, z: Array, nodes: Array) -> SignedError:
     off = fine.y[0] - coarse.y[0]
     if len(nodes) > 1:
         ends = np.broadcast_to(coarse.end_s, (len(nodes), nodes.shape[1], nodes.shape[1]))
-        own = fine.end - coarse.end
-        carried = np.zeros_like(nodes)
-        for k in range(len(nodes) - 1):
-            carried[k + 1] = ends[k] @ carried[k] + own[:, k]
+        carried = carried_on(ends, (fine.end - coarse.end).T)
         off = off + np.einsum("kbma,ma->kbm", coarse.ys, carried)
     return SignedError(_RICHARDSON * off, fine.y[0])
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.deadline import TimeUp, ask
 from casadi_engine.model import Model
+from casadi_engine.simulation.carried_errors import carried_on
 from casadi_engine.simulation.drives import Drives
 from casadi_engine.simulation.grid import Grid
 from casadi_engine.simulation.intervals import Intervals
@@ -197,9 +198,7 @@ class RungeKuttaPropagator:
         arises[ends] = own
         for steps, after in layout:
             carried[after] = (path.a[steps] @ carried[steps][..., None])[..., 0] + arises[after]
-        joined, last = np.zeros((count, n)), layout.steps + np.arange(count)
-        for i in range(count - 1):
-            joined[i + 1] = path.end_s[i] @ joined[i] + carried[last[i]]
+        joined = carried_on(path.end_s, carried[layout.steps + np.arange(count)])
         at = layout.at[: plan.length]
         each = carried[at] + (path.s[at, :, :n] @ joined[None, :, :, None])[..., 0]
         off = (path.out[..., :n] @ each[..., None])[..., 0]
