@@ -54,6 +54,7 @@ from casadi_engine.discrepancy.left_out import left_out_alike
 from casadi_engine.discrepancy.next_experiment import next_experiment
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.path import FAILURES
+from casadi_engine.discrepancy.random_families import ORDERS
 from casadi_engine.discrepancy.refits import key_of
 from casadi_engine.discrepancy.repaired import (
     BEHIND_LAW,
@@ -179,7 +180,7 @@ class Answer:
                 unknown = behind_a_sensor(null, way[1])
         claim = Claim(proof, last, found, withdrawn, unknown)
         sure = proof.judgement is not None and bool(proof.judgement.confirmed)
-        doubt = reason_to_withdraw(claim, null, sure) if found else None
+        doubt = reason_to_withdraw(claim, null, sure, cut=cut) if found else None
         return claim if doubt is None else claim.withdrawn_for(doubt, null, TOO_LITTLE)
 
     def _may_be_rounding(self, last: Station, unknown: Unknown) -> bool:
@@ -201,7 +202,7 @@ class Answer:
         asked = asked or (coloured and self._in_time("unknown law", lambda: self._is_far(last)) is True)
         if asked and not null.screened.request.blind:  # an error of a sensor may be all there is
             far = self._law(last, refitted_law)
-            told = None if far is None else in_place_of(last, far)
+            told = None if far is None or _comes_back(last, far) else in_place_of(last, far)
             if told is not None and far is not None and (rival is None or law is None or far.log > law.log):
                 law, rival = far, told
         if rival is None or law is None:
@@ -370,6 +371,14 @@ def _noise_of_place(last: Station) -> NoiseModel:
     """The noise beside which a gap is looked for: the stated one where the residual is larger, as its colour would hide
     what is looked for."""
     return last.screened.choice.stated or last.screened.noise
+
+
+def _comes_back(last: Station, law: UnknownLaw) -> bool:
+    """True where what comes back with every turn of a shaft explains what is left better than a law that was refitted,
+    which is a function of one signal without turns."""
+    left = last.screened.leftover
+    turns = left.family is not None and left.family.order > 0 and left.family.name in left.alarms
+    return turns and 0.5 * left.drop - math.log(ORDERS) > law.log
 
 
 def _effects(proof: Confirmation) -> tuple[tuple[FoundEffect, ...], tuple[FoundEffect, ...]]:

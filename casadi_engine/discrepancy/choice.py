@@ -19,7 +19,7 @@ import numpy as np
 from casadi_engine.deadline import Deadline, TimeUp, ask, late
 from casadi_engine.discrepancy.additions import AGAIN, TIME_UP, Additions
 from casadi_engine.discrepancy.assumed_pressure import settle_scatter
-from casadi_engine.discrepancy.exchange import exchanged, special_cases, weak_beside_colour
+from casadi_engine.discrepancy.exchange import exchanged, leaves_more, special_cases, weak_beside_colour
 from casadi_engine.discrepancy.exchanged_units import impossible_gain
 from casadi_engine.discrepancy.families import BEYOND, chosen_of, families_of
 from casadi_engine.discrepancy.fresh_misfit import SEEN
@@ -43,6 +43,9 @@ _KEPT = 1.0
 _SHARP = 0.5
 # What a search that was ended in a round did not come to.
 ANY = "any effect"
+# Other structures that are gone on from where nothing helps beside the best one, and how much larger their chi-squared
+# may be.
+_OTHERS, _NEARLY = 2, 2.0
 NO_FIT = "its fit of all data does not converge"
 _NOTHING_LEFT = "its fit of all data leaves nothing of it"
 # Share of where its search started at which an amplitude is none.
@@ -70,6 +73,7 @@ class Choice:
     _fits: dict[Key, tuple[Arrived, Fit | None]] = field(default_factory=dict, repr=False)
     _asked: set[tuple[Key, Key]] = field(default_factory=set, repr=False)
     _left_out: tuple[tuple[str, float], ...] = ()
+    _beside: str = ""
 
     def run(self, null_fit: Fit) -> None:
         """Add, drop and exchange effects until no change is worth it."""
@@ -86,31 +90,9 @@ class Choice:
 
     def _rounds(self, here: Tried) -> None:
         """Rounds from a structure on, until no change is worth it or the time is over."""
-        beside = ""
         try:
-            for _ in range(self.most):
-                station = self.stations[here.key]
-                if not self._asks(station.screened):
-                    break
-                if not here.effects:
-                    station = self._by_windows(here) or station
-                    here = self.pool[here.key]
-                    if not self._asks(station.screened):
-                        break
-                beside = f" beside {here.label}" if here.effects else ""
-                ask()
-                made = self._round(here, station)
-                while made is not None and here.effects:
-                    idle = self._timed("confirm", partial(self.idle_on_fresh, made.key))
-                    if not idle:
-                        break
-                    self.prefer(made.key - idle, without=idle)
-                    here = self.pool[self.best]
-                    made = self._another(here) if here.key in self.stations else None
-                if made is None:
-                    break
-                here = made
-                self.best = here.key
+            self._grown(here)
+            self._from_others()
             self._timed(
                 "exchange", lambda: special_cases(self.refits, self.best, self.null.screened, self.tell)
             )
@@ -122,7 +104,57 @@ class Choice:
             self._in_two()
         except TimeUp:
             if TIME_UP not in self.failed.values():
-                self.failed[f"{ANY}{beside}"] = TIME_UP
+                self.failed[f"{ANY}{self._beside}"] = TIME_UP
+
+    def _grown(self, here: Tried) -> None:
+        """Let a structure grow effect by effect, until no change is worth it."""
+        while len(here.effects) < self.most:
+            station = self.stations[here.key]
+            if not self._asks(station.screened):
+                break
+            if not here.effects:
+                station = self._by_windows(here) or station
+                here = self.pool[here.key]
+                if not self._asks(station.screened):
+                    break
+            self._beside = f" beside {here.label}" if here.effects else ""
+            ask()
+            made = self._round(here, station)
+            # what fresh data say of a model that does not fit yet is no word on its effects
+            while made is not None and here.effects and not leaves_more(self.refits, made):
+                idle = self._timed("confirm", partial(self.idle_on_fresh, made.key))
+                if not idle:
+                    break
+                self.prefer(made.key - idle, without=idle)
+                here = self.pool[self.best]
+                made = self._another(here) if here.key in self.stations else None
+            if made is None:
+                break
+            here = made
+            self.best = here.key
+
+    def _from_others(self) -> None:
+        """Go on from structures of as many effects that explain nearly as much, where the chosen one leaves more than
+        noise and nothing beside it helps: effects that bend to one another's place leave none for a third."""
+        best = self.pool[self.best]
+        if not 2 <= len(best.effects) < self.most or not leaves_more(self.refits, best):
+            return
+        most = _NEARLY * best.arrived.cost
+        near = [
+            one
+            for one in self.pool.values()
+            if len(one.effects) == len(best.effects) and one is not best and one.arrived.cost < most
+        ]
+        for one in sorted(near, key=lambda t: t.arrived.cost)[:_OTHERS]:
+            ask()
+            station = None if one.failed else self.station_of(one)
+            if station is None:
+                continue
+            kept, self.best = self.best, one.key
+            self._grown(one)
+            if self.pool[self.best].arrived.cost < best.arrived.cost:
+                return
+            self.best = kept
 
     def _most_probable_first(self) -> None:
         """Let a structure of as many effects that the last levels of the noise make more probable take the place of the

@@ -43,10 +43,13 @@ class Claim:
         return Claim(proof, null, (), (*gone, *self.withdrawn), unknown)
 
 
-def reason_to_withdraw(claim: Claim, null: Station, confirmed: bool) -> Unknown | None:
+def reason_to_withdraw(claim: Claim, null: Station, confirmed: bool, *, cut: bool = False) -> Unknown | None:
     """Why the effects found are no answer: they close next to nothing, or less than what they leave, which is no noise,
-    or are errors of sensors and inputs alone, or several that nothing confirms, and leave more than noise; None where
-    they are one."""
+    or are errors of sensors and inputs alone, or several that nothing confirms, and leave more than noise; or leave
+    more than a person would overlook, where the noise is known; None where they are one.
+
+    cut : the search ended before all were refitted
+    """
     if not confirmed and not _visible(claim.found):
         small, beside = _too_small(claim.found), unknown_of(null.screened)
         return small if beside is None else replace(beside, sentence=f"{beside.sentence}; {small.sentence}")
@@ -56,15 +59,20 @@ def reason_to_withdraw(claim: Claim, null: Station, confirmed: bool) -> Unknown 
     told = claim.unknown is not None
     if not told and not (instruments and noise.colour):
         return None
+    stated = {name: sigma for name, (sigma, estimated) in null.fit.noise.items() if not estimated}
+    known = bool(stated) and told and not cut
+    if known:  # what is left beyond it is no noise, whatever its colour
+        noise = NoiseModel({**noise.sigma, **stated})
     closed = _closed([null.screened.null], [claim.last.screened.null], noise)
     if confirmed and proof.before and proof.after:  # which show more of it, or as much
         fresh = _closed([one for _, one in proof.before], [one for _, one in proof.after], noise)
-        closed = fresh if told else min(closed, fresh)
-    if closed >= 1 - SEEN:
+        closed = fresh if told and not known else min(closed, fresh)
+    if closed >= 1 - (SEEN**2 if known else SEEN):
         return None
     # an offset or a delay bends to what any missing law does, and so do several effects together: these are all that
     # is wrong, or none of it, unless fresh data have confirmed several; of what may be noise, most of it
-    if closed >= HALF and (not instruments or not told) and (confirmed or len(claim.found) == 1):
+    enough = closed >= HALF and (not instruments or not told) and (confirmed or len(claim.found) == 1)
+    if enough and not known:
         return None
     names = " and ".join(f"{one.name} at {one.at}" for one in claim.found)
     more = "not all of it" if closed >= HALF else "less of it than is left"

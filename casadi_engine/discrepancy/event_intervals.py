@@ -11,11 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.checked_errors import with_errors_of
-from casadi_engine.discrepancy.event_times import finer_candidates
+from casadi_engine.discrepancy.event_times import in_each_record
 from casadi_engine.discrepancy.linear_algebra import Array
-from casadi_engine.discrepancy.linearised import OneStep, without_effect
 from casadi_engine.discrepancy.refit import Addition
 from casadi_engine.discrepancy.refits import Refits, Tried
 from casadi_engine.discrepancy.repaired import Repair
@@ -56,48 +54,13 @@ def with_intervals_of_times(repair: Repair, refits: Refits) -> Repair:
 
 def _as_good(refits: Refits, tried: Tried, one: Addition) -> Iterator[tuple[str, Array]]:
     """The time of an event in each record, by its parameter's name, with all times (K,) that explain as much."""
-    null = refits.null(tried) if one.moves and list(one.nuisance) == ["time"] else None
+    null = refits.null(tried) if one.moves else None
     if null is None:
         return
-    values, data = tried.arrived.values, refits.refitter.data
     count = sum(len(e) for record in null.records for e in record.residual.values())
     unit = max(1.0, tried.arrived.cost / count) * max(refits.levels.memory.values(), default=1.0)
-    for record in data:
-        name = f"{one.key}.time" if f"{one.key}.time" in values else f"{one.key}.time@{record.name}"
-        size = values.get(f"{one.amplitude}@{record.name}", values.get(one.amplitude))
-        # what it does in the other records stays: what their residuals would be without it is no word on this time
-        gone = without_effect(null, one, len(refits.null_fit.model.states), only=record.name)
-        if name not in values or not size or gone is None:
-            continue
-        only = record.name if len(data) > 1 else None
-        with np.errstate(all="ignore"):
-            made, step = finer_candidates(one.candidate, gone, data, refits.path.levels, values[name], only)
-        if step is None:
-            continue
-        shared = size if one.amplitude in values and len(data) > 1 else None
-        times, cost = _over_time(made, step, record.name, size, shared)
+    for _, name, times, cost in in_each_record(refits, tried, one):
         yield name, times[cost < cost.min(initial=np.inf) + _WITHIN * unit]
-
-
-def _over_time(
-    made: list[Candidate], step: OneStep, record: str, size: float, shared: float | None
-) -> tuple[Array, Array]:
-    """Times (K,) of an event in a record, and chi-squared there but for a constant, by one step.
-
-    size : its amplitude, of which other times have the sign; shared : the same where all records have it, else None
-    """
-    own = [
-        k
-        for k, one in enumerate(made)
-        if isinstance(one.direction, dict)
-        and record in one.direction
-        and np.isfinite(step.error[k])
-        and step.amplitude[k] * size > 0
-    ]
-    best = step.amplitude[own]
-    used = best if shared is None else np.full(len(own), shared)
-    gain = used * (2 * best - used) / step.error[own] ** 2
-    return np.array([made[k].nuisance["time"] for k in own]), -gain
 
 
 def _with_interval(own: Estimate, times: Array, repair: Repair, name: str) -> Estimate | None:

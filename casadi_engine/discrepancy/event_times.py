@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -17,10 +17,11 @@ import numpy as np
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.events import by_one_step
 from casadi_engine.discrepancy.library_candidates import library_candidates
-from casadi_engine.discrepancy.linearised import OneStep, one_step
+from casadi_engine.discrepancy.linear_algebra import Array
+from casadi_engine.discrepancy.linearised import OneStep, one_step, without_effect
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.refit import Addition, addition
-from casadi_engine.discrepancy.refits import Refits
+from casadi_engine.discrepancy.refits import Refits, Tried
 from casadi_engine.effects import Grid
 from casadi_engine.experiment import Experiment
 
@@ -42,6 +43,52 @@ def located(
     if not np.isfinite(step.error[found.lead]) or found.amplitude * made[found.lead].side < 0:
         return None
     return addition(made[found.lead], found.amplitude, 1, found.times), found.cost
+
+
+def in_each_record(refits: Refits, tried: Tried, one: Addition) -> Iterator[tuple[str, str, Array, Array]]:
+    """The record, the name of the time's parameter, and times (K,) of an event there with chi-squared at each (K,) but
+    for a constant, by one step along a structure that has the event in all other records as it is.
+
+    What it does in the others stays: what their residuals would be without it is no word on this time.
+    """
+    null = refits.null(tried) if one.moves and list(one.nuisance) == ["time"] else None
+    if null is None:
+        return
+    values, data = tried.arrived.values, refits.refitter.data
+    for record in data:
+        name = f"{one.key}.time" if f"{one.key}.time" in values else f"{one.key}.time@{record.name}"
+        size = values.get(f"{one.amplitude}@{record.name}", values.get(one.amplitude))
+        gone = without_effect(null, one, len(refits.null_fit.model.states), only=record.name)
+        if name not in values or not size or gone is None:
+            continue
+        only = record.name if len(data) > 1 else None
+        with np.errstate(all="ignore"):
+            made, step = finer_candidates(one.candidate, gone, data, refits.path.levels, values[name], only)
+        if step is None:
+            continue
+        shared = size if one.amplitude in values and len(data) > 1 else None
+        yield record.name, name, *_over_time(made, step, record.name, size, shared)
+
+
+def _over_time(
+    made: list[Candidate], step: OneStep, record: str, size: float, shared: float | None
+) -> tuple[Array, Array]:
+    """Times (K,) of an event in a record, and chi-squared there but for a constant, by one step.
+
+    size : its amplitude, of which other times have the sign; shared : the same where all records have it, else None
+    """
+    own = [
+        k
+        for k, one in enumerate(made)
+        if isinstance(one.direction, dict)
+        and record in one.direction
+        and np.isfinite(step.error[k])
+        and step.amplitude[k] * size > 0
+    ]
+    best = step.amplitude[own]
+    used = best if shared is None else np.full(len(own), shared)
+    gain = used * (2 * best - used) / step.error[own] ** 2
+    return np.array([made[k].nuisance["time"] for k in own]), -gain
 
 
 def finer_candidates(

@@ -15,6 +15,7 @@ from casadi_engine.deadline import ask, late
 from casadi_engine.discrepancy.coloured_errors import coloured_errors
 from casadi_engine.discrepancy.families import BEYOND, families_of
 from casadi_engine.discrepancy.in_place import instead, may_go, start_without
+from casadi_engine.discrepancy.noise_choice import too_large
 from casadi_engine.discrepancy.noise_model import estimated_noise
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.refit import addition
@@ -88,8 +89,22 @@ def exchanged(refits: Refits, best: Tried, here: Tried, screened: Screened, tell
     return best
 
 
+def leaves_more(refits: Refits, best: Tried) -> bool:
+    """True if a structure leaves more than the noise that was stated, whatever its colour."""
+    if not refits.known:
+        return False
+    try:
+        with np.errstate(all="ignore"):
+            null = refits.path.residuals(best.effects, best.arrived)
+            slopes = {record.name: dict(record.slopes) for record in null.records}
+            return bool(too_large(null, estimated_noise(null, explained=slopes, colour=True), refits.known))
+    except FAILURES:
+        return False
+
+
 def weak_beside_colour(refits: Refits, best: Tried) -> bool:
-    """True if an amplitude is no finding beside coloured noise, whose slow part may do as much."""
+    """True if an amplitude is no finding beside coloured noise, whose slow part may do as much; where the noise is
+    known, what is larger is none."""
     if not refits.levels.memory:
         return False
     try:
@@ -97,6 +112,8 @@ def weak_beside_colour(refits: Refits, best: Tried) -> bool:
             null = refits.path.residuals(best.effects, best.arrived)
             slopes = {record.name: dict(record.slopes) for record in null.records}
             noise = estimated_noise(null, explained=slopes, colour=True)
+            if too_large(null, noise, refits.known):
+                return False
             error = coloured_errors(null, best.arrived.levels, noise)
     except FAILURES:
         return False  # its whole fit has the last word

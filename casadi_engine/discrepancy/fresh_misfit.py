@@ -173,9 +173,12 @@ def _more_than_noise(repair: Repair) -> float | None:
 
 
 def is_louder(repair: Repair) -> bool:
-    """True where the fresh residual is white as far as it is known, and not too large: a louder noise explains it."""
+    """True where the fresh residual is white as far as it is known, and not too large: a louder noise explains it, if
+    none was stated."""
     gaps = repair.gaps
     if gaps is None or gaps.validation_after is None:
+        return False
+    if repair.noise is not None and not any(estimated for _, estimated in repair.noise.sigma.values()):
         return False
     own, after = gaps.estimation_after.gap.chi2_per_sample, gaps.validation_after
     known = any(p is not None for one in after.whiteness_p.values() for p in one.values())

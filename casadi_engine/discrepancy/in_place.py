@@ -7,11 +7,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from casadi_engine.discrepancy.event_times import located
+from casadi_engine.discrepancy.event_times import in_each_record, located
 from casadi_engine.discrepancy.families import chosen_of, costs_of
 from casadi_engine.discrepancy.linearised import OneStep, one_step, without_effect
 from casadi_engine.discrepancy.path import Arrived
-from casadi_engine.discrepancy.refit import Addition
+from casadi_engine.discrepancy.refit import Addition, addition
 from casadi_engine.discrepancy.refits import FACTOR, PART, Refits, Tried
 from casadi_engine.discrepancy.screening import Screened
 from casadi_engine.discrepancy.start import Start
@@ -58,11 +58,32 @@ def at_another_time(
     gone = None if null is None else without_effect(null, member, len(refits.null_fit.model.states))
     if own is None or step is None or gone is None:
         return []
+    alone = _in_one_record(refits, tried, member)
+    if alone is not None:
+        return [alone]
     time = tried.arrived.values.get(f"{member.key}.time")
     with np.errstate(all="ignore"):
         ends = [located(refits, member, gone, time), located(refits, chosen_of(screened, step, own), gone)]
     best = min((one for one in ends if one is not None), key=lambda one: one[1], default=None)
     return [] if best is None or best[1] > tried.arrived.cost - _ELSEWHEN else [best[0]]
+
+
+def _in_one_record(refits: Refits, tried: Tried, member: Addition) -> Addition | None:
+    """An event with the time at which it does clearly better in one record or more, of several; None without one."""
+    if len(refits.refitter.data) < 2:
+        return None
+    values, times, moved = tried.arrived.values, {}, False
+    for record, name, at, cost in in_each_record(refits, tried, member):
+        times[record] = values[name]
+        if not len(at):
+            continue
+        here, best = int(np.argmin(np.abs(at - values[name]))), int(np.argmin(cost))
+        if cost[best] < cost[here] - _ELSEWHEN:
+            times[record], moved = float(at[best]), True
+    size = next((v for n, v in values.items() if n.partition("@")[0] == member.amplitude), 0.0)
+    if not moved or len(times) < len(refits.refitter.data) or not size:
+        return None
+    return addition(member.candidate, size, 1, {"time": times})
 
 
 def may_go(

@@ -133,7 +133,7 @@ def choose_noise(
     if colour == "auto" and (not found.colour or is_white(null, noise, left, random)):
         return NoiseChoice(noise, scatter, cylinders, messages, white, white=white, rounded=steps)
     known = {name: sigma for name, (sigma, estimated) in levels.items() if not estimated}
-    larger = _too_large(null, found, known)
+    larger = too_large(null, found, known)
     stated = NoiseModel({**found.sigma, **known}) if larger else None
     return NoiseChoice(
         found, scatter, cylinders, (_COLOURED,), None, larger, stated, white=white, rounded=steps
@@ -266,7 +266,7 @@ def wanders(index: Index, length: int, residual: Array, held: Array) -> bool:
     return bool(gain > _WANDER)
 
 
-def _too_large(null: NullModel, noise: NoiseModel, known: Mapping[str, float]) -> tuple[tuple[str, str], ...]:
+def too_large(null: NullModel, noise: NoiseModel, known: Mapping[str, float]) -> tuple[tuple[str, str], ...]:
     """(record, output) whose residual is larger than the stated noise, whatever its colour."""
     left = left_over(null, noise, {r.name: dict(r.slopes) for r in null.records})
     found = []

@@ -36,7 +36,7 @@ _POINTS = 61
 # Variance of the k-th cosine over that of the first: the course of a Matern process of length half the range.
 _ROUGH = 2.0
 # What comes back so often in a turn of a shaft is looked for.
-_ORDERS = 24
+ORDERS = 24
 # Steps of a sensor beyond this share of its residual are not blurred by its noise.
 _STEP = 1.0
 
@@ -174,7 +174,7 @@ def _families(port: str, signal: _Signal, terms: int) -> list[tuple[list[ca.SX],
     if signal.name == TURN:
         return [
             ([ca.cos(k * v), ca.sin(k * v)], replace(blank, order=k))
-            for k in range(1, 1 + _ORDERS)
+            for k in range(1, 1 + ORDERS)
         ]  # fmt: skip
     orders = np.arange(1, terms + 1) if cycle else np.arange(terms)
     variances = _variances(orders)

@@ -267,6 +267,7 @@ def in_rounds(monkeypatch, *structures):
     found = choice_of(monkeypatch, tried(log=-500.0), *structures)
     found.stations |= {t.key: stub(screened=stub()) for t in structures}
     found.refits.weigh = found.refits.exactly = lambda *_: None
+    found.refits.known = {}
     made, preferred = iter((*structures, None)), []
     monkeypatch.setattr(Choice, "_asks", lambda *_: True)
     monkeypatch.setattr(Choice, "_by_windows", lambda *_: None)
@@ -316,6 +317,42 @@ def test_what_closes_a_part_of_the_gap_takes_the_place_of_what_fresh_data_would_
     found._rounds(found.pool[NONE])
     assert preferred == [(key_of("a"), key_of("b"))]
     assert found.best == key_of("a", "c")
+
+
+def test_what_leaves_more_than_the_stated_noise_is_not_held_against_fresh_data_yet(monkeypatch):
+    found, preferred = in_rounds(monkeypatch, tried("a", log=-100.0), tried("a", "b", log=-50.0))
+    monkeypatch.setattr(module, "leaves_more", lambda refits, one: True)
+    monkeypatch.setattr(Choice, "_from_others", lambda self: None)
+    found.idle_on_fresh = lambda key: key_of("b")
+    found._rounds(found.pool[NONE])
+    assert preferred == []
+    assert found.best == key_of("a", "b")
+
+
+@pytest.mark.parametrize("cost", [5.0, 150.0])
+def test_a_search_goes_on_from_other_structures_where_nothing_helps_beside_the_best(monkeypatch, cost):
+    """Two effects that bend to the place of a third leave none for it; from two others it is found, or nothing is."""
+    first, pair, other = tried("a", log=-100.0), tried("a", "b", log=-50.0), tried("b", "c", log=-60.0)
+    far, three = tried("a", "d", log=-70.0), tried("b", "c", "d", log=-10.0)
+    for one, size in ((first, 900.0), (pair, 100.0), (other, 120.0), (far, 201.0), (three, cost)):
+        one.arrived = stub(cost=size)
+    found, _ = in_rounds(monkeypatch, first, pair)
+    found.most = 4
+    found.refits.pool |= {other.key: other, far.key: far}
+    begun = []
+
+    def grown(self, here):
+        begun.append(here.key)
+        if here is other:
+            self.refits.pool[three.key], self.best = three, three.key
+
+    monkeypatch.setattr(module, "leaves_more", lambda refits, one: True)
+    monkeypatch.setattr(Choice, "station_of", lambda self, one: stub())
+    monkeypatch.setattr(Choice, "_grown", grown)
+    found.best = pair.key
+    found._from_others()
+    assert begun == [other.key]
+    assert found.best == (three.key if cost < 100 else pair.key)
 
 
 @pytest.mark.parametrize(("cost", "chosen"), [(80.0, True), (82.0, False)])

@@ -90,16 +90,16 @@ def test_what_is_seen_and_foretold_by_its_own_past_is_not_called_noise(explained
     )
 
 
-def claimed(monkeypatch, *, before, after, tests, fresh=None, kind="inertia"):
+def claimed(monkeypatch, *, before, after, tests, fresh=None, kind="inertia", stated=False):
     """A drag that lowers the rms gap of y from ``before`` to ``after`` standard deviations of the noise.
 
-    fresh : the same two of fresh data, None for those of the search
+    fresh : the same two of fresh data, None for those of the search; stated : the noise is known, not estimated
     """
     sides = {"null": before, "last": after} | dict(zip(("old", "new"), fresh or (before, after), strict=True))
     gaps = {name: Gap(1.0, {"y": size}, {"y": 0.0}, 100) for name, size in sides.items()}
     monkeypatch.setattr(module, "gap_of", lambda nulls, noise: gaps[nulls[0]])
     noise = stub(sigma={"y": 1.0}, colour={})
-    fit = stub(model=stub(ports={"load": stub(kind=kind)}))
+    fit = stub(model=stub(ports={"load": stub(kind=kind)}), noise={"y": (1.0, not stated)})
     null, last = (stub(fit=fit, screened=stub(null=name, noise=noise)) for name in ("null", "last"))
     drag = stub(name="drag", at="load", key="load.drag", share_explained=1.0, p_value=0.0)
     unknown = None if tests is None else Unknown("the residual has a line", tests)
@@ -120,6 +120,27 @@ def test_an_effect_that_closes_less_than_it_leaves_is_no_answer_where_that_is_no
     if withdrawn:
         assert "drag at load explains the gap best and closes less of it than is left" in found.sentence
         assert found.tests == tests
+
+
+@pytest.mark.parametrize(
+    ("after", "fresh", "tests", "cut", "withdrawn"),
+    [
+        (2.0, None, {"line": 1e-9}, False, True),
+        (1.04, None, {"line": 1e-9}, False, False),  # a person sees no more of it
+        (1.04, (10.0, 2.0), {"line": 1e-9}, False, True),
+        (2.0, None, None, False, False),  # nothing says that more is missing
+        (2.0, None, {"line": 1e-9}, True, False),  # the search was not at its end
+    ],
+)
+def test_what_is_left_beyond_a_noise_that_is_known_is_missing(
+    monkeypatch, after, fresh, tests, cut, withdrawn
+):
+    """An effect that closes most of a gap of ten standard deviations is no name for all of it."""
+    claim, null = claimed(monkeypatch, before=10.0, after=after, tests=tests, fresh=fresh, stated=True)
+    found = reason_to_withdraw(claim, null, True, cut=cut)
+    assert (found is not None) == withdrawn
+    if withdrawn:
+        assert "closes not all of it, which is no noise" in found.sentence
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,6 @@ from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.discrepancy import event_intervals as module
-from casadi_engine.discrepancy.linearised import OneStep
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.estimation import Estimate
 
@@ -141,25 +140,6 @@ def test_times_in_several_records_of_one_amplitude_have_errors():
 
 
 # ---- over time
-
-
-def candidates(times, record="a"):
-    return [stub(nuisance={"time": t}, direction={record: None}) for t in times]
-
-
-def steps(amplitude, error):
-    amplitude, error = np.array(amplitude), np.array(error)
-    return OneStep(10 - (amplitude / error) ** 2, amplitude, error, 10.0)
-
-
-def test_chi_squared_over_time_falls_by_what_an_event_takes():
-    made = [*candidates((1.0, 2.0, 3.0, 4.0)), *candidates((9.0,), "b")]
-    step = steps([2.0, -1.0, 3.0, 1.0, 5.0], [1.0, 1.0, 2.0, np.inf, 1.0])
-    times, cost = module._over_time(made, step, "a", 2.0, None)
-    np.testing.assert_array_equal(times, [1.0, 3.0])  # of this record, of the same sign, and testable
-    np.testing.assert_allclose(cost, [-4.0, -2.25])
-    times, cost = module._over_time(made, step, "a", 2.0, 2.0)  # with the amplitude of all records
-    np.testing.assert_allclose(cost, [-(2.0 * 2.0), -(2.0 * 4.0) / 4.0])
 
 
 @pytest.mark.parametrize(

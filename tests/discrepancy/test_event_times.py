@@ -7,8 +7,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.event_times import finer_candidates, located
+from casadi_engine.discrepancy.event_times import _over_time, finer_candidates, located
 from casadi_engine.discrepancy.families import families_of
+from casadi_engine.discrepancy.linearised import OneStep
 from casadi_engine.discrepancy.refit import addition
 from casadi_engine.discrepancy.screening import screen
 
@@ -140,3 +141,22 @@ def test_a_load_between_the_times_of_the_grid_is_found_at_its_time(data):
     for name, truth in (("J", J), ("c", C), ("k", K)):
         estimate = found.fit.estimates[name]
         assert abs(estimate.value - truth) < 4 * estimate.stderr
+
+
+def candidates(times, record="a"):
+    return [stub(nuisance={"time": t}, direction={record: None}) for t in times]
+
+
+def steps(amplitude, error):
+    amplitude, error = np.array(amplitude), np.array(error)
+    return OneStep(10 - (amplitude / error) ** 2, amplitude, error, 10.0)
+
+
+def test_chi_squared_over_time_falls_by_what_an_event_takes():
+    made = [*candidates((1.0, 2.0, 3.0, 4.0)), *candidates((9.0,), "b")]
+    step = steps([2.0, -1.0, 3.0, 1.0, 5.0], [1.0, 1.0, 2.0, np.inf, 1.0])
+    times, cost = _over_time(made, step, "a", 2.0, None)
+    np.testing.assert_array_equal(times, [1.0, 3.0])  # of this record, of the same sign, and testable
+    np.testing.assert_allclose(cost, [-4.0, -2.25])
+    times, cost = _over_time(made, step, "a", 2.0, 2.0)  # with the amplitude of all records
+    np.testing.assert_allclose(cost, [-(2.0 * 2.0), -(2.0 * 4.0) / 4.0])

@@ -1,4 +1,4 @@
-"""A machine that is balanced by a controller: its model alone falls over, and its parameters have errors all the same."""
+"""A machine that a controller balances: its model alone falls over, and its parameters have errors all the same."""
 
 import numpy as np
 import pytest
