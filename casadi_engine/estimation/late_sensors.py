@@ -8,6 +8,8 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from casadi_engine.deadline import late
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation.fit import Fit
@@ -49,7 +51,7 @@ def follow_delays(fit: Fit, parameters: Parameters, again: Callable[[dict[str, A
         begun = parameters.copy()
         for name, value in other.values.items():
             if name in begun:
-                begun[name].set(value)
+                begun[name].set(float(np.clip(value, begun[name].min, begun[name].max)))
         model = with_nearest_lags(fit.model, other.values, fit.data)
         with suppress(CasadiEngineError, FloatingPointError):
             made = again({"model": model, "parameters": begun, "warm": None})

@@ -45,10 +45,11 @@ def nearest_lags(
     most : share of the longest record that samples are moved by at most; inf for any, where none has to be left
 
     A lag that the model has is kept as long as the delay is near it. Where an input jumps at a sample and then holds,
-    lags are up to a step longer than the delay: the law looks ahead from a sample then, over what the input does.
+    or its rate counts, lags are up to a step longer than the delay: the law looks ahead from a sample then, over which
+    the input holds, or goes along one line.
     """
     before, found = dict(model.lags), {}
-    middle = 0.5 if _jumps(model, records) else 0.0
+    middle = 0.5 if model.rates or _jumps(model, records) else 0.0
     for output, name in delays(model).items():
         steps = [_step(model, record, output) for record in records]
         if name not in values or not steps or not np.isfinite(values[name]):
@@ -92,9 +93,8 @@ def with_delays(model: Model, *, of_rates: bool = True) -> Model:
     """The model whose delays hold the rates of all effects that are in it, in whatever order these came.
 
     An output that is late by τ is written anew as y - δ dy/dt + δ² d²y/dt² / 2 with δ = τ - lag, and y what it is at
-    δ = 0. of_rates : True to hold the rates of channels that dy/dt shows, over a part of a sample. Drives, and torques
-    at ports, stay as they are over it: where a channel that is joined by lines is a drive of dy/dt, half a
-    step of delay is held to a five-hundredth of the signal at a sixth of the sampling rate.
+    δ = 0. of_rates : True to hold the rates of channels that dy/dt shows, over a part of a sample; torques at ports stay
+    as they are over it.
     """
     late = delays(model)
     if not late:

@@ -32,12 +32,17 @@ def with_rates(model: Model, *, of_rates: bool = False) -> Model:
     smooth = [_has_rate(model, shown[row]) for row in range(shown.numel())]
     model = _with_symbols(model, [shown[row] for row, good in enumerate(smooth) if good])
     rates = _total_rates(model, model.output_expressions)
-    if of_rates:
-        model = _with_symbols(model, [rates[row] for row, good in enumerate(smooth) if good])
     whole = rates
     if model.d.numel() and ca.depends_on(rates, model.d):
         whole = ca.substitute(rates, model.d, model.drive_expressions)
-    unknown = model.channel_rates if of_rates else model.u
+    if (
+        of_rates
+    ):  # a drive that is made of channels joined by lines goes along a line too, where it adds them up
+        lines = ca.is_linear(ca.vertcat(ca.SX(0, 1), model.drive_expressions), model.channels)
+        shows = whole if lines else rates
+        model = _with_symbols(model, [shows[row] for row, good in enumerate(smooth) if good])
+    # over a part of a sample a channel that is joined by lines keeps its rate
+    unknown = ca.SX(0, 1) if of_rates else model.u
     bent = [good and _has_bend(model, whole[row], unknown) for row, good in enumerate(smooth)]
     bends = _total_rates(model, rates)
     fresh, row = [], 0

@@ -228,13 +228,17 @@ def _valid(channel: Channel) -> tuple[NDArray[np.intp], Array, Array]:
 def _with_rates(model: Model, grid: Grid) -> tuple[Sequence[Array], tuple[str, ...]]:
     """Channels of a grid with the rates that a model needs of them behind, and the holds of all.
 
-    The rate of a channel is its central difference, whatever its hold: that of a stair is its slope over two steps.
+    The rate of a channel is what it has behind a sample, where a late output is looked for (``model.lags``): the slope
+    of the line that begins there, none of a stair.
     """
     if not model.rates:
         return grid.rows, grid.holds
-    names, time = [variable.name for variable in model.inputs], grid.time
-    order: Literal[1, 2] = 2 if len(time) > 2 else 1
-    rates = [np.gradient(grid.rows[names.index(name)], time, edge_order=order) for name in model.rates]
+    names, step, rates = [variable.name for variable in model.inputs], np.diff(grid.time), []
+    for name in model.rates:
+        row, hold = grid.rows[names.index(name)], grid.holds[names.index(name)]
+        lines = hold == "first" and len(step) > 0
+        ahead = np.diff(row) / step if lines else np.zeros(max(len(row) - 1, 0))
+        rates.append(np.append(ahead, ahead[-1:] if len(ahead) else 0.0))
     return [*grid.rows, *rates], (*grid.holds, *["first"] * len(rates))
 
 
