@@ -33,12 +33,13 @@ def rotor(outputs=1):
 
 
 def swung():
-    """A place, whose rate shows no channel, so that none has a rate that counts."""
+    """A place behind a slow drive: what a delay holds of it shows no channel, so that none has a rate that counts."""
     b = ce.Blueprint("swung")
     u = b.input("u", unit="N m")
-    x, w = b.state("x", unit="rad"), b.state("w", unit="rad/s")
+    x, w, a = b.state("x", unit="rad"), b.state("w", unit="rad/s"), b.state("a", unit="rad/s2")
     b.ode("x", w)
-    b.ode("w", u - w)
+    b.ode("w", a - w)
+    b.ode("a", u - a)
     b.output("y", x, unit="rad")
     return b.model().with_effect(SensorDelay(), at="sensor_y")
 
