@@ -93,8 +93,9 @@ def with_delays(model: Model, *, of_rates: bool = True) -> Model:
     """The model whose delays hold the rates of all effects that are in it, in whatever order these came.
 
     An output that is late by τ is written anew as y - δ dy/dt + δ² d²y/dt² / 2 with δ = τ - lag, and y what it is at
-    δ = 0. of_rates : True to hold the rates of channels that dy/dt shows, over a part of a sample; torques at ports stay
-    as they are over it.
+    δ = 0. of_rates : True to hold the rates of channels that dy/dt shows, over a part of a sample. Torques at ports
+    stay as they are over it, and so do drives where y shows no channel at once: where a channel that goes along lines
+    is a drive of dy/dt, half a step of delay is held to a five-hundredth of the signal at a sixth of the sampling rate.
     """
     late = delays(model)
     if not late:

@@ -35,11 +35,10 @@ def with_rates(model: Model, *, of_rates: bool = False) -> Model:
     whole = rates
     if model.d.numel() and ca.depends_on(rates, model.d):
         whole = ca.substitute(rates, model.d, model.drive_expressions)
-    if (
-        of_rates
-    ):  # a drive that is made of channels joined by lines goes along a line too, where it adds them up
+    if of_rates:  # a drive that is made of channels joined by lines goes along a line too; where no
+        # channel is shown at once it is held, which keeps the linear core
         lines = ca.is_linear(ca.vertcat(ca.SX(0, 1), model.drive_expressions), model.channels)
-        shows = whole if lines else rates
+        shows = whole if lines and model.rates else rates
         model = _with_symbols(model, [shows[row] for row, good in enumerate(smooth) if good])
     # over a part of a sample a channel that is joined by lines keeps its rate
     unknown = ca.SX(0, 1) if of_rates else model.u
