@@ -108,7 +108,7 @@ class Choice:
 
     def _grown(self, here: Tried) -> None:
         """Let a structure grow effect by effect, until no change is worth it."""
-        while len(here.effects) < self.most:
+        for _ in range(self.most - len(here.effects)):
             station = self.stations[here.key]
             if not self._asks(station.screened):
                 break
