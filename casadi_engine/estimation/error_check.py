@@ -120,11 +120,13 @@ def growing(search: Search, best: Attempt) -> str | None:
     where it can be."""
     points = search.problem.at(best.solution.x).records
     for record, point in zip(search.records, points, strict=True):
-        if not record.linear and grows(record, point, _BENT):
+        far = grows(record, point)  # then slopes are lost with which coloured noise would count
+        if far or (not record.linear and grows(record, point, _BENT)):
             times = np.exp(log_growth(point.path.end_s, record.plan.m - 1))
+            white = " with white noise" if far else ""
             return (
-                "the errors are those of the curvature at the optimum with white noise, and were not checked away from "
-                f"it: a change of the start of {record.experiment.name} grows {times:.0e} times on its way"
+                f"the errors are those of the curvature at the optimum{white}, and were not checked away from it: a "
+                f"change of the start of {record.experiment.name} grows {times:.0e} times on its way"
             )
     return None
 

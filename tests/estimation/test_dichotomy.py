@@ -52,7 +52,7 @@ def _balanced(duration, seed, sharp=False):
     )
 
 
-def _model():
+def _model(*, linear=False):
     import casadi as ca
 
     b = ce.Blueprint("rod")
@@ -61,7 +61,7 @@ def _model():
     torque = b.input("torque", unit="N m")
     angle, speed = b.state("angle", unit="rad", scale=0.1), b.state("speed", unit="rad/s")
     b.ode("angle", speed)
-    b.ode("speed", gravity * ca.sin(angle) - damper * speed + torque)
+    b.ode("speed", gravity * (angle if linear else ca.sin(angle)) - damper * speed + torque)
     b.output("angle", angle, unit="rad")
     return b.model()
 
@@ -84,6 +84,16 @@ def test_its_errors_are_right_however_long_the_record(duration):
     assert 0.6 < spread < 1.4  # 32 numbers, of which half go together
     assert any("grows" in words for words in fit.messages)
     assert (fit.followed is not None) == (duration > 10)
+
+
+def test_a_linear_model_that_falls_over_says_what_its_errors_leave_out():
+    fit = ce.estimate(
+        _model(linear=True), _balanced(6.0, 0, sharp=True), noise=ce.Noise(angle=SIGMA), progress=False
+    )
+    assert fit.converged
+    assert any("with white noise, and were not checked" in words for words in fit.messages)
+    for name, value in (("gravity", GRAVITY), ("damper", DAMPER)):
+        assert abs(fit.values[name] - value) < 4 * fit.stderr[name] < value
 
 
 def test_taken_out_states_leave_the_information_of_the_chain():
