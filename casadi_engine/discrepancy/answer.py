@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 from casadi_engine.deadline import TimeUp
@@ -195,20 +196,25 @@ class Answer:
         """What is left where laws that no effect names are held against what is claimed."""
         found, unknown, last = claim.found, claim.unknown, claim.last
         coloured = bool(last.screened.noise.colour)
-        law = self._law(last, unknown_law) if found or (unknown is None and coloured) else None
-        rival = None if law is None else in_place_of(last, law)
+        # where something is known to be missing, it is looked for everywhere
+        sure = unknown is not None and bool(unknown.tests)
+        near = partial(unknown_law, everywhere=True) if sure else unknown_law
+        law = self._law(last, near) if found or sure or (unknown is None and coloured) else None
+        rival = None if law is None or (not found and _told_better(last, law)) else in_place_of(last, law)
         # near the truth the law that is linearised is told from the effects; else it is refitted
         asked = rival is not None or (unknown is not None and not found)
         asked = asked or (coloured and self._in_time("unknown law", lambda: self._is_far(last)) is True)
         if asked and not null.screened.request.blind:  # an error of a sensor may be all there is
             far = self._law(last, refitted_law)
-            told = None if far is None or _comes_back(last, far) else in_place_of(last, far)
+            told = None if far is None or _told_better(last, far) else in_place_of(last, far)
             if told is not None and far is not None and (rival is None or law is None or far.log > law.log):
                 law, rival = far, told
         if rival is None or law is None:
             return claim
         if not found and unknown is None and law.log < -math.log(self._rare):  # by their odds alone
             return claim
+        if unknown is not None and not found:
+            rival = replace(rival, tests=unknown.tests)
         claim = replace(claim, unknown=rival if law.log >= 0 or unknown is None else unknown)
         judged = claim.proof.judgement  # what fresh data deny is no name for the law that is more probable
         denied = judged is not None and judged.confirmed is False and law.log >= math.log(FACTOR)
@@ -373,10 +379,12 @@ def _noise_of_place(last: Station) -> NoiseModel:
     return last.screened.choice.stated or last.screened.noise
 
 
-def _comes_back(last: Station, law: UnknownLaw) -> bool:
-    """True where what comes back with every turn of a shaft explains what is left better than a law that was refitted,
-    which is a function of one signal without turns."""
+def _told_better(last: Station, law: UnknownLaw) -> bool:
+    """True where what comes back with every turn of a shaft, or at one frequency, explains what is left better than a
+    function of one signal."""
     left = last.screened.leftover
+    if left.line is not None and left.lines is not None:
+        return 0.5 * left.lines[left.line] - math.log(last.screened.null.count) > law.log
     turns = left.family is not None and left.family.order > 0 and left.family.name in left.alarms
     return turns and 0.5 * left.drop - math.log(ORDERS) > law.log
 

@@ -258,10 +258,14 @@ def law_words(model: Model, family: Family) -> str:
     kind, _, name = family.port.partition("_")
     if port.kind in ("input", "sensor"):
         return f"the {kind} {name} {'acts as' if kind == 'input' else 'shows'} another function of its value"
+    if port.kind == "parameter":
+        return f"the parameter {port.parameter} is not constant: it depends on {family.signal}"
     acts = f"an unknown {port.quantity} at {family.port}"
     if family.order:
         often = "once" if family.order == 1 else f"{family.order} times"
         return f"{acts} that comes back {often} a turn"
+    if family.signal not in {TIME, PLACE, *port.signals}:
+        return f"{acts} that depends on {family.signal}"
     named = port.is_mechanical and family.signal != TIME
     own = "place, its speed added up" if family.signal == PLACE else port.called(family.signal)
     return f"{acts} that depends on {'its ' if named else ''}{own}"
@@ -272,6 +276,8 @@ def likeness_words(course: Course) -> str:
     if course.family.order:
         return ""
     shape, like = next(iter(course.looks_like.items()), ("", 0.0))
+    if course.family.port.startswith("parameter_") and shape == "linear" and like > _LIKE:
+        return f", and {'rises' if course.mean[-1] > course.mean[0] else 'falls'} with it"
     # the model has lines of its own
     return f" and looks {shape}" if like > _LIKE and shape != "linear" else ""
 

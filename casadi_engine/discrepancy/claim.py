@@ -20,7 +20,7 @@ from casadi_engine.discrepancy.selection import effective_samples
 from casadi_engine.discrepancy.station import Station
 
 # Independent samples that a coloured residual has to be worth to be called noise, and per cent of an output's motion
-# that the model has to explain beside it.
+# that what its own past foretells of it may be.
 _SWINGS, _MOST = 6.0, 50.0
 _NOT_NOISE = "no noise of that kind can be told from a missing effect"
 
@@ -119,7 +119,7 @@ def _no_noise(null: Station) -> Unknown | None:
     screened = null.screened
     for record in screened.null.records:
         for output, e in record.residual.items():
-            if (record.name, output) not in screened.noise.colour:
+            if (record.name, output) not in screened.noise.colour or _is_as_stated(null, record.name, output):
                 continue
             swings = effective_samples(e)
             if swings < _SWINGS:
@@ -130,13 +130,20 @@ def _no_noise(null: Station) -> Unknown | None:
                 return Unknown(words, {})
             share = null.fit.fit_percent[record.name][output]["simulation"]
             words = f"the model explains {max(share or 0.0, 0.0):.0f} % of {output} in {record.name}, and the rest"
-            if share is not None and share < _MOST:
-                return Unknown(f"{words} is coloured: {_NOT_NOISE}", {})
             sudden = screened.noise.sigma[output] / max(float(np.sqrt(np.mean(e**2))), 1e-300)
+            foretold = math.sqrt(max(1 - sudden**2, 0.0))
+            if share is not None and (100 - share) * foretold > _MOST:
+                return Unknown(f"{words} is coloured: {_NOT_NOISE}", {})
             if share is not None and share < 100 * (1 - SEEN) and sudden < SEEN:
                 words += f" is predicted from its own past to within {100 * sudden:.0f} %: {_NOT_NOISE}"
                 return Unknown(words, {})
     return None
+
+
+def _is_as_stated(null: Station, record: str, output: str) -> bool:
+    """True where the level of an output's noise was stated and no more is left."""
+    stated = not null.fit.noise[output][1]
+    return stated and (record, output) not in null.screened.choice.larger
 
 
 def _visible(found: Sequence[FoundEffect]) -> bool:

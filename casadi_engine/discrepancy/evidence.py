@@ -108,6 +108,16 @@ def digest(
     priors : of every free parameter; random : record -> output -> (N, g) columns of random amplitudes
     held : parameters at a bound; choices : whole numbers from which the effects' were chosen
     """
+    turn, parts, is_random = rows_of(null, random=random, held=held)
+    prior = _prior_rows(null, priors, turn, is_random)
+    at = _amplitudes(null, priors) - math.log(choices)
+    return Digest(null.parameters, parts, prior, is_random, turn, at)
+
+
+def rows_of(
+    null: NullModel, *, random: Columns | None = None, held: frozenset[str] = frozenset()
+) -> tuple[Array, tuple[tuple[str, Array], ...], Array]:
+    """The turn, parts and random columns of a model's ``Digest``."""
     columns = list(range(null.turn.shape[1]))
     if null.turn.shape[0] == null.turn.shape[1] and np.count_nonzero(null.turn) == len(null.turn):
         columns = [k for k, name in enumerate(null.parameters) if name not in held]
@@ -130,9 +140,7 @@ def digest(
             placed[:, -1] = rows[:, -1]
             parts.append((output, placed))
         first += more
-    prior = _prior_rows(null, priors, turn, is_random)
-    at = _amplitudes(null, priors) - math.log(choices)
-    return Digest(null.parameters, tuple(parts), prior, is_random, turn, at)
+    return turn, tuple(parts), is_random
 
 
 def evidence(model: Digest, levels: Levels) -> Evidence:

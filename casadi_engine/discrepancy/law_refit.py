@@ -28,6 +28,7 @@ from casadi_engine.discrepancy.evidence import (
     foretold,
     levels_left,
 )
+from casadi_engine.discrepancy.law_rival import SIZES, TAKEN, of_size
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.path import FAILURES
@@ -35,7 +36,7 @@ from casadi_engine.discrepancy.priors import priors_of
 from casadi_engine.discrepancy.random_families import Course, Family, course_of, smooth_family, terms_at
 from casadi_engine.discrepancy.refit_null import null_of_refit
 from casadi_engine.discrepancy.refits import Refits, Tried
-from casadi_engine.discrepancy.unknown_law import SIZES, TAKEN, UnknownLaw, near_of, of_size, several_at
+from casadi_engine.discrepancy.unknown_law import UnknownLaw, near_of, several_at
 from casadi_engine.effects import Amplitude, Effect, Grid
 from casadi_engine.estimation.refit_answer import Refit
 from casadi_engine.estimation.refit_problem import RefitProblem

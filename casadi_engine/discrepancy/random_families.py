@@ -67,7 +67,7 @@ class Family:
 
 
 @dataclass(frozen=True, eq=False)
-class _Signal:
+class Signal:
     """A signal at a port: its expression, its values at all samples, the rate of a place that is none of the model's
     states, and after how much of it everything comes back, 0 where nothing does."""
 
@@ -93,10 +93,12 @@ def family_candidates(
     families: list[Family] = []
     for port in chosen:
         for signal in _signals(null, port):
-            for basis, family in _families(port.name, signal, terms):
+            for basis, family in families_of(port.name, signal, terms):
                 members = tuple(range(first + len(candidates), first + len(candidates) + len(basis)))
                 families.append(replace(family, members=members))
-                candidates += [_candidate(null.model, port, signal, k, term) for k, term in enumerate(basis)]
+                candidates += [
+                    term_candidate(null.model, port, signal, k, term) for k, term in enumerate(basis)
+                ]
     return candidates, families
 
 
@@ -109,38 +111,38 @@ def family_columns(null: NullModel, candidates: Sequence[Candidate]) -> dict[str
     return {r: {o: np.where(finite, own, 0.0) for o, own in outputs.items()} for r, outputs in found.items()}
 
 
-def _signals(null: NullModel, port: Port) -> list[_Signal]:
+def _signals(null: NullModel, port: Port) -> list[Signal]:
     """What a function at a port may depend on and what moves there: its own signals; its place, which is its speed
     added up, where that is none of them; and time, where something may act."""
     if port.kind == "sensor" and _in_steps(null, port.name.partition("_")[2]):
         return []
     names = ("value",) if port.kind == "sensor" else tuple(port.signals)
-    found = [_Signal(name, port.signals[name], _values(null, port.signals[name])) for name in names]
+    found = [Signal(name, port.signals[name], along(null, port.signals[name])) for name in names]
     fired = any(one.kind == "cylinder" for one in null.model.ports)
     if "angle" in names and fired:
         found = [replace(one, cycle=FOUR_STROKE) if one.name == "angle" else one for one in found]
     elif "angle" in names and port.kind == "inertia":
         found += _turns(null, port)
     if port.slot is not None:
-        found.append(_Signal(TIME, null.model.t, _values(null, null.model.t)))
+        found.append(Signal(TIME, null.model.t, along(null, null.model.t)))
     if port.kind == "inertia" and "speed" in port.signals and "angle" not in port.signals:
         factor = _radians(port, "speed", "s-1 rad")
         rate = port.signals["speed"] * (factor or 1.0)
         place = _added_up(null, rate)
         whole = factor is not None and np.ptp(place) > 2 * math.pi
         name, cycle = (TURN, 2 * math.pi) if whole else (PLACE, 0.0)
-        found.append(_Signal(name, ca.SX.sym("place"), place, rate, cycle))
+        found.append(Signal(name, ca.SX.sym("place"), place, rate, cycle))
     span = [max(float(np.abs(one.values).max()), 1e-300) for one in found]
     return [one for one, size in zip(found, span, strict=True) if np.ptp(one.values) > 1e-9 * size]
 
 
-def _turns(null: NullModel, port: Port) -> list[_Signal]:
+def _turns(null: NullModel, port: Port) -> list[Signal]:
     """The angle of a shaft that turns round."""
     factor = _radians(port, "angle", "rad")
     angle = port.signals["angle"] * (factor or 1.0)
-    values = _values(null, angle)
+    values = along(null, angle)
     whole = factor is not None and np.ptp(values) > 2 * math.pi
-    return [_Signal(TURN, angle, values, cycle=2 * math.pi)] if whole else []
+    return [Signal(TURN, angle, values, cycle=2 * math.pi)] if whole else []
 
 
 def _radians(port: Port, signal: str, dimension: str) -> float | None:
@@ -164,7 +166,7 @@ def _in_steps(null: NullModel, output: str) -> bool:
     return False
 
 
-def _families(port: str, signal: _Signal, terms: int) -> list[tuple[list[ca.SX], Family]]:
+def families_of(port: str, signal: Signal, terms: int) -> list[tuple[list[ca.SX], Family]]:
     """The families of a signal with their terms."""
     v, values = signal.expression, signal.values
     cycle = signal.cycle
@@ -204,7 +206,7 @@ def terms_at(family: Family, signal: ca.SX) -> list[ca.SX]:
     return [ca.cos(math.pi * k * share) for k in range(len(family.variances))]
 
 
-def _candidate(model: Model, port: Port, signal: _Signal, number: int, term: ca.SX) -> Candidate:
+def term_candidate(model: Model, port: Port, signal: Signal, number: int, term: ca.SX) -> Candidate:
     """A term of a family at its port."""
     name = f"{signal.name} {number} at {port.name}"
     slots, drives, outputs, beyond = responses(model, port, ca.vertcat(term, 0))
@@ -218,7 +220,7 @@ def _candidate(model: Model, port: Port, signal: _Signal, number: int, term: ca.
     )
 
 
-def _values(null: NullModel, expression: ca.SX) -> Array:
+def along(null: NullModel, expression: ca.SX) -> Array:
     return np.concatenate(_by_record(null, expression))
 
 

@@ -18,10 +18,20 @@ import numpy as np
 from scipy import linalg
 
 from casadi_engine.discrepancy.beside_starts import moved_by
-from casadi_engine.discrepancy.evidence import FACTOR, Columns, Digest, Levels, Prior, digest, evidence
+from casadi_engine.discrepancy.candidate import Candidate
+from casadi_engine.discrepancy.elsewhere_families import elsewhere
+from casadi_engine.discrepancy.evidence import (
+    FACTOR,
+    Columns,
+    Digest,
+    Levels,
+    Prior,
+    digest,
+    evidence,
+)
 from casadi_engine.discrepancy.fresh_misfit import SEEN
+from casadi_engine.discrepancy.law_rival import LAW, SIZES, Rival, free_of, names_of, of_size, with_own_colour
 from casadi_engine.discrepancy.linear_algebra import Array
-from casadi_engine.discrepancy.noise_model import deviance, estimated_noise
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.priors import priors_of
 from casadi_engine.discrepancy.random_families import (
@@ -34,14 +44,8 @@ from casadi_engine.discrepancy.random_families import (
 from casadi_engine.discrepancy.refit import Addition
 from casadi_engine.discrepancy.refits import Refits, Tried
 
-# Sizes of the function over which its evidence is averaged: what moves an output by its own variation, down to the
-# ten-thousandth of it.
-SIZES = np.logspace(-4, 0, 9)
-_LAW = "law"
 # The most probable functions, which are held against the noise that they leave themselves.
 _COLOURED = 3
-# Share of what effects leave beyond white noise that a function has to take for that to be no noise of the sensors.
-TAKEN = 0.8
 # Effects that explain this share of what a function does stay the answer, whatever is more probable: dry friction of a
 # real machine is never all that depends on its speed.
 _NEAR = 0.8
@@ -89,10 +93,13 @@ def several_at(tried: Tried, port: str) -> bool:
     return len(tried.effects) > 1 and all(one.candidate.port == port for one in tried.effects)
 
 
-def unknown_law(refits: Refits, tried: Tried, further: float) -> UnknownLaw | None:
+def unknown_law(
+    refits: Refits, tried: Tried, further: float, *, everywhere: bool = False
+) -> UnknownLaw | None:
     """The most probable function of one signal in the place of a structure's effects; None where it cannot be told.
 
-    further : what a further effect has to gain in log probability
+    further : what a further effect has to gain in log probability; everywhere : look at parameters that are not
+    constant, and at what acts by the signals of others, too
     """
     null = refits.null(tried)
     if null is None:
@@ -107,25 +114,30 @@ def unknown_law(refits: Refits, tried: Tried, further: float) -> UnknownLaw | No
     bare = _without(null, [one.amplitude for one in effects], own)
     if bare is None or not math.isfinite(named.log):
         return None
-    candidates, families = family_candidates(null)
-    columns = family_columns(null, candidates)
-    found: list[_Rival] = []
-    for family in families:
-        beside = _beside(bare, _members(columns, family))
-        made = _counted(beside, priors, family, held - own, random)
-        if made is not None:
-            logs = [evidence(of_size(made, _names(family), share), refits.levels).log for share in SIZES]
-            sized = of_size(made, _names(family), SIZES[int(np.argmax(logs))])
-            log = float(np.logaddexp.reduce(logs)) - math.log(len(SIZES) * len(families)) - named.log
-            found.append(_Rival(log, family, beside, sized))
+    columns: dict[str, dict[str, dict[str, Array]]] = {}
+    prices: dict[str, float] = {}
+    found: list[Rival] = []
+    for candidates, families, among in _offered(null, bare, refits.levels, everywhere):
+        every = family_columns(null, candidates)
+        for family in families:
+            columns[family.name] = _members(every, family)
+            prices[family.name] = math.log(among)
+            beside = _beside(bare, columns[family.name])
+            made = _counted(beside, priors, family, held - own, random)
+            if made is not None:
+                logs = [
+                    evidence(of_size(made, names_of(family), share), refits.levels).log for share in SIZES
+                ]
+                sized = of_size(made, names_of(family), SIZES[int(np.argmax(logs))])
+                log = float(np.logaddexp.reduce(logs)) - math.log(len(SIZES) * among) - named.log
+                found.append(Rival(log, family, beside, made, sized))
     found = sorted(found, key=lambda one: -one.log)[:_COLOURED]
     if not found:
         return None
     if refits.levels.memory and random is None:
-        taken = _own_columns(null, own)
         of_effects = digest(null, priors, held=held, choices=choices)
         for one in found:
-            log = _with_own_colour(one, null, of_effects, taken) - math.log(len(families))
+            log = with_own_colour(one, null, of_effects, frozenset(own), held) - prices[one.family.name]
             one.log = max(one.log, log)
     best = max(found, key=lambda one: one.log)
     log = best.log + (len(effects) - 1) * further
@@ -138,9 +150,21 @@ def unknown_law(refits: Refits, tried: Tried, further: float) -> UnknownLaw | No
     if not any(
         one.candidate.port == port and one.is_law for one in effects
     ):  # which may bend to a part of it
-        both = _counted(_beside(null, _members(columns, best.family)), priors, best.family, held, random)
+        both = _counted(_beside(null, columns[best.family.name]), priors, best.family, held, random)
         further_by = _further(both, best, refits.levels) - math.log(choices)
     return UnknownLaw(course, log, share, several_at(tried, port), near_of(tried, port), further_by)
+
+
+def _offered(
+    null: NullModel, bare: NullModel, levels: Levels, everywhere: bool
+) -> list[tuple[list[Candidate], list[Family], int]]:
+    """The terms of functions, these functions, and among how many each of them is one: half of the prior is for those
+    of what a port itself knows."""
+    candidates, families = family_candidates(null)
+    if not everywhere:
+        return [(candidates, families, len(families))]
+    far, others, among = elsewhere(bare, levels)
+    return [(candidates, families, 2 * len(families)), (far, others, 2 * among)]
 
 
 def does_more(refits: Refits, tried: Tried, last: Addition, port: str, signal: str) -> bool:
@@ -188,70 +212,15 @@ def _members(columns: Mapping[str, Mapping[str, Array]], family: Family) -> dict
 
 def _most(made: Digest, family: Family, levels: Levels) -> float:
     """The log evidence beside a function of the size that serves best."""
-    return max(evidence(of_size(made, _names(family), share), levels).log for share in SIZES)
+    return max(evidence(of_size(made, names_of(family), share), levels).log for share in SIZES)
 
 
-def _further(both: Digest | None, alone: _Rival, levels: Levels) -> float:
+def _further(both: Digest | None, alone: Rival, levels: Levels) -> float:
     """The log of how much more probable a function is with effects beside it, of the size that serves best, than
     alone."""
     if both is None:
         return -math.inf
     return _most(both, alone.family, levels) - evidence(alone.digest, levels).log
-
-
-@dataclass
-class _Rival:
-    """A function in the place of effects: its log odds, its model, and what its evidence is counted from."""
-
-    log: float
-    family: Family
-    null: NullModel
-    digest: Digest
-
-
-def _own_columns(null: NullModel, own: Collection[str]) -> Columns:
-    """What the effects' numbers move: record -> output -> (N, k)."""
-    n = null.turn.shape[1]
-    mine = [k for k, name in enumerate(null.parameters) if name in own]
-    moved = linalg.null_space(_free_of(null.turn, mine).T)
-    return {r.name: {o: every[:, :n] @ moved for o, every in r.slopes.items()} for r in null.records}
-
-
-def _with_own_colour(rival: _Rival, null: NullModel, effects: Digest, taken: Columns) -> float:
-    """The log odds of a function that takes most of the colour that effects leave, where either is held against the
-    colour that it leaves itself; -inf for one that leaves most of it, which is then the sensors' own."""
-    n, terms = rival.null.turn.shape[1], len(rival.family.members)
-    law = {r.name: {o: c[:, n - terms : n] for o, c in r.slopes.items()} for r in rival.null.records}
-    rest = {
-        r.name: {o: np.delete(c, np.s_[n - terms : n], axis=1) for o, c in r.slopes.items()}
-        for r in rival.null.records
-    }
-    noise, deviances, power = [], [], []
-    for model, free, other in ((rival.null, law, taken), (null, taken, law)):
-        explained = _stacked(rest, free)
-        own = estimated_noise(model, explained=explained, colour=True)
-        left = estimated_noise(model, explained=explained).sigma
-        power.append(np.array([left[name] for name in sorted(left)]) ** 2)
-        deviances.append(deviance(model, own, _stacked(explained, other), _width(explained)))
-        noise.append(own)
-    least = np.array([noise[0].sigma[name] for name in sorted(noise[0].sigma)]) ** 2
-    if ((power[1] - power[0]) / least).sum() < TAKEN * ((power[1] - least) / least).sum():
-        return -math.inf
-    levels = Levels(noise[0].sigma)
-    ours, theirs = (
-        one.log + 0.5 * one.cost for one in (evidence(d, levels) for d in (rival.digest, effects))
-    )
-    return 0.5 * (deviances[1] - deviances[0]) + ours - theirs
-
-
-def _width(columns: Columns) -> int:
-    return next(iter(next(iter(columns.values())).values())).shape[1]
-
-
-def _stacked(columns: Columns, more: Columns) -> dict[str, dict[str, Array]]:
-    return {
-        r: {o: np.column_stack([c, more[r][o]]) for o, c in outputs.items()} for r, outputs in columns.items()
-    }
 
 
 def _without(null: NullModel, amplitudes: Sequence[str], own: Collection[str]) -> NullModel | None:
@@ -266,7 +235,7 @@ def _without(null: NullModel, amplitudes: Sequence[str], own: Collection[str]) -
     taken = np.linalg.lstsq(null.turn, step, rcond=None)[0]
     if not np.allclose(null.turn @ taken, step, rtol=1e-6, atol=1e-9 * np.abs(step).max(initial=0.0)):
         return None
-    inside = _free_of(null.turn, mine)
+    inside = free_of(null.turn, mine)
     records = []
     for record in null.records:
         slopes, residual = {}, {}
@@ -288,19 +257,10 @@ def _without(null: NullModel, amplitudes: Sequence[str], own: Collection[str]) -
     )
 
 
-def _free_of(turn: Array, mine: Sequence[int]) -> Array:
-    """(n, m) the directions in which some parameters do not move."""
-    apart = ~turn[list(mine)].any(axis=0)
-    alone = [bool(mine) and not np.delete(column, mine).any() for column in turn.T]
-    if np.all(apart | np.array(alone)):
-        return np.asarray(np.eye(turn.shape[1])[:, apart])
-    return np.asarray(linalg.null_space(turn[list(mine)]))
-
-
 def _beside(bare: NullModel, columns: dict[str, dict[str, Array]]) -> NullModel:
     """The model with the terms of a function as further parameters."""
     terms = next(iter(next(iter(columns.values())).values())).shape[1]
-    names = tuple(f"{_LAW} {k}" for k in range(terms))
+    names = tuple(f"{LAW} {k}" for k in range(terms))
     n = bare.turn.shape[1]
     records = []
     for record in bare.records:
@@ -331,7 +291,7 @@ def _counted(
     random: Columns | None,
 ) -> Digest | None:
     """What the evidence of a function is counted from, at its largest size; None where it moves no output."""
-    names = _names(family)
+    names = names_of(family)
     first = null.turn.shape[1] - len(names)
     size = math.inf
     for record in null.records:
@@ -349,13 +309,6 @@ def _counted(
     return digest(null, priors | own, random=random, held=held)
 
 
-def of_size(made: Digest, terms: Sequence[str], share: float) -> Digest:
-    """The same with a prior of the function's terms that is so much narrower."""
-    prior = made.prior.copy()
-    prior[[made.names.index(name) for name in terms]] /= share
-    return replace(made, prior=prior)
-
-
 def _course(made: Digest, family: Family, levels: Levels) -> Course:
     """The most likely course of the function, with its band."""
     rows = np.concatenate([*(part * levels.weight(output) for output, part in made.parts), made.prior])
@@ -363,8 +316,3 @@ def _course(made: Digest, family: Family, levels: Levels) -> Course:
     n = made.turn.shape[1]
     own = slice(n - len(family.members), n)
     return course_of(family, inverse[own] @ rows[:, -1], inverse[own])
-
-
-def _names(family: Family) -> list[str]:
-    """The terms of a function as parameters."""
-    return [f"{_LAW} {k}" for k in range(len(family.members))]

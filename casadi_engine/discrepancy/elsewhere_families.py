@@ -1,0 +1,117 @@
+"""Functions where no effect of the library acts: a parameter that is not constant, and what acts at a port by the
+signals of others.
+
+There are many of them, most of them absurd, so that they are asked only where something is known to be missing, share
+half of the prior, and are looked at by two terms first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+
+from casadi_engine.discrepancy.candidate import Candidate
+from casadi_engine.discrepancy.evidence import Levels
+from casadi_engine.discrepancy.linear_algebra import Array, basis, triangle, without
+from casadi_engine.discrepancy.null_model import NullModel
+from casadi_engine.discrepancy.random_families import (
+    TIME,
+    Family,
+    Signal,
+    along,
+    families_of,
+    family_columns,
+    term_candidate,
+)
+from casadi_engine.model import Model, Port
+
+# Terms of a function at a look, and of one that is held against others; how many are.
+_LOOK, _TERMS, _KEPT = 3, 6, 8
+# Numbers of the terms of functions that are looked at together.
+_AT_ONCE = 10_000_000
+
+
+def elsewhere(null: NullModel, levels: Levels) -> tuple[list[Candidate], list[Family], int]:
+    """The terms of the functions that serve best at a look, these functions, and among how many they were chosen."""
+    places = [(port, signal) for port, signal in _places(null) if _varies(signal.values)]
+    if not places:
+        return [], [], 0
+    at_once = max(_AT_ONCE // (_LOOK * null.count), 1)
+    drops = np.concatenate(
+        [_drops(null, levels, places[k : k + at_once]) for k in range(0, len(places), at_once)]
+    )
+    best = np.argsort(-drops)[:_KEPT]
+    return *_terms(null, [places[k] for k in best], _TERMS), len(places)
+
+
+def _places(null: NullModel) -> list[tuple[Port, Signal]]:
+    """Where a function may act, and what it may depend on: all states and inputs, and time at a parameter."""
+    model = null.model
+    every = [(s.name, model.x[k]) for k, s in enumerate(model.states)]
+    every += [(u.name, model.u[k]) for k, u in enumerate(model.inputs)]
+    made: dict[str, Signal] = {
+        name: Signal(name, symbol, along(null, symbol)) for name, symbol in [*every, (TIME, model.t)]
+    }
+    found = []
+    for port in model.ports:
+        if port.kind == "parameter" and "." not in port.parameter and _acts(model, port):
+            found += [(port, signal) for signal in made.values()]
+        elif port.slot is not None:
+            own = list(port.signals.values())
+            found += [(port, made[name]) for name, symbol in every if not _is_known(symbol, own)]
+    return found
+
+
+def _acts(model: Model, port: Port) -> bool:
+    """True for a parameter that the equations have."""
+    symbol = model.p[model.parameter_names.index(port.parameter)]
+    parts = (model.ode, model.laws, model.drive_expressions, model.output_expressions)
+    return any(ca.depends_on(ca.vertcat(part, ca.SX(0)), symbol) for part in parts)
+
+
+def _is_known(symbol: ca.SX, own: Sequence[ca.SX]) -> bool:
+    """True where a port's own signals say what a symbol does: one of them is made of it."""
+    return any(ca.depends_on(signal, symbol) for signal in own)
+
+
+def _varies(values: Array) -> bool:
+    return bool(np.ptp(values) > 1e-9 * max(float(np.abs(values).max()), 1e-300))
+
+
+def _terms(
+    null: NullModel, places: Sequence[tuple[Port, Signal]], terms: int
+) -> tuple[list[Candidate], list[Family]]:
+    """The terms of functions as candidates, and the functions."""
+    candidates: list[Candidate] = []
+    families: list[Family] = []
+    for port, signal in places:
+        for terms_of, family in families_of(port.name, signal, terms):
+            members = tuple(range(len(candidates), len(candidates) + len(terms_of)))
+            families.append(replace(family, members=members))
+            candidates += [term_candidate(null.model, port, signal, k, one) for k, one in enumerate(terms_of)]
+    return candidates, families
+
+
+def _drops(null: NullModel, levels: Levels, places: Sequence[tuple[Port, Signal]]) -> Array:
+    """What each function takes off chi-squared at most, beside all parameters and first states."""
+    candidates, families = _terms(null, places, _LOOK)
+    columns = family_columns(null, candidates)
+    n, kept = null.turn.shape[1], []
+    for record in null.records:
+        rows = np.concatenate(
+            [
+                np.column_stack([record.slopes[output], columns[record.name][output], e])
+                * levels.weight(output)
+                for output, e in record.residual.items()
+            ]
+        )
+        starts = rows.shape[1] - n - len(candidates) - 1
+        free = without(basis(rows[:, n : n + starts]), np.delete(rows, np.s_[n : n + starts], axis=1))
+        kept.append(triangle(free))
+    whole = np.concatenate(kept)
+    left = without(basis(whole[:, :n]), whole[:, n:])
+    e = left[:, -1]
+    return np.array([float(((basis(left[:, list(f.members)]).T @ e) ** 2).sum()) for f in families])

@@ -1,0 +1,122 @@
+"""A function of one signal in the place of effects, each held against the colour of the noise that it leaves itself."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg
+
+from casadi_engine.discrepancy.evidence import Columns, Digest, Levels, evidence, rows_of
+from casadi_engine.discrepancy.linear_algebra import Array
+from casadi_engine.discrepancy.noise_model import NoiseModel, estimated_noise
+from casadi_engine.discrepancy.null_model import NullModel
+from casadi_engine.discrepancy.random_families import Family
+
+# Sizes of the function over which its evidence is averaged: what moves an output by its own variation, down to the
+# ten-thousandth of it.
+SIZES = np.logspace(-4, 0, 9)
+LAW = "law"
+# Share of what effects leave beyond white noise that a function has to take for that to be no noise of the sensors.
+TAKEN = 0.8
+LAW = "law"
+
+
+@dataclass
+class Rival:
+    """A function in the place of effects: its log odds, its model, and what its evidence is counted from, at its
+    largest and at the size that serves best."""
+
+    log: float
+    family: Family
+    null: NullModel
+    largest: Digest
+    digest: Digest
+
+
+def with_own_colour(
+    rival: Rival, null: NullModel, effects: Digest, own: frozenset[str], held: frozenset[str]
+) -> float:
+    """The log odds of a function that takes most of the colour that effects leave, where either is held against the
+    colour that it leaves itself; -inf for one that leaves most of it, which is then the sensors' own.
+
+    own : the effects' numbers; held : those at a bound
+    """
+    taken = _own_columns(null, own)
+    n, terms = rival.null.turn.shape[1], len(rival.family.members)
+    law = {r.name: {o: c[:, n - terms : n] for o, c in r.slopes.items()} for r in rival.null.records}
+    rest = {
+        r.name: {o: np.delete(c, np.s_[n - terms : n], axis=1) for o, c in r.slopes.items()}
+        for r in rival.null.records
+    }
+    with_law, with_effects = _stacked(rest, law), _stacked(rest, taken)
+    ours = estimated_noise(rival.null, explained=with_law, colour=True)
+    theirs = estimated_noise(null, explained=with_effects, colour=True)
+    white = (estimated_noise(rival.null, explained=with_law), estimated_noise(null, explained=with_effects))
+    power = [np.array([one.sigma[name] for name in sorted(one.sigma)]) ** 2 for one in (*white, ours)]
+    if ((power[1] - power[0]) / power[2]).sum() < TAKEN * ((power[1] - power[2]) / power[2]).sum():
+        return -math.inf
+    found, at = _in_white(rival.null, ours, rival.largest, held - own)
+    unit = Levels(dict.fromkeys(ours.sigma, 1.0))
+    logs = [evidence(of_size(found, names_of(rival.family), share), unit).log for share in SIZES]
+    named, there = _in_white(null, theirs, effects, held)
+    return (
+        float(np.logaddexp.reduce(logs)) - math.log(len(SIZES)) - evidence(named, unit).log
+        + 0.5 * (there - at)
+    )  # fmt: skip
+
+
+def _in_white(null: NullModel, noise: NoiseModel, made: Digest, held: frozenset[str]) -> tuple[Digest, float]:
+    """What evidence is counted from with rows that this noise makes white, and -2 log of what the whitening changes the
+    samples' density by, plus twice the number of colour parameters (Akaike)."""
+    constant = sum(2.0 * len(c.covariance) for c in noise.colour.values() if c.covariance is not None)
+    records = []
+    for record in null.records:
+        residual, slopes = {}, {}
+        for output, e in record.residual.items():
+            rows = noise.whiten(record, output, np.column_stack([record.slopes[output], e]))
+            slopes[output], residual[output] = rows[:, :-1], rows[:, -1]
+            constant += 2 * len(e) * math.log(noise.sigma[output])
+            colour = noise.colour.get((record.name, output))
+            if colour is not None:
+                constant += colour.whitener(record.valid(output)).log_determinant
+        records.append(replace(record, residual=residual, slopes=slopes))
+    whitened = replace(null, records=tuple(records))
+    return replace(made, parts=rows_of(whitened, held=held)[1]), constant
+
+
+def _own_columns(null: NullModel, own: Collection[str]) -> Columns:
+    """What the effects' numbers move: record -> output -> (N, k)."""
+    n = null.turn.shape[1]
+    mine = [k for k, name in enumerate(null.parameters) if name in own]
+    moved = linalg.null_space(free_of(null.turn, mine).T)
+    return {r.name: {o: every[:, :n] @ moved for o, every in r.slopes.items()} for r in null.records}
+
+
+def _stacked(columns: Columns, more: Columns) -> dict[str, dict[str, Array]]:
+    return {
+        r: {o: np.column_stack([c, more[r][o]]) for o, c in outputs.items()} for r, outputs in columns.items()
+    }
+
+
+def free_of(turn: Array, mine: Sequence[int]) -> Array:
+    """(n, m) the directions in which some parameters do not move."""
+    apart = ~turn[list(mine)].any(axis=0)
+    alone = [bool(mine) and not np.delete(column, mine).any() for column in turn.T]
+    if np.all(apart | np.array(alone)):
+        return np.asarray(np.eye(turn.shape[1])[:, apart])
+    return np.asarray(linalg.null_space(turn[list(mine)]))
+
+
+def of_size(made: Digest, terms: Sequence[str], share: float) -> Digest:
+    """The same with a prior of the function's terms that is so much narrower."""
+    prior = made.prior.copy()
+    prior[[made.names.index(name) for name in terms]] /= share
+    return replace(made, prior=prior)
+
+
+def names_of(family: Family) -> list[str]:
+    """The terms of a function as parameters."""
+    return [f"{LAW} {k}" for k in range(len(family.members))]
