@@ -199,14 +199,15 @@ class Answer:
         # where something is known to be missing, it is looked for everywhere
         sure = unknown is not None and bool(unknown.tests)
         near = partial(unknown_law, everywhere=True) if sure else unknown_law
-        law = self._law(last, near) if found or sure or (unknown is None and coloured) else None
-        rival = None if law is None or (not found and _told_better(last, law)) else in_place_of(last, law)
+        held = claim.nearest or last  # effects that leave too much are still nearer than none
+        law = self._law(held, near) if found or sure or (unknown is None and coloured) else None
+        rival = _said(claim, held, law)
         # near the truth the law that is linearised is told from the effects; else it is refitted
         asked = rival is not None or (unknown is not None and not found)
         asked = asked or (coloured and self._in_time("unknown law", lambda: self._is_far(last)) is True)
         if asked and not null.screened.request.blind:  # an error of a sensor may be all there is
-            far = self._law(last, refitted_law)
-            told = None if far is None or _told_better(last, far) else in_place_of(last, far)
+            far = self._law(held, refitted_law)
+            told = None if far is None or _told_better(held, far) else _said(claim, held, far)
             if told is not None and far is not None and (rival is None or law is None or far.log > law.log):
                 law, rival = far, told
         if rival is None or law is None:
@@ -377,6 +378,16 @@ def _noise_of_place(last: Station) -> NoiseModel:
     """The noise beside which a gap is looked for: the stated one where the residual is larger, as its colour would hide
     what is looked for."""
     return last.screened.choice.stated or last.screened.noise
+
+
+def _said(claim: Claim, held: Station, law: UnknownLaw | None) -> Unknown | None:
+    """What is said of a law that is held against a structure; None where that, or what is known of what is missing
+    beside it, says more."""
+    if law is None or (not claim.found and _told_better(held, law)):
+        return None
+    if claim.nearest is not None and not claim.found and law.log < math.log(FACTOR):
+        return None
+    return in_place_of(held, law)
 
 
 def _told_better(last: Station, law: UnknownLaw) -> bool:

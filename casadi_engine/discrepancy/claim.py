@@ -28,19 +28,21 @@ _NOT_NOISE = "no noise of that kind can be told from a missing effect"
 @dataclass(frozen=True, eq=False)
 class Claim:
     """What is said: the structures that fresh data kept, the last of them, the effects found and those withdrawn, and
-    what is missing beside the found ones, or at all."""
+    what is missing beside the found ones, or at all; nearest : the structure whose effects were withdrawn as they leave
+    too much."""
 
     proof: Confirmation
     last: Station
     found: tuple[FoundEffect, ...]
     withdrawn: tuple[FoundEffect, ...]
     unknown: Unknown | None
+    nearest: Station | None = None
 
     def withdrawn_for(self, unknown: Unknown | None, null: Station, why: str) -> Claim:
         """Without any effect: something else is missing."""
         gone = [replace(one, why_withdrawn=why) for one in self.found]
         proof = replace(self.proof, kept=self.proof.kept[:1], after=self.proof.before)
-        return Claim(proof, null, (), (*gone, *self.withdrawn), unknown)
+        return Claim(proof, null, (), (*gone, *self.withdrawn), unknown, self.last)
 
 
 def reason_to_withdraw(claim: Claim, null: Station, confirmed: bool, *, cut: bool = False) -> Unknown | None:

@@ -26,10 +26,14 @@ from casadi_engine.discrepancy.random_families import (
     family_columns,
     term_candidate,
 )
+from casadi_engine.effects.candidate import responses
 from casadi_engine.model import Model, Port
+from casadi_engine.simulation.candidate_sensitivities import slot_direction
 
 # Terms of a function at a look, and of one that is held against others; how many are.
 _LOOK, _TERMS, _KEPT = 3, 6, 8
+# Numbers that are one but for rounding.
+_ALIKE = 1e-9
 # Numbers of the terms of functions that are looked at together.
 _AT_ONCE = 10_000_000
 
@@ -58,11 +62,51 @@ def _places(null: NullModel) -> list[tuple[Port, Signal]]:
     found = []
     for port in model.ports:
         if port.kind == "parameter" and "." not in port.parameter and _acts(model, port):
-            found += [(port, signal) for signal in made.values()]
+            at_ports = _said_at_ports(model, port, every)
+            found += [(port, signal) for name, signal in made.items() if name not in at_ports]
         elif port.slot is not None:
             own = list(port.signals.values())
             found += [(port, made[name]) for name, symbol in every if not _is_known(symbol, own)]
     return found
+
+
+def _said_at_ports(model: Model, parameter: Port, every: Sequence[tuple[str, ca.SX]]) -> set[str]:
+    """The signals of which a parameter may be any function and do no more than a function of them at a port does, as a
+    damping that depends on the speed."""
+    one = ca.vertcat(1, 0)
+    moved = _rates(model, parameter, one)
+    known = ca.vertcat(*[symbol for _, symbol in every])
+    rng = np.random.default_rng(0)
+    found = set()
+    for port in model.ports.with_slot:
+        acts = _rates(model, port, one)
+        if moved is None or acts is None:
+            continue
+        size = ca.sumsqr(acts)
+        ratio = ca.dot(acts, moved) / size
+        rest = ca.sumsqr(moved - ratio * acts)
+        symbols = ca.symvar(ca.vertcat(ratio, rest, known))
+        look = ca.Function(
+            "look", [ca.vertcat(*symbols)], [rest, ca.sumsqr(moved), ca.jacobian(ratio, known)]
+        )
+        left, whole, slope = look(rng.uniform(0.5, 1.5, len(symbols)))
+        if not float(left) <= _ALIKE * float(whole):
+            continue
+        needs = {name for (name, _), s in zip(every, slope.full().ravel(), strict=True) if abs(s) > _ALIKE}
+        own = {name for name, symbol in every if _is_known(symbol, list(port.signals.values()))}
+        if len(needs) <= 1:
+            found |= (needs or own) & own
+    return found
+
+
+def _rates(model: Model, port: Port, value: ca.SX) -> ca.SX | None:
+    """What a value at a port adds to the rates of the states; None where it adds to an output too."""
+    slots, drives, outputs, beyond = responses(model, port, value)
+    made = slot_direction(model, slots, name="", drives=drives, outputs=outputs)
+    if ca.sparsify(made.output).nnz():
+        return None
+    ode = made.ode if beyond is None else made.ode + beyond
+    return ca.substitute(ode, model.d, model.drive_expressions)
 
 
 def _acts(model: Model, port: Port) -> bool:

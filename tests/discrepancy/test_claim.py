@@ -17,6 +17,13 @@ def stub(**known):
     return SimpleNamespace(**known)
 
 
+def left_of(record, noise, explained, *, estimated=True, larger=()):
+    """What a model leaves of y in the record ``run``, of which it explains so many per cent."""
+    fit = stub(fit_percent={"run": {"y": {"simulation": explained}}}, noise={"y": (1.0, estimated)})
+    screened = stub(null=stub(records=(record,)), noise=noise, choice=stub(larger=tuple(larger)))
+    return stub(fit=fit, screened=screened)
+
+
 @pytest.mark.parametrize(
     ("withdrawn", "significant", "words"),
     [
@@ -52,10 +59,28 @@ def test_a_coloured_residual_of_few_swings_is_not_called_noise(turns, said):
     residual = np.sign(np.sin(2 * np.pi * turns * np.arange(2000) / 2000 + 0.3))
     record = stub(name="run", residual={"y": residual})
     noise = stub(colour={("run", "y"): object()}, sigma={"y": 0.5})
-    fit = stub(fit_percent={"run": {"y": {"simulation": 80.0}}})
-    found = module._no_noise(stub(fit=fit, screened=stub(null=stub(records=(record,)), noise=noise)))
+    found = module._no_noise(left_of(record, noise, 80.0))
     assert (found is not None) == said
     assert not said or "y in run changes as slowly as if" in found.sentence
+
+
+@pytest.mark.parametrize(
+    ("innovations", "estimated", "larger", "said"),
+    [
+        (0.5, True, False, True),
+        (0.99, True, False, False),  # next to nothing of it has a colour
+        (0.5, False, False, False),  # as large as was stated
+        (0.5, False, True, True),
+    ],
+)
+def test_a_weak_signal_in_noise_is_no_missing_effect(innovations, estimated, larger, said):
+    """Half of a pressure was white noise of the level that was stated, a test of its colour alarmed by chance, and
+    "something is missing"."""
+    residual = np.random.default_rng(0).standard_normal(500)
+    record = stub(name="run", residual={"y": residual})
+    noise = stub(colour={("run", "y"): object()}, sigma={"y": innovations})
+    station = left_of(record, noise, 40.0, estimated=estimated, larger=[("run", "y")] if larger else [])
+    assert (module._no_noise(station) is not None) == said
 
 
 @pytest.mark.parametrize(
@@ -65,8 +90,7 @@ def test_a_coloured_residual_that_is_most_of_the_motion_is_not_called_noise(expl
     residual = np.random.default_rng(0).standard_normal(500)
     record = stub(name="run", residual={"y": residual})
     noise = stub(colour={("run", "y"): object()} if coloured else {}, sigma={"y": 0.5})
-    fit = stub(fit_percent={"run": {"y": {"simulation": explained}}})
-    found = module._no_noise(stub(fit=fit, screened=stub(null=stub(records=(record,)), noise=noise)))
+    found = module._no_noise(left_of(record, noise, explained))
     assert (found is not None) == said
     assert not said or "explains 0 % of y in run, and the rest is coloured" in found.sentence
 
@@ -80,8 +104,7 @@ def test_what_is_seen_and_foretold_by_its_own_past_is_not_called_noise(explained
     residual = np.sin(2 * np.pi * 20 * np.arange(2000) / 2000) * np.sqrt(2)
     record = stub(name="run", residual={"y": residual})
     noise = stub(colour={("run", "y"): object()}, sigma={"y": innovations})
-    fit = stub(fit_percent={"run": {"y": {"simulation": explained}}})
-    found = module._no_noise(stub(fit=fit, screened=stub(null=stub(records=(record,)), noise=noise)))
+    found = module._no_noise(left_of(record, noise, explained))
     assert (found is not None) == said
     assert (
         not said
