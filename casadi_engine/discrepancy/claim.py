@@ -6,23 +6,16 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from casadi_engine.discrepancy.certificate import unknown_of
 from casadi_engine.discrepancy.confirmation import share_closed
 from casadi_engine.discrepancy.fresh import gap_of
 from casadi_engine.discrepancy.fresh_choice import Confirmation
 from casadi_engine.discrepancy.fresh_misfit import HALF, SEEN
+from casadi_engine.discrepancy.no_noise import why_no_noise
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.repaired import FoundEffect, Unknown
-from casadi_engine.discrepancy.selection import effective_samples
 from casadi_engine.discrepancy.station import Station
-
-# Independent samples that a coloured residual has to be worth to be called noise, and per cent of an output's motion
-# that what its own past foretells of it may be.
-_SWINGS, _MOST = 6.0, 50.0
-_NOT_NOISE = "no noise of that kind can be told from a missing effect"
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,28 +109,15 @@ def missing_beside(
 
 
 def _no_noise(null: Station) -> Unknown | None:
-    """A coloured residual that swings a few times in its whole record, or is most of what was measured, may be called
-    no noise; nor may one that is seen beside the output and is smooth, foretold by its own past."""
+    """What is said of a coloured residual that is no noise, and not as large as was stated."""
     screened = null.screened
     for record in screened.null.records:
         for output, e in record.residual.items():
             if (record.name, output) not in screened.noise.colour or _is_as_stated(null, record.name, output):
                 continue
-            swings = effective_samples(e)
-            if swings < _SWINGS:
-                words = (
-                    f"what the model leaves of {output} in {record.name} changes as slowly as if the record held "
-                    f"{swings:.0f} independent samples: {_NOT_NOISE}"
-                )
-                return Unknown(words, {})
             share = null.fit.fit_percent[record.name][output]["simulation"]
-            words = f"the model explains {max(share or 0.0, 0.0):.0f} % of {output} in {record.name}, and the rest"
-            sudden = screened.noise.sigma[output] / max(float(np.sqrt(np.mean(e**2))), 1e-300)
-            foretold = math.sqrt(max(1 - sudden**2, 0.0))
-            if share is not None and (100 - share) * foretold > _MOST:
-                return Unknown(f"{words} is coloured: {_NOT_NOISE}", {})
-            if share is not None and share < 100 * (1 - SEEN) and sudden < SEEN:
-                words += f" is predicted from its own past to within {100 * sudden:.0f} %: {_NOT_NOISE}"
+            words = why_no_noise(record.name, output, e, share, screened.noise.sigma[output])
+            if words is not None:
                 return Unknown(words, {})
     return None
 

@@ -15,6 +15,7 @@ from casadi_engine.deadline import ask, late
 from casadi_engine.discrepancy.coloured_errors import coloured_errors
 from casadi_engine.discrepancy.families import BEYOND, families_of
 from casadi_engine.discrepancy.in_place import instead, may_go, start_without
+from casadi_engine.discrepancy.no_noise import leaves_no_noise
 from casadi_engine.discrepancy.noise_choice import too_large
 from casadi_engine.discrepancy.noise_model import estimated_noise
 from casadi_engine.discrepancy.path import FAILURES
@@ -103,8 +104,8 @@ def leaves_more(refits: Refits, best: Tried) -> bool:
 
 
 def weak_beside_colour(refits: Refits, best: Tried) -> bool:
-    """True if an amplitude is no finding beside coloured noise, whose slow part may do as much; where the noise is
-    known, what is larger is none."""
+    """True if an amplitude is no finding beside coloured noise, whose slow part may do as much; what is larger than was
+    stated, or so smooth that its own past foretells it, is no noise."""
     if not refits.levels.memory:
         return False
     try:
@@ -112,7 +113,7 @@ def weak_beside_colour(refits: Refits, best: Tried) -> bool:
             null = refits.path.residuals(best.effects, best.arrived)
             slopes = {record.name: dict(record.slopes) for record in null.records}
             noise = estimated_noise(null, explained=slopes, colour=True)
-            if too_large(null, noise, refits.known):
+            if too_large(null, noise, refits.known) or leaves_no_noise(null, noise):
                 return False
             error = coloured_errors(null, best.arrived.levels, noise)
     except FAILURES:

@@ -151,9 +151,11 @@ def _setups(refits: Refits, tried: Tried, port: Port) -> list[_Setup]:
         return []
     if port.kind == "input":
         values = _as_read(refits, port)
+        if not _moves(values):
+            return []
         family = smooth_family(port.name, next(iter(port.signals)), values, terms=_TERMS)
         size = float(np.std(values))
-        return [_attached(refits, tried, family, size)] if size > 0 else []
+        return [_attached(refits, tried, family, size)]
     first = smooth_family(port.name, next(iter(port.signals)), np.array([0.0, 1.0]), terms=_TERMS)
     probe = _attached(refits, tried, first, 1.0)
     problem = RefitProblem(probe.model, refits.refitter.data, probe.parameters, levels=refits.path.levels)
@@ -166,10 +168,13 @@ def _setups(refits: Refits, tried: Tried, port: Port) -> list[_Setup]:
         return []
     found = []
     for name, values in visited.items():
-        moves = np.ptp(values) > 1e-9 * max(float(np.abs(values).max()), 1e-300)
-        if moves and math.isfinite(size):
+        if _moves(values) and math.isfinite(size):
             found.append(_attached(refits, tried, smooth_family(port.name, name, values, terms=_TERMS), size))
     return found
+
+
+def _moves(values: Array) -> bool:
+    return bool(np.ptp(values) > 1e-9 * max(float(np.abs(values).max()), 1e-300))
 
 
 def _as_read(refits: Refits, port: Port) -> Array:
