@@ -31,8 +31,9 @@ from casadi_engine.discrepancy.repaired import (
 from casadi_engine.discrepancy.screening import Screened
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.discrepancy.unknown_law import UnknownLaw
+from casadi_engine.discrepancy.wording import HOLDS
 from casadi_engine.effects import candidate as candidate_of
-from casadi_engine.estimation import Fit
+from casadi_engine.estimation import Estimate, Fit
 from casadi_engine.model import Model
 
 # Candidates drawn in the class matrix.
@@ -97,6 +98,9 @@ def _found(stations: Sequence[Station], one: Addition, last: Station) -> FoundEf
     # the time of an event that does not happen in a record is no finding
     ends = {f"{one.key}.{name}@{r.name}": r.span[1] for name in one.times for r in last.fit.data}
     keys = [name for name in keys if last.fit.values[name] < ends.get(name, np.inf)]
+    # nor is a size that a record says nothing of
+    known = [name for name in keys if "@" not in name or _is_told(last.fit.estimates[name])]
+    keys = known if any(name.partition("@")[0] == one.amplitude for name in known) else keys
     every = before.screened.null.parameters
     shift = dict(zip(every, screened.scores.shift[:, lead].tolist(), strict=True))
     names = [name for name in every if not is_carried(name)]
@@ -124,6 +128,13 @@ def _found(stations: Sequence[Station], one: Addition, last: Station) -> FoundEf
         here.members,
         _course(stations[0].fit.model, one, last),
     )
+
+
+def _is_told(one: Estimate) -> bool:
+    """True for a number of an event in one record that the record tells from none."""
+    if one.stderr is not None and not one.fixed:
+        return abs(one.value) >= HOLDS * one.stderr
+    return one.fixed or one.interval is not None or one.at_bound is not False
 
 
 def _course(base: Model, one: Addition, last: Station) -> dict[str, Array]:

@@ -46,6 +46,8 @@ ANY = "any effect"
 # Other structures that are gone on from where nothing helps beside the best one, and how much larger their chi-squared
 # may be.
 _OTHERS, _NEARLY = 2, 2.0
+# Structures that leave less, where likelihoods do not agree, of which fresh data are asked.
+_LESS = 3
 NO_FIT = "its fit of all data does not converge"
 _NOTHING_LEFT = "its fit of all data leaves nothing of it"
 # Share of where its search started at which an amplitude is none.
@@ -532,17 +534,23 @@ class Choice:
             return None
 
     def ranked(self) -> Iterator[Key]:
-        """The structures in the order in which fresh data are asked: the chosen one, its rivals, its parts, none."""
+        """The structures in the order in which fresh data are asked: the chosen one, its rivals, its parts, those that
+        leave less where the two likelihoods beside coloured noise do not agree, none."""
         chosen = self.pool[self.best]
         yield self.best
-        near = [t for t in self.pool.values() if t.effects and t.beyond > BEYOND and t.key != self.best]
-        more = self.price
-        near = [
-            t for t in near
-            if t.log - more * (len(t.key) - len(self.best)) > chosen.log - math.log(FACTOR) or t.key < self.best
+        every = [t for t in self.pool.values() if t.effects and t.beyond > BEYOND and t.key != self.best]
+
+        def gain(one: Tried, log: float) -> float:
+            return log - self.price * (len(one.key) - len(self.best)) + math.log(FACTOR)
+
+        near = [t for t in every if gain(t, t.log - chosen.log) > 0 or t.key < self.best]
+        less = [
+            t for t in every
+            if self.refits.levels.memory and self.best and t not in near and math.isfinite(t.log)
+            and gain(t, t.evidence.log - chosen.evidence.log) > 0
         ]  # fmt: skip
-        for one in sorted(near, key=lambda t: -t.log):
-            yield one.key
+        yield from (one.key for one in sorted(near, key=lambda t: -t.log))
+        yield from (one.key for one in sorted(less, key=lambda t: -t.evidence.log)[:_LESS])
         if self.best:
             yield frozenset()
 

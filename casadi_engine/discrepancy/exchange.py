@@ -19,7 +19,7 @@ from casadi_engine.discrepancy.no_noise import leaves_no_noise
 from casadi_engine.discrepancy.noise_choice import too_large
 from casadi_engine.discrepancy.noise_model import estimated_noise
 from casadi_engine.discrepancy.path import FAILURES
-from casadi_engine.discrepancy.refit import addition
+from casadi_engine.discrepancy.refit import Addition, addition
 from casadi_engine.discrepancy.refits import FACTOR, Key, Refits, Tried, key_of
 from casadi_engine.discrepancy.screening import Screened
 
@@ -103,6 +103,15 @@ def leaves_more(refits: Refits, best: Tried) -> bool:
         return False
 
 
+def _told_by_innovations(refits: Refits, best: Tried, one: Addition) -> bool:
+    """True if the likelihood of the innovations, of structures that leave noise of their own colour each, tells an
+    effect from none: least squares, whose errors the colour widens, see less of what is faster than it."""
+    without = refits.pool.get(best.key - {one.candidate.key})
+    if without is None or best.own is None or without.own is None or best.arrived.cost > without.arrived.cost:
+        return False
+    return best.own - without.own > 0.5 * BEYOND**2
+
+
 def weak_beside_colour(refits: Refits, best: Tried) -> bool:
     """True if an amplitude is no finding beside coloured noise, whose slow part may do as much; what is larger than was
     stated, or so smooth that its own past foretells it, is no noise."""
@@ -122,6 +131,8 @@ def weak_beside_colour(refits: Refits, best: Tried) -> bool:
     for one in best.effects:
         own = [n for n in values if n.partition("@")[0] == one.amplitude]
         # as certain as it is in white noise, by as much less as its error is larger
+        if _told_by_innovations(refits, best, one):
+            continue
         plain, white = best.certainty(one), best.evidence.error
         size = max((abs(values[n]) / white.get(n, math.inf) for n in own), default=0.0)
         found = max((abs(values[n]) / error.get(n, math.inf) for n in own), default=0.0)

@@ -1,4 +1,5 @@
-"""Outputs that no search for effects has a use for: one that does not move, noise alone, or a few wild samples."""
+"""Outputs that no search for effects has a use for: one that does not move, noise alone, a few wild samples, or a
+sensor that stands still for a while."""
 
 from __future__ import annotations
 
@@ -25,6 +26,10 @@ _WILD, _DECIDE, _RARE = 15.0, 0.5, 0.01
 # Share of its median absolute deviation that the standard deviation of a normal variable is.
 _MAD = 1.4826
 _NAMED = 5
+# Equal samples in a row from which a sensor stands still that is never so for a tenth as long elsewhere; share of the
+# motion between samples that noise has to be before for that to be no machine at rest; times the level of the noise by
+# which the simulation moves meanwhile.
+_ROW, _ELSEWHERE, _NOISY, _MEANWHILE = 10, 10, 0.5, 5.0
 # Times that an output comes to its limit, and samples, or share of all, in which it is there then.
 _TIMES, _LIMITED, _PART = 2, 6, 0.005
 
@@ -133,6 +138,51 @@ def at_its_limit(fit: Fit) -> str | None:
         f"{'; '.join(found[:_NAMED])}: the sensor is at its limit there, and reads something else than what it "
         f"measures: leave these samples out, {cure} with keep False there"
     )
+
+
+def stands_still(fit: Fit) -> str | None:
+    """What to say where an output that has noise reads one number for a while, and the simulation moves meanwhile: its
+    sensor, or what records it, stood still. None where there is none."""
+    found, cure = [], ""
+    for record, traces in fit.traces.items():
+        for output, trace in traces.items():
+            row = _longest_row(trace)
+            if row is None:
+                continue
+            time = trace.time[row]
+            found.append(
+                f"{output} of {record} reads {trace.measured[row[0]]:.6g} in all {len(row)} samples from "
+                f"{time[0]:.6g} to {time[-1]:.6g} s"
+            )
+            cure = cure or f'record.masked("{output}", keep)'
+    if not found:
+        return None
+    return (
+        f"{'; '.join(found[:_NAMED])}, though it has noise elsewhere, and the simulation moves meanwhile: the sensor, "
+        f"or what records it, stood still: leave these samples out, {cure} with keep False there"
+    )
+
+
+def _longest_row(trace: Trace) -> Index | None:
+    """Numbers of the samples of the longest row of equal ones, where no machine at rest is."""
+    there = np.flatnonzero(trace.mask)
+    y = trace.measured[there]
+    if len(y) < 2 * _ROW or step_of(y) is not None:
+        return None
+    edges = np.flatnonzero(np.r_[True, np.diff(y) != 0, True])
+    lengths = np.diff(edges)
+    k = int(np.argmax(lengths))
+    others = max(np.delete(lengths, k).max(initial=1), 1)
+    if lengths[k] < max(_ROW, _ELSEWHERE * others) or len(y) - lengths[k] < _ROW:
+        return None
+    first, last = edges[k], edges[k + 1]
+    outside = np.r_[y[:first], np.nan, y[last:]]
+    once, twice = (np.abs(np.diff(outside, n)) for n in (1, 2))
+    noise = float(np.nanmedian(twice)) / np.sqrt(6) * _MAD
+    if not np.nanmedian(twice) > _NOISY * np.nanmedian(once) > 0:
+        return None
+    moved = float(np.ptp(trace.simulated[there[first:last]]))
+    return there[first:last] if moved > _MEANWHILE * noise else None
 
 
 def _wild(trace: Trace) -> Index:

@@ -29,7 +29,13 @@ from casadi_engine.discrepancy.misread import Misread, misread, with_hint
 from casadi_engine.discrepancy.noise_choice import ColourChoice, check_choice
 from casadi_engine.discrepancy.null_model import refuse_jumps
 from casadi_engine.discrepancy.one_law import told_as_one_law
-from casadi_engine.discrepancy.output_check import at_its_limit, noise_alone, refuse_still, wild_samples
+from casadi_engine.discrepancy.output_check import (
+    at_its_limit,
+    noise_alone,
+    refuse_still,
+    stands_still,
+    wild_samples,
+)
 from casadi_engine.discrepancy.own_jumps import JUMPED, with_own_jumps
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.progress import Progress, shown
@@ -490,7 +496,7 @@ class _Job:
 
 def _fault_of(fit: Fit) -> str | None:
     """What to say of outputs that a search has no use for; None where there are none."""
-    return noise_alone(fit) or at_its_limit(fit) or wild_samples(fit)
+    return noise_alone(fit) or at_its_limit(fit) or stands_still(fit) or wild_samples(fit)
 
 
 def _not_searched(search: Choice, made: Repair) -> tuple[str, ...]:

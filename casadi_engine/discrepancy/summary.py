@@ -17,6 +17,7 @@ from casadi_engine.discrepancy.wording import (
     first_words,
     held_out,
     in_unit,
+    of_either_sign,
     right_value,
     si,
     told,
@@ -30,7 +31,10 @@ if TYPE_CHECKING:
     from casadi_engine.discrepancy.repaired import FoundEffect, NotFound, Repair, Side
 
 LINES = 45
-# Change of a level that is said.
+# Chi-squared per sample in coloured noise below which it says nothing; change of a level that is said.
+_NO_CHI2 = 0.5
+# A p-value, or a share of the gap, of an effect that does nothing by itself; probability of a lead that is not said.
+_NONE, _HARDLY = 0.05, 0.01
 _OTHER = 0.05
 _SHIFTS, _TERMS, _NOTES = 6, 4, 3
 # Lines of one equation that are shown; effects named of which nothing is excluded; columns of a parameter's and of an
@@ -138,10 +142,13 @@ def _found_lines(repair: Repair, most: int) -> Lines:
 
 def _effect(one: FoundEffect, repair: Repair, most: int) -> Lines:
     chance = "p < 1e-300" if one.p_value < 1e-300 else f"p = {one.p_value:.2g}"
-    share = f"explains {100 * one.share_explained:.0f} % of the gap"
-    lines = wrapped(f"  {one.sentence}: z = {one.z:.1f}, {chance}, {share}", "    ")
+    said = f"z = {one.z:.1f}, {chance}, explains {100 * one.share_explained:.0f} % of the gap"
+    if one.p_value > _NONE and one.share_explained < _NONE:  # its law by itself bends the wrong way
+        said = "beyond chance beside the others, and nothing without them"
+    lines = wrapped(f"  {one.sentence}: {said}", "    ")
     for k, (name, found) in enumerate(one.parameters.items()):
         e, more = clock_of(repair.model).told(found, always=k > 0)
+        more += of_either_sign(found) if k == 0 else ""
         lines.append(f"    {name} = {told(e, in_unit(e.unit))}{more}{acts_as(one, name, repair.model)}")
     changed = right_value(one, repair)
     lines += wrapped(f"    {changed}", "      ") if changed else []
@@ -149,8 +156,13 @@ def _effect(one: FoundEffect, repair: Repair, most: int) -> Lines:
     if len(one.members) > 1:
         others = [f"{m.label} ({100 * m.probability:.0f} %, {m.rho:+.3f})" for m in one.members[1:]]
         text = ", ".join(listed(others, most))
-        own = f"{100 * one.members[0].probability:.0f} %"
-        words = f"    probability {own}; not excluded in its place (probability, correlation with it): {text}"
+        own = one.members[0].probability
+        which = (
+            f"probability {100 * own:.0f} %; not excluded in its place"
+            if own >= _HARDLY
+            else "more probable by their evidence"
+        )
+        words = f"    {which} (probability, correlation with it): {text}"
         lines += wrapped(f"{words}; {why_leads(one)}" if why_leads(one) else words, "      ")
     return lines
 
@@ -236,11 +248,18 @@ def noise_of_chi2(repair: Repair) -> str:
     return f"chi2/N counts by {' and '.join(what)}: judge the gap by rmse beside sigma" if what else ""
 
 
+def chi2_words(value: float, repair: Repair) -> str:
+    """Chi-squared per sample; "-" where it is far less than 1 by coloured noise, which is then that of another gap."""
+    coloured = repair.noise is not None and bool(repair.noise.colour)
+    return "-" if coloured and value < _NO_CHI2 else f"{value:.4g}"
+
+
 def _gap_rows(title: str, repair: Repair, before: Side, after: Side, most: int, width: int) -> Lines:
     lines, sigma = [], levels(repair)
     for k, output in enumerate(list(before.gap.rmse)[:most]):
         old, new = before.gap, after.gap
-        chi2 = f"{old.chi2_per_sample:>10.4g}{new.chi2_per_sample:>10.4g}" if k == 0 else ""
+        both = "".join(f"{chi2_words(one.chi2_per_sample, repair):>10}" for one in (old, new))
+        chi2 = both if k == 0 else ""
         lines.append(
             f"  {title if k == 0 else '':<10}{short(output, width - 1):<{width}}{number(sigma.get(output), '.4g'):>10}"
             f"{old.rmse[output]:>10.4g}{new.rmse[output]:>10.4g}"

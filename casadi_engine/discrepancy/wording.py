@@ -34,6 +34,8 @@ _EARLY = (
 )
 # A gain that is known to this share of itself, and is within so many errors of a ratio of units, tells which they are.
 _SURE, _WITHIN = 0.02, 3.0
+# Standard errors within which a size is none for all that they say.
+HOLDS = 2.0
 
 
 def first_words(repair: Repair) -> list[str]:
@@ -195,6 +197,14 @@ def told(one: Estimate, unit: str = "") -> str:
     if one.interval is not None:
         why = f"{one.interval[0]:.4g} to {one.interval[1]:.4g}"
     return f"{with_error(one.value, None)}{unit} ({why})"
+
+
+def of_either_sign(one: Estimate) -> str:
+    """What is said of a size that its errors do not tell from none, though its effect is beyond chance: least squares
+    weigh all samples alike, and coloured noise hides less of what it does than of how large it is."""
+    if one.stderr is None or one.fixed or abs(one.value) >= HOLDS * one.stderr:
+        return ""
+    return " (its errors hold 0)"
 
 
 def acts_as(one: FoundEffect, name: str, model: Model) -> str:

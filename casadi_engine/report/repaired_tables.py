@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair, Side
-from casadi_engine.discrepancy.summary import levels, noise_of_chi2
+from casadi_engine.discrepancy.summary import chi2_words, levels, noise_of_chi2
 from casadi_engine.discrepancy.wording import in_unit
 from casadi_engine.estimation.summary import number, with_error
 from casadi_engine.experiment.units import unit_words
@@ -35,7 +35,7 @@ def gap_table(result: Repair) -> str:
                     words, output, units.get(output, "1"), number(sigma.get(output), ".4g"), f"{old:.4g}",
                     f"{after.gap.rmse[output]:.4g}",
                     f"{before.gap.fit_percent[output]:.2f}", f"{after.gap.fit_percent[output]:.2f}",
-                    f"{before.gap.chi2_per_sample:.4f}", f"{after.gap.chi2_per_sample:.4f}",
+                    *(chi2_words(side.gap.chi2_per_sample, result) for side in (before, after)),
                 )
             )  # fmt: skip
     header = (

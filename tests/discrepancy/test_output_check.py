@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.output_check import at_its_limit, noise_alone, refuse_still, wild_samples
+from casadi_engine.discrepancy.output_check import (
+    at_its_limit,
+    noise_alone,
+    refuse_still,
+    stands_still,
+    wild_samples,
+)
 from casadi_engine.errors import ExperimentError
 from casadi_engine.estimation.fit import Trace
 
@@ -165,3 +171,30 @@ def test_an_output_that_is_one_number_beside_others_that_move_is_refused(moved):
         refuse_still(b.model(), [stuck])
     assert "seen: speed of stuck is 0 in all samples" in str(refused.value)
     refuse_still(b.model(), [stuck, live])
+
+
+def seen(y, simulated):
+    trace = Trace(T, y, np.ones(len(T), dtype=bool), simulated)
+    return stands_still(SimpleNamespace(traces={"run": {"y": trace}}))
+
+
+def test_a_sensor_that_stands_still_is_named():
+    """A gyro that stood still for half of a record was "an unknown torque that depends on its speed"."""
+    motion = 3 * np.sin(2 * np.pi * 0.7 * T)
+    y = motion + 0.3 * np.random.default_rng(0).standard_normal(len(T))
+    assert seen(y, motion) is None
+    y[100:200] = y[100]
+    said = seen(y, motion)
+    assert f"y of run reads {y[100]:.6g} in all 100 samples from 1 to 1.99 s" in said
+    assert 'record.masked("y", keep) with keep False there' in said
+
+
+def test_a_machine_at_rest_does_not_stand_still_for_its_sensor():
+    """Without noise, and in a sensor's steps, a machine that friction holds reads one number too."""
+    held = 3 * np.sin(2 * np.pi * 0.7 * np.minimum(T, 1.5))
+    moving = 3 * np.sin(2 * np.pi * 0.7 * T)
+    assert seen(held, moving) is None
+    noisy = held + 0.3 * np.random.default_rng(0).standard_normal(len(T))
+    assert seen(np.round(noisy / 0.5) * 0.5, moving) is None
+    noisy[150:] = noisy[150]
+    assert seen(noisy, held) is None  # nothing moves meanwhile
