@@ -396,6 +396,8 @@ def _told_better(last: Station, law: UnknownLaw) -> bool:
     left = last.screened.leftover
     if left.line is not None and left.lines is not None:
         return 0.5 * left.lines[left.line] - math.log(last.screened.null.count) > law.log
+    if law.course.family.order:
+        return False
     turns = left.family is not None and left.family.order > 0 and left.family.name in left.alarms
     return turns and 0.5 * left.drop - math.log(ORDERS) > law.log
 

@@ -43,8 +43,9 @@ class OtherHold:
 
     @property
     def better(self) -> bool:
-        """True where the records are more probable so: a delay of just half a sample would be a coincidence."""
-        return self.gain > 0
+        """True where the records are more probable so, as a delay of just half a sample would be a coincidence, and
+        nobody said how the inputs go on: lines are what is taken where nothing is said, steps were asked for."""
+        return self.gain > 0 and all(hold == "zero" for hold in self.holds.values())
 
     def of(self, portion: Portions) -> Portions:
         """The records with this hold."""

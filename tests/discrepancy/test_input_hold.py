@@ -72,9 +72,15 @@ def test_the_answer_is_that_of_records_read_so(read_as_lines):
 
 
 def test_lines_that_were_read_as_steps_are_said_to_be_lines():
+    """That they are steps was asked for: a heater that a controller holds for 3 s was joined by lines, which did half
+    of what a slow sensor does."""
     found = repaired(record(held=False, read="zero"))
-    assert found.verdict == "nothing missing"
-    assert "T is joined by lines between its samples: " in " ".join(str(found).split())
+    assert [one.key for one in found.effects] == ["sensor_omega.sensor_delay"]
+    assert found.data[0]["T"].hold == "zero"
+    words = " ".join(str(found).split())
+    assert (
+        "The delay is half a sample. If T is joined by lines between its samples, the records are " in words
+    )
 
 
 def test_a_sensor_that_is_late_by_half_a_sample_is_late():
