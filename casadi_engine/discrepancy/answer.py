@@ -197,7 +197,7 @@ class Answer:
         found, unknown, last = claim.found, claim.unknown, claim.last
         coloured = bool(last.screened.noise.colour)
         # where something is known to be missing, it is looked for everywhere
-        sure = unknown is not None and bool(unknown.tests)
+        sure = unknown is not None and bool(unknown.tests) and not null.screened.request.blind
         near = partial(unknown_law, everywhere=True) if sure else unknown_law
         held = claim.nearest or last  # effects that leave too much are still nearer than none
         law = self._law(held, near) if found or sure or (unknown is None and coloured) else None
@@ -207,7 +207,7 @@ class Answer:
         asked = asked or (coloured and self._in_time("unknown law", lambda: self._is_far(last)) is True)
         if asked and not null.screened.request.blind:  # an error of a sensor may be all there is
             far = self._law(held, refitted_law)
-            told = None if far is None or _told_better(held, far) else _said(claim, held, far)
+            told = _said(claim, held, far, refitted=True)
             if told is not None and far is not None and (rival is None or law is None or far.log > law.log):
                 law, rival = far, told
         if rival is None or law is None:
@@ -380,26 +380,32 @@ def _noise_of_place(last: Station) -> NoiseModel:
     return last.screened.choice.stated or last.screened.noise
 
 
-def _said(claim: Claim, held: Station, law: UnknownLaw | None) -> Unknown | None:
+def _said(claim: Claim, held: Station, law: UnknownLaw | None, *, refitted: bool = False) -> Unknown | None:
     """What is said of a law that is held against a structure; None where that, or what is known of what is missing
-    beside it, says more."""
-    if law is None or (not claim.found and _told_better(held, law)):
+    beside it, says more. refitted : it stands in the equations, and makes lines of its own"""
+    if law is None or _comes_back(held, law):
+        return None
+    if not claim.found and not refitted and _has_a_line(held, law):
         return None
     if claim.nearest is not None and not claim.found and law.log < math.log(FACTOR):
         return None
     return in_place_of(held, law)
 
 
-def _told_better(last: Station, law: UnknownLaw) -> bool:
-    """True where what comes back with every turn of a shaft, or at one frequency, explains what is left better than a
-    function of one signal."""
+def _comes_back(last: Station, law: UnknownLaw) -> bool:
+    """True where what comes back with every turn of a shaft explains what is left better than a function of one signal
+    without turns."""
     left = last.screened.leftover
-    if left.line is not None and left.lines is not None:
-        return 0.5 * left.lines[left.line] - math.log(last.screened.null.count) > law.log
-    if law.course.family.order:
-        return False
     turns = left.family is not None and left.family.order > 0 and left.family.name in left.alarms
-    return turns and 0.5 * left.drop - math.log(ORDERS) > law.log
+    return turns and not law.course.family.order and 0.5 * left.drop - math.log(ORDERS) > law.log
+
+
+def _has_a_line(last: Station, law: UnknownLaw) -> bool:
+    """True where a line in the spectrum of what is left explains it better than a function of one signal."""
+    left = last.screened.leftover
+    if left.line is None or left.lines is None:
+        return False
+    return 0.5 * left.lines[left.line] - math.log(last.screened.null.count) > law.log
 
 
 def _effects(proof: Confirmation) -> tuple[tuple[FoundEffect, ...], tuple[FoundEffect, ...]]:

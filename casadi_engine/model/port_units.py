@@ -7,6 +7,7 @@ the equations do not go with the declared ones, nothing is said.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import Any
@@ -14,7 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casadi_engine.experiment.units import NOT_STATED, read_unit, unit_product
+from casadi_engine.experiment.units import CONFUSED, NOT_STATED, read_unit, unit_product
 
 # What acts, by its unit: dimensions without angles.
 _QUANTITIES = {
@@ -69,7 +70,33 @@ def units_of(expressions: Sequence[Any], units: Sequence[tuple[Any, str]]) -> li
                 made[name] = Fraction(int(halves[j, k]), _HALVES)
             elif not angle:
                 made["?"] = Fraction(1)
-    return [None if made is None or "?" in made else _text(made) for made in found]
+    told = [None if made is None or "?" in made else _text(made) for made in found]
+    return [_converted(one, text, units) for one, text in zip(expressions, told, strict=True)]
+
+
+def _converted(expression: Any, unit: str | None, units: Sequence[tuple[Any, str]]) -> str | None:
+    """The unit of an expression that is a number times one symbol, where that number is the ratio of two units: pi/180
+    times a speed in deg/s is one in rad/s."""
+    symbols = ca.symvar(ca.SX(expression))
+    own = next(
+        (u for s, u in units if len(symbols) == 1 and s.element_hash() == symbols[0].element_hash()), unit
+    )
+    if unit is None or own in (None, NOT_STATED, "1") or len(symbols) != 1:
+        return unit
+    values = np.array(ca.Function("multiple", symbols, [expression])(np.array([[0.0, 1.0, 2.0]]))).ravel()
+    factor = float(values[1])
+    if values[0] != 0 or values[2] != 2 * factor or not 0 < factor < math.inf or factor == 1:
+        return unit
+    wanted = _size(own) / factor
+    for other in CONFUSED:
+        if read_unit(other).dimension == read_unit(own).dimension and math.isclose(_size(other), wanted):
+            return other
+    return unit
+
+
+def _size(unit: str) -> float:
+    known = read_unit(unit)
+    return float(known.factor) * math.pi ** float(known.pi)
 
 
 def _is_free(expression: Any, symbols: ca.SX) -> bool:

@@ -155,3 +155,20 @@ def test_a_head_of_water_is_no_rate():
     assert (ports["penstock"].unit, ports["penstock"].quantity) == ("m", "term")
     assert (ports["species"].unit, ports["species"].quantity) == ("mol/(L s)", "rate")
     assert ce.effects.ConstantTorque().worded(ports["penstock"]) == "a constant term into penstock"
+
+
+@pytest.mark.parametrize(
+    ("state", "factor", "unit"),
+    [
+        ("deg/s", ca.pi / 180, "rad/s"),
+        ("rpm", 2 * ca.pi / 60, "rad/s"),
+        ("rad/s", 180 / ca.pi, "deg/s"),
+        ("mm/s", 1e-3, "m/s"),
+        ("deg/s", 2.0, "deg/s"),  # a gear, say
+        ("deg/s", -ca.pi / 180, "deg/s"),
+    ],
+)
+def test_a_signal_that_converts_its_unit_has_the_other_one(state, factor, unit):
+    """A fading speed in rad/s was called one in deg/s."""
+    port = port_of(state, 1.0, speed=lambda b, x: factor * x, stated="N m")
+    assert port.units["speed"] == unit

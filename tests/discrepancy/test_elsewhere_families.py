@@ -1,0 +1,105 @@
+"""Functions where no effect of the library acts: a parameter that is not constant is named, with what it depends on."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import casadi_engine as ce
+from casadi_engine.discrepancy import elsewhere_families as module
+from casadi_engine.discrepancy.elsewhere_families import elsewhere
+from casadi_engine.discrepancy.evidence import Levels
+from casadi_engine.discrepancy.null_model import null_model
+
+NOISE = 0.4
+
+
+def vessel():
+    """A vessel that fills through a pipe and empties through a leak: C dp/dt = Q - p/R."""
+    b = ce.Blueprint("vessel")
+    c = b.parameter("C", 1.0, unit="m3/Pa", min=0.1, max=10)
+    r = b.parameter("R", 2.0, unit="Pa s/m3", min=0.1, max=10)
+    flow = b.input("Q", unit="m3/s")
+    p = b.state("p", unit="Pa", scale=50)
+    missing = b.port("vessel", "inertia", {"speed": p})
+    b.ode("p", (flow - p / r + missing) / c)
+    b.output("P", p, unit="Pa")
+    return b.model()
+
+
+def run(seed, *, bend=0.0):
+    """By an integrator of its own: C exp(-bend (p - 60))."""
+    time = np.arange(500) * 0.04
+    rng = np.random.default_rng(seed)
+    tones = 2 * np.pi * np.array([0.13, 0.31, 0.77])
+    flow = 60 + 40 * np.sin(tones[:, None] * time + rng.uniform(0, 6, (3, 1))).sum(axis=0)
+
+    def rate(t, p):
+        return (np.interp(t, time, flow) - p / 1.0) / (1.4 * np.exp(-bend * (p - 60)))
+
+    p = solve_ivp(rate, (0, time[-1]), [40.0], t_eval=time, rtol=1e-9, atol=1e-9, max_step=0.04).y[0]
+    shown = p + NOISE * rng.standard_normal(len(time))
+    return ce.Experiment.from_arrays(
+        f"run {seed}", time=time, units={"Q": "m3/s", "P": "Pa"}, Q=flow, P=shown
+    )
+
+
+def repaired(**options):
+    own = {"effects": ["quadratic_drag", "constant_torque"], "noise": ce.Noise(P=NOISE), "starts": 1}
+    return ce.repair(
+        vessel(), run(1, **options), fresh=run(2, **options), at=["vessel"], progress=False, **own
+    )
+
+
+@pytest.fixture(scope="module")
+def bent():
+    return repaired(bend=0.01)
+
+
+def test_a_parameter_that_is_not_constant_is_named_with_what_it_depends_on(bent, tmp_path):
+    """A vessel that is stiffer the fuller it is was "a sensor that shows another function of its value"."""
+    assert bent.verdict == "unnamed"
+    assert bent.effects == ()
+    unknown = bent.unknown
+    assert (unknown.port, unknown.signal) == ("parameter_C", "p")
+    words = "the parameter C is not constant: it depends on p, and falls with it: far more probable than "
+    assert unknown.sentence.startswith(words)
+    assert unknown.tests
+    ce.report(bent, tmp_path / "page.html")
+    assert "the parameter C is not constant" in (tmp_path / "page.html").read_text()
+
+
+def test_its_course_is_that_of_the_truth(bent):
+    """But for a level, which is the parameter's own."""
+    course = bent.unknown.course
+    seen = course.family.visited > 0
+    truth = 1.4 * np.exp(-0.01 * (course.signal - 60))
+    off = (course.mean - truth)[seen]
+    weight = course.family.visited[seen]
+    off = off - weight @ off / weight.sum()
+    assert np.sqrt(weight @ off**2 / weight.sum()) < 0.3 * np.std(truth[seen])
+
+
+def test_nothing_is_looked_for_elsewhere_where_nothing_is_known_to_be_missing(monkeypatch):
+    monkeypatch.setattr("casadi_engine.discrepancy.unknown_law.elsewhere", None)
+    assert repaired().verdict == "nothing missing"
+
+
+def test_what_a_port_can_do_as_well_is_looked_for_there_alone():
+    """p/R with R a function of p is a function of p at the vessel; of C, or of the flow, it is not."""
+    model = vessel()
+    every = [("p", model.x[0]), ("Q", model.u[0])]
+    assert module._said_at_ports(model, model.ports["parameter_R"], every) == {"p"}
+    assert module._said_at_ports(model, model.ports["parameter_C"], every) == set()
+
+
+def test_the_functions_that_serve_best_at_a_look_are_kept(monkeypatch):
+    fit = ce.estimate(vessel(), run(1, bend=0.01), noise=ce.Noise(P=NOISE), progress=False)
+    monkeypatch.setattr(module, "_KEPT", 2)
+    monkeypatch.setattr(module, "_AT_ONCE", 1)  # function by function
+    candidates, families, among = elsewhere(null_model(fit), Levels({"P": NOISE}))
+    # C by p, Q and time; R by Q and time; the vessel by Q
+    assert among == 6
+    assert families[0].name == "a function of p at parameter_C"
+    assert len(families) == 2
+    assert len(candidates) == 2 * module._TERMS
+    assert [one.port for one in candidates[: module._TERMS]] == ["parameter_C"] * module._TERMS
