@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from casadi_engine.effects.library import library
     from casadi_engine.effects.parameter import WrongValue
     from casadi_engine.effects.protocol import Amplitude, Effect, Grid, Law
-    from casadi_engine.effects.sensor import InputGain, SensorDelay, SensorGain, SensorOffset
+    from casadi_engine.effects.sensor import InputGain, InputOffset, SensorDelay, SensorGain, SensorOffset
     from casadi_engine.effects.stiffness import Backlash, CubicStiffness
     from casadi_engine.effects.table import table
     from casadi_engine.effects.torque import ConstantTorque, Impulse, LoadStep
@@ -46,6 +46,7 @@ __all__ = [
     "Grid",
     "Impulse",
     "InputGain",
+    "InputOffset",
     "Law",
     "LoadStep",
     "Misfire",
@@ -87,7 +88,13 @@ import_at_first_use(
         ),
         "casadi_engine.effects.library": ("library",),
         "casadi_engine.effects.parameter": ("WrongValue",),
-        "casadi_engine.effects.sensor": ("InputGain", "SensorDelay", "SensorGain", "SensorOffset"),
+        "casadi_engine.effects.sensor": (
+            "InputGain",
+            "InputOffset",
+            "SensorDelay",
+            "SensorGain",
+            "SensorOffset",
+        ),
         "casadi_engine.effects.stiffness": ("Backlash", "CubicStiffness"),
         "casadi_engine.effects.table": ("table",),
         "casadi_engine.effects.torque": ("ConstantTorque", "Impulse", "LoadStep"),

@@ -12,7 +12,7 @@ from casadi_engine.effects.friction import (
 )
 from casadi_engine.effects.parameter import WrongValue
 from casadi_engine.effects.protocol import Effect
-from casadi_engine.effects.sensor import InputGain, SensorDelay, SensorGain, SensorOffset
+from casadi_engine.effects.sensor import InputGain, InputOffset, SensorDelay, SensorGain, SensorOffset
 from casadi_engine.effects.stiffness import Backlash, CubicStiffness
 from casadi_engine.effects.torque import ConstantTorque, Impulse, LoadStep
 from casadi_engine.effects.transfer import Overflow, Transfer
@@ -46,6 +46,7 @@ def library(*names: str) -> tuple[Effect, ...]:
         SensorDelay(),
         SensorGain(),
         InputGain(),
+        InputOffset(),
         Transfer(),
         Overflow(),
         WrongValue(),

@@ -1,4 +1,4 @@
-"""Sensors that do not show what is there, by an offset, a delay or a gain, and inputs that are larger or smaller."""
+"""Sensors that do not show what is there, by an offset, a delay or a gain, and inputs that act as more or less."""
 
 from __future__ import annotations
 
@@ -82,6 +82,29 @@ class SensorGain(Effect):
             return ""
         values = np.concatenate(courses)
         return "an offset does the same here" if values.std() < _VARIES * abs(values.mean()) else ""
+
+
+@dataclass(frozen=True)
+class InputOffset(SensorOffset):
+    """An input that acts as u + offset (in its unit): by its calibration, the dead time or the rest of its actuator.
+
+    It is not looked for where a constant at a port does the same, which has that name, nor at the pressures of
+    cylinders, whose zero is found on their compression (``Experiment.peg_pressures``).
+
+    >>> InputOffset().describe("input_duty")
+    'an offset of input_duty'
+    """
+
+    name = "input_offset"
+    attaches = ("input",)
+    kin = ("constant_torque", "sensor_offset", "input_gain")
+
+    def idle(self, port: Any) -> str:
+        """Where a constant does the same."""
+        if port.in_engine:
+            return "the zero of a pressure is found on its compression, Experiment.peg_pressures"
+        place = port.same_constant
+        return f"constant_torque at {place} does the same" if place else ""
 
 
 @dataclass(frozen=True)

@@ -111,7 +111,28 @@ class PortView:
     @property
     def has_free_constant(self) -> bool:
         """True if a parameter that is estimated acts as a constant torque in the port's slot does, and nowhere else."""
-        return any(_is_constant(self._model, self._port, name) for name in self._free)
+        model = self._model
+        return any(
+            name in model.parameter_names
+            and _is_constant(model, self._port, model.p[model.parameter_names.index(name)])
+            for name in self._free
+        )
+
+    @property
+    def same_constant(self) -> str:
+        """The port at which a constant does what one of this input does, and nothing else; "" where there is none."""
+        name = self.name.partition("_")[2]
+        known = [variable.name for variable in self._model.inputs]
+        if name not in known:
+            return ""
+        symbol = self._model.channels[known.index(name)]
+        ports = self._model.ports
+        return next((one.name for one in ports.with_slot if _is_constant(self._model, one, symbol)), "")
+
+    @property
+    def in_engine(self) -> bool:
+        """True for the port of a model with cylinders."""
+        return any(port.kind == "cylinder" for port in self._model.ports)
 
     def response(self, signal: str, values: Mapping[str, float]) -> float:
         """How fast a signal changes per unit of what is added in the port's slot, or the ends' slots of a pipe: the
@@ -149,11 +170,11 @@ class PortView:
         return 1.0
 
 
-def _is_constant(model: Model, port: Port, name: str) -> bool:
-    """True if a parameter's slope of all equations is that of the port's slot times a constant other than 0."""
-    if port.slot is None or name not in model.parameter_names:
+def _is_constant(model: Model, port: Port, symbol: Any) -> bool:
+    """True if the slope of all equations by a parameter or channel is that by the port's slot times a constant other
+    than 0."""
+    if port.slot is None:
         return False
-    symbol = model.p[model.parameter_names.index(name)]
     slot = ca.jacobian(ca.vertcat(model.ode, model.output_expressions), port.slot)
     both = ca.vertcat(model.closed_ode, model.closed_outputs)
     unknown = [model.x, model.u, model.d, model.w, model.t]

@@ -285,6 +285,7 @@ def test_the_library_by_name():
         "cubic_stiffness", "backlash", "misfire", "cylinder_imbalance", "load_step", "sensor_offset", "sensor_delay",
         "sensor_gain",
         "input_gain",
+        "input_offset",
         "transfer",
         "overflow",
         "wrong_value",

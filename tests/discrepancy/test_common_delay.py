@@ -1,0 +1,51 @@
+"""Sensors that are all late by one time are where an input acts late, and this is said."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from casadi_engine.discrepancy.common_delay import common_delay
+
+
+def late(*delays, inputs=("u",), outputs=2):
+    """A repair that found delays (value, standard error) of the first of so many sensors."""
+    ports = [SimpleNamespace(kind="sensor", name=f"sensor_y{k}") for k in range(outputs)]
+    model = SimpleNamespace(ports=ports, inputs=[SimpleNamespace(name=name) for name in inputs])
+    effects = [
+        SimpleNamespace(
+            name="sensor_delay", at=f"sensor_y{k}",
+            amplitude=SimpleNamespace(value=value, stderr=error, quadratic=None),
+        )
+        for k, (value, error) in enumerate(delays)
+    ]  # fmt: skip
+    return SimpleNamespace(model=model, effects=effects)
+
+
+def test_one_time_of_all_sensors_is_said_to_be_that_of_the_input():
+    said = common_delay(late((0.0193, 0.0003), (0.0194, 0.0003)))
+    assert said == (
+        "All 2 sensors are late by one time: where the input u acts 0.01935 ± 0.00021 s later than recorded (an "
+        "actuator, another clock), the data are the same, and one cause does it"
+    )
+    assert "where the inputs act" in common_delay(late((0.02, 0.001), (0.02, 0.001), inputs=("u", "v")))
+
+
+def test_a_delay_of_the_only_sensor_may_be_that_of_the_input():
+    said = common_delay(late((0.0193, 0.0003), outputs=1))
+    assert said.startswith(
+        "The only sensor is late: where the input u acts 0.01930 ± 0.00030 s later than recorded"
+    )
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        late((0.0193, 0.0003)),  # the second sensor is in time
+        late((0.0193, 0.0003), (0.025, 0.0003)),
+        late((0.0193, 0.0003), (0.0193, None)),
+        late((0.0193, 0.0003), (0.0193, 0.0003), inputs=()),
+        late(),
+    ],
+)
+def test_nothing_is_said_of_other_delays(other):
+    assert common_delay(other) == ""
