@@ -350,11 +350,14 @@ class FreshChoice:
         judged = judge([n for _, n in old], [n for _, n in new], noise)
         if judged.refused and not all(fit.converged for fit, _ in new):
             return Judgement(None, None, False, _UNSETTLED)
-        if not judged.confirmed and not judged.refused and not event:
-            first, then = (_rmse(pairs, noise) for pairs in (old, new))
-            if then > (1 + SEEN) * first:
-                why = f"fresh data refuse it: the gap there grows by {100 * (then / first - 1):.0f} %"
-                judged = replace(judged, confirmed=False, refused=True, why=why)
+        first, then = (_rmse(pairs, noise) for pairs in (old, new))
+        if judged.confirmed and then > first:  # errors of parameters may foretell a gap that grows
+            why = f"fresh data do not confirm it: the gap there grows by {100 * (then / first - 1):.2g} %"
+            return replace(judged, confirmed=False, why=why)
+        unsaid = not judged.confirmed and not judged.refused and not event
+        if unsaid and then > (1 + SEEN) * first:
+            why = f"fresh data refuse it: the gap there grows by {100 * (then / first - 1):.0f} %"
+            judged = replace(judged, confirmed=False, refused=True, why=why)
         if event and not judged.confirmed and not judged.refused:
             why = "it is an event of one record, which no other record can confirm"
             return replace(judged, confirmed=None, why=f"{here.effects[-1].name}: {why}")

@@ -310,3 +310,24 @@ def test_effects_that_leave_a_function_of_their_own_signal_come_down_to_the_firs
     assert len(found) == left + 1
     assert len(said) == len(ports) - left
     assert all("is left out: with it, too, what is left depends on twist there" in words for words in said)
+
+
+@pytest.mark.parametrize(
+    ("said", "then", "confirmed", "refused"),
+    [
+        (True, 1.99, True, False),
+        (True, 2.01, False, False),  # its parameters may move, and still the gap grows
+        (None, 2.01, None, False),
+        (None, 2.3, False, True),
+    ],
+)
+def test_a_gap_that_grows_confirms_nothing(monkeypatch, said, then, confirmed, refused):
+    """A drag that acts in one record alone was "confirmed" on two others, in which the gap grew."""
+    monkeypatch.setattr(module, "judge", lambda old, new, noise: Judgement(None, said))
+    monkeypatch.setattr(module, "_rmse", lambda pairs, noise: {"old": 2.0, "new": then}[pairs[0][1]])
+    here = stub(effects=(stub(placed=False),), screened=stub(noise=None))
+    choice = FreshChoice(None, stub(source="records"), print, [])
+    found = choice._judged([("fit", "old")], [(stub(converged=True), "new")], here)
+    assert (found.confirmed, found.refused) == (confirmed, refused)
+    assert (found.why is not None) == (confirmed is False)
+    assert found.why is None or "the gap there grows by" in found.why
