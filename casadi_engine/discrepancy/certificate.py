@@ -100,7 +100,9 @@ def _found(stations: Sequence[Station], one: Addition, last: Station) -> FoundEf
     keys = [name for name in keys if last.fit.values[name] < ends.get(name, np.inf)]
     # nor is a size that a record says nothing of
     known = [name for name in keys if "@" not in name or _is_told(last.fit.estimates[name])]
-    keys = known if any(name.partition("@")[0] == one.amplitude for name in known) else keys
+    if any(name.partition("@")[0] == one.amplitude for name in known):
+        sized = {name.partition("@")[2] for name in known if name.partition("@")[0] == one.amplitude}
+        keys = [name for name in known if not sized - {""} or name.partition("@")[2] in {"", *sized}]
     every = before.screened.null.parameters
     shift = dict(zip(every, screened.scores.shift[:, lead].tolist(), strict=True))
     names = [name for name in every if not is_carried(name)]

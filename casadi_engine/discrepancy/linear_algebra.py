@@ -11,13 +11,27 @@ Array = NDArray[np.float64]
 REPEATED = 1e-10
 
 
+def svd(columns: Array) -> tuple[Array, Array, Array]:
+    """The thin singular value decomposition (U, s, V') of finite columns: the fast algorithm fails on one of a million
+    matrices, the plain one on none."""
+    try:
+        frame, strength, turn = np.linalg.svd(columns, full_matrices=False)
+    except np.linalg.LinAlgError:
+        from scipy import linalg
+
+        if not np.isfinite(columns).all():
+            raise
+        frame, strength, turn = linalg.svd(columns, full_matrices=False, lapack_driver="gesvd")
+    return np.asarray(frame), np.asarray(strength), np.asarray(turn)
+
+
 def basis(columns: Array) -> Array:
     """(m, r) orthonormal basis of the span of (m, k) columns of any scale, also zero."""
     size = np.linalg.norm(columns, axis=0)
     used = size > 0
     if not used.any():
         return np.zeros((len(columns), 0))
-    frame, strength, _ = np.linalg.svd(columns[:, used] / size[used], full_matrices=False)
+    frame, strength, _ = svd(columns[:, used] / size[used])
     return np.asarray(frame[:, strength > REPEATED * strength[0]])
 
 
@@ -38,7 +52,7 @@ def coefficients(columns: Array, target: Array) -> Array:
     """Least-squares coefficients (k, ...) of ``target`` in columns of any scale; the least ones where they repeat."""
     size = np.linalg.norm(columns, axis=0)
     scale = np.where(size > 0, size, 1.0)
-    frame, strength, turn = np.linalg.svd(columns / scale, full_matrices=False)
+    frame, strength, turn = svd(columns / scale)
     good = strength > REPEATED * strength.max(initial=0.0)
     inner = (frame[:, good].T @ target) / strength[good].reshape(-1, *[1] * (target.ndim - 1))
     found = turn[good].T @ inner

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from casadi_engine.discrepancy.combustion_scatter import scatter_level
-from casadi_engine.discrepancy.linear_algebra import REPEATED, Array, basis, triangle, without
+from casadi_engine.discrepancy.linear_algebra import REPEATED, Array, basis, svd, triangle, without
 from casadi_engine.discrepancy.null_model import Index, NullModel, RecordNull, above_rounding
 from casadi_engine.discrepancy.wander import Spectrum, Wander, information, spectrum, wander_of
 from casadi_engine.estimation.autoregression import autoregression
@@ -380,7 +380,7 @@ def _regressed(columns: Array, target: Array) -> tuple[Array, Array]:
     """Least-squares coefficients (k,) of a target of unit variance, and a square root (k, r) of their covariance."""
     size = np.linalg.norm(columns, axis=0)
     scale = np.where(size > 0, size, 1.0)
-    frame, strength, turn = np.linalg.svd(columns / scale, full_matrices=False)
+    frame, strength, turn = svd(columns / scale)
     good = strength > REPEATED * strength.max(initial=0.0)
     root = (turn[good].T / strength[good]) / scale[:, None]
     return np.asarray(root @ (frame[:, good].T @ target)), np.asarray(root)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.compression import candidate_columns
-from casadi_engine.discrepancy.linear_algebra import Array
+from casadi_engine.discrepancy.linear_algebra import Array, svd
 from casadi_engine.discrepancy.null_distribution import Row
 from casadi_engine.discrepancy.null_model import FOUR_STROKE, NullModel
 from casadi_engine.discrepancy.score import Scores
@@ -275,7 +275,7 @@ def _seen(scores: Scores, family: Family, dimensions: int) -> tuple[Array, Array
     columns = _columns(scores, family) * np.sqrt(family.variances)
     if not columns.any():
         return np.zeros((len(columns), 0)), np.zeros(0), np.zeros((0, columns.shape[1]))
-    frame, strength, turn = np.linalg.svd(columns, full_matrices=False)
+    frame, strength, turn = svd(columns)
     share = np.cumsum(strength**2) / (strength**2).sum()
     keep = min(int(np.searchsorted(share, _SHARE)) + 1, dimensions)
     return np.asarray(frame[:, :keep]), np.asarray(strength[:keep]), np.asarray(turn[:keep])
