@@ -73,7 +73,7 @@ def _places(null: NullModel) -> list[tuple[Port, Signal]]:
 def _said_at_ports(model: Model, parameter: Port, every: Sequence[tuple[str, ca.SX]]) -> set[str]:
     """The signals of which a parameter may be any function and do no more than a function of them at a port does, as a
     damping that depends on the speed."""
-    one = ca.vertcat(1, 0)
+    one = ca.SX(ca.vertcat(1, 0))
     moved = _rates(model, parameter, one)
     known = ca.vertcat(*[symbol for _, symbol in every])
     rng = np.random.default_rng(0)

@@ -12,10 +12,12 @@ from casadi_engine.deadline import Deadline, TimeUp, late
 from casadi_engine.discrepancy.certificate import unknown_of
 from casadi_engine.discrepancy.choice import NO_FIT, TIME_UP, Choice
 from casadi_engine.discrepancy.confirmation import CHANCE, share_closed
+from casadi_engine.discrepancy.evidence import FACTOR
+from casadi_engine.discrepancy.families import BEYOND
 from casadi_engine.discrepancy.fresh import Judgement, Portions, gap_of, judge, residuals
 from casadi_engine.discrepancy.fresh_fits import fresh_sides
 from casadi_engine.discrepancy.fresh_misfit import SEEN, beyond_chance
-from casadi_engine.discrepancy.fresh_weights import FreshWeights
+from casadi_engine.discrepancy.fresh_weights import WIDER, FreshWeights
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.parameter_doubt import doubted, within_errors
@@ -36,6 +38,8 @@ _UNSETTLED = (
 # Share of the spare time behind a budget at which fresh data have to be judged; evaluations of the model that they may
 # cost at least.
 _JUDGED, _EVALUATIONS = 0.6, 5000
+# Rivals of a structure that does not stand as a whole, of which it is asked whether they do.
+_RIVALS = 2
 Pairs = list[tuple[Fit, NullModel]]
 
 
@@ -125,7 +129,14 @@ class FreshChoice:
                 break
             if before is None or len(stations) == 1:
                 return self._kept(stations, first, before)
-            stations = self._each_confirmed(stations)
+            whole, stations = stations, self._each_confirmed(stations)
+            if (
+                len(stations) < len(whole)
+                and key == search.best
+                and (rival := self._whole_rival()) is not None
+            ):
+                search.best = rival
+                stations = search.way(rival) or stations
             judged, after = self._of_structure(stations, before)
             if after is None:
                 blind = stations if blind is None else blind
@@ -154,10 +165,30 @@ class FreshChoice:
             kept = self._bent_together(self._each_confirmed(stations))
             search.misfit = self._misfit(kept[-1], self._on_fresh(kept[-1]))
             if len(kept) < len(stations):
+                whole = self._whole_rival()
+                if whole is not None:
+                    search.best = whole
+                    return
                 gone = {one.candidate.key for one in stations[-1].effects[len(kept) - 1 :]}
                 search.prefer(key_of(kept[-1].effects), without=gone)
             elif not self._in_special_case(stations[-1]):
                 return
+
+    def _whole_rival(self) -> Key | None:
+        """The most probable structure of as many effects as the chosen one, not all of which stand by themselves, of
+        which all do; None where none comes as near as fresh data are asked of rivals."""
+        search = self.search
+        now = search.pool[search.best]
+        least = now.log - WIDER * math.log(FACTOR)
+        alike = [
+            t for t in search.pool.values()
+            if t.key != now.key and len(t.key) == len(now.key) and t.log > least and t.beyond > BEYOND
+        ]  # fmt: skip
+        for one in sorted(alike, key=lambda t: -t.log)[:_RIVALS]:
+            stations = search.way(one.key)
+            if stations is not None and len(self._each_confirmed(stations)) == len(stations):
+                return one.key
+        return None
 
     def _in_special_case(self, last: Station) -> bool:
         """Let a law's special case take its place where more is missing than effects explain, and on fresh data the law

@@ -30,7 +30,7 @@ from casadi_engine.estimation import Fit
 _MOST = 6
 # Where fresh data do not confirm the most probable structure, those that the data of the search make so many times as
 # improbable, in logarithms, as is usually enough to exclude one (1 of 8000) are asked too.
-_WIDER = 3
+WIDER = 3
 Pairs = list[tuple[Fit, NullModel]]
 
 
@@ -49,7 +49,7 @@ class FreshWeights:
 
         sure : fresh data confirm the chosen one; else what is far less probable is asked too
         """
-        self._near = (1 if sure else _WIDER) * math.log(FACTOR)
+        self._near = (1 if sure else WIDER) * math.log(FACTOR)
         asked: dict[Key, tuple[Fit, list[NullModel]]] = {}
         failed: set[Key] = set()
         while len(asked) + len(failed) < _MOST and not late():

@@ -85,7 +85,7 @@ class SensorGain(Effect):
 
 
 @dataclass(frozen=True)
-class InputOffset(SensorOffset):
+class InputOffset(Effect):
     """An input that acts as u + offset (in its unit): by its calibration, the dead time or the rest of its actuator.
 
     It is not looked for where a constant at a port does the same, which has that name, nor at the pressures of
@@ -98,6 +98,13 @@ class InputOffset(SensorOffset):
     name = "input_offset"
     attaches = ("input",)
     kin = ("constant_torque", "sensor_offset", "input_gain")
+    sentence = "an offset of {port}"
+    amplitude = Amplitude("offset", unit=None)
+
+    def law(self, port: Any, p: Any, math: Any) -> Any:
+        """The offset."""
+        del port, math
+        return p.offset
 
     def idle(self, port: Any) -> str:
         """Where a constant does the same."""

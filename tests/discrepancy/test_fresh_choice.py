@@ -158,11 +158,17 @@ class Search:
 
     def __init__(self, best, **cases):
         self.best, self.cases, self.misfit, self.preferred = frozenset(best), cases, 1.0, []
+        self.logs = {}
         self.ways = {frozenset(best): stations_of(best)}
         self.known(best[:1])
 
     def known(self, names):
         self.ways[frozenset(names)] = stations_of(names)
+
+    @property
+    def pool(self):
+        """The structures, each with its log evidence and how certain its effects are."""
+        return {key: stub(key=key, log=self.logs.get(key, 0.0), beyond=9.0) for key in self.ways}
 
     def way(self, key):
         found = self.ways[frozenset(key)]
@@ -189,6 +195,26 @@ def shortened(monkeypatch, search, *, misfit, stand=1, seen=True):
     monkeypatch.setattr(module, "unknown_of", lambda one: None)
     FreshChoice(search, None, print, [])._shortened(["without effects"])
     return set(search.best)
+
+
+@pytest.mark.parametrize(
+    ("log", "stands", "named"), [(-5.0, True, "dry"), (-20.0, True, ""), (-5.0, False, "")]
+)
+def test_a_rival_that_stands_as_a_whole_takes_the_place_of_one_that_does_not(monkeypatch, log, stands, named):
+    """Fading friction with drag was more probable than dry friction with drag, and fresh data bore out the dry one's
+    drag alone: what was left of the first was named, and the second, right, was not asked."""
+    search = Search(["fading", "drag"])
+    search.known(["dry", "drag"])
+    search.logs[frozenset(["dry", "drag"])] = log
+    whole = frozenset(["dry", "drag"]) if stands else frozenset()
+
+    def confirmed(self, stations):
+        names = {one.label for one in stations[-1].effects}
+        return stations if names == whole else stations[:2]
+
+    monkeypatch.setattr(FreshChoice, "_each_confirmed", confirmed)
+    choice = FreshChoice(search, None, print, [])
+    assert choice._whole_rival() == (whole if named else None)
 
 
 def test_what_is_left_of_a_structure_is_preferred_without_what_was_left_out(monkeypatch):
