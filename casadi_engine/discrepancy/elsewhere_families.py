@@ -85,7 +85,7 @@ def _said_at_ports(model: Model, parameter: Port, every: Sequence[tuple[str, ca.
         size = ca.sumsqr(acts)
         ratio = ca.dot(acts, moved) / size
         rest = ca.sumsqr(moved - ratio * acts)
-        symbols = ca.symvar(ca.vertcat(ratio, rest, known))
+        symbols = ca.symvar(ca.vertcat(ratio, rest, moved, known))
         look = ca.Function(
             "look", [ca.vertcat(*symbols)], [rest, ca.sumsqr(moved), ca.jacobian(ratio, known)]
         )

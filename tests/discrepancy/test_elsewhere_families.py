@@ -92,6 +92,20 @@ def test_what_a_port_can_do_as_well_is_looked_for_there_alone():
     assert module._said_at_ports(model, model.ports["parameter_C"], every) == set()
 
 
+def test_an_offset_that_acts_as_its_port_does_is_looked_for_there_alone():
+    """The mass divides both, and cancels: a spring with an offset had ended in a bare error of CasADi."""
+    b = ce.Blueprint("spring")
+    m, offset = b.parameter("m", 2.0, unit="kg", min=0.1), b.parameter("offset", 0.1, unit="N")
+    x, v = b.state("x", unit="m"), b.state("v", unit="m/s")
+    b.ode("x", v)
+    b.ode("v", (b.input("F", unit="N") + offset - x + b.port("mass", "inertia", {"speed": v})) / m)
+    b.output("y", x, unit="m")
+    model = b.model()
+    every = [("x", model.x[0]), ("v", model.x[1]), ("F", model.u[0])]
+    assert module._said_at_ports(model, model.ports["parameter_offset"], every) == {"v"}
+    assert module._said_at_ports(model, model.ports["parameter_m"], every) == set()
+
+
 def test_the_functions_that_serve_best_at_a_look_are_kept(monkeypatch):
     fit = ce.estimate(vessel(), run(1, bend=0.01), noise=ce.Noise(P=NOISE), progress=False)
     monkeypatch.setattr(module, "_KEPT", 2)
