@@ -67,7 +67,8 @@ def reason_to_withdraw(claim: Claim, null: Station, confirmed: bool, *, cut: boo
     # an offset or a delay bends to what any missing law does, and so do several effects together: these are all that
     # is wrong, or none of it, unless fresh data have confirmed several; of what may be noise, most of it
     enough = closed >= HALF and (not instruments or not told) and (confirmed or len(claim.found) == 1)
-    if enough and not known:
+    # several that leave what its own past foretells follow it for a part of the way, each
+    if enough and not known and (len(claim.found) == 1 or _no_noise(claim.last) is None):
         return None
     names = " and ".join(f"{one.name} at {one.at}" for one in claim.found)
     more = "not all of it" if closed >= HALF else "less of it than is left"

@@ -167,11 +167,24 @@ def test_what_is_left_beyond_a_noise_that_is_known_is_missing(
 
 
 @pytest.mark.parametrize(
-    ("confirmed", "after", "withdrawn"), [(False, 1.5, True), (True, 1.5, False), (False, 1.05, False)]
+    ("confirmed", "after", "smooth", "withdrawn"),
+    [
+        (False, 1.5, False, True),
+        (True, 1.5, False, False),
+        (False, 1.05, False, False),
+        (
+            True,
+            1.5,
+            True,
+            True,
+        ),  # what they leave is foretold by its own past: each follows it a part of the way
+        (True, 1.05, True, False),
+    ],
 )
 def test_several_effects_that_nothing_confirms_are_all_that_is_wrong_or_none_of_it(
-    monkeypatch, confirmed, after, withdrawn
+    monkeypatch, confirmed, after, smooth, withdrawn
 ):
+    monkeypatch.setattr(module, "_no_noise", lambda station: "smooth" if smooth else None)
     claim, null = claimed(monkeypatch, before=3.0, after=after, tests={"line": 1e-9})
     claim = replace(claim, found=(*claim.found, *claim.found))
     assert (reason_to_withdraw(claim, null, confirmed) is not None) == withdrawn
