@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import casadi as ca
+
 from casadi_engine.estimation.summary import with_error
 
 if TYPE_CHECKING:
@@ -15,16 +17,18 @@ _ALIKE = 3.0
 
 
 def common_delay(repair: Repair) -> str:
-    """What to say where every sensor is late by the same time; "" elsewhere, and of a model without inputs.
+    """What to say where every sensor is late by the same time; "" elsewhere, and of a model without inputs or whose
+    equations depend on time itself, as by an event.
 
-    The states do not know the time: with inputs that act late by τ all outputs are those without delay at t - τ, but
-    for where the record begins.
+    Else the states do not know the time: with inputs that act late by τ all outputs are those without delay at t - τ,
+    but for where the record begins.
     """
     model = repair.model
     late = {one.at: one.amplitude for one in repair.effects if one.name == _DELAY}
     sensors = [port.name for port in model.ports if port.kind == "sensor"]
     inputs = [variable.name for variable in model.inputs]
-    if not inputs or set(late) != set(sensors):
+    equations = ca.vertcat(model.closed_ode, model.output_expressions)
+    if not inputs or set(late) != set(sensors) or ca.depends_on(equations, model.t):
         return ""
     sizes = [(one.value, one.stderr or one.quadratic or 0.0) for one in late.values()]
     if not all(error > 0 for _, error in sizes):

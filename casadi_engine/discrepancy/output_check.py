@@ -159,7 +159,7 @@ def stands_still(fit: Fit) -> str | None:
         return None
     return (
         f"{'; '.join(found[:_NAMED])}, though it has noise elsewhere, and the simulation moves meanwhile: the sensor, "
-        f"or what records it, stood still: leave these samples out, {cure} with keep False there"
+        f"or what records it, is frozen there: leave these samples out, {cure} with keep False there"
     )
 
 

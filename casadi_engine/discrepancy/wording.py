@@ -206,7 +206,7 @@ def of_either_sign(one: Estimate) -> str:
     weigh all samples alike, and coloured noise hides less of what it does than of how large it is."""
     if one.stderr is None or one.fixed or abs(one.value) >= HOLDS * one.stderr:
         return ""
-    return " (its errors hold 0)"
+    return " (its 95 % interval contains 0)"
 
 
 def acts_as(one: FoundEffect, name: str, model: Model) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -21,7 +21,7 @@ class SensorOffset(Effect):
 
     name = "sensor_offset"
     attaches = ("sensor",)
-    kin = ("sensor_delay",)
+    kin: ClassVar[tuple[str, ...]] = ("sensor_delay",)
     sentence = "an offset of {port}"
     amplitude = Amplitude("offset", unit=None)
 
@@ -85,7 +85,7 @@ class SensorGain(Effect):
 
 
 @dataclass(frozen=True)
-class InputOffset(Effect):
+class InputOffset(SensorOffset):
     """An input that acts as u + offset (in its unit): by its calibration, the dead time or the rest of its actuator.
 
     It is not looked for where a constant at a port does the same, which has that name, nor at the pressures of
@@ -98,13 +98,6 @@ class InputOffset(Effect):
     name = "input_offset"
     attaches = ("input",)
     kin = ("constant_torque", "sensor_offset", "input_gain")
-    sentence = "an offset of {port}"
-    amplitude = Amplitude("offset", unit=None)
-
-    def law(self, port: Any, p: Any, math: Any) -> Any:
-        """The offset."""
-        del port, math
-        return p.offset
 
     def idle(self, port: Any) -> str:
         """Where a constant does the same."""

@@ -2,15 +2,20 @@
 
 from types import SimpleNamespace
 
+import casadi as ca
 import pytest
 
 from casadi_engine.discrepancy.common_delay import common_delay
 
 
-def late(*delays, inputs=("u",), outputs=2):
+def late(*delays, inputs=("u",), outputs=2, timed=False):
     """A repair that found delays (value, standard error) of the first of so many sensors."""
     ports = [SimpleNamespace(kind="sensor", name=f"sensor_y{k}") for k in range(outputs)]
-    model = SimpleNamespace(ports=ports, inputs=[SimpleNamespace(name=name) for name in inputs])
+    x, t = ca.SX.sym("x"), ca.SX.sym("t")
+    model = SimpleNamespace(
+        ports=ports, inputs=[SimpleNamespace(name=name) for name in inputs], t=t,
+        closed_ode=-x + ca.sin(t) if timed else -x, output_expressions=x,
+    )  # fmt: skip
     effects = [
         SimpleNamespace(
             name="sensor_delay", at=f"sensor_y{k}",
@@ -44,6 +49,7 @@ def test_a_delay_of_the_only_sensor_may_be_that_of_the_input():
         late((0.0193, 0.0003), (0.025, 0.0003)),
         late((0.0193, 0.0003), (0.0193, None)),
         late((0.0193, 0.0003), (0.0193, 0.0003), inputs=()),
+        late((0.0193, 0.0003), (0.0193, 0.0003), timed=True),  # an event has its own time
         late(),
     ],
 )
