@@ -169,7 +169,11 @@ def why_leads(one: FoundEffect) -> str:
 
 
 def what_acts(model: Model, port: str) -> tuple[str, str]:
-    """What an unknown law at a port is a part of, and its unit: a torque, or the value of an input or a sensor."""
+    """What an unknown law at a port is a part of, and its unit: a torque, or the value of an input, a sensor or a
+    parameter."""
+    own = next((one for one in model.declarations if port == f"parameter_{one.name}"), None)
+    if own is not None:
+        return f"change of parameter {own.name}", own.unit
     if port not in model.ports.names:
         return "torque", "N m"
     known = model.ports[port]

@@ -208,7 +208,8 @@ def _unknown(repair: Repair) -> Sketch:
     panel.axhline(0.0, color="0.6", linewidth=0.6)
     alike = next(iter(course.looks_like.items()), None)
     port = str(unknown.port)
-    title = f"unknown {acting(repair, port, unit=False)} at {port}"
+    title = f"unknown {acting(repair, port, unit=False)}"
+    title += "" if port.startswith("parameter_") else f" at {port}"
     if alike is not None:
         title += f": looks {alike[0]} ({100 * alike[1]:.0f} % of its variance)"
     panels.dress(panel, x=axis_of(repair, port, course.family.signal), y=acting(repair, port), title=title)

@@ -64,7 +64,8 @@ def axis_of(repair: Repair, port: str, signal: str) -> str:
         return port.partition("_")[2] + (f" [{own}]" if own != NOT_STATED else "")
     if signal == "turn":
         return "angle, the speed added up [rad]"
-    unit = known.units.get(signal)
+    every = {one.name: one.unit for one in (*repair.model.states, *repair.model.inputs)}
+    unit = known.units.get(signal, None if signal in known.signals else every.get(signal))
     return known.called(signal) + ("" if unit is None else f" [{unit}]")
 
 

@@ -9,6 +9,7 @@ from casadi_engine.discrepancy import elsewhere_families as module
 from casadi_engine.discrepancy.elsewhere_families import elsewhere
 from casadi_engine.discrepancy.evidence import Levels
 from casadi_engine.discrepancy.null_model import null_model
+from casadi_engine.report.repaired_latent import acting, axis_of
 
 NOISE = 0.4
 
@@ -65,7 +66,16 @@ def test_a_parameter_that_is_not_constant_is_named_with_what_it_depends_on(bent,
     assert unknown.sentence.startswith(words)
     assert unknown.tests
     ce.report(bent, tmp_path / "page.html")
-    assert "the parameter C is not constant" in (tmp_path / "page.html").read_text()
+    page = (tmp_path / "page.html").read_text()
+    assert "the parameter C is not constant" in page
+    assert "unknown change of parameter C" in page
+    assert "look at the curve of the unknown change of parameter C" in " ".join(str(bent).split())
+
+
+def test_its_figure_has_the_units_of_the_parameter_and_of_what_it_depends_on(bent):
+    """It was called a torque in N m."""
+    assert acting(bent, "parameter_C") == "change of parameter C [m3/Pa]"
+    assert axis_of(bent, "parameter_C", "p") == "p [Pa]"
 
 
 def test_its_course_is_that_of_the_truth(bent):
