@@ -195,7 +195,7 @@ class Answer:
     def _held_to_laws(self, claim: Claim, null: Station) -> Claim:
         """What is left where laws that no effect names are held against what is claimed."""
         found, unknown, last = claim.found, claim.unknown, claim.last
-        coloured = bool(last.screened.noise.colour)
+        coloured = last.screened.choice.is_coloured
         # where something is known to be missing, it is looked for everywhere
         sure = unknown is not None and bool(unknown.tests) and not null.screened.request.blind
         near = partial(unknown_law, everywhere=True) if sure else unknown_law

@@ -241,7 +241,7 @@ def _swings_at(screened: Screened, name: str, output: str, frequency: float) -> 
 def in_place_of(last: Station, law: UnknownLaw) -> Unknown | None:
     """What is said of a law that no effect names in the place of the effects found, or of none, where these do not
     exclude it."""
-    if law.log < (-1 if last.effects else 1) * math.log(FACTOR):
+    if law.log < (-1 if last.effects else 1) * math.log(FACTOR) and not law.is_curve:
         return None
     family, odds = law.course.family, math.exp(min(law.log, _SAID))
     words = law_words(last.fit.model, family)
@@ -253,6 +253,8 @@ def in_place_of(last: Station, law: UnknownLaw) -> Unknown | None:
     if not names:
         rest = "noise of that colour" if last.screened.noise.colour else "noise alone"
         words += f"{likeness_words(law.course)}: {much} more probable than {rest}"
+    elif law.is_curve and odds < 1:
+        words += f", in the place of {names}, explains no less: fewer numbers alone speak for these"
     elif odds < FACTOR:
         words += f", in the place of {names}, is not excluded ({odds:.2g} times as probable)"
     else:
@@ -313,4 +315,4 @@ def noise_found(screened: Screened, levels: Mapping[str, tuple[float, bool]]) ->
     scatter = dict(noise.scatter)
     if carried_cylinders(screened.null.model):
         scatter["combustion"] = scatter_carried(screened.null)
-    return NoiseFound(sigma, colour, scatter)
+    return NoiseFound(sigma, colour, scatter, bool(colour) and screened.choice.is_coloured)

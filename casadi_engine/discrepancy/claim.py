@@ -52,7 +52,7 @@ def reason_to_withdraw(claim: Claim, null: Station, confirmed: bool, *, cut: boo
     ports = null.fit.model.ports
     instruments = all(ports[one.at].kind in ("sensor", "input") for one in claim.found)
     told = claim.unknown is not None
-    if not told and not (instruments and noise.colour):
+    if not told and not (instruments and claim.last.screened.choice.is_coloured):
         return None
     stated = {name: sigma for name, (sigma, estimated) in null.fit.noise.items() if not estimated}
     known = bool(stated) and told and not cut

@@ -19,6 +19,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy import special
 
 from casadi_engine.discrepancy.linear_algebra import Array, triangle
 from casadi_engine.discrepancy.noise_choice import is_white
@@ -72,7 +73,8 @@ class Digest:
     [parameters | first states and random amplitudes of each record | residual].
 
     prior : rows of the priors in the same columns; random : which columns are random amplitudes; turn : (nz, n) from
-    directions to parameters; amplitudes : log of the amplitudes' prior at their values
+    directions to parameters; amplitudes : log of the amplitudes' prior at their values; held : columns of parameters at
+    a bound
     """
 
     names: tuple[str, ...]
@@ -81,6 +83,12 @@ class Digest:
     random: Array
     turn: Array
     amplitudes: float
+    held: tuple[int, ...] = ()
+
+    def rows(self, levels: Levels) -> Array:
+        """The rows of all outputs and priors, in standard deviations, without what is at a bound."""
+        rows = np.concatenate([*(part * levels.weight(output) for output, part in self.parts), self.prior])
+        return np.delete(rows, list(self.held), axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,39 +116,44 @@ def digest(
     priors : of every free parameter; random : record -> output -> (N, g) columns of random amplitudes
     held : parameters at a bound; choices : whole numbers from which the effects' were chosen
     """
-    turn, parts, is_random = rows_of(null, random=random, held=held)
-    prior = _prior_rows(null, priors, turn, is_random)
+    parts, is_random = rows_of(null, random=random)
+    prior = _prior_rows(null, priors, is_random)
     at = _amplitudes(null, priors) - math.log(choices)
-    return Digest(null.parameters, parts, prior, is_random, turn, at)
+    return Digest(null.parameters, parts, prior, is_random, null.turn, at, _columns_of(null, held))
 
 
-def rows_of(
-    null: NullModel, *, random: Columns | None = None, held: frozenset[str] = frozenset()
-) -> tuple[Array, tuple[tuple[str, Array], ...], Array]:
-    """The turn, parts and random columns of a model's ``Digest``."""
-    columns = list(range(null.turn.shape[1]))
-    if null.turn.shape[0] == null.turn.shape[1] and np.count_nonzero(null.turn) == len(null.turn):
-        columns = [k for k, name in enumerate(null.parameters) if name not in held]
-    turn = null.turn[:, columns]
+def _columns_of(null: NullModel, names: frozenset[str]) -> tuple[int, ...]:
+    """The columns in which nothing but a parameter of these moves, where each has one of its own."""
+    if null.turn.shape[0] != null.turn.shape[1] or np.count_nonzero(null.turn) != len(null.turn):
+        return ()
+    return tuple(
+        int(np.flatnonzero(row)[0])
+        for name, row in zip(null.parameters, null.turn, strict=True)
+        if name in names
+    )
+
+
+def rows_of(null: NullModel, *, random: Columns | None = None) -> tuple[tuple[tuple[str, Array], ...], Array]:
+    """The parts and random columns of a model's ``Digest``."""
+    n = null.turn.shape[1]
     drawn = {r.name: next(iter(random[r.name].values())).shape[1] if random else 0 for r in null.records}
-    wide = len(columns) + sum(len(r.starts) + drawn[r.name] for r in null.records) + 1
-    first, parts = len(columns), []
+    wide = n + sum(len(r.starts) + drawn[r.name] for r in null.records) + 1
+    first, parts = n, []
     is_random = np.zeros(wide - 1, dtype=bool)
     for record in null.records:
         more = len(record.starts) + drawn[record.name]
         is_random[first + len(record.starts) : first + more] = True
         for output in record.outputs:
             slopes = record.slopes[output]
-            own = [slopes[:, columns], slopes[:, null.turn.shape[1] :]]
-            own += [random[record.name][output]] if random else []
+            own = [slopes, random[record.name][output]] if random else [slopes]
             rows = triangle(np.column_stack([*own, record.residual[output]]))
             placed = np.zeros((len(rows), wide))
-            placed[:, : len(columns)] = rows[:, : len(columns)]
-            placed[:, first : first + more] = rows[:, len(columns) : -1]
+            placed[:, :n] = rows[:, :n]
+            placed[:, first : first + more] = rows[:, n:-1]
             placed[:, -1] = rows[:, -1]
             parts.append((output, placed))
         first += more
-    return turn, tuple(parts), is_random
+    return tuple(parts), is_random
 
 
 def evidence(model: Digest, levels: Levels) -> Evidence:
@@ -148,6 +161,7 @@ def evidence(model: Digest, levels: Levels) -> Evidence:
     width = model.prior.shape[1] - 1
     prior = model.prior.copy()
     drawn = np.flatnonzero(model.random)
+    last = [*(k for k in range(width) if k not in model.held), *model.held, width]
     used = np.ones(width + 1, dtype=bool)
     if len(drawn):
         extra = np.zeros((len(drawn), width + 1))
@@ -155,13 +169,30 @@ def evidence(model: Digest, levels: Levels) -> Evidence:
         prior = np.concatenate([prior, extra])
         used[drawn] = levels.scatter > 0
     rows = np.concatenate([part * levels.weight(output) for output, part in model.parts])
-    whole = triangle(np.concatenate([rows, prior])[:, used])
-    width = int(used.sum()) - 1
-    occam = _log_determinant(prior[:, used][:, :width]) - _log_determinant(whole[:width, :width])
-    cost = float((whole[width:, width] ** 2).sum())
-    error = dict(zip(model.names, _errors(whole[:width, :width], model.turn).tolist(), strict=True))
-    alone = dict(zip(model.names, _errors_alone(whole[:width, :width], model.turn).tolist(), strict=True))
+    order = [k for k in last if used[k]]
+    whole, prior = triangle(np.concatenate([rows, prior])[:, order]), prior[:, order]
+    free = len(order) - 1 - len(model.held)
+    occam = _log_determinant(prior[:, :free]) - _log_determinant(whole[:free, :free])
+    occam += _at_bounds(whole[free:-1, free:], np.linalg.norm(prior[:, free:-1], axis=0))
+    cost = float((whole[free:, -1] ** 2).sum())
+    turn = np.delete(model.turn, list(model.held), axis=1)
+    error = dict(zip(model.names, _errors(whole[:free, :free], turn).tolist(), strict=True))
+    alone = dict(zip(model.names, _errors_alone(whole[:free, :free], turn).tolist(), strict=True))
     return Evidence(-0.5 * cost + occam + model.amplitudes, cost, error, alone)
+
+
+def _at_bounds(rows: Array, precision: Array) -> float:
+    """log of the share of their prior that the data leave to parameters at a bound, each by itself: the likelihood
+    falls from there to the inside, by its slope and its curvature.
+
+    rows : (m, m + 1) of [parameters at a bound | residual], what all others explain taken out
+    """
+    if not len(precision):
+        return 0.0
+    curvature = np.maximum(np.linalg.norm(rows[:, :-1], axis=0), _TINY)
+    beyond = np.abs(rows[:, :-1].T @ rows[:, -1]) / curvature
+    inside = np.log(special.erfcx(beyond / math.sqrt(2)) / 2)
+    return float((np.log(np.maximum(precision, _TINY) / curvature) + inside).sum())
 
 
 def levels_left(
@@ -237,9 +268,9 @@ def _variances(e: Array) -> Array:
     return np.maximum(found, _TINY)
 
 
-def _prior_rows(null: NullModel, priors: Mapping[str, Prior], turn: Array, random: Array) -> Array:
+def _prior_rows(null: NullModel, priors: Mapping[str, Prior], random: Array) -> Array:
     """Rows of the priors, in standard deviations; those of the user with their residual."""
-    width = len(random)
+    width, turn = len(random), null.turn
     deviation = np.array([priors[name].deviation for name in null.parameters])
     weak = np.zeros((len(turn), width + 1))
     weak[:, : turn.shape[1]] = turn / deviation[:, None]
@@ -247,7 +278,7 @@ def _prior_rows(null: NullModel, priors: Mapping[str, Prior], turn: Array, rando
     start = np.zeros((len(states), width + 1))
     start[np.arange(len(states)), states] = 1 / _STATE
     blocks: Sequence[Array] = [weak, start]
-    if len(null.prior) and null.prior.shape[1] == turn.shape[1] + 1:
+    if len(null.prior):
         given = np.zeros((len(null.prior), width + 1))
         given[:, : turn.shape[1]], given[:, -1] = null.prior[:, :-1], null.prior[:, -1]
         blocks = [*blocks, given]

@@ -234,7 +234,12 @@ def _held(repair: Repair) -> Repair:
 
 def _coloured_doubt(repair: Repair) -> str | None:
     """What to say where what is left of fresh data is coloured, and more than what the effects closed."""
-    if not repair.confirmed or repair.noise is None or not repair.noise.colour or not _mostly_left(repair):
+    if (
+        not repair.confirmed
+        or repair.noise is None
+        or not repair.noise.is_coloured
+        or not _mostly_left(repair)
+    ):
         return None
     return (
         "what is left of the fresh data is coloured, and more than what was closed: noise of the sensors, or more that "
@@ -263,7 +268,7 @@ def _mostly_left(repair: Repair) -> bool:
     after = None if gaps is None else gaps.validation_after
     if before is None or after is None:
         return True
-    if repair.noise is None or not repair.noise.colour:
+    if repair.noise is None or not repair.noise.is_coloured:
         return _left(repair) > HALF
     sigma = {name: level for name, (level, _) in repair.noise.sigma.items()}
     return share_closed(before.gap, after.gap, sigma, coloured=True) < HALF

@@ -36,13 +36,11 @@ class Rival:
     digest: Digest
 
 
-def with_own_colour(
-    rival: Rival, null: NullModel, effects: Digest, own: frozenset[str], held: frozenset[str]
-) -> float:
+def with_own_colour(rival: Rival, null: NullModel, effects: Digest, own: frozenset[str]) -> float:
     """The log odds of a function that takes most of the colour that effects leave, where either is held against the
     colour that it leaves itself; -inf for one that leaves most of it, which is then the sensors' own.
 
-    own : the effects' numbers; held : those at a bound
+    own : the effects' numbers
     """
     taken = _own_columns(null, own)
     n, terms = rival.null.turn.shape[1], len(rival.family.members)
@@ -58,17 +56,17 @@ def with_own_colour(
     power = [np.array([one.sigma[name] for name in sorted(one.sigma)]) ** 2 for one in (*white, ours)]
     if ((power[1] - power[0]) / power[2]).sum() < TAKEN * ((power[1] - power[2]) / power[2]).sum():
         return -math.inf
-    found, at = _in_white(rival.null, ours, rival.largest, held - own)
+    found, at = _in_white(rival.null, ours, rival.largest)
     unit = Levels(dict.fromkeys(ours.sigma, 1.0))
     logs = [evidence(of_size(found, names_of(rival.family), share), unit).log for share in SIZES]
-    named, there = _in_white(null, theirs, effects, held)
+    named, there = _in_white(null, theirs, effects)
     return (
         float(np.logaddexp.reduce(logs)) - math.log(len(SIZES)) - evidence(named, unit).log
         + 0.5 * (there - at)
     )  # fmt: skip
 
 
-def _in_white(null: NullModel, noise: NoiseModel, made: Digest, held: frozenset[str]) -> tuple[Digest, float]:
+def _in_white(null: NullModel, noise: NoiseModel, made: Digest) -> tuple[Digest, float]:
     """What evidence is counted from with rows that this noise makes white, and -2 log of what the whitening changes the
     samples' density by, plus twice the number of colour parameters (Akaike)."""
     constant = sum(2.0 * len(c.covariance) for c in noise.colour.values() if c.covariance is not None)
@@ -84,7 +82,7 @@ def _in_white(null: NullModel, noise: NoiseModel, made: Digest, held: frozenset[
                 constant += colour.whitener(record.valid(output)).log_determinant
         records.append(replace(record, residual=residual, slopes=slopes))
     whitened = replace(null, records=tuple(records))
-    return replace(made, parts=rows_of(whitened, held=held)[1]), constant
+    return replace(made, parts=rows_of(whitened)[0]), constant
 
 
 def _own_columns(null: NullModel, own: Collection[str]) -> Columns:

@@ -4,7 +4,7 @@ scatter of combustions whose pressure was assumed."""
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -39,6 +39,9 @@ _QUIETER = 0.5
 # A wander has two parameters: by Akaike's criterion it is there from this drop of -2 log likelihood, which chance makes
 # in one white record of twenty. A weak slow one is otherwise seen by no test over a few lags, and raises false alarms.
 _WANDER = 4.0
+# Share of white records (300 to 3000 samples) in which chance makes -2 log likelihood fall by more than g is this times
+# exp(-g / 2).
+_CHANCE = 0.37
 # A coloured residual is larger than a stated noise by so many standard errors; it is that of at least so many swings.
 _LARGER, _SWINGS = 4.0, 20
 _ROUNDED = (
@@ -46,6 +49,9 @@ _ROUNDED = (
     "are not independent; the noise counts as larger, by as much as rounding scores by itself"
 )
 _COLOURED = "the residual is coloured: the score tests count with an autoregression of the noise"
+_PERHAPS = (
+    "the residual may be coloured, or white by chance (p = {:.2g}): the score tests count with that colour"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +64,7 @@ class NoiseChoice:
     if there is such a residual
     waits : the residual is coloured and white noise counts for now, until a refit has shown what colours it
     rounded : output -> level that counts where a sensor's steps are most of its noise; see ``rounding``
+    chance : how often white noise looks as coloured
     """
 
     noise: NoiseModel
@@ -70,6 +77,12 @@ class NoiseChoice:
     waits: bool = False
     white: Compressed | None = None
     rounded: Mapping[str, float] = field(default_factory=dict)
+    chance: float = 1.0
+
+    @property
+    def is_coloured(self) -> bool:
+        """True if the noise is coloured, beyond chance: tests count with less of it too."""
+        return bool(self.noise.colour) and self.chance < _COLOURED_P
 
 
 def scatter_of(
@@ -135,8 +148,10 @@ def choose_noise(
     known = {name: sigma for name, (sigma, estimated) in levels.items() if not estimated}
     larger = too_large(null, found, known)
     stated = NoiseModel({**found.sigma, **known}) if larger else None
+    chance = 0.0 if colour is True else white_by_chance(null, noise, left, random)
+    words = _COLOURED if chance < _COLOURED_P else _PERHAPS.format(chance)
     return NoiseChoice(
-        found, scatter, cylinders, (_COLOURED,), None, larger, stated, white=white, rounded=steps
+        found, scatter, cylinders, (words,), None, larger, stated, white=white, rounded=steps, chance=chance
     )
 
 
@@ -229,27 +244,44 @@ def _explained(null: NullModel, white: Compressed, columns: Columns) -> dict[str
 def is_white(null: NullModel, noise: NoiseModel, explained: Columns, random: Columns | None) -> bool:
     """True if the residual that the columns and the scatter leave is white, in all outputs of all records; of one that
     is rounding it is known what it is."""
-    left = left_over(null, noise, explained, random)
     tests = 0
     smallest = 1.0
+    for gain, p in _looked_at(null, noise, explained, random):
+        if gain > _WANDER:
+            return False
+        if p is not None:
+            tests, smallest = tests + 1, min(smallest, p)
+    return bool(smallest * tests >= _COLOURED_P)
+
+
+def white_by_chance(null: NullModel, noise: NoiseModel, explained: Columns, random: Columns | None) -> float:
+    """How often white noise looks as coloured as what the columns and the scatter leave, over all tests."""
+    chances = []
+    for gain, p in _looked_at(null, noise, explained, random):
+        chances += [_CHANCE * math.exp(-0.5 * gain), 1.0 if p is None else p]
+    return min(1.0, len(chances) * min(chances, default=1.0))
+
+
+def _looked_at(
+    null: NullModel, noise: NoiseModel, explained: Columns, random: Columns | None
+) -> Iterator[tuple[float, float | None]]:
+    """By how much a slow wander makes each output of each record more probable, and the p-value of its whiteness."""
+    left = left_over(null, noise, explained, random)
     for record in null.records:
         for output in record.outputs:
             if rounded(record, output) is not None:
-                tests += 1
+                yield 0.0, 1.0
                 continue
             held = explained[record.name][output]
             if random is not None:
                 held = np.concatenate([held, random[record.name][output]], axis=1)
-            if wanders(record.index[output], record.length[output], left[record.name][output], held):
-                return False
-            p = white_p(record, output, left[record.name][output], held)
-            if p is not None:
-                tests, smallest = tests + 1, min(smallest, p)
-    return bool(smallest * tests >= _COLOURED_P)
+            e = left[record.name][output]
+            gain = wander_gain(record.index[output], record.length[output], e, held)
+            yield gain, white_p(record, output, e, held)
 
 
-def wanders(index: Index, length: int, residual: Array, held: Array) -> bool:
-    """True if Akaike's criterion prefers white noise plus a slow wander to white noise alone.
+def wander_gain(index: Index, length: int, residual: Array, held: Array) -> float:
+    """By how much -2 log likelihood falls from white noise alone to white noise plus a slow wander.
 
     held : (N, k) columns that were fitted
     """
@@ -261,9 +293,10 @@ def wanders(index: Index, length: int, residual: Array, held: Array) -> bool:
     power = spectrum(full, valid, np.ones(length))
     found = None if power is None else wander_of(power, 1)
     if power is None or found is None:
-        return False
-    gain = power.deviance(np.ones(len(power.frequency))) - power.deviance(found.density(power.frequency))
-    return bool(gain > _WANDER)
+        return 0.0
+    return float(
+        power.deviance(np.ones(len(power.frequency))) - power.deviance(found.density(power.frequency))
+    )
 
 
 def too_large(null: NullModel, noise: NoiseModel, known: Mapping[str, float]) -> tuple[tuple[str, str], ...]:

@@ -256,11 +256,13 @@ class Equation:
 @dataclass(frozen=True, eq=False)
 class NoiseFound:
     """The noise of the score tests: sigma : output -> (standard deviation, estimated); colour : "record/output" ->
-    order of its autoregression; scatter : kind -> standard deviation of a relative amplitude, cycle by cycle."""
+    order of its autoregression; scatter : kind -> standard deviation of a relative amplitude, cycle by cycle;
+    is_coloured : it has a colour beyond chance."""
 
     sigma: Mapping[str, tuple[float, bool]]
     colour: Mapping[str, int]
     scatter: Mapping[str, float]
+    is_coloured: bool = False
 
 
 @dataclass(frozen=True)

@@ -110,12 +110,12 @@ def _noise(repair: Repair) -> list[str]:
     units = {out.name: si(out.unit) for out in repair.model.outputs}
     stated = {name: sigma for name, (sigma, free) in repair.null_fit.noise.items() if not free}
     coloured = {key.rpartition("/")[2] for key in repair.noise.colour}
-    words = []
+    colour, words = "coloured" if repair.noise.is_coloured else "perhaps coloured", []
     for name, (sigma, free) in repair.noise.sigma.items():
         unit = units.get(name, "")
         own = [f"sigma {stated[name]:.4g}{unit} (stated)"] if name in stated else []
         if name in coloured:
-            own.append(f"coloured, with innovations of sigma {sigma:.4g}{unit}")
+            own.append(f"{colour}, with innovations of sigma {sigma:.4g}{unit}")
         elif free or not own:
             own.append(f"sigma {sigma:.4g}{unit} (estimated)")
         words.append(f"{name} {', '.join(own)}")

@@ -76,6 +76,12 @@ class UnknownLaw:
         return self.log >= math.log(FACTOR) and self.beside >= math.log(FACTOR)
 
     @property
+    def is_curve(self) -> bool:
+        """True where several effects at one port do no more than a smooth function of what moves there: two laws of one
+        signal add up to many a curve, and that they are fewer numbers is all that speaks for them."""
+        return self.several and self.share <= 1
+
+    @property
     def excludes(self) -> bool:
         """True where the effects are no answer: far less probable, and much of what the function does is left."""
         far = self.log >= math.log(FACTOR) and not self.is_beside
@@ -111,6 +117,8 @@ def unknown_law(
     held = tried.arrived.held
     named = evidence(digest(null, priors, random=random, held=held, choices=choices), refits.levels)
     own = {name for name in null.parameters if any(name.startswith(f"{one.key}.") for one in effects)}
+    # What the effects alone drive to a bound leaves it where they go.
+    others = held & refits.pool[frozenset()].arrived.held - own
     bare = _without(null, [one.amplitude for one in effects], own)
     if bare is None or not math.isfinite(named.log):
         return None
@@ -123,7 +131,7 @@ def unknown_law(
             columns[family.name] = _members(every, family)
             prices[family.name] = math.log(among)
             beside = _beside(bare, columns[family.name])
-            made = _counted(beside, priors, family, held - own, random)
+            made = _counted(beside, priors, family, others, random)
             if made is not None:
                 logs = [
                     evidence(of_size(made, names_of(family), share), refits.levels).log for share in SIZES
@@ -131,16 +139,17 @@ def unknown_law(
                 sized = of_size(made, names_of(family), SIZES[int(np.argmax(logs))])
                 log = float(np.logaddexp.reduce(logs)) - math.log(len(SIZES) * among) - named.log
                 found.append(Rival(log, family, beside, made, sized))
-    found = sorted(found, key=lambda one: -one.log)[:_COLOURED]
+    found.sort(key=lambda one: -one.log)
     if not found:
         return None
     if refits.levels.memory and random is None:
         of_effects = digest(null, priors, held=held, choices=choices)
-        for one in found:
-            log = with_own_colour(one, null, of_effects, frozenset(own), held) - prices[one.family.name]
+        for one in found[:_COLOURED]:
+            log = with_own_colour(one, null, of_effects, frozenset(own)) - prices[one.family.name]
             one.log = max(one.log, log)
     best = max(found, key=lambda one: one.log)
-    log = best.log + (len(effects) - 1) * further
+    # that it is any of them
+    log = float(np.logaddexp.reduce([one.log for one in found])) + (len(effects) - 1) * further
     none = refits.pool[frozenset()].evidence.cost
     least = evidence(best.digest, refits.levels).cost
     share = (none - named.cost) / (none - least) if none > least else 1.0
@@ -311,8 +320,8 @@ def _counted(
 
 def _course(made: Digest, family: Family, levels: Levels) -> Course:
     """The most likely course of the function, with its band."""
-    rows = np.concatenate([*(part * levels.weight(output) for output, part in made.parts), made.prior])
+    rows = made.rows(levels)
     inverse = np.linalg.pinv(rows[:, :-1])
-    n = made.turn.shape[1]
+    n = made.turn.shape[1] - len(made.held)
     own = slice(n - len(family.members), n)
     return course_of(family, inverse[own] @ rows[:, -1], inverse[own])

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from casadi_engine.discrepancy.clocks import clock_of
 from casadi_engine.discrepancy.fresh import Portions
 from casadi_engine.estimation import Fit
 from casadi_engine.experiment import Experiment
@@ -33,7 +34,8 @@ def in_pieces(portion: Portions, fit: Fit) -> Portions | None:
 
 def cut_words(fit: Fit) -> str:
     """That it was done, and why."""
+    longest = clock_of(fit.model).instant(float(f"{fit.followed:.2g}"))
     return (
-        f"the motion is unstable, and no simulation follows it for more than {fit.followed:.2g} s: the records were "
+        f"the motion is unstable, and no simulation follows it for more than {longest}: the records were "
         "searched in pieces as short, each with initial states of its own"
     )

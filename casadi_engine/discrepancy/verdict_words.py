@@ -71,7 +71,7 @@ def _in_fresh_alone(repair: Repair) -> bool:
 
 def may_hide(repair: Repair) -> bool:
     """True if what was found to be no effect of the library is taken for coloured noise: it may be another effect."""
-    return repair.verdict == "nothing missing" and repair.noise is not None and bool(repair.noise.colour)
+    return repair.verdict == "nothing missing" and repair.noise is not None and repair.noise.is_coloured
 
 
 def _named(repair: Repair) -> str:

@@ -230,9 +230,10 @@ class RefitProblem:
     ) -> tuple[Place, str]:
         """Where the search over one horizon ends, and its status; over the last one gaps are closed."""
         windows = Windows(self.records, self.priors, counts, nodes)
+        converged, (low, high) = False, self.bounds
+        v = np.clip(v, low, high)
         if windows(v) is None:
             raise FloatingPointError("its states or slopes are not finite")
-        converged, (low, high) = False, self.bounds
         for _ in range(_CLOSINGS if last else 1):
             before = windows.best.squares.cost
             unit = max(1.0, 2 * before / self.count)  # of chi-squared, where the model is wrong
@@ -242,7 +243,8 @@ class RefitProblem:
                     windows, v, low, high, fall=fall, steps=most, longest=self._longest,
                     anew=lambda at: windows.closed_at(at, _CLOSED * fall),  # noqa: B023
                 )  # fmt: skip
-                assert found is not None  # it was evaluated above
+                if found is None:
+                    raise FloatingPointError("its states or slopes are not finite")
                 v, converged = windows.best.v, found.converged
                 if windows.evaluations > _ENOUGH * most:  # gaps that open again as often as they are closed
                     converged = False

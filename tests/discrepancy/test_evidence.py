@@ -222,23 +222,56 @@ def test_an_amplitude_has_a_prior_with_heavy_tails_about_zero(size, sided):
     assert found == pytest.approx(-0.5 * e @ e + np.log(area), abs=0.02)
 
 
-def test_a_parameter_at_its_bound_is_not_free():
-    null = linear(3)
-    held = log_of(null, held=frozenset({"p1"}))
-    fewer = replace(
+def without_column(null, k, moved=0.0):
+    """The model with a parameter held so far from its value."""
+    kept = [j for j in range(len(null.parameters)) if j != k]
+    return replace(
         null,
-        parameters=("p0", "p2"),
-        values=null.values[[0, 2]],
-        turn=np.eye(2),
-        prior=np.zeros((0, 3)),
+        parameters=tuple(null.parameters[j] for j in kept),
+        values=null.values[kept],
+        turn=np.eye(len(kept)),
+        prior=np.zeros((0, len(kept) + 1)),
         records=tuple(
-            replace(r, slopes={out: np.delete(own, 1, axis=1) for out, own in r.slopes.items()})
+            replace(
+                r,
+                residual={out: r.residual[out] + moved * own[:, k] for out, own in r.slopes.items()},
+                slopes={out: np.delete(own, k, axis=1) for out, own in r.slopes.items()},
+            )
             for r in null.records
         ),
     )
-    assert held == pytest.approx(log_of(fewer))
-    assert held != pytest.approx(log_of(null), abs=0.1)
-    assert evidence(digest(null, wide(null), held=frozenset({"p1"})), Levels(SIGMA)).error["p1"] == np.inf
+
+
+@pytest.mark.parametrize("beyond", [0.0, 0.3, 2.0, 6.0])
+def test_a_parameter_at_its_bound_is_averaged_over_the_allowed_side(beyond):
+    null = linear(3)
+    priors = wide(null)
+    deviation = priors["p1"].deviation
+    error = evidence(digest(null, priors), Levels(SIGMA)).alone["p1"]
+    at_bound = replace(  # where the data would have it beyond the bound
+        null,
+        records=tuple(
+            replace(
+                r,
+                residual={out: r.residual[out] + beyond * error * own[:, 1] for out, own in r.slopes.items()},
+            )
+            for r in null.records
+        ),
+    )
+
+    def density(inside):
+        return np.exp(log_of(without_column(at_bound, 1, inside)) - top) * stats.norm.pdf(
+            inside, scale=deviation
+        )
+
+    top = log_of(without_column(at_bound, 1))
+    area, _ = integrate.quad(density, 0, 40 * error, points=[error, 5 * error])
+    found = evidence(digest(at_bound, priors, held=frozenset({"p1"})), Levels(SIGMA))
+    assert found.log == pytest.approx(top + np.log(area), abs=1e-5)
+    assert found.error["p1"] == np.inf
+    assert found.error["p0"] == pytest.approx(
+        evidence(digest(without_column(null, 1), priors), Levels(SIGMA)).error["p0"]
+    )
 
 
 def test_the_choice_among_whole_numbers_is_paid_for():

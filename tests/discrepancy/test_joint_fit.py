@@ -88,7 +88,7 @@ def repair_of(*, found=50.0, within=1.0, jointly=True, names=("a", "b")):
     )  # fmt: skip
     return stub(
         verdict="named", confirmed=True, gaps=gaps, effects=(stub(),), unknown=None, messages=(),
-        noise=stub(scatter={}, colour={}, sigma={"y": (1.0, True)}),
+        noise=stub(scatter={}, colour={}, is_coloured=False, sigma={"y": (1.0, True)}),
         data=(stub(name=names[0]),), fresh=(stub(name=names[1]),),
     )  # fmt: skip
 

@@ -20,7 +20,7 @@ def odds(shaft, name, *data):
     beside = _beside(null, _members(columns, family))
     made = _counted(beside, priors, family, frozenset(), None)
     rival = Rival(0.0, family, beside, made, made)
-    return with_own_colour(rival, null, digest(null, priors), frozenset(), frozenset())
+    return with_own_colour(rival, null, digest(null, priors), frozenset())
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -154,6 +154,23 @@ def test_a_share_above_all_that_a_law_does_is_not_said(share, said):
     assert ("explains" in words) is said
 
 
+@pytest.mark.parametrize(
+    ("several", "share", "said"), [(True, 0.99, True), (True, 1.2, False), (False, 0.99, False)]
+)
+def test_several_effects_at_a_port_that_a_curve_replaces_say_so(several, share, said):
+    """A constant power at 10 to 29 V is friction and Stribeck's law together: that these are fewer numbers than a
+    function of the voltage is all that speaks for them, and no proof that no other law is there."""
+    family = Family("engine", "speed", (0,), np.ones(1), 0.0, 1.0, np.ones(61))
+    course = SimpleNamespace(family=family, looks_like={})
+    effects = (SimpleNamespace(name="stribeck_friction"), SimpleNamespace(name="coulomb_friction"))
+    last = SimpleNamespace(fit=SimpleNamespace(model=ce.one_inertia()), effects=effects)
+    unknown = in_place_of(last, UnknownLaw(course, -10.0, share, several))
+    assert (unknown is not None) is said
+    if said:
+        assert unknown.sentence.endswith("explains no less: fewer numbers alone speak for these")
+        assert unknown.odds < 1
+
+
 # ---- an effect beside a law of no name
 
 

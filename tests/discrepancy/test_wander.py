@@ -1,5 +1,7 @@
 """White noise plus slow wanders: against dense covariances, and in screens in which nothing is missing."""
 
+import math
+
 import numpy as np
 import pytest
 from scipy.linalg import toeplitz
@@ -9,7 +11,7 @@ import casadi_engine as ce
 from casadi_engine.discrepancy.colour_choice import _by_likelihood
 from casadi_engine.discrepancy.compression import candidate_columns
 from casadi_engine.discrepancy.freedom import freedom_of
-from casadi_engine.discrepancy.noise_choice import wanders
+from casadi_engine.discrepancy.noise_choice import _CHANCE, _WANDER, wander_gain
 from casadi_engine.discrepancy.noise_model import Colour, NoiseModel, deviance, fitted_colour
 from casadi_engine.discrepancy.screening import screen
 from casadi_engine.discrepancy.wander import Wander, spectrum, wander_of
@@ -104,9 +106,21 @@ def test_an_autoregression_is_not_taken_for_a_wander():
 def test_a_weak_wander_is_seen_where_white_noise_is_not():
     held = np.ones((1000, 1))
     index = np.arange(1000)
-    white = [wanders(index, 1000, np.random.default_rng(s).standard_normal(1000), held) for s in range(100)]
-    assert sum(white) <= 12  # one in twenty
-    assert sum(wanders(index, 1000, draw(s, 1000, 0.1), held) for s in range(20)) >= 18
+    white = [
+        wander_gain(index, 1000, np.random.default_rng(s).standard_normal(1000), held) for s in range(100)
+    ]
+    assert sum(gain > _WANDER for gain in white) <= 12  # one in twenty
+    assert sum(wander_gain(index, 1000, draw(s, 1000, 0.1), held) > _WANDER for s in range(20)) >= 18
+
+
+def test_how_often_white_noise_looks_like_a_weak_wander():
+    """The share that colour is held against where it is said, not only counted with."""
+    index, held = np.arange(400), np.ones((400, 1))
+    rng = np.random.default_rng(1)
+    gains = np.array([wander_gain(index, 400, rng.standard_normal(400), held) for _ in range(600)])
+    for least in (2.0, 4.0, 6.0):
+        expected = 600 * _CHANCE * math.exp(-least / 2)
+        assert abs((gains > least).sum() - expected) <= 3 * math.sqrt(expected) + 1
 
 
 def test_freedom_is_that_of_the_variance_of_the_estimate(shaft):

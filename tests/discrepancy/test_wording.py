@@ -84,7 +84,7 @@ def test_what_was_stated_is_not_said_to_be_estimated(heavier):
     found = replace(heavier.noise, sigma={"speed": (0.02, True)})
     larger = joined(replace(heavier, noise=found))
     assert "noise speed sigma 0.01 m/s (stated), sigma 0.02 m/s (estimated)" in larger
-    coloured = joined(replace(heavier, noise=replace(found, colour={"run/speed": 2})))
+    coloured = joined(replace(heavier, noise=replace(found, colour={"run/speed": 2}, is_coloured=True)))
     assert "speed sigma 0.01 m/s (stated), coloured, with innovations of sigma 0.02 m/s" in coloured
     free = replace(heavier.null_fit, noise={"speed": (0.01, True)})
     own = joined(replace(heavier, noise=found, null_fit=free))

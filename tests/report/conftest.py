@@ -275,7 +275,7 @@ def make_repair(**changes):
             NotFound("viscous_friction", "coupling", np.inf, "N m s/rad", False),
         ),
         "equation": Equation(mended.equations(), mended.latex(), ("w_coupling = torque*tanh(rate/0.02)",)),
-        "noise": NoiseFound({"omega": (0.1, True)}, {"misfire_1200rpm/omega": 2}, {"combustion": 0.02}),
+        "noise": NoiseFound({"omega": (0.1, True)}, {"misfire_1200rpm/omega": 2}, {"combustion": 0.02}, True),
         "latent": (LatentTorque("coupling", "exponential", 4739.0, 4.7, 0.0076, {data[0].name: course}),),
         "rounds": (Round((("coulomb_friction at coupling", 0.0),), (("coulomb_friction at coupling", 1168.0, True),),
                          "coulomb_friction at coupling", ()),),

@@ -41,7 +41,9 @@ def test_a_named_and_confirmed_effect(repaired):
 
 @pytest.fixture
 def white(nothing_missing):
-    return replace(nothing_missing, noise=replace(nothing_missing.noise, colour={}, scatter={}))
+    return replace(
+        nothing_missing, noise=replace(nothing_missing.noise, colour={}, scatter={}, is_coloured=False)
+    )
 
 
 def test_nothing_missing(white):
@@ -162,7 +164,7 @@ def test_an_amplitude_without_error_and_parameters_that_stayed(repaired):
 
 
 def test_coloured_noise_is_not_called_white(nothing_missing):
-    noise = replace(nothing_missing.noise, colour={"misfire_1200rpm/omega": 2})
+    noise = replace(nothing_missing.noise, colour={"misfire_1200rpm/omega": 2}, is_coloured=True)
     line = verdict_lines(replace(nothing_missing, noise=noise))[0]
     left = "what an autoregression of the coloured noise leaves is white; others may hide in it"
     assert line.startswith("No effect of the library is missing")
@@ -211,7 +213,7 @@ def test_one_output_that_does_not_fit_is_not_made_up_for_by_others(white):
     rmse = {**sigma, "d": 2.0}
     coloured = {"fresh": {"d": 1e-9}}
     wide = replace(own, gap=replace(first, chi2_per_sample=1.4, rmse=rmse), whiteness_p=coloured)
-    noise = replace(white.noise, sigma=known, colour={}, scatter={})
+    noise = replace(white.noise, sigma=known, colour={}, scatter={}, is_coloured=False)
     changed = replace(white, noise=noise, gaps=replace(gaps, estimation_after=own, validation_after=wide))
     assert fresh_misfit(changed).startswith(
         "the fresh data do not fit: chi2/N of d is 4 there and 1 on the data"
@@ -281,7 +283,7 @@ def test_a_gain_confirms_nothing_where_the_fresh_data_do_not_fit(repaired):
         fresh = replace(
             own, gap=replace(own.gap, chi2_per_sample=chi2), within_errors=within, parameters_p=chance
         )
-        noise = replace(repaired.noise, scatter={}, colour={})
+        noise = replace(repaired.noise, scatter={}, colour={}, is_coloured=False)
         return held_to_fresh_data(
             replace(
                 repaired,
@@ -317,7 +319,7 @@ def test_a_gain_confirms_nothing_where_the_fresh_data_do_not_fit(repaired):
 
 def test_what_fresh_data_do_not_confirm_may_be_chance(repaired):
     """A finding of p = 0.003 that fresh data do not confirm is none, unless it is as improbable as one that they do."""
-    gaps, noise = repaired.gaps, replace(repaired.noise, scatter={}, colour={})
+    gaps, noise = repaired.gaps, replace(repaired.noise, scatter={}, colour={}, is_coloured=False)
     calm = replace(gaps.estimation_before.gap, chi2_per_sample=1.0, samples=400)
     own = replace(gaps.estimation_before, gap=calm, whiteness_p={"fresh": {"omega": 0.4}})
     gaps = replace(
@@ -363,7 +365,7 @@ def test_what_fresh_data_do_not_confirm_may_be_chance(repaired):
     asked = replace(alone, gaps=gaps, unknown=Unknown("a law", {"a function of speed at load": 3e-3}))
     assert held_to_chance(asked) is asked
     # colour of the noise says nothing of fresh whiteness
-    colour = replace(noise, colour={"misfire_1200rpm/omega": 2})
+    colour = replace(noise, colour={"misfire_1200rpm/omega": 2}, is_coloured=True)
     swings = replace(own, whiteness_p={"fresh": {"omega": 1e-9}})
     coloured = judged(3e-3, noise=colour, gaps=replace(gaps, validation_before=swings))
     assert coloured.verdict == "nothing missing"
@@ -395,7 +397,9 @@ def test_what_is_closed_confirms_nothing_where_more_is_left_that_may_be_noise_or
         for chi2, rmse in ((9.0, {"omega": before}), (1.0, {"omega": 0.17}))
     ]
     own = replace(gaps.estimation_after, gap=sides[1].gap)
-    noise = replace(repaired.noise, scatter={}, colour=colour, sigma={"omega": (0.1, True)})
+    noise = replace(
+        repaired.noise, scatter={}, colour=colour, sigma={"omega": (0.1, True)}, is_coloured=bool(colour)
+    )
     gaps = replace(gaps, estimation_after=own, validation_before=sides[0], validation_after=sides[1])
     found = held_to_fresh_data(replace(repaired, confirmed=True, noise=noise, gaps=gaps))
     assert found.confirmed is confirmed

@@ -52,10 +52,11 @@ def _gap(found: Any, case: Case) -> dict[str, float] | None:
             return None
         off, noisy = [], []
         for name, clean in case.clean.items():
-            trace = side.traces[case.fresh.name][name]
-            true = np.interp(trace.time, case.fresh[name].time, clean)
-            off.append((trace.simulated - true) / case.sigma[name])
-            noisy.append(trace.residual[trace.mask] / case.sigma[name])
+            for traces in side.traces.values():  # of the record, or of its pieces
+                trace = traces[name]
+                true = np.interp(trace.time, case.fresh[name].time, clean)
+                off.append((trace.simulated - true) / case.sigma[name])
+                noisy.append(trace.residual[trace.mask] / case.sigma[name])
         made[word] = float(np.sqrt(np.mean(np.concatenate(off) ** 2)))
         made[f"rmse {word}"] = float(np.sqrt(np.mean(np.concatenate(noisy) ** 2)))
     return made
