@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -87,6 +88,7 @@ class Choice:
         here = self.refits.none(null_fit)
         with self.deadline.spared(-_KEPT):  # time for what judges the answer
             self._rounds(here)
+            self._without_gradual_events()
         self._most_probable_of_all()
         self._with_colour()
 
@@ -107,6 +109,26 @@ class Choice:
         except TimeUp:
             if TIME_UP not in self.failed.values():
                 self.failed[f"{ANY}{self._beside}"] = TIME_UP
+
+    def _without_gradual_events(self) -> None:
+        """Go on without structures that have an event for what comes gradually.
+
+        They stay in the search until then: what another effect leaves comes gradually too.
+        """
+        events = [one for one in self.pool.values() if one.is_gradual]
+        if not events:
+            return
+        for one in events:
+            one.failed = True
+        self.refits.sudden_alone = True
+        if not self.pool[self.best].failed:
+            return
+        ready = [t for t in self.pool.values() if not t.failed and t.beyond > BEYOND]
+        ready.sort(key=lambda one: self.price * len(one.effects) - one.log)
+        self.best = frozenset()
+        with suppress(TimeUp):
+            self.best = next(one.key for one in ready if self.station_of(one) is not None)
+            self._grown(self.pool[self.best])
 
     def _grown(self, here: Tried) -> None:
         """Let a structure grow effect by effect, until no change is worth it."""

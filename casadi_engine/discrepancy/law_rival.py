@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from casadi_engine.discrepancy.evidence import Columns, Digest, Levels, evidence, rows_of
+from casadi_engine.discrepancy.beside_starts import moved_by
+from casadi_engine.discrepancy.evidence import Columns, Digest, Levels, Prior, digest, evidence, rows_of
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.noise_model import NoiseModel, estimated_noise
 from casadi_engine.discrepancy.null_model import NullModel
@@ -118,3 +119,89 @@ def of_size(made: Digest, terms: Sequence[str], share: float) -> Digest:
 def names_of(family: Family) -> list[str]:
     """The terms of a function as parameters."""
     return [f"{LAW} {k}" for k in range(len(family.members))]
+
+
+def without_effects(null: NullModel, amplitudes: Sequence[str], own: Collection[str]) -> NullModel | None:
+    """The model without its effects' numbers, and with what their laws did left to the residual; None where an
+    amplitude is not free."""
+    mine = [k for k, name in enumerate(null.parameters) if name in own]
+    rest = [k for k in range(len(null.parameters)) if k not in mine]
+    step = np.zeros(len(null.parameters))
+    for k, name in enumerate(null.parameters):
+        step[k] = null.values[k] if name.partition("@")[0] in amplitudes else 0.0
+    n = null.turn.shape[1]
+    taken = np.linalg.lstsq(null.turn, step, rcond=None)[0]
+    if not np.allclose(null.turn @ taken, step, rtol=1e-6, atol=1e-9 * np.abs(step).max(initial=0.0)):
+        return None
+    inside = free_of(null.turn, mine)
+    records = []
+    for record in null.records:
+        slopes, residual = {}, {}
+        for output, every in record.slopes.items():
+            slopes[output] = np.column_stack([every[:, :n] @ inside, every[:, n:]])
+            residual[output] = record.residual[output] + every[:, :n] @ taken
+        records.append(replace(record, slopes=slopes, residual=residual))
+    prior = null.prior
+    if len(prior):
+        prior = np.column_stack([prior[:, :-1] @ inside, prior[:, -1]])
+    return replace(
+        null,
+        parameters=tuple(null.parameters[k] for k in rest),
+        units=tuple(null.units[k] for k in rest),
+        values=null.values[rest],
+        turn=null.turn[rest] @ inside,
+        prior=prior,
+        records=tuple(records),
+    )
+
+
+def beside_it(bare: NullModel, columns: dict[str, dict[str, Array]]) -> NullModel:
+    """The model with the terms of a function as further parameters."""
+    terms = next(iter(next(iter(columns.values())).values())).shape[1]
+    names = tuple(f"{LAW} {k}" for k in range(terms))
+    n = bare.turn.shape[1]
+    records = []
+    for record in bare.records:
+        slopes = {
+            output: np.column_stack([every[:, :n], columns[record.name][output], every[:, n:]])
+            for output, every in record.slopes.items()
+        }
+        records.append(replace(record, slopes=slopes))
+    prior = bare.prior
+    if len(prior):
+        prior = np.column_stack([prior[:, :-1], np.zeros((len(prior), terms)), prior[:, -1]])
+    return replace(
+        bare,
+        parameters=(*bare.parameters, *names),
+        units=(*bare.units, *["1"] * terms),
+        values=np.concatenate([bare.values, np.zeros(terms)]),
+        turn=linalg.block_diag(bare.turn, np.eye(terms)),
+        prior=prior,
+        records=tuple(records),
+    )
+
+
+def counted_with(
+    null: NullModel,
+    priors: dict[str, Prior],
+    family: Family,
+    held: frozenset[str],
+    random: Columns | None,
+) -> Digest | None:
+    """What the evidence of a function is counted from, at its largest size; None where it moves no output."""
+    names = names_of(family)
+    first = null.turn.shape[1] - len(names)
+    size = math.inf
+    for record in null.records:
+        terms = {
+            o: s[:, first : first + len(names)] * np.sqrt(family.variances) for o, s in record.slopes.items()
+        }
+        for output, sizes in moved_by(null, record, terms).items():
+            moved = float(np.linalg.norm(sizes))
+            varied = float(np.std(record.path.grid.measured[output].values))
+            if moved > 0 and varied > 0:
+                size = min(size, varied / moved)
+    if not math.isfinite(size):
+        return None
+    own = {name: Prior(size * math.sqrt(v)) for name, v in zip(names, family.variances, strict=True)}
+    return digest(null, priors | own, random=random, held=held)

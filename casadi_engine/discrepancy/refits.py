@@ -13,15 +13,18 @@ from casadi_engine.deadline import ask, late
 from casadi_engine.discrepancy.compression import scatter_columns
 from casadi_engine.discrepancy.evidence import (
     FACTOR,
+    Columns,
     Digest,
     Evidence,
     Levels,
+    Prior,
     digest,
     evidence,
     innovations,
     levels_left,
 )
 from casadi_engine.discrepancy.exchanged_units import impossible_gain
+from casadi_engine.discrepancy.gradual import Gradual, in_place_of_event
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.linearised import OneStep
 from casadi_engine.discrepancy.noise_choice import scatter_of
@@ -62,7 +65,8 @@ class Tried:
     itself, where what the best leaves is coloured; failed : its whole fit did not converge; fresh : log probability of
     fresh data beside that by the structure which foretells them best, where they were asked; acts : amplitude -> the
     root of what chi-squared rises by where it is put to zero, of those whose slopes say that they are nothing: of an
-    overflow that is as fast as it likes the slope is nearly none
+    overflow that is as fast as it likes the slope is nearly none; courses : what its events are held against;
+    is_gradual : one of them is far less probable than something that comes gradually
     """
 
     effects: tuple[Addition, ...]
@@ -74,6 +78,8 @@ class Tried:
     failed: bool = False
     fresh: float = 0.0
     acts: dict[str, float] = field(default_factory=dict)
+    courses: tuple[Gradual, ...] = ()
+    is_gradual: bool = False
 
     @property
     def key(self) -> Key:
@@ -103,6 +109,12 @@ class Tried:
         without effects leaves, counts.
         """
         return -math.inf if self.failed else self.counted + self.fresh
+
+    def weigh(self, levels: Levels) -> None:
+        """Count the evidence with this noise."""
+        self.evidence = evidence(self.digest, levels)
+        odds = [one.log(levels) - self.evidence.log for one in self.courses]
+        self.is_gradual = max(odds, default=-math.inf) > math.log(FACTOR)
 
     @property
     def counted(self) -> float:
@@ -185,6 +197,7 @@ class Refits:
         # structure -> what was asked, and one step of all candidates in the place of one of its effects
         self.steps: dict[Tried, tuple[tuple[object, ...], OneStep | None]] = {}
         self._own: dict[int, tuple[Digest, float]] = {}  # log evidence in their own noise
+        self.sudden_alone = False  # no structure with an event for what comes gradually is wanted any more
         self._fine: set[Key] = set()  # structures whose corners are as sharp as the data feel
         self._tell = tell
         # the last one with the share of its corners, as several parts ask for the same
@@ -225,15 +238,34 @@ class Refits:
                 null = self.path.residuals(effects, arrived)
                 priors = priors_of(null, self.path.parameters(effects), effects)
                 choices = float(np.prod([one.choices for one in effects]))
-                made = digest(null, priors, random=self.random(null), held=arrived.held, choices=choices)
+                random, held = self.random(null), arrived.held
+                made = digest(null, priors, random=random, held=held, choices=choices)
                 found = evidence(made, self.levels)
         except FAILURES:
             return None
         if not math.isfinite(found.log):
             return None
-        tried = Tried(effects, arrived, made, found, lambda: self.pool)
+        courses = self._courses(effects, arrived, priors, random)
+        tried = Tried(effects, arrived, made, found, lambda: self.pool, courses=courses)
+        tried.weigh(self.levels)
+        tried.failed = self.sudden_alone and tried.is_gradual
         tried.acts = self._acts(tried)
         return tried
+
+    def _courses(
+        self,
+        effects: tuple[Addition, ...],
+        arrived: Arrived,
+        priors: dict[str, Prior],
+        random: Columns | None,
+    ) -> tuple[Gradual, ...]:
+        """What the events of a structure are held against; none where that cannot be told."""
+        events = [one for one in effects if one.moves]
+        made: list[Gradual | None] = []
+        with suppress(*FAILURES), np.errstate(all="ignore"):
+            null = self.path.null_at(effects, arrived) if events else None
+            made = [in_place_of_event(null, one, priors, arrived.held, random) for one in events if null]
+        return tuple(one for one in made if one is not None)
 
     def _acts(self, tried: Tried) -> dict[str, float]:
         """See ``Tried.acts``; in the noise of the evidence."""
@@ -285,7 +317,7 @@ class Refits:
             except FAILURES:
                 return
             for one in self.pool.values():
-                one.evidence = evidence(one.digest, self.levels)
+                one.weigh(self.levels)
                 one.own = self._alone(one) if self.levels.memory else None
 
     def _left_by(self, tried: Tried) -> tuple[NullModel, Levels]:

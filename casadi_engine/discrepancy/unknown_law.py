@@ -10,27 +10,32 @@ finding, unless they explain most of what the function does: then they stay, and
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from scipy import linalg
 
-from casadi_engine.discrepancy.beside_starts import moved_by
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.elsewhere_families import elsewhere
 from casadi_engine.discrepancy.evidence import (
     FACTOR,
-    Columns,
     Digest,
     Levels,
-    Prior,
     digest,
     evidence,
 )
 from casadi_engine.discrepancy.fresh_misfit import SEEN
-from casadi_engine.discrepancy.law_rival import LAW, SIZES, Rival, free_of, names_of, of_size, with_own_colour
+from casadi_engine.discrepancy.law_rival import (
+    SIZES,
+    Rival,
+    beside_it,
+    counted_with,
+    names_of,
+    of_size,
+    with_own_colour,
+    without_effects,
+)
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.priors import priors_of
@@ -119,7 +124,7 @@ def unknown_law(
     own = {name for name in null.parameters if any(name.startswith(f"{one.key}.") for one in effects)}
     # What the effects alone drive to a bound leaves it where they go.
     others = held & refits.pool[frozenset()].arrived.held - own
-    bare = _without(null, [one.amplitude for one in effects], own)
+    bare = without_effects(null, [one.amplitude for one in effects], own)
     if bare is None or not math.isfinite(named.log):
         return None
     columns: dict[str, dict[str, dict[str, Array]]] = {}
@@ -130,8 +135,8 @@ def unknown_law(
         for family in families:
             columns[family.name] = _members(every, family)
             prices[family.name] = math.log(among)
-            beside = _beside(bare, columns[family.name])
-            made = _counted(beside, priors, family, others, random)
+            beside = beside_it(bare, columns[family.name])
+            made = counted_with(beside, priors, family, others, random)
             if made is not None:
                 logs = [
                     evidence(of_size(made, names_of(family), share), refits.levels).log for share in SIZES
@@ -159,7 +164,7 @@ def unknown_law(
     if not any(
         one.candidate.port == port and one.is_law for one in effects
     ):  # which may bend to a part of it
-        both = _counted(_beside(null, columns[best.family.name]), priors, best.family, held, random)
+        both = counted_with(beside_it(null, columns[best.family.name]), priors, best.family, held, random)
         further_by = _further(both, best, refits.levels) - math.log(choices)
     return UnknownLaw(course, log, share, several_at(tried, port), near_of(tried, port), further_by)
 
@@ -184,7 +189,7 @@ def does_more(refits: Refits, tried: Tried, last: Addition, port: str, signal: s
     if null is None:
         return False
     own = {name for name in null.parameters if name.startswith(f"{last.key}.")}
-    bare = _without(null, [last.amplitude], own)
+    bare = without_effects(null, [last.amplitude], own)
     candidates, every = family_candidates(null, ports=[port])
     families = [family for family in every if family.signal == signal]
     if bare is None or not families:
@@ -197,7 +202,7 @@ def does_more(refits: Refits, tried: Tried, last: Addition, port: str, signal: s
     most = []
     for model, held in ((null, tried.arrived.held), (bare, tried.arrived.held - own)):
         made = [
-            (_counted(_beside(model, _members(columns, family)), priors, family, held, random), family)
+            (counted_with(beside_it(model, _members(columns, family)), priors, family, held, random), family)
             for family in families
         ]
         most.append(max((_most(d, f, refits.levels) for d, f in made if d is not None), default=-math.inf))
@@ -232,96 +237,10 @@ def _further(both: Digest | None, alone: Rival, levels: Levels) -> float:
     return _most(both, alone.family, levels) - evidence(alone.digest, levels).log
 
 
-def _without(null: NullModel, amplitudes: Sequence[str], own: Collection[str]) -> NullModel | None:
-    """The model without its effects' numbers, and with what their laws did left to the residual; None where an
-    amplitude is not free."""
-    mine = [k for k, name in enumerate(null.parameters) if name in own]
-    rest = [k for k in range(len(null.parameters)) if k not in mine]
-    step = np.zeros(len(null.parameters))
-    for k, name in enumerate(null.parameters):
-        step[k] = null.values[k] if name.partition("@")[0] in amplitudes else 0.0
-    n = null.turn.shape[1]
-    taken = np.linalg.lstsq(null.turn, step, rcond=None)[0]
-    if not np.allclose(null.turn @ taken, step, rtol=1e-6, atol=1e-9 * np.abs(step).max(initial=0.0)):
-        return None
-    inside = free_of(null.turn, mine)
-    records = []
-    for record in null.records:
-        slopes, residual = {}, {}
-        for output, every in record.slopes.items():
-            slopes[output] = np.column_stack([every[:, :n] @ inside, every[:, n:]])
-            residual[output] = record.residual[output] + every[:, :n] @ taken
-        records.append(replace(record, slopes=slopes, residual=residual))
-    prior = null.prior
-    if len(prior):
-        prior = np.column_stack([prior[:, :-1] @ inside, prior[:, -1]])
-    return replace(
-        null,
-        parameters=tuple(null.parameters[k] for k in rest),
-        units=tuple(null.units[k] for k in rest),
-        values=null.values[rest],
-        turn=null.turn[rest] @ inside,
-        prior=prior,
-        records=tuple(records),
-    )
-
-
-def _beside(bare: NullModel, columns: dict[str, dict[str, Array]]) -> NullModel:
-    """The model with the terms of a function as further parameters."""
-    terms = next(iter(next(iter(columns.values())).values())).shape[1]
-    names = tuple(f"{LAW} {k}" for k in range(terms))
-    n = bare.turn.shape[1]
-    records = []
-    for record in bare.records:
-        slopes = {
-            output: np.column_stack([every[:, :n], columns[record.name][output], every[:, n:]])
-            for output, every in record.slopes.items()
-        }
-        records.append(replace(record, slopes=slopes))
-    prior = bare.prior
-    if len(prior):
-        prior = np.column_stack([prior[:, :-1], np.zeros((len(prior), terms)), prior[:, -1]])
-    return replace(
-        bare,
-        parameters=(*bare.parameters, *names),
-        units=(*bare.units, *["1"] * terms),
-        values=np.concatenate([bare.values, np.zeros(terms)]),
-        turn=linalg.block_diag(bare.turn, np.eye(terms)),
-        prior=prior,
-        records=tuple(records),
-    )
-
-
-def _counted(
-    null: NullModel,
-    priors: dict[str, Prior],
-    family: Family,
-    held: frozenset[str],
-    random: Columns | None,
-) -> Digest | None:
-    """What the evidence of a function is counted from, at its largest size; None where it moves no output."""
-    names = names_of(family)
-    first = null.turn.shape[1] - len(names)
-    size = math.inf
-    for record in null.records:
-        terms = {
-            o: s[:, first : first + len(names)] * np.sqrt(family.variances) for o, s in record.slopes.items()
-        }
-        for output, sizes in moved_by(null, record, terms).items():
-            moved = float(np.linalg.norm(sizes))
-            varied = float(np.std(record.path.grid.measured[output].values))
-            if moved > 0 and varied > 0:
-                size = min(size, varied / moved)
-    if not math.isfinite(size):
-        return None
-    own = {name: Prior(size * math.sqrt(v)) for name, v in zip(names, family.variances, strict=True)}
-    return digest(null, priors | own, random=random, held=held)
-
-
 def _course(made: Digest, family: Family, levels: Levels) -> Course:
     """The most likely course of the function, with its band."""
     rows = made.rows(levels)
-    inverse = np.linalg.pinv(rows[:, :-1])
+    inverse = np.asarray(np.linalg.pinv(rows[:, :-1]), dtype=float)
     n = made.turn.shape[1] - len(made.held)
     own = slice(n - len(family.members), n)
     return course_of(family, inverse[own] @ rows[:, -1], inverse[own])

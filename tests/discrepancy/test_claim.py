@@ -113,17 +113,21 @@ def test_what_is_seen_and_foretold_by_its_own_past_is_not_called_noise(explained
     )
 
 
-def claimed(monkeypatch, *, before, after, tests, fresh=None, kind="inertia", stated=False):
+def claimed(monkeypatch, *, before, after, tests, fresh=None, kind="inertia", stated=False, coloured=False):
     """A drag that lowers the rms gap of y from ``before`` to ``after`` standard deviations of the noise.
 
-    fresh : the same two of fresh data, None for those of the search; stated : the noise is known, not estimated
+    fresh : the same two of fresh data, None for those of the search; stated : the noise is known, not estimated;
+    coloured : what is left is coloured beyond chance
     """
     sides = {"null": before, "last": after} | dict(zip(("old", "new"), fresh or (before, after), strict=True))
     gaps = {name: Gap(1.0, {"y": size}, {"y": 0.0}, 100) for name, size in sides.items()}
     monkeypatch.setattr(module, "gap_of", lambda nulls, noise: gaps[nulls[0]])
     noise = stub(sigma={"y": 1.0}, colour={})
     fit = stub(model=stub(ports={"load": stub(kind=kind)}), noise={"y": (1.0, not stated)})
-    null, last = (stub(fit=fit, screened=stub(null=name, noise=noise)) for name in ("null", "last"))
+    null, last = (
+        stub(fit=fit, screened=stub(null=name, noise=noise, choice=stub(is_coloured=coloured)))
+        for name in ("null", "last")
+    )
     drag = stub(name="drag", at="load", key="load.drag", share_explained=1.0, p_value=0.0)
     unknown = None if tests is None else Unknown("the residual has a line", tests)
     proof = stub(kept=(null, last), before=[(None, "old")], after=[(None, "new")])
@@ -207,8 +211,9 @@ def test_an_error_of_an_instrument_leaves_no_more_than_it_closes_that_may_be_noi
     monkeypatch, kind, after, fresh, withdrawn
 ):
     """Hysteresis as a sensor that is early, with the rest called coloured: both records have to say so."""
-    claim, null = claimed(monkeypatch, before=3.0, after=after, tests=None, fresh=fresh, kind=kind)
-    claim.last.screened.noise.colour["run", "y"] = object()
+    claim, null = claimed(
+        monkeypatch, before=3.0, after=after, tests=None, fresh=fresh, kind=kind, coloured=True
+    )
     found = reason_to_withdraw(claim, null, True)
     assert (found is not None) == withdrawn
     assert not withdrawn or found.sentence.startswith(

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from casadi_engine.discrepancy.evidence import digest
-from casadi_engine.discrepancy.law_rival import Rival, with_own_colour
+from casadi_engine.discrepancy.law_rival import Rival, beside_it, counted_with, with_own_colour
 from casadi_engine.discrepancy.priors import priors_of
 from casadi_engine.discrepancy.random_families import family_candidates, family_columns
-from casadi_engine.discrepancy.unknown_law import _beside, _counted, _members
+from casadi_engine.discrepancy.unknown_law import _members
 
 
 def odds(shaft, name, *data):
@@ -17,8 +17,8 @@ def odds(shaft, name, *data):
     columns = family_columns(null, candidates)
     family = next(one for one in families if one.name == name)
     priors = priors_of(null, shaft.model.parameters(), ())
-    beside = _beside(null, _members(columns, family))
-    made = _counted(beside, priors, family, frozenset(), None)
+    beside = beside_it(null, _members(columns, family))
+    made = counted_with(beside, priors, family, frozenset(), None)
     rival = Rival(0.0, family, beside, made, made)
     return with_own_colour(rival, null, digest(null, priors), frozenset())
 
