@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.null_model import Index
 from casadi_engine.discrepancy.rounding import step_of
 from casadi_engine.errors import ExperimentError
@@ -187,7 +188,8 @@ def _longest_row(trace: Trace) -> Index | None:
 
 def _wild(trace: Trace) -> Index:
     """Numbers of the samples whose residual, and not their neighbours', is far beyond the others', where they hold most
-    of its squares: what an event does lasts for more than one sample."""
+    of its squares: what an event does lasts for more than one sample, and where the output runs through its range from
+    one sample to the next, a value between its neighbours is none that its sensor made up."""
     there = np.flatnonzero(trace.mask)
     e = trace.residual[there]
     if len(e) < _FEW:
@@ -196,5 +198,15 @@ def _wild(trace: Trace) -> Index:
     beyond = off > _WILD * _MAD * max(float(np.median(off)), 1e-300)
     near = np.r_[False, beyond[:-1]] | np.r_[beyond[1:], False]
     single = beyond & ~near
+    single &= _outside(trace, there) > _WILD * _MAD * max(float(np.median(off)), 1e-300)
     few = single.sum() <= max(1, _RARE * len(e))
     return there[single] if few and off[single] @ off[single] > _DECIDE * (off @ off) else there[:0]
+
+
+def _outside(trace: Trace, there: Index) -> Array:
+    """(N,) by how much each measured sample lies outside all that is measured in the samples next to it, and simulated
+    there."""
+    y, simulated = trace.measured[there], trace.simulated[there]
+    padded, around = np.pad(y, 1, mode="edge"), np.pad(simulated, 1, mode="edge")
+    others = np.stack([padded[:-2], padded[2:], around[:-2], simulated, around[2:]])
+    return np.asarray(np.maximum(others.min(axis=0) - y, y - others.max(axis=0)))

@@ -34,6 +34,7 @@ from casadi_engine.discrepancy.path import FAILURES, Arrived, Path, form_of
 from casadi_engine.discrepancy.priors import priors_of
 from casadi_engine.discrepancy.refit import Addition, Refitter
 from casadi_engine.discrepancy.start import Start
+from casadi_engine.discrepancy.whole_lags import at_whole_lags
 from casadi_engine.errors import EstimationError
 from casadi_engine.estimation import Fit
 from casadi_engine.estimation.corner_widths import FELT, ROUNDED
@@ -216,6 +217,11 @@ class Refits:
         near : an optimum is to be near, so that no short windows show the way; most : see ``Path.from_windows``
         """
         key, path = key_of(effects), self.path
+        if key not in self.pool and any(
+            getattr(e.candidate.source.effect, "retards", False) for e in effects
+        ):
+            with suppress(*FAILURES):
+                effects = at_whole_lags(self.null_fit, self.refitter.extended(effects), effects)
         arrived = path.from_point(effects, start) if near else path.from_windows(effects, start, most)
         known = self.pool.get(key)
         if arrived is None or not math.isfinite(arrived.cost):

@@ -154,6 +154,21 @@ def test_what_lasts_or_is_common_is_not_wild(e):
     assert wild_samples(fit_that_leaves(e)) is None
 
 
+def test_a_sample_on_the_way_from_one_level_to_another_is_not_wild():
+    """A titration passes six units of pH from one sample to the next: a model that is late by half a sample misses that
+    one sample alone, and the measurement has no fault."""
+    fit = fit_that_leaves(np.random.default_rng(0).standard_normal(1000))
+    seen = fit.traces["run"]["y"]
+    level = 300.0 * (np.arange(1000) // 100 % 2)
+    late = level.copy()
+    late[100::100] = 150.0
+    fit.traces["run"]["y"] = Trace(seen.time, late + seen.measured, seen.mask, level)
+    assert wild_samples(fit) is None
+    late[[345, 745]] = 500.0, -300.0
+    fit.traces["run"]["y"] = Trace(seen.time, late + seen.measured, seen.mask, level)
+    assert "y of run at 345, 745 s" in wild_samples(fit)
+
+
 def test_an_output_that_is_one_number_beside_others_that_move_is_refused(moved):
     b = ce.Blueprint("spring")
     x, v = b.state("x", unit="m"), b.state("v", unit="m/s")
