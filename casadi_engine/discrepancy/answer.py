@@ -35,6 +35,7 @@ from casadi_engine.discrepancy.claim import (
     at_own_port,
     behind_a_sensor,
     missing_beside,
+    more_than_stated,
     reason_to_withdraw,
 )
 from casadi_engine.discrepancy.coloured_errors import with_coloured_errors
@@ -128,6 +129,8 @@ class Answer:
         proof = self._timed("confirm", self.fresh.run)
         proof, last = self._honest(proof)
         claim = self._held_to_laws(self._claimed(proof, last), null)
+        if claim.found and claim.unknown is None:
+            claim = replace(claim, unknown=more_than_stated(claim.last))
         found, last, proof = claim.found, claim.last, claim.proof
         if not found:  # there is no repaired model
             self.messages[:] = [words for words in self.messages if words != NO_RUN]

@@ -97,10 +97,7 @@ class Choice:
         try:
             self._grown(here)
             self._from_others()
-            self._timed(
-                "exchange", lambda: special_cases(self.refits, self.best, self.null.screened, self.tell)
-            )
-            self._timed("evidence", self.refits.weigh)
+            self._timed("exchange", lambda: self._special_cases_of(self.pool[self.best]))
             least = self.pool[self.best].log - math.log(FACTOR)
             near = [t for t in self.pool.values() if len(t.key) == len(self.best) > 0 and t.log > least]
             self._timed("refit", lambda: self.refits.exactly(near if len(near) > 1 else ()))
@@ -373,6 +370,7 @@ class Choice:
                 best = more
             best = self._timed("exchange", lambda: self._exchanged(best, here))  # noqa: B023
             # where that is not told, the simpler one is named in the end: a whole fit of the other is in a flat valley
+            self._timed("exchange", lambda: self._special_cases_of(best))  # noqa: B023
             best = simpler(best, self._alike(best), FACTOR)
             self._timed("exchange", lambda: self._again_without(best, here))  # noqa: B023
             here = self.pool[here.key]
@@ -397,6 +395,11 @@ class Choice:
             ask()
         self._told(here, tried, best)
         return best
+
+    def _special_cases_of(self, best: Tried) -> None:
+        """See ``special_cases``."""
+        special_cases(self.refits, best.key, self.null.screened, self.tell)
+        self.refits.weigh()
 
     def _renewed(self, here: Tried) -> Station | None:
         """The structure fitted and scored anew, where what was tried beside it found a better optimum of it: what a

@@ -16,6 +16,10 @@ from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.repaired import FoundEffect, Unknown
 from casadi_engine.discrepancy.station import Station
+from casadi_engine.distributions import chi2_sf
+
+# How often white noise of the level that was stated may be found larger.
+_BY_CHANCE = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +111,18 @@ def missing_beside(
         words = f"{label} scores beyond chance; the search ended before refits could tell" if cut else words
         return Unknown(words, {label: screened.pooled(best)})
     return _no_noise(null)
+
+
+def more_than_stated(last: Station) -> Unknown | None:
+    """What is said of effects that leave more than the noise that was stated, beyond chance."""
+    left, words = last.screened.noise.sigma, []
+    stated = {name: sigma for name, (sigma, estimated) in last.fit.noise.items() if not estimated}
+    for name in stated.keys() - last.screened.choice.rounded.keys():
+        count = sum(len(record.residual.get(name, ())) for record in last.screened.null.records)
+        chance = float(chi2_sf(count * (left[name] / stated[name]) ** 2, count))
+        if chance < _BY_CHANCE / len(stated):
+            words.append(f"{name}, {left[name]:.4g} in place of {stated[name]:.4g}")
+    return Unknown(f"more is left than the noise that was stated: {'; '.join(words)}", {}) if words else None
 
 
 def _no_noise(null: Station) -> Unknown | None:

@@ -47,7 +47,7 @@ def _start(fit: Fit, output: str, foretold: float) -> float:
         return foretold
     most = min(_MOST, int(_SHARE * min(len(one.time) for one in traces)))
     lags = np.arange(-most, most + 1)
-    left = np.array([sum(_left(one, lag) for one in traces) for lag in lags])
+    left = [sum((_left(one, int(lag)) for one in traces), 0.0) for lag in lags]
     best = int(lags[np.argmin(left)])
     return foretold if abs(best - foretold / step) <= 1 or best == 0 else best * step
 
