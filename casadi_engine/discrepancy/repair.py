@@ -382,8 +382,11 @@ class _Job:
             # as its message tells a person to, who may have wanted no more than so many
             if "one more step" in fit.status or (fit.status == OUT_OF_ITERATIONS and self.patient):
                 more = options | {"max_iterations": _FURTHER * options["max_iterations"]}
-                again = estimate(self.model, self.portion.data, parameters=self.parameters, warm=fit, **more)
-                fit = again if again.converged else fit
+                with suppress(CasadiEngineError):  # there is a fit
+                    again = estimate(
+                        self.model, self.portion.data, parameters=self.parameters, warm=fit, **more
+                    )
+                    fit = again if again.converged else fit
         if fit.status == "interrupted" and own.over and not late() and math.isfinite(fit.cost):
             fit = replace(fit, status=_SHARE_OVER)  # it goes on as refits do, which begin in short windows
         pieces = None if self.cut else in_pieces(self.portion, fit)
