@@ -140,12 +140,25 @@ def _found_lines(repair: Repair, most: int) -> Lines:
     return lines
 
 
-def _effect(one: FoundEffect, repair: Repair, most: int) -> Lines:
+def _told_by(one: FoundEffect) -> str:
+    """How surely an effect is there: by its score beside the model without it, and by the share of the gap that closes
+    with it. A score that says nothing of a large share is that of a law which bends the other way by one step."""
     chance = "p < 1e-300" if one.p_value < 1e-300 else f"p = {one.p_value:.2g}"
-    said = f"z = {one.z:.1f}, {chance}, explains {100 * one.share_explained:.0f} % of the gap"
-    if one.p_value > _NONE and one.share_explained < _NONE:  # its law by itself bends the wrong way
-        said = "beyond chance beside the others, and nothing without them"
-    lines = wrapped(f"  {one.sentence}: {said}", "    ")
+    share = f"explains {100 * one.share_explained:.0f} % of the gap"
+    if one.share_explained < _NONE:
+        alone = "closes nothing of the gap by itself"
+        return (
+            "beyond chance beside the others, and nothing without them"
+            if one.p_value > _NONE
+            else f"z = {one.z:.1f}, {chance}, {alone}"
+        )
+    if one.p_value > _NONE:
+        return f"{share}, by a refit: one step along the model without it shows nothing of that"
+    return f"z = {one.z:.1f}, {chance}, {share}"
+
+
+def _effect(one: FoundEffect, repair: Repair, most: int) -> Lines:
+    lines = wrapped(f"  {one.sentence}: {_told_by(one)}", "    ")
     for k, (name, found) in enumerate(one.parameters.items()):
         e, more = clock_of(repair.model).told(found, always=k > 0)
         more += of_either_sign(found) if k == 0 else ""

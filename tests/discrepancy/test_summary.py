@@ -1,6 +1,7 @@
 """What a repair prints: the sentences of one screen, for systems of any kind."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.discrepancy.repaired import UNTOLD, Member, NextExperiment, Unknown
-from casadi_engine.discrepancy.summary import noise_of_chi2
+from casadi_engine.discrepancy.summary import _told_by, noise_of_chi2
 from casadi_engine.discrepancy.verdict_words import headline, next_step
 from casadi_engine.discrepancy.wording import in_unit, port_cure, twins
 
@@ -187,3 +188,21 @@ def test_a_search_that_was_none_claims_nothing(leaking):
     )
     assert headline(none) == f"no finding: {UNTOLD}"
     assert f"no finding: {UNTOLD}" in joined(none)
+
+
+@pytest.mark.parametrize(
+    ("p", "share", "said"),
+    [
+        (1e-9, 0.9, "z = 5.0, p = 1e-09, explains 90 % of the gap"),
+        (
+            1.0,
+            0.94,
+            "explains 94 % of the gap, by a refit: one step along the model without it shows nothing of that",
+        ),
+        (1.0, 0.0, "beyond chance beside the others, and nothing without them"),
+        (1e-9, -1.0, "z = 5.0, p = 1e-09, closes nothing of the gap by itself"),
+    ],
+)
+def test_a_score_and_a_share_do_not_contradict_each_other(p, share, said):
+    """'z = -8.9, p = 1, explains 94 % of the gap', and '-100 %', were printed in one line."""
+    assert _told_by(SimpleNamespace(z=5.0, p_value=p, share_explained=share)) == said
