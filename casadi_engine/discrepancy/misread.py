@@ -253,8 +253,9 @@ class _Readings:
         """True unless the initial states alone make the fit good, as of a model so slow that it hardly moves."""
         held = self.parameters.copy()
         for name in held.names:
-            if held[name].vary:
-                held.fix(name, fit.values[name])
+            one = held[name]
+            if one.vary:  # a fit may end a rounding beyond a bound
+                held.fix(name, min(max(fit.values[name], one.min), one.max))
         still = []
         for record in records:
             for variable in self.model.inputs:
