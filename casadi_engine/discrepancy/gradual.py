@@ -60,8 +60,7 @@ def in_place_of_event(
     null : the structure, linearised where its refit ended; held : parameters at a bound
     """
     own = {name for name in null.parameters if name.startswith(f"{one.key}.")}
-    amplitudes = [name for name in own if name.partition("@")[0] == one.amplitude]
-    bare = without_effects(null, amplitudes, own)
+    bare = without_effects(null, [one.amplitude], own)
     if bare is None:
         return None
     courses = [_course(null, record, one.candidate.port) for record in null.records]
