@@ -145,13 +145,10 @@ def _told_by(one: FoundEffect) -> str:
     with it. A score that says nothing of a large share is that of a law which bends the other way by one step."""
     chance = "p < 1e-300" if one.p_value < 1e-300 else f"p = {one.p_value:.2g}"
     share = f"explains {100 * one.share_explained:.0f} % of the gap"
-    if one.share_explained < _NONE:
-        alone = "closes nothing of the gap by itself"
-        return (
-            "beyond chance beside the others, and nothing without them"
-            if one.p_value > _NONE
-            else f"z = {one.z:.1f}, {chance}, {alone}"
-        )
+    if one.share_explained < 0:
+        share = "closes nothing of the gap by itself"
+    if one.p_value > _NONE and one.share_explained < _NONE:
+        return "beyond chance beside the others, and nothing without them"
     if one.p_value > _NONE:
         return f"{share}, by a refit: one step along the model without it shows nothing of that"
     return f"z = {one.z:.1f}, {chance}, {share}"

@@ -53,7 +53,8 @@ def _start(fit: Fit, output: str, foretold: float) -> float:
 
 
 def _left(trace: Trace, lag: int) -> float:
-    """Mean square of what a simulation leaves that is so many samples later."""
+    """Mean square of what a simulation leaves that is so many samples later; inf where no sample is left."""
     first, last = max(lag, 0), len(trace.time) + min(lag, 0)
     moved = trace.measured[first:last] - trace.simulated[first - lag : last - lag]
-    return float(np.mean(np.square(moved[trace.mask[first:last]])))
+    own = moved[trace.mask[first:last]]
+    return float(np.mean(np.square(own))) if len(own) else np.inf
