@@ -88,7 +88,7 @@ class Choice:
         here = self.refits.none(null_fit)
         with self.deadline.spared(-_KEPT):  # time for what judges the answer
             self._rounds(here)
-            self._without_gradual_events()
+            self._without_curves()
         self._most_probable_of_all()
         self._with_colour()
 
@@ -107,17 +107,18 @@ class Choice:
             if TIME_UP not in self.failed.values():
                 self.failed[f"{ANY}{self._beside}"] = TIME_UP
 
-    def _without_gradual_events(self) -> None:
-        """Go on without structures that have an event for what comes gradually.
+    def _without_curves(self) -> None:
+        """Go on without structures whose effects bend to something else: an event for what comes gradually, two laws
+        that take each other back.
 
         They stay in the search until then: what another effect leaves comes gradually too.
         """
-        events = [one for one in self.pool.values() if one.is_gradual]
-        if not events:
+        curves = [one for one in self.pool.values() if one.is_curve]
+        if not curves:
             return
-        for one in events:
+        for one in curves:
             one.failed = True
-        self.refits.sudden_alone = True
+        self.refits.named_alone = True
         if not self.pool[self.best].failed:
             return
         ready = [t for t in self.pool.values() if not t.failed and t.beyond > BEYOND]

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from casadi_engine.deadline import ask, late
+from casadi_engine.discrepancy.cancelling import work_against_each_other
 from casadi_engine.discrepancy.compression import scatter_columns
 from casadi_engine.discrepancy.evidence import (
     FACTOR,
@@ -67,7 +68,8 @@ class Tried:
     fresh data beside that by the structure which foretells them best, where they were asked; acts : amplitude -> the
     root of what chi-squared rises by where it is put to zero, of those whose slopes say that they are nothing: of an
     overflow that is as fast as it likes the slope is nearly none; courses : what its events are held against;
-    is_gradual : one of them is far less probable than something that comes gradually
+    is_gradual : one of them is far less probable than something that comes gradually; cancels : effects at one port
+    work against each other
     """
 
     effects: tuple[Addition, ...]
@@ -81,6 +83,12 @@ class Tried:
     acts: dict[str, float] = field(default_factory=dict)
     courses: tuple[Gradual, ...] = ()
     is_gradual: bool = False
+    cancels: bool = False
+
+    @property
+    def is_curve(self) -> bool:
+        """True where effects bend to something that has no name of theirs."""
+        return self.is_gradual or self.cancels
 
     @property
     def key(self) -> Key:
@@ -198,7 +206,7 @@ class Refits:
         # structure -> what was asked, and one step of all candidates in the place of one of its effects
         self.steps: dict[Tried, tuple[tuple[object, ...], OneStep | None]] = {}
         self._own: dict[int, tuple[Digest, float]] = {}  # log evidence in their own noise
-        self.sudden_alone = False  # no structure with an event for what comes gradually is wanted any more
+        self.named_alone = False  # no structure whose effects bend to something else is wanted any more
         self._fine: set[Key] = set()  # structures whose corners are as sharp as the data feel
         self._tell = tell
         # the last one with the share of its corners, as several parts ask for the same
@@ -251,10 +259,13 @@ class Refits:
             return None
         if not math.isfinite(found.log):
             return None
-        courses = self._courses(effects, arrived, priors, random)
-        tried = Tried(effects, arrived, made, found, lambda: self.pool, courses=courses)
+        courses, cancels = (
+            self._courses(effects, arrived, priors, random),
+            work_against_each_other(null, effects),
+        )
+        tried = Tried(effects, arrived, made, found, lambda: self.pool, courses=courses, cancels=cancels)
         tried.weigh(self.levels)
-        tried.failed = self.sudden_alone and tried.is_gradual
+        tried.failed = self.named_alone and tried.is_curve
         tried.acts = self._acts(tried)
         return tried
 
