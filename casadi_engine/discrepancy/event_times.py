@@ -119,7 +119,7 @@ def finer_candidates(
         grid = _through(grid, (at - begin) / length)
     dense = copy.copy(effect)
     object.__setattr__(dense, "nuisance", {"time": grid})
-    every = library_candidates(null, data, (dense,), again=True)
+    every = library_candidates(null, data, (dense,), again=True, at=one.port)
     made = [
         replace(found, source=replace(found.source, effect=effect))
         for found in every

@@ -28,12 +28,13 @@ def library_candidates(
     known: Known | None = None,
     *,
     again: bool = False,
+    at: str | None = None,
 ) -> list[Candidate]:
     """Every effect at every port that it can attach to, over its grids, linearised at the null parameters.
 
     An effect that sits at a time or in cycles is a candidate of one record each; any other acts in all records alike,
     with the constants that each record gives. Effects at several cylinders form a group.
-    skipped, known, again : as in ``candidates``
+    skipped, known, again, at : as in ``candidates``
     Raises EffectError for an effect that does not follow the protocol.
     """
     found: dict[tuple[Any, ...], Candidate] = {}
@@ -53,6 +54,7 @@ def library_candidates(
             known=known,
             free=free,
             again=again,
+            at=at,
         )
         for number, made in enumerate(every):
             placed = any(grid.over in ("time", "cycle") for grid in made.effect.nuisance.values())

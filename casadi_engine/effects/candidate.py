@@ -185,6 +185,7 @@ def candidates(
     known: Known | None = None,
     free: Collection[str] | None = None,
     again: bool = False,
+    at: str | None = None,
 ) -> tuple[Candidate, ...]:
     """Return all candidates of effects at all ports of a model, over the grids of their nuisance parameters.
 
@@ -198,6 +199,7 @@ def candidates(
     those of `parameters`, and of the declarations where it is no Parameters
     again : True for effects that the model has already at a port too, as it has them a second time: an event that
     happens elsewhere. Else they are left out there. Ports that lack a signal which the law reads are left out always.
+    at : the name of the one port that is asked for, None for all
     """
     record = arriving(model, record)
     vector = model.parameter_vector(parameters)
@@ -208,7 +210,9 @@ def candidates(
     for effect in effects:
         check_effect(effect)
         for port in ports_for(model, effect):
-            if (port.name, effect.name) in there or (effect.fixed_only and port.parameter in free):
+            if at not in (None, port.name) or (port.name, effect.name) in there:
+                continue
+            if effect.fixed_only and port.parameter in free:
                 continue
             try:
                 view = PortView(model, port, courses, effect=effect.name, free=free)

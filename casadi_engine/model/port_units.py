@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -108,6 +109,7 @@ def _text(powers: Mapping[str, Fraction]) -> str:
     return unit_product(*[(name, power) for name, power in powers.items() if power])
 
 
+@lru_cache(maxsize=1024)
 def named(unit: str) -> str:
     """A unit by its own symbol where it has one.
 
@@ -117,6 +119,7 @@ def named(unit: str) -> str:
     return next((name for name in _NAMED if _alike(unit, name)), unit)
 
 
+@lru_cache(maxsize=1024)
 def quantity(unit: str) -> str:
     """What has this unit, in one word or two: "rate" for any other that is by time, else "term", as where it was not
     stated.
@@ -147,6 +150,7 @@ def is_speed(unit: str) -> bool:
     return unit != NOT_STATED and (read_unit(unit).dimension in ("s-1 rad", "s-1 m"))
 
 
+@lru_cache(maxsize=1024)
 def _dimension(unit: str) -> tuple[tuple[str, Fraction], ...]:
     """The dimension without angles, but for that of an angle by time alone."""
     powers = dict(read_unit(unit).exponents)

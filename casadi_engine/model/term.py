@@ -228,6 +228,7 @@ def read_terms(
         )
     whole = [name for name, grid in effect.nuisance.items() if grid.whole]
     laws: dict[tuple[float, ...], Term] = {}
+    own: tuple[ParameterDeclaration, ...] | None = None
     found = []
     for values in choices:
         given = _checked_values(effect, values)
@@ -237,10 +238,11 @@ def read_terms(
             term = laws[key] = _law_read(model, effect, port, given, sharp)
             found.append(term)
         else:
-            view = PortView(model, port, effect=effect.name)
-            named = _declarations(effect, port, view, given, unit_at(model, port))
-            width = term.declarations[len(named) :]
-            found.append(replace(term, declarations=(*named, *width)))
+            if own is None:
+                view = PortView(model, port, effect=effect.name)
+                own = _declarations(effect, port, view, {}, unit_at(model, port))
+            width = term.declarations[len(own) :]
+            found.append(replace(term, declarations=(*_at_values(own, given), *width)))
     check_symbols(model, [*laws.values()])
     check_null([*laws.values()])
     return found
@@ -333,11 +335,12 @@ def _checked_values(effect: Any, values: Mapping[str, float]) -> dict[str, float
 def _declarations(
     effect: Any, port: Port, view: PortView, values: Mapping[str, float], unit: str
 ) -> tuple[ParameterDeclaration, ...]:
+    """The amplitude and the nuisance parameters that are not whole numbers, at these values or their own."""
     key, amplitude = f"{view.name}.{effect.name}", effect.amplitude
     made = [
         ParameterDeclaration(
             f"{key}.{amplitude.name}",
-            values.get(amplitude.name, 0.0),
+            0.0,
             unit if amplitude.unit is None else port.in_its_unit(amplitude.unit),
             amplitude.min,
             amplitude.max,
@@ -349,19 +352,22 @@ def _declarations(
         if not grid.whole:
             low, high, middle = _range(grid, view)
             words = grid.description or f"{name} of {effect.name}"
-            value = values.get(name, middle)
-            made.append(
-                ParameterDeclaration(
-                    f"{key}.{name}",
-                    value,
-                    port.in_its_unit(grid.unit),
-                    min(low, value),
-                    max(high, value),
-                    True,
-                    words,
-                )
-            )
-    return tuple(made)
+            own = port.in_its_unit(grid.unit)
+            made.append(ParameterDeclaration(f"{key}.{name}", middle, own, low, high, True, words))
+    return _at_values(made, values)
+
+
+def _at_values(
+    declared: Sequence[ParameterDeclaration], values: Mapping[str, float]
+) -> tuple[ParameterDeclaration, ...]:
+    """Declarations of an effect at other values, which are within the bounds of a nuisance parameter."""
+    amplitude, *others = declared
+    name = amplitude.name.rpartition(".")[2]
+    found = [replace(amplitude, value=values[name]) if name in values else amplitude]
+    for one in others:
+        value = values.get(one.name.rpartition(".")[2], one.value)
+        found.append(replace(one, value=value, min=min(one.min, value), max=max(one.max, value)))
+    return tuple(found)
 
 
 def _words(effect: Any, port: Port) -> str:
