@@ -74,7 +74,7 @@ from casadi_engine.discrepancy.repaired import (
 )
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.discrepancy.too_few import held_to_what_fresh_data_tell
-from casadi_engine.discrepancy.unknown_law import UnknownLaw, unknown_law
+from casadi_engine.discrepancy.unknown_law import UnknownLaw, imitators, unknown_law
 from casadi_engine.discrepancy.vanishing import may_vanish
 from casadi_engine.discrepancy.verdict_words import may_hide
 from casadi_engine.discrepancy.withdrawal import held_to_rivals
@@ -199,9 +199,10 @@ class Answer:
         """What is left where laws that no effect names are held against what is claimed."""
         found, unknown, last = claim.found, claim.unknown, claim.last
         coloured = last.screened.choice.is_coloured
-        # where something is known to be missing, it is looked for everywhere
         sure = unknown is not None and bool(unknown.tests) and not null.screened.request.blind
-        near = partial(unknown_law, everywhere=True) if sure else unknown_law
+        # where something is known to be missing, it is looked for everywhere; and where effects may imitate it
+        far = (sure or bool(found)) and not null.screened.request.blind
+        near = partial(unknown_law, everywhere=True) if far else unknown_law
         held = claim.nearest or last  # effects that leave too much are still nearer than none
         law = self._law(held, near) if found or sure or (unknown is None and coloured) else None
         rival = _said(claim, held, law)
@@ -209,10 +210,14 @@ class Answer:
         asked = rival is not None or (unknown is not None and not found)
         asked = asked or (coloured and self._in_time("unknown law", lambda: self._is_far(last)) is True)
         if asked and not null.screened.request.blind:  # an error of a sensor may be all there is
-            far = self._law(held, refitted_law)
-            told = _said(claim, held, far, refitted=True)
-            if told is not None and far is not None and (rival is None or law is None or far.log > law.log):
-                law, rival = far, told
+            again = self._law(held, refitted_law)
+            told = _said(claim, held, again, refitted=True)
+            if (
+                told is not None
+                and again is not None
+                and (rival is None or law is None or again.log > law.log)
+            ):
+                law, rival = again, told
         if rival is None or law is None:
             return claim
         if not found and unknown is None and law.log < -math.log(self._rare):  # by their odds alone
@@ -220,6 +225,7 @@ class Answer:
         if unknown is not None and not found:
             rival = replace(rival, tests=unknown.tests)
         claim = replace(claim, unknown=rival if law.log >= 0 or unknown is None else unknown)
+        law = replace(law, imitators=self._imitators(held, law)) if law.log >= math.log(FACTOR) else law
         judged = claim.proof.judgement  # what fresh data deny is no name for the law that is more probable
         denied = judged is not None and judged.confirmed is False and law.log >= math.log(FACTOR)
         if law.excludes or denied:
@@ -284,6 +290,14 @@ class Answer:
             "unknown law", lambda: told(search.refits, tried, search.price)
         )
         return found
+
+    def _imitators(self, last: Station, law: UnknownLaw) -> int:
+        """See ``unknown_law.imitators``."""
+        tried, family = self.search.pool.get(key_of(last.effects)), law.course.family
+        if tried is None or len(tried.effects) < 2:
+            return 0
+        refits = self.search.refits
+        return self._in_time("unknown law", lambda: imitators(refits, tried, family.port, family.signal)) or 0
 
     def _honest(self, proof: Confirmation) -> tuple[Confirmation, Station]:
         """The last model with errors that count with the colour of its noise."""

@@ -271,6 +271,8 @@ def law_words(model: Model, family: Family) -> str:
     """An unknown law in words: what acts, where, and what it depends on."""
     port = model.ports[family.port]
     kind, _, name = family.port.partition("_")
+    if port.kind == "sensor" and family.signal == TIME:
+        return f"the sensor {name} drifts with time"
     if port.kind in ("input", "sensor"):
         return f"the {kind} {name} {'acts as' if kind == 'input' else 'shows'} another function of its value"
     if port.kind == "parameter":

@@ -21,7 +21,7 @@ from casadi_engine.deadline import Deadline, TimeUp, ask, late
 from casadi_engine.discrepancy.additions import AGAIN, TIME_UP, Additions
 from casadi_engine.discrepancy.assumed_pressure import settle_scatter
 from casadi_engine.discrepancy.exchange import exchanged, leaves_more, special_cases, weak_beside_colour
-from casadi_engine.discrepancy.exchanged_units import impossible_gain
+from casadi_engine.discrepancy.exchanged_units import impossible
 from casadi_engine.discrepancy.families import BEYOND, chosen_of, families_of
 from casadi_engine.discrepancy.fresh_misfit import SEEN
 from casadi_engine.discrepancy.membership import simpler
@@ -496,11 +496,17 @@ class Choice:
         return max(found, key=lambda one: one.log, default=None)
 
     def _exchanged(self, best: Tried, here: Tried) -> Tried:
-        """The structure after its members were exchanged one by one, and each was left out, as far as time allows."""
-        try:
-            return exchanged(self.refits, best, here, self.null.screened, self.tell)
-        except TimeUp:
-            return best
+        """The structure after its members were exchanged one by one, and each was left out, as far as time allows; or
+        what is left of one that is more probable, without the members that do nothing there."""
+        with suppress(TimeUp):
+            best = exchanged(self.refits, best, here, self.null.screened, self.tell)
+            alike = [one for one in self.pool.values() if len(one.effects) == len(best.effects)]
+            made = [
+                one for one in self._without_idle(alike) if not one.key <= here.key and one.beyond > BEYOND
+            ]
+            least = best.log - self.price
+            best = max((one for one in made if one.log > least), key=lambda one: one.log, default=best)
+        return best
 
     # ---- whole fits
 
@@ -536,9 +542,10 @@ class Choice:
         start = Start(there.values, there.initial, {}, there.settled, fineness=there.refit.fineness)
         fit = self._timed("fit", lambda: self.refitter(self.null_fit, tried.effects, start=start))
         if fit is not None and (
-            not fit.converged or impossible_gain(tried.effects, fit.values, self.refitter.model)
+            not fit.converged
+            or impossible(tried.effects, fit.values, self.refitter.model, self.refitter.data)
         ):
-            fit = None  # the gain was a possible one where the refit ended
+            fit = None  # the gain or delay was a possible one where the refit ended
         if fit is not None:
             # before, the scatter of assumed pressures had to stand for the effect
             own, options = self.refitter.noise, self.refitter.options

@@ -1,5 +1,5 @@
-"""Functions where no effect of the library acts: a parameter that is not constant, and what acts at a port by the
-signals of others.
+"""Functions where no effect of the library acts: a parameter that is not constant, a sensor that drifts, and what acts
+at a port by the signals of others.
 
 There are many of them, most of them absurd, so that they are asked only where something is known to be missing, share
 half of the prior, and are looked at by two terms first.
@@ -23,6 +23,7 @@ from casadi_engine.discrepancy.random_families import (
     Signal,
     along,
     families_of,
+    family_candidates,
     family_columns,
     term_candidate,
 )
@@ -51,8 +52,20 @@ def elsewhere(null: NullModel, levels: Levels) -> tuple[list[Candidate], list[Fa
     return *_terms(null, [places[k] for k in best], _TERMS), len(places)
 
 
+def functions_of(null: NullModel, port: str, signal: str) -> tuple[list[Candidate], list[Family]]:
+    """The terms of the functions of one signal at a port, wherever that is known, and these functions."""
+    candidates, families = family_candidates(null, ports=[port])
+    own = [family for family in families if family.signal == signal]
+    if own:
+        return candidates, own
+    return _terms(
+        null, [(at, one) for at, one in _places(null) if (at.name, one.name) == (port, signal)], _TERMS
+    )
+
+
 def _places(null: NullModel) -> list[tuple[Port, Signal]]:
-    """Where a function may act, and what it may depend on: all states and inputs, and time at a parameter."""
+    """Where a function may act, and what it may depend on: all states and inputs, and time at a parameter, at a sensor
+    time alone."""
     model = null.model
     every = [(s.name, model.x[k]) for k, s in enumerate(model.states)]
     every += [(u.name, model.u[k]) for k, u in enumerate(model.inputs)]
@@ -64,6 +77,8 @@ def _places(null: NullModel) -> list[tuple[Port, Signal]]:
         if port.kind == "parameter" and "." not in port.parameter and _acts(model, port):
             at_ports = _said_at_ports(model, port, every)
             found += [(port, signal) for name, signal in made.items() if name not in at_ports]
+        elif port.kind == "sensor":
+            found.append((port, made[TIME]))
         elif port.slot is not None:
             own = list(port.signals.values())
             found += [(port, made[name]) for name, symbol in every if not _is_known(symbol, own)]

@@ -1,4 +1,5 @@
-"""Units that are taken for one another: what a sensor shows whose numbers have another unit than its label."""
+"""Units that are taken for one another: what a sensor shows whose numbers have another unit than its label; and what no
+sensor does."""
 
 from __future__ import annotations
 
@@ -9,6 +10,7 @@ from casadi_engine.experiment.units import CONFUSED, NOT_STATED, read_unit
 
 if TYPE_CHECKING:
     from casadi_engine.discrepancy.refit import Addition
+    from casadi_engine.experiment import Experiment
     from casadi_engine.model import Model
 
 # Gain by which a sensor may be wrong that shows its own unit; factor by which a stated value may be; how near to a
@@ -16,6 +18,9 @@ if TYPE_CHECKING:
 WRONG, _STATED, _NEAR = 0.5, 5.0, 0.05
 # Factors of a sensor whose sign is turned, or of whose encoder twice or four times the edges are counted.
 _MISREAD = (-1.0, 2.0, 4.0)
+# Share of a record by which a sensor may be late: with a longer delay most of what it shows is of no time that was
+# simulated.
+_LATE = 0.5
 
 
 def exchanges(unit: str) -> Iterator[tuple[str, str, float]]:
@@ -30,6 +35,20 @@ def exchanges(unit: str) -> Iterator[tuple[str, str, float]]:
         if own.dimension == other.dimension and ratio != 1 and not plus:
             yield name, unit, ratio
             yield unit, name, 1 / ratio
+
+
+def impossible(
+    effects: Sequence[Addition], values: Mapping[str, float], model: Model, data: Sequence[Experiment]
+) -> bool:
+    """True if an effect would be what none is: see ``impossible_gain``; or a delay of a sensor by more than half of a
+    record."""
+    shortest = min(record.duration for record in data)
+    late = (
+        abs(values.get(one.amplitude, 0.0)) > _LATE * shortest
+        for one in effects
+        if getattr(one.candidate.source.effect, "retards", False)
+    )
+    return any(late) or impossible_gain(effects, values, model)
 
 
 def impossible_gain(effects: Sequence[Addition], values: Mapping[str, float], model: Model) -> bool:

@@ -197,7 +197,8 @@ def held_to_fresh_data(repair: Repair) -> Repair:
     held = _held(repair)
     at = [repair.model.ports[one.at].kind for one in held.effects]
     judged = held.gaps is not None and held.gaps.validation_after is not None
-    fits = held.confirmed is not False and (fresh_misfit(repair) is None or is_louder(repair))
+    fits = fresh_misfit(repair) is None or is_louder(repair) or _left(repair) ** 2 <= SEEN
+    fits = fits and held.confirmed is not False
     if fits or not judged or set(at) != {"sensor"}:
         return held
     names = " and ".join(f"{one.name} at {one.at}" for one in held.effects)
@@ -226,8 +227,8 @@ def _held(repair: Repair) -> Repair:
         return replace(repair, verdict="unnamed", unknown=Unknown(misfit, {FRESH: p}))
     if confirmed and _mostly_left(repair):
         confirmed = False
-    # several effects together bend to what none of them is, unless they close all that a person sees
-    if confirmed and len(repair.effects) > 1 and not is_louder(repair) and _left(repair) > SEEN:
+    # several effects together bend to what none of them is, unless they close all but a tenth of the squares
+    if confirmed and len(repair.effects) > 1 and not is_louder(repair) and _left(repair) ** 2 > SEEN:
         confirmed = False
     return replace(repair, confirmed=confirmed, messages=(misfit, *repair.messages))
 

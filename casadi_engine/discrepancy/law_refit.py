@@ -111,8 +111,8 @@ def refitted_law(refits: Refits, tried: Tried, further: float) -> UnknownLaw | N
     if not found:
         return None
     best = max(found, key=lambda one: one.log)
-    price = math.log(len(setups)) - (len(tried.effects) - 1) * max(further, 0.0)
-    return replace(best, log=best.log - price)
+    price = (len(tried.effects) - 1) * max(further, 0.0)
+    return replace(best, log=best.log - math.log(len(setups)) + price, price=price)
 
 
 def is_far(null: NullModel) -> bool:

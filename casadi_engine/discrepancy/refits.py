@@ -24,7 +24,7 @@ from casadi_engine.discrepancy.evidence import (
     innovations,
     levels_left,
 )
-from casadi_engine.discrepancy.exchanged_units import impossible_gain
+from casadi_engine.discrepancy.exchanged_units import impossible
 from casadi_engine.discrepancy.gradual import Gradual, in_place_of_event
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.linearised import OneStep
@@ -244,8 +244,8 @@ class Refits:
         return [self.pool[key]] if key in self.pool else []
 
     def _counted(self, effects: tuple[Addition, ...], arrived: Arrived) -> Tried | None:
-        """A refit with its evidence; None where a sensor would have a gain that none has."""
-        if impossible_gain(effects, arrived.values, self.refitter.model):
+        """A refit with its evidence; None where a sensor would have a gain or a delay that none has."""
+        if impossible(effects, arrived.values, self.refitter.model, self.refitter.data):
             return None
         try:
             with np.errstate(all="ignore"):

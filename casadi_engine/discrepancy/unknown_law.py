@@ -10,18 +10,20 @@ finding, unless they explain most of what the function does: then they stay, and
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
 from casadi_engine.discrepancy.candidate import Candidate
-from casadi_engine.discrepancy.elsewhere_families import elsewhere
+from casadi_engine.discrepancy.elsewhere_families import elsewhere, functions_of
 from casadi_engine.discrepancy.evidence import (
     FACTOR,
+    Columns,
     Digest,
     Levels,
+    Prior,
     digest,
     evidence,
 )
@@ -64,9 +66,11 @@ _NEAR_OF_OTHERS = 1 - SEEN**2
 class UnknownLaw:
     """The function that is most probable: its course, the log of how much more probable the model is with it than with
     the effects, the share of what it takes from chi-squared that these take too, and whether they are several at its
-    own port: one name that comes near is worth keeping, several that together imitate a function are not; near : the
-    share from which on one does; beside : the log of how much more probable the function is with the effects beside it
-    than without them, where none of them is a law there itself: what they do is no imitation of it then."""
+    own port; near : the share from which on effects come near; beside : the log of how much more probable the function
+    is with the effects beside it than without them, where none of them is a law there itself: what they do is no
+    imitation of it then; price : the part of the log that is paid for further names, not told by the data; imitators :
+    how many of the effects do nothing beside the function: one name that comes near is worth keeping, several that
+    together imitate a function are not."""
 
     course: Course
     log: float
@@ -74,6 +78,8 @@ class UnknownLaw:
     several: bool = False
     near: float = _NEAR
     beside: float = -math.inf
+    price: float = 0.0
+    imitators: int = 0
 
     @property
     def is_beside(self) -> bool:
@@ -88,14 +94,19 @@ class UnknownLaw:
 
     @property
     def excludes(self) -> bool:
-        """True where the effects are no answer: far less probable, and much of what the function does is left."""
-        far = self.log >= math.log(FACTOR) and not self.is_beside
-        return far and (self.share < self.near or self.several)
+        """True where the effects are no answer: far less probable, and much of what the function does is left; or
+        that by the data alone, and several of them do nothing beside it."""
+        if self.log < math.log(FACTOR) or self.is_beside:
+            return False
+        imitated = self.imitators > 1 and self.log - self.price >= math.log(FACTOR)
+        return self.share < self.near or imitated
 
 
 def near_of(tried: Tried, port: str) -> float:
     """Share of what a function at a port does that effects have to explain to stay the answer."""
-    there = any(one.candidate.port == port and one.is_law for one in tried.effects)
+    # a wrong value is the mean of what a parameter is that changes
+    laws = [one for one in tried.effects if one.is_law and not port.startswith("parameter_")]
+    there = any(one.candidate.port == port for one in laws)
     return _NEAR if there else _NEAR_OF_OTHERS
 
 
@@ -154,7 +165,8 @@ def unknown_law(
             one.log = max(one.log, log)
     best = max(found, key=lambda one: one.log)
     # that it is any of them
-    log = float(np.logaddexp.reduce([one.log for one in found])) + (len(effects) - 1) * further
+    price = (len(effects) - 1) * further
+    log = float(np.logaddexp.reduce([one.log for one in found])) + price
     none = refits.pool[frozenset()].evidence.cost
     least = evidence(best.digest, refits.levels).cost
     share = (none - named.cost) / (none - least) if none > least else 1.0
@@ -166,7 +178,7 @@ def unknown_law(
     ):  # which may bend to a part of it
         both = counted_with(beside_it(null, columns[best.family.name]), priors, best.family, held, random)
         further_by = _further(both, best, refits.levels) - math.log(choices)
-    return UnknownLaw(course, log, share, several_at(tried, port), near_of(tried, port), further_by)
+    return UnknownLaw(course, log, share, several_at(tried, port), near_of(tried, port), further_by, price)
 
 
 def _offered(
@@ -190,8 +202,7 @@ def does_more(refits: Refits, tried: Tried, last: Addition, port: str, signal: s
         return False
     own = {name for name in null.parameters if name.startswith(f"{last.key}.")}
     bare = without_effects(null, [last.amplitude], own)
-    candidates, every = family_candidates(null, ports=[port])
-    families = [family for family in every if family.signal == signal]
+    candidates, families = functions_of(null, port, signal)
     if bare is None or not families:
         return False
     columns = family_columns(null, candidates)
@@ -199,14 +210,63 @@ def does_more(refits: Refits, tried: Tried, last: Addition, port: str, signal: s
         priors_of(null, refits.path.parameters(tried.effects), tried.effects),
         refits.random(null),
     )
-    most = []
-    for model, held in ((null, tried.arrived.held), (bare, tried.arrived.held - own)):
-        made = [
-            (counted_with(beside_it(model, _members(columns, family)), priors, family, held, random), family)
-            for family in families
-        ]
-        most.append(max((_most(d, f, refits.levels) for d, f in made if d is not None), default=-math.inf))
+    beside = _Beside(columns, families, priors, random, refits.levels)
+    most = beside.log(null, tried.arrived.held), beside.log(bare, tried.arrived.held - own)
     return math.isfinite(most[1]) and most[0] - most[1] - math.log(last.choices) >= math.log(FACTOR)
+
+
+def imitators(refits: Refits, tried: Tried, port: str, signal: str) -> int:
+    """How many effects of a structure do nothing beside a function of one signal at a port that takes the place of all:
+    each by itself makes the model with the function hardly more probable. Two or more of them only imitate it."""
+    null, effects = refits.null(tried), tried.effects
+    amplitudes = [one.amplitude for one in effects]
+    own = (
+        {one.key: {n for n in null.parameters if n.startswith(f"{one.key}.")} for one in effects}
+        if null
+        else {}
+    )
+    every = set().union(*own.values())
+    bare = None if null is None else without_effects(null, amplitudes, every)
+    if null is None or bare is None:
+        return 0
+    candidates, families = functions_of(null, port, signal)
+    if not families:
+        return 0
+    priors, random = priors_of(null, refits.path.parameters(effects), effects), refits.random(null)
+    beside = _Beside(family_columns(null, candidates), families, priors, random, refits.levels)
+    held, count = tried.arrived.held, 0
+    alone = beside.log(bare, held - every)
+    for one in effects:
+        others = every - own[one.key]
+        gone = [name for name in amplitudes if name != one.amplitude]
+        rest = without_effects(null, gone, others)
+        more = -math.inf if rest is None else beside.log(rest, held - others)
+        count += more - alone - math.log(one.choices) < math.log(FACTOR)
+    return count
+
+
+@dataclass(frozen=True)
+class _Beside:
+    """Functions beside which models are counted: the columns of their terms, the priors, and the noise."""
+
+    columns: Mapping[str, Mapping[str, Array]]
+    families: Sequence[Family]
+    priors: dict[str, Prior]
+    random: Columns | None
+    levels: Levels
+
+    def log(self, model: NullModel, held: frozenset[str]) -> float:
+        """The log evidence of a model with the function, of the size, that serves best beside it."""
+        made = [
+            (
+                counted_with(
+                    beside_it(model, _members(self.columns, one)), self.priors, one, held, self.random
+                ),
+                one,
+            )
+            for one in self.families
+        ]
+        return max((_most(d, f, self.levels) for d, f in made if d is not None), default=-math.inf)
 
 
 def depends_on_more(one: Addition, signal: str) -> bool:

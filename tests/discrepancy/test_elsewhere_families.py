@@ -27,8 +27,8 @@ def vessel():
     return b.model()
 
 
-def run(seed, *, bend=0.0):
-    """By an integrator of its own: C exp(-bend (p - 60))."""
+def run(seed, *, bend=0.0, drift=0.0):
+    """By an integrator of its own: C exp(-bend (p - 60)); the sensor drifts, slower and slower."""
     time = np.arange(500) * 0.04
     rng = np.random.default_rng(seed)
     tones = 2 * np.pi * np.array([0.13, 0.31, 0.77])
@@ -38,7 +38,7 @@ def run(seed, *, bend=0.0):
         return (np.interp(t, time, flow) - p / 1.0) / (1.4 * np.exp(-bend * (p - 60)))
 
     p = solve_ivp(rate, (0, time[-1]), [40.0], t_eval=time, rtol=1e-9, atol=1e-9, max_step=0.04).y[0]
-    shown = p + NOISE * rng.standard_normal(len(time))
+    shown = p + drift * np.sqrt(time / time[-1]) + NOISE * rng.standard_normal(len(time))
     return ce.Experiment.from_arrays(
         f"run {seed}", time=time, units={"Q": "m3/s", "P": "Pa"}, Q=flow, P=shown
     )
@@ -121,9 +121,21 @@ def test_the_functions_that_serve_best_at_a_look_are_kept(monkeypatch):
     monkeypatch.setattr(module, "_KEPT", 2)
     monkeypatch.setattr(module, "_AT_ONCE", 1)  # function by function
     candidates, families, among = elsewhere(null_model(fit), Levels({"P": NOISE}))
-    # C by p, Q and time; R by Q and time; the vessel by Q
-    assert among == 6
+    # C by p, Q and time; R by Q and time; the vessel by Q; the sensor by time
+    assert among == 7
     assert families[0].name == "a function of p at parameter_C"
     assert len(families) == 2
     assert len(candidates) == 2 * module._TERMS
     assert [one.port for one in candidates[: module._TERMS]] == ["parameter_C"] * module._TERMS
+
+
+def test_a_sensor_that_drifts_is_named_and_no_effects_that_imitate_it():
+    """An offset, a constant and a wrong value that bend together to a drift were "missing, confirmed"."""
+    data = [run(1, drift=6.0)]
+    found = ce.repair(
+        vessel(), data, fresh=run(2, drift=6.0), effects=["sensor_offset", "sensor_gain", "constant_torque"],
+        at=["vessel", "sensor_P"], progress=False, noise=ce.Noise(P=NOISE), starts=1,
+    )  # fmt: skip
+    assert found.verdict == "unnamed"
+    assert (found.unknown.port, found.unknown.signal) == ("sensor_P", "time")
+    assert "the sensor P drifts with time" in found.unknown.sentence

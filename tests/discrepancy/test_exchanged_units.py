@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.exchanged_units import exchanges, impossible_gain
+from casadi_engine.discrepancy.exchanged_units import exchanges, impossible, impossible_gain
 
 
 def shown(gain, unit="rad/s", effect="sensor_gain"):
@@ -93,3 +93,13 @@ def test_exchanged_units_of_a_sensor_are_in_a_class_with_the_gain_of_an_input_th
     (one,) = found.effects
     assert {member.name for member in one.members} == {"sensor_gain", "input_gain"}
     assert one.amplitude.value == pytest.approx(2.6, abs=0.05)
+
+
+@pytest.mark.parametrize(("delay", "too_late"), [(0.1, False), (2.4, False), (2.6, True), (-2.6, True)])
+def test_no_sensor_is_late_by_most_of_a_record(delay, too_late):
+    """An arm that falls for 0.72 s and a sensor that shows it 0.66 s early: no time of the record was left."""
+    data = [SimpleNamespace(duration=5.0), SimpleNamespace(duration=9.0)]
+    effect = SimpleNamespace(retards=True)
+    candidate = SimpleNamespace(effect="sensor_delay", port="sensor_w", source=SimpleNamespace(effect=effect))
+    one = SimpleNamespace(candidate=candidate, amplitude="sensor_w.sensor_delay.delay")
+    assert impossible([one], {one.amplitude: delay}, None, data) is too_late

@@ -134,11 +134,17 @@ def test_an_input_that_saturates_is_found_as_one():
 
 
 @pytest.mark.parametrize(
-    ("log", "share", "several", "excludes"),
-    [(2.0, 0.0, True, False), (9.0, 0.5, False, True), (9.0, 0.95, False, False), (9.0, 0.95, True, True)],
+    ("log", "share", "imitators", "price", "excludes"),
+    [
+        (2.0, 0.0, 2, 0.0, False),
+        (9.0, 0.5, 1, 0.0, True),
+        (9.0, 0.95, 1, 0.0, False),
+        (9.0, 0.95, 2, 3.5, True),
+        (4.4, 0.95, 2, 3.5, False),  # that they are two names is all that speaks against them
+    ],
 )
-def test_one_name_that_comes_near_is_kept_and_several_are_not(log, share, several, excludes):
-    assert UnknownLaw(None, log, share, several).excludes is excludes
+def test_one_name_that_comes_near_is_kept_and_several_are_not(log, share, imitators, price, excludes):
+    assert UnknownLaw(None, log, share, price=price, imitators=imitators).excludes is excludes
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from casadi_engine.discrepancy.random_families import Family
 from casadi_engine.discrepancy.refit import Refitter, addition
 from casadi_engine.discrepancy.refits import Refits
 from casadi_engine.discrepancy.screening import screen
-from casadi_engine.discrepancy.unknown_law import UnknownLaw, depends_on_more, does_more
+from casadi_engine.discrepancy.unknown_law import UnknownLaw, depends_on_more, does_more, imitators
 
 
 def brake(speed):
@@ -130,7 +130,7 @@ def test_a_law_in_words(port, signal, order, words):
 
 
 def test_an_answer_is_kept_where_the_law_cannot_be_told(monkeypatch):
-    def fails(*_):
+    def fails(*_, **__):
         raise np.linalg.LinAlgError("SVD did not converge")
 
     monkeypatch.setattr(answer, "unknown_law", fails)
@@ -244,3 +244,5 @@ def test_only_what_no_function_of_the_speed_does_is_missing_beside_it(tied):
     assert does_more(refits, both, of_load, "engine", "speed") is not tied
     assert not depends_on_more(dry, "speed")
     assert not does_more(refits, both, dry, "engine", "speed")
+    # one name may well carry the mean of a function; a load that the speed tells does nothing beside it
+    assert imitators(refits, both, "engine", "speed") == (1 if tied else 0)
