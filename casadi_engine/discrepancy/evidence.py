@@ -181,21 +181,6 @@ def evidence(model: Digest, levels: Levels) -> Evidence:
     return Evidence(-0.5 * cost + occam + model.amplitudes, cost, error, alone)
 
 
-def pushed(model: Digest, levels: Levels) -> dict[str, float]:
-    """How many standard errors beyond its bound the data would have each parameter that is held there, all others
-    following: what is true is pushed there by chance alone."""
-    rows = np.concatenate([*(part * levels.weight(output) for output, part in model.parts), model.prior])
-    width = rows.shape[1] - 1
-    free = [k for k in range(width) if k not in model.held]
-    whole = triangle(rows[:, [*free, *model.held, width]])[len(free) :, len(free) :]
-    found = {}
-    for number, k in enumerate(model.held):
-        name = model.names[int(np.argmax(np.abs(model.turn[:, k])))]
-        curvature = max(float(np.linalg.norm(whole[:, number])), _TINY)
-        found[name] = float(abs(whole[:, number] @ whole[:, -1])) / curvature
-    return found
-
-
 def _at_bounds(rows: Array, precision: Array) -> float:
     """log of the share of their prior that the data leave to parameters at a bound, each by itself: the likelihood
     falls from there to the inside, by its slope and its curvature.

@@ -133,7 +133,7 @@ def test_a_sensor_that_drifts_is_named_and_no_effects_that_imitate_it():
     """An offset, a constant and a wrong value that bend together to a drift were "missing, confirmed"."""
     data = [run(1, drift=6.0)]
     found = ce.repair(
-        vessel(), data, fresh=run(2, drift=6.0), effects=["sensor_offset", "sensor_gain", "constant_torque"],
+        vessel(), data, fresh=run(2, drift=6.0), effects=["sensor_offset", "constant_torque", "load_step"],
         at=["vessel", "sensor_P"], progress=False, noise=ce.Noise(P=NOISE), starts=1,
     )  # fmt: skip
     assert found.verdict == "unnamed"
