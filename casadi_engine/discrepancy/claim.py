@@ -16,6 +16,7 @@ from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.repaired import FoundEffect, Unknown
 from casadi_engine.discrepancy.station import Station
+from casadi_engine.discrepancy.wording import is_early
 from casadi_engine.distributions import chi2_sf
 
 # How often white noise of the level that was stated may be found larger.
@@ -45,7 +46,7 @@ class Claim:
 def reason_to_withdraw(claim: Claim, null: Station, confirmed: bool, *, cut: bool = False) -> Unknown | None:
     """Why the effects found are no answer: they close next to nothing, or less than what they leave, which is no noise,
     or are errors of sensors and inputs alone, or several that nothing confirms, and leave more than noise; or leave
-    more than a person would overlook, where the noise is known; None where they are one.
+    more than a person would overlook, where the noise is known, or a sensor would be early; None where they are one.
 
     cut : the search ended before all were refitted
     """
@@ -66,11 +67,15 @@ def reason_to_withdraw(claim: Claim, null: Station, confirmed: bool, *, cut: boo
     if confirmed and proof.before and proof.after:  # which show more of it, or as much
         fresh = _closed([one for _, one in proof.before], [one for _, one in proof.after], noise)
         closed = fresh if told and not known else min(closed, fresh)
-    if closed >= 1 - (SEEN**2 if known else SEEN):
+    early = any(
+        is_early(one) for one in claim.found
+    )  # it bends to something else, or is the time of another clock
+    if closed >= 1 - (SEEN**2 if known or early else SEEN):
         return None
     # an offset or a delay bends to what any missing law does, and so do several effects together: these are all that
     # is wrong, or none of it, unless fresh data have confirmed several; of what may be noise, most of it
     enough = closed >= HALF and (not instruments or not told) and (confirmed or len(claim.found) == 1)
+    enough = enough and not early
     # several that leave what its own past foretells follow it for a part of the way, each
     if enough and not known and (len(claim.found) == 1 or _no_noise(claim.last) is None):
         return None

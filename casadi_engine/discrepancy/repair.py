@@ -44,7 +44,7 @@ from casadi_engine.discrepancy.repaired import Repair
 from casadi_engine.discrepancy.requests import check_alpha, left_out, read_request
 from casadi_engine.discrepancy.screening import Screened, screen_in_turn
 from casadi_engine.discrepancy.unstable_records import cut_words, in_pieces
-from casadi_engine.discrepancy.wider_bounds import with_wider_bounds
+from casadi_engine.discrepancy.wider_bounds import with_free_starts, with_wider_bounds
 from casadi_engine.discrepancy.wording import AT_FAULT, BUDGET, UNRESOLVED, USER
 from casadi_engine.effects.candidate import Known
 from casadi_engine.errors import CasadiEngineError, EstimationError, ExperimentError
@@ -364,6 +364,7 @@ class _Job:
         made = with_hint(replace(made, stopped=self._by if left else "", not_searched=left), self.misread)
         with self.deadline.spared(1.0), suppress(TimeUp), Deadline(work=_AGAIN * work):
             made = with_wider_bounds(made, self.parameters, self.noise, options)
+            made = with_free_starts(made, self.parameters, self.noise, options)
         return made
 
     def _null(self, jobs: int | None, scores: Any) -> tuple[Fit, Parameters, float]:

@@ -11,6 +11,7 @@ from casadi_engine.discrepancy.wording import (
     AT_FAULT,
     BOUNDS,
     HINT,
+    STARTS,
     UNRESOLVED,
     USER,
     is_blind,
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 ENOUGH = 3.3
 # Fixed parameters that are named in one line.
 _NAMED = 4
+# Effects that were looked for, of which at least one in so many has to be excluded for the model to be relied on.
+_FEW = 4
 
 
 def headline(repair: Repair) -> str:
@@ -118,6 +121,8 @@ def next_step(repair: Repair) -> str:
         return "give the model its laws with sharp=True, or records with more motion, and repair again"
     if BOUNDS in repair.options:
         return "look at the bounds first, as said above, and repair again with wider ones"
+    if STARTS in repair.options:
+        return "look at the first states that were given, as said above, and repair again with them free"
     if HINT in repair.options:
         return "look at the data first, as said above"
     if repair.status == "interrupted":
@@ -141,6 +146,8 @@ def next_step(repair: Repair) -> str:
             return "give the model its ports as said above, and repair again: no physical effect was tested"
         if not any(one.excluded for one in repair.not_found):
             return "record more before you rely on it: these data exclude no effect of any size"
+        if _FEW * sum(one.excluded for one in repair.not_found) < len(repair.not_found):
+            return "record more before you rely on it: these data exclude hardly any effect"
         listed = "use the model; larger effects than those listed are excluded"
         return f"{listed}{', others are not' if may_hide(repair) else ''}{_on_fixed(repair)}"
     if repair.verdict == "unnamed":

@@ -1,5 +1,5 @@
-"""A bound that is wrong looks like physics that the model lacks: what the model would be without the bounds that it
-rests on."""
+"""A bound or a first state that is wrong looks like physics that the model lacks: what the model would be without the
+bounds that it rests on, and from first states that are found."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from casadi_engine.discrepancy.misread import followed
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.refit import merit
 from casadi_engine.discrepancy.repaired import Repair
-from casadi_engine.discrepancy.wording import BOUNDS, si
+from casadi_engine.discrepancy.wording import BOUNDS, STARTS, si
 from casadi_engine.estimation import Fit, estimate
 from casadi_engine.parameters import Parameters
 from casadi_engine.problem.noise import Noise
@@ -34,23 +34,53 @@ def with_wider_bounds(
     wide, moved = _wider(null, parameters)
     if not moved:
         return repair
-    own = {**options, "noise": noise, "progress": False, "errors": "quadratic"}
-    try:
-        found = estimate(null.model, repair.data, parameters=wide, **own)
-    except FAILURES:
-        return repair
-    if not found.converged or not _as_good(found, repair):
+    found = _without_any(repair, wide, {**options, "noise": noise})
+    if found is None:
         return repair
     rests = " and ".join(
         f"{name} rests on its bound of {bound:.5g}{_unit(null, name)}" for name, bound in moved.items()
     )
     values = " and ".join(f"{name} = {found.values[name]:.5g}{_unit(null, name)}" for name in moved)
-    shares = " and ".join(
-        f"{share:.3g} % of {name} in place of {before:.3g} %"
-        for (name, share), before in zip(followed(found).items(), followed(null).values(), strict=True)
-    )
-    words = f"{rests}: with {values} the model without any effect follows {shares}. Look whether the bound is right"
+    follows = f"the model without any effect follows {_shares(found, null)}"
+    words = f"{rests}: with {values} {follows}. Look whether the bound is right"
     return replace(repair, options={**repair.options, BOUNDS: words})
+
+
+def with_free_starts(
+    repair: Repair, parameters: Parameters, noise: Noise | None, options: Mapping[str, Any]
+) -> Repair:
+    """The same, and at the top that the first states which were given may be all that is wrong, where a fit that finds
+    them closes as much of the gap as the answer does."""
+    if repair.verdict in (None, "nothing missing") or not options.get("initial"):
+        return repair
+    found = _without_any(repair, parameters, {**options, "noise": noise, "initial": None})
+    if found is None:
+        return repair
+    record, own = next(iter(found.initial.items()))
+    values = ", ".join(f"{name} = {one.value:.4g}{si(one.unit)}" for name, one in own.items())
+    words = (
+        f"The first states were given: with {values} in {record} the model without any effect follows "
+        f"{_shares(found, repair.null_fit)}. Look whether they are right"
+    )
+    return replace(repair, options={**repair.options, STARTS: words})
+
+
+def _without_any(repair: Repair, parameters: Parameters, options: Mapping[str, Any]) -> Fit | None:
+    """The fit without effects under other conditions; None where it does not arrive, or does less than the answer."""
+    how = {**options, "parameters": parameters, "progress": False, "errors": "quadratic"}
+    try:
+        found = estimate(repair.null_fit.model, repair.data, **how)
+    except FAILURES:
+        return None
+    return found if found.converged and _as_good(found, repair) else None
+
+
+def _shares(found: Fit, before: Fit) -> str:
+    """How much of the outputs a fit follows, in place of how much."""
+    return " and ".join(
+        f"{share:.3g} % of {name} in place of {then:.3g} %"
+        for (name, share), then in zip(followed(found).items(), followed(before).values(), strict=True)
+    )
 
 
 def _unit(fit: Fit, name: str) -> str:

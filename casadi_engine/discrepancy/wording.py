@@ -24,7 +24,7 @@ USER, BUDGET = "the user", "the time budget"
 AT_FAULT = "the data are at fault"
 # Key of a repair's options under which what may be wrong with its data is kept, where that is no more than a doubt.
 HINT = "hint"
-BOUNDS = "bounds in the way"
+BOUNDS, STARTS = "bounds in the way", "first states in the way"
 # Status of a repair whose gap may be what rounds the corners of the user's own laws.
 UNRESOLVED = "the corners of the model's own laws are not resolved"
 # Names listed in a sentence; correlation beyond which two effects are one.
@@ -43,7 +43,7 @@ def first_words(repair: Repair) -> list[str]:
     """What has to be known before the verdict is read: where nothing physical was tested, and what was not tried."""
     said = [
         str(repair.options[key])
-        for key in (BOUNDS, HINT, "exchanged", "hold", "left out")
+        for key in (BOUNDS, STARTS, HINT, "exchanged", "hold", "left out")
         if key in repair.options
     ]
     said += [late] if (late := common_delay(repair)) else []
@@ -219,6 +219,11 @@ def acts_as(one: FoundEffect, name: str, model: Model) -> str:
     return f" ({_with_article(known)})" if name.rpartition(".")[2] == "torque" != known else ""
 
 
+def is_early(one: FoundEffect) -> bool:
+    """True for a sensor that would show what comes, beyond its errors."""
+    return one.name == "sensor_delay" and one.amplitude.value < -_WITHIN * (one.amplitude.stderr or 0.0)
+
+
 def right_value(one: FoundEffect, repair: Repair) -> str:
     """What was stated wrong, as the data have it: ``m_s = 356.5 ± 1.8 kg, stated 300``; the unit of an output that its
     gain tells; or what a sensor that is early may be. "" for other effects."""
@@ -226,7 +231,7 @@ def right_value(one: FoundEffect, repair: Repair) -> str:
     if port is not None and one.name in ("sensor_gain", "input_gain"):
         return _other_unit(one, repair.model)
     if one.name == "sensor_delay":
-        return _EARLY if one.amplitude.value < -_WITHIN * (one.amplitude.stderr or 0.0) else ""
+        return _EARLY if is_early(one) else ""
     stated = None if port is None else repair.fit.estimates.get(port.parameter)
     if port is None or not port.parameter or stated is None:
         return ""

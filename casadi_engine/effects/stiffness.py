@@ -105,5 +105,7 @@ class Backlash(Effect):
     def sizes(self, port: Any, values: Mapping[str, float]) -> tuple[float, ...]:
         """The gaps whose edge the spring reaches at `torques`."""
         stiffness = port.number("stiffness", values)
+        if not stiffness:  # a spring that is none has no play
+            return ()
         torques = tuple(_LARGEST * share for share in _EDGES) if self.torques is None else self.torques
         return tuple(torque / stiffness for torque in torques)

@@ -257,3 +257,14 @@ def test_effects_that_leave_more_than_the_stated_noise_are_not_all(left, stated,
     found = module.more_than_stated(stub(fit=stub(noise={"y": (8.0, not stated)}), screened=screened))
     assert (found is not None) is said
     assert not said or found.sentence == "more is left than the noise that was stated: y, 8.6 in place of 8"
+
+
+@pytest.mark.parametrize(("delay", "withdrawn"), [(-1.2, True), (1.2, False)])
+def test_a_sensor_that_would_be_early_leaves_nothing_that_a_person_sees(monkeypatch, delay, withdrawn):
+    """Columns that were exchanged: the sensor was 1.2 s early, confirmed, and a third of its motion was left."""
+    claim, null = claimed(monkeypatch, before=3.0, after=1.4, tests=None, kind="sensor", coloured=True)
+    early = stub(
+        **vars(claim.found[0]) | {"name": "sensor_delay", "amplitude": stub(value=delay, stderr=0.2)}
+    )
+    found = reason_to_withdraw(replace(claim, found=(early,)), null, True)
+    assert (found is not None) == withdrawn

@@ -9,8 +9,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.wider_bounds import with_wider_bounds
-from casadi_engine.discrepancy.wording import BOUNDS, first_words
+from casadi_engine.discrepancy.wider_bounds import with_free_starts, with_wider_bounds
+from casadi_engine.discrepancy.wording import BOUNDS, STARTS, first_words
 
 NOISE = ce.Noise(omega=0.02)
 
@@ -83,3 +83,25 @@ def test_signs_are_no_bounds_to_widen_and_a_model_that_fits_has_none():
     zero = SimpleNamespace(at_bound="min", unit="1")
     resting = replace(made, null_fit=replace(made.null_fit, estimates={"c": zero}))
     assert with_wider_bounds(resting, pars, NOISE, {}) is resting
+
+
+def test_first_states_that_were_given_wrong_are_said_first():
+    """A start at 3 rad/s in place of 0 was an unknown torque of the speed."""
+    made = ce.repair(
+        model(),
+        record(),
+        noise=NOISE,
+        effects=["constant_torque", "quadratic_drag"],
+        initial={"w": 3.0},
+        progress=False,
+    )
+    said = first_words(made)[0]
+    assert said.startswith("The first states were given: with w = ")
+    assert "look at the first states that were given" in str(made)
+
+
+def test_first_states_that_are_right_or_were_found_are_no_cause():
+    data, pars = record(cubic=0.02), parameters()
+    made = answered(pars, data)
+    for initial in (None, {"w": 0.0}):
+        assert STARTS not in with_free_starts(made, pars, NOISE, {"initial": initial}).options
