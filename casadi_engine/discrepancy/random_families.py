@@ -173,7 +173,7 @@ def families_of(port: str, signal: Signal, terms: int) -> list[tuple[list[ca.SX]
     low, high = (0.0, cycle) if cycle else (float(values.min()), float(values.max()))
     count, _ = np.histogram(np.mod(values, cycle) if cycle else values, bins=_POINTS, range=(low, high))
     blank = Family(port, signal.name, (), np.ones(2), low, high, count / max(count.sum(), 1))
-    if signal.name == TURN:
+    if signal.name == TURN and signal.cycle:  # a signal of a model may have that name
         return [
             ([ca.cos(k * v), ca.sin(k * v)], replace(blank, order=k))
             for k in range(1, 1 + ORDERS)

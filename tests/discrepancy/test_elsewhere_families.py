@@ -1,5 +1,6 @@
 """Functions where no effect of the library acts: a parameter that is not constant is named, with what it depends on."""
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -139,3 +140,11 @@ def test_a_sensor_that_drifts_is_named_and_no_effects_that_imitate_it():
     assert found.verdict == "unnamed"
     assert (found.unknown.port, found.unknown.signal) == ("sensor_P", "time")
     assert "the sensor P drifts with time" in found.unknown.sentence
+
+
+def test_a_signal_of_the_name_of_a_turn_is_one_function():
+    """A state "turn" was looked at by every order of a shaft, and the answer ended in an IndexError."""
+    values = np.linspace(0.0, 3.0, 50)
+    made = module.families_of("drum", module.Signal("turn", ca.SX.sym("turn"), values), 4)
+    assert len(made) == 1
+    assert made[0][1].order == 0
