@@ -1,29 +1,49 @@
-"""Several effects at one port that are together one function of what moves there, and none of them by itself."""
+"""Effects at one port that are together one function of what moves there, and of which the data tell no number."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from casadi_engine.discrepancy.repaired import Unknown
+
 if TYPE_CHECKING:
     from casadi_engine.discrepancy.repaired import FoundEffect, Repair
 
 
 def told_as_one_law(repair: Repair) -> Repair:
-    """The repair with a message where effects at a port have no size of their own.
+    """The repair with a law that the library lacks in the place of effects at a port that have no numbers of their own.
 
-    Two or three laws of one signal add up to many a smooth curve. Where the data tell none of their amplitudes, neither
-    by an error nor by an interval, they tell the curve alone: the leak through an orifice comes out as a proportional
-    one and one that fades.
+    Two or three laws of one signal, or one with a shape of its own, bend to many a smooth curve. Where the data tell
+    none of their numbers, neither by an error nor by an interval, they tell the curve alone: the leak through an
+    orifice comes out as a proportional one and one that fades.
     """
     ports: dict[str, list[FoundEffect]] = {}
     for one in repair.effects:
-        if one.amplitude.stderr is None and one.amplitude.interval is None:
-            ports.setdefault(one.at, []).append(one)
+        ports.setdefault(one.at, []).append(one)
     said = tuple(
-        f"{' and '.join(one.name for one in own)} at {at} are told as one curve, none of them by its own size: a law "
+        f"{' and '.join(one.name for one in own)} at {at} {_verb(own)} told as one curve, none of {_whose(own)}: a law "
         "that the library lacks may be the true one there"
         for at, own in ports.items()
-        if len(own) > 1
+        if _is_curve(own)
     )
-    return replace(repair, messages=(*said, *repair.messages)) if said else repair
+    if not said:
+        return repair
+    unknown = repair.unknown or Unknown(
+        said[0], {}, next(at for at, own in ports.items() if _is_curve(own)), odds=1.0
+    )
+    return replace(repair, unknown=unknown, messages=(*said, *repair.messages))
+
+
+def _is_curve(own: list[FoundEffect]) -> bool:
+    """True for two numbers or more, none of which is known."""
+    numbers = [value for one in own for value in one.parameters.values()]
+    return len(numbers) > 1 and all(one.stderr is None and one.interval is None for one in numbers)
+
+
+def _verb(own: list[FoundEffect]) -> str:
+    return "are" if len(own) > 1 else "is"
+
+
+def _whose(own: list[FoundEffect]) -> str:
+    return "them by its own size" if len(own) > 1 else "its numbers by itself"

@@ -1,5 +1,7 @@
 """Effects that are told together alone."""
 
+from dataclasses import replace
+
 import pytest
 
 from casadi_engine.discrepancy.one_law import told_as_one_law
@@ -22,6 +24,21 @@ def test_two_effects_at_a_port_without_sizes_of_their_own_are_one_curve():
         "lacks may be the true one there",
         "said before",
     )
+    assert made.unknown.odds == 1.0
+
+
+def test_a_law_of_which_no_number_is_known_is_a_curve_too():
+    """An outflow by Torricelli was "stribeck_friction at tank", 100 %, both numbers not known."""
+    made = found(("fading", "tank", None, None))
+    (one,) = made.effects
+    assert told_as_one_law(made) is made  # one number, and no shape
+    shaped = replace(one, parameters={**one.parameters, "shape": Estimate(0.2, None, "m")})
+    told = told_as_one_law(replace(made, effects=(shaped,)))
+    assert told.messages[0].startswith("fading at tank is told as one curve, none of its numbers by itself")
+    assert told.unknown.port == "tank"
+    known = replace(one, parameters={**one.parameters, "shape": Estimate(0.2, 0.01, "m")})
+    made = replace(made, effects=(known,))
+    assert told_as_one_law(made) is made
 
 
 @pytest.mark.parametrize(
