@@ -32,7 +32,8 @@ def told_as_one_law(repair: Repair) -> Repair:
     unknown = repair.unknown or Unknown(
         said[0], {}, next(at for at, own in ports.items() if _is_curve(own)), odds=1.0
     )
-    return replace(repair, unknown=unknown, messages=(*said, *repair.messages))
+    verdict = "class" if repair.verdict == "named" else repair.verdict  # a law of no name is a member too
+    return replace(repair, verdict=verdict, unknown=unknown, messages=(*said, *repair.messages))
 
 
 def _is_curve(own: list[FoundEffect]) -> bool:

@@ -25,6 +25,7 @@ def test_two_effects_at_a_port_without_sizes_of_their_own_are_one_curve():
         "said before",
     )
     assert made.unknown.odds == 1.0
+    assert made.verdict == "class"
 
 
 def test_a_law_of_which_no_number_is_known_is_a_curve_too():
