@@ -23,6 +23,7 @@ from casadi_engine.effects.protocol import moves
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation import Estimate, Fit, estimate
 from casadi_engine.estimation.corner_widths import courses, paths_of
+from casadi_engine.estimation.followed import not_followed
 from casadi_engine.estimation.refit_problem import RefitProblem
 from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
@@ -288,14 +289,22 @@ class Refitter:
         return max(2, max(map(_samples, self.data)) // _INTERVALS)
 
     def _paths(self) -> list[NullPath]:
-        """The simulation of the base; none where that fails: then corners stay as they are declared."""
+        """The simulation of the base, or where that does not follow the data, as one that stands still, pieces that do;
+        none where that fails: then corners stay as they are declared."""
         if self._motion is None and self.base is not None:
             try:
                 with np.errstate(all="ignore"):
-                    self._motion = paths_of(self.base)
+                    self._motion = self._pieces(self.base) if not_followed(self.base) else paths_of(self.base)
             except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
                 self._motion = []
         return self._motion or []
+
+    def _pieces(self, base: Fit) -> list[NullPath]:
+        """The motion over short pieces, each from states that explain its own samples, at the parameters' own values:
+        those of a fit that follows nothing may be anywhere."""
+        levels = {name: sigma for name, (sigma, _) in base.noise.items()}
+        own = self.parameters.unconstrained()
+        return RefitProblem(self.model, self.data, own, levels=levels).measured_paths({})
 
     def parameters_of(self, model: Model, effects: Sequence[Addition]) -> Parameters:
         pars = self.parameters.copy().extended(model)

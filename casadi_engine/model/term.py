@@ -90,12 +90,16 @@ def not_applicable_because(effect: Any, port: Port, fault: EffectError) -> NotAp
     return NotApplicable(effect.name, port.name, (), tuple(port.signals), why)
 
 
+# States at which the side of a slot is tried, in their scales.
+_TRIED = (0.3, 0.7, -0.7, 7.0, 70.0, 700.0)
+
+
 def check_side(model: Model, port: Port) -> None:
     """Raise EffectError where the slot of a port acts the other way round: friction would drive.
 
     What acts in an inertia's slot must raise its speed; in a coupling's, pull the twist back. Tried at the start values
     of the parameters, without the effects that are attached: a mass that a search has made negative is no fault of the
-    slot.
+    slot; and over decades of the states: where it hangs on them, as a compliance on a pressure, nothing is known.
     """
     if port.slot is None or port.kind not in ("inertia", "coupling"):
         return
@@ -120,7 +124,7 @@ def check_side(model: Model, port: Port) -> None:
         [0.0 if of_effects and one.name.startswith(of_effects) else one.value for one in model.declarations]
     )
     found = []
-    for share in (0.3, 0.7):
+    for share in _TRIED:
         x = np.array([share * variable.scale for variable in model.states])
         found.append(float(slope(x, 0, 0, 0, 0.0, values)))
     if all(math.isfinite(one) and sign * one < 0 for one in found):

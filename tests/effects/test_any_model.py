@@ -373,3 +373,13 @@ def test_an_effect_of_ones_own_acts_at_an_internal_port():
     data = ce.Experiment.from_arrays("step", time=time, units={"command": "1"}, command=np.full(200, 2.0))
     run = ce.simulate(model, data, initial={"torque": 0.0})
     np.testing.assert_allclose(run["shown"].values, 6 * (1 - np.exp(-time)), atol=1e-6)
+
+
+def test_a_slot_whose_side_hangs_on_a_state_is_not_refused():
+    """A compliance that falls with the pressure over a reference of 2: below it the slot would act the other way."""
+    b = ce.Blueprint("cavity")
+    pressure = b.state("P", unit="mmHg")
+    acts = b.port("cavity", "inertia", {"speed": pressure})
+    b.ode("P", 0.2 * (pressure - 2.0) * (1.0 - pressure / 8.0 + acts))
+    b.output("P", pressure, unit="mmHg")
+    assert b.model().with_effect(ce.effects.LoadStep(), at="cavity").effects[0].at == "cavity"
