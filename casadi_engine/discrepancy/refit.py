@@ -30,6 +30,7 @@ from casadi_engine.model import Model
 from casadi_engine.model.port_view import PortView
 from casadi_engine.parameters import Parameters
 from casadi_engine.problem.noise import Noise
+from casadi_engine.simulation.linear import LinearPropagator
 from casadi_engine.simulation.null_path import NullPath
 from casadi_engine.simulation.propagator import switches_with_states
 
@@ -301,10 +302,14 @@ class Refitter:
 
     def _pieces(self, base: Fit) -> list[NullPath]:
         """The motion over short pieces, each from states that explain its own samples, at the parameters' own values:
-        those of a fit that follows nothing may be anywhere."""
+        those of a fit that follows nothing may be anywhere. As simulated where the model is linear, of which no states
+        are kept at samples."""
         levels = {name: sigma for name, (sigma, _) in base.noise.items()}
         own = self.parameters.unconstrained()
-        return RefitProblem(self.model, self.data, own, levels=levels).measured_paths({})
+        problem = RefitProblem(self.model, self.data, own, levels=levels)
+        if any(isinstance(record.propagator, LinearPropagator) for record in problem.records):
+            return paths_of(base)
+        return problem.measured_paths({})
 
     def parameters_of(self, model: Model, effects: Sequence[Addition]) -> Parameters:
         pars = self.parameters.copy().extended(model)
