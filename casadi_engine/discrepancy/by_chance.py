@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from casadi_engine.discrepancy.confirmation import CHANCE
 from casadi_engine.discrepancy.fresh_misfit import SURE, fresh_misfit
+from casadi_engine.discrepancy.no_noise import why_no_noise
 from casadi_engine.discrepancy.repaired import UNCONFIRMED, Repair
 from casadi_engine.discrepancy.withdrawal import withdrawn
 
@@ -27,7 +30,24 @@ def held_to_chance(repair: Repair) -> Repair:
         f"it{against}: then it has to be as improbable as what they confirm, p < {CHANCE * repair.alpha:.2g}"
     )
     bare = withdrawn(repair, UNCONFIRMED, None, words)
-    return repair if fresh_misfit(bare) is not None else bare
+    return repair if fresh_misfit(bare) is not None or _leaves_no_noise(bare) else bare
+
+
+def _leaves_no_noise(repair: Repair) -> bool:
+    """True if the model without effects leaves what no sensor's noise is, whatever names it: ``why_no_noise``."""
+    fit, noise = repair.null_fit, repair.noise
+    for record, outputs in fit.traces.items():
+        for output, trace in outputs.items():
+            sigma, estimated = (0.0, False) if noise is None else noise.sigma.get(output, (0.0, False))
+            if noise is None or not estimated or f"{record}/{output}" not in noise.colour:
+                continue
+            e = trace.residual[np.isfinite(trace.residual)]
+            if (
+                why_no_noise(record, output, e, fit.fit_percent[record][output]["simulation"], sigma)
+                is not None
+            ):
+                return True
+    return False
 
 
 def _may_be_chance(repair: Repair) -> bool:

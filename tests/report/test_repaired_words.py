@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from casadi_engine.discrepancy import by_chance
 from casadi_engine.discrepancy.by_chance import held_to_chance
 from casadi_engine.discrepancy.confirmation import PairedGain
 from casadi_engine.discrepancy.fresh_misfit import fresh_misfit, held_to_fresh_data
@@ -317,7 +318,7 @@ def test_a_gain_confirms_nothing_where_the_fresh_data_do_not_fit(repaired):
     assert "they ask for other parameters than the fit's, beyond their errors (p 1e-09)" in moved.messages[0]
 
 
-def test_what_fresh_data_do_not_confirm_may_be_chance(repaired):
+def test_what_fresh_data_do_not_confirm_may_be_chance(repaired, monkeypatch):
     """A finding of p = 0.003 that fresh data do not confirm is none, unless it is as improbable as one that they do."""
     gaps, noise = repaired.gaps, replace(repaired.noise, scatter={}, colour={}, is_coloured=False)
     calm = replace(gaps.estimation_before.gap, chi2_per_sample=1.0, samples=400)
@@ -369,6 +370,10 @@ def test_what_fresh_data_do_not_confirm_may_be_chance(repaired):
     swings = replace(own, whiteness_p={"fresh": {"omega": 1e-9}})
     coloured = judged(3e-3, noise=colour, gaps=replace(gaps, validation_before=swings))
     assert coloured.verdict == "nothing missing"
+    # unless what is left is no noise of a sensor, whatever names it
+    monkeypatch.setattr(by_chance, "why_no_noise", lambda *_: "the rest is predicted from its own past")
+    assert judged(3e-3, noise=colour).verdict == repaired.verdict
+    assert judged(3e-3).verdict == "nothing missing"  # it is white
 
 
 def test_an_interrupted_search_blames_no_fit(no_answer):
