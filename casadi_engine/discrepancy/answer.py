@@ -36,6 +36,7 @@ from casadi_engine.discrepancy.claim import (
     behind_a_sensor,
     missing_beside,
     more_than_stated,
+    no_noise,
     reason_to_withdraw,
 )
 from casadi_engine.discrepancy.coloured_errors import with_coloured_errors
@@ -172,12 +173,14 @@ class Answer:
             if unknown is None and not found and cut:
                 words = so_far(self.search) or ([UNTOLD] if ANY in self.search.failed else [])
                 unknown = Unknown(words[0], {}) if words else None
+        elif found:
+            unknown = no_noise(last)
         if found and unknown is not None and self._may_be_rounding(last, unknown):
             self.messages.append(
                 f"what is left at {unknown.port} depends on {unknown.signal}: the corners of the law there are "
                 "rounded, which may cause it, and no fit with sharper corners was reached"
             )
-            unknown = None
+            unknown = no_noise(last)  # rounding leaves no more than that
         if null.screened.request.blind and not found and not at_own_port(null, unknown):
             way = self.search.way(self.search.best)
             if way is not None and len(way) > 1:

@@ -77,7 +77,7 @@ def reason_to_withdraw(claim: Claim, null: Station, confirmed: bool, *, cut: boo
     enough = closed >= HALF and (not instruments or not told) and (confirmed or len(claim.found) == 1)
     enough = enough and not early
     # several that leave what its own past foretells follow it for a part of the way, each
-    if enough and not known and (len(claim.found) == 1 or _no_noise(claim.last) is None):
+    if enough and not known and (len(claim.found) == 1 or no_noise(claim.last) is None):
         return None
     names = " and ".join(f"{one.name} at {one.at}" for one in claim.found)
     more = "not all of it" if closed >= HALF else "less of it than is left"
@@ -104,7 +104,7 @@ def missing_beside(
     score has to be below which no refit bears out."""
     unknown = unknown_of(last.screened)
     if unknown is not None or found:
-        return unknown or _no_noise(last)
+        return unknown or no_noise(last)
     if withdrawn:
         words = f"{withdrawn[0].name} at {withdrawn[0].at} explains these data best, but fresh data refuse it"
         return Unknown(words, {})
@@ -115,7 +115,7 @@ def missing_beside(
         words = f"{label} scores beyond chance, but no refit with it is better than none"
         words = f"{label} scores beyond chance; the search ended before refits could tell" if cut else words
         return Unknown(words, {label: screened.pooled(best)})
-    return _no_noise(null)
+    return no_noise(null)
 
 
 def more_than_stated(last: Station) -> Unknown | None:
@@ -130,7 +130,7 @@ def more_than_stated(last: Station) -> Unknown | None:
     return Unknown(f"more is left than the noise that was stated: {'; '.join(words)}", {}) if words else None
 
 
-def _no_noise(null: Station) -> Unknown | None:
+def no_noise(null: Station) -> Unknown | None:
     """What is said of a coloured residual that is no noise, and not as large as was stated."""
     screened = null.screened
     for record in screened.null.records:

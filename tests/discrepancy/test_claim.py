@@ -59,7 +59,7 @@ def test_a_coloured_residual_of_few_swings_is_not_called_noise(turns, said):
     residual = np.sign(np.sin(2 * np.pi * turns * np.arange(2000) / 2000 + 0.3))
     record = stub(name="run", residual={"y": residual})
     noise = stub(colour={("run", "y"): object()}, sigma={"y": 0.5})
-    found = module._no_noise(left_of(record, noise, 80.0))
+    found = module.no_noise(left_of(record, noise, 80.0))
     assert (found is not None) == said
     assert not said or "y in run changes as slowly as if" in found.sentence
 
@@ -80,7 +80,7 @@ def test_a_weak_signal_in_noise_is_no_missing_effect(innovations, estimated, lar
     record = stub(name="run", residual={"y": residual})
     noise = stub(colour={("run", "y"): object()}, sigma={"y": innovations})
     station = left_of(record, noise, 40.0, estimated=estimated, larger=[("run", "y")] if larger else [])
-    assert (module._no_noise(station) is not None) == said
+    assert (module.no_noise(station) is not None) == said
 
 
 @pytest.mark.parametrize(
@@ -90,7 +90,7 @@ def test_a_coloured_residual_that_is_most_of_the_motion_is_not_called_noise(expl
     residual = np.random.default_rng(0).standard_normal(500)
     record = stub(name="run", residual={"y": residual})
     noise = stub(colour={("run", "y"): object()} if coloured else {}, sigma={"y": 0.5})
-    found = module._no_noise(left_of(record, noise, explained))
+    found = module.no_noise(left_of(record, noise, explained))
     assert (found is not None) == said
     assert not said or "explains 0 % of y in run, and the rest is coloured" in found.sentence
 
@@ -104,7 +104,7 @@ def test_what_is_seen_and_foretold_by_its_own_past_is_not_called_noise(explained
     residual = np.sin(2 * np.pi * 20 * np.arange(2000) / 2000) * np.sqrt(2)
     record = stub(name="run", residual={"y": residual})
     noise = stub(colour={("run", "y"): object()}, sigma={"y": innovations})
-    found = module._no_noise(left_of(record, noise, explained))
+    found = module.no_noise(left_of(record, noise, explained))
     assert (found is not None) == said
     assert (
         not said
@@ -188,7 +188,7 @@ def test_what_is_left_beyond_a_noise_that_is_known_is_missing(
 def test_several_effects_that_nothing_confirms_are_all_that_is_wrong_or_none_of_it(
     monkeypatch, confirmed, after, smooth, withdrawn
 ):
-    monkeypatch.setattr(module, "_no_noise", lambda station: "smooth" if smooth else None)
+    monkeypatch.setattr(module, "no_noise", lambda station: "smooth" if smooth else None)
     claim, null = claimed(monkeypatch, before=3.0, after=after, tests={"line": 1e-9})
     claim = replace(claim, found=(*claim.found, *claim.found))
     assert (reason_to_withdraw(claim, null, confirmed) is not None) == withdrawn
