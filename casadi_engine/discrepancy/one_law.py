@@ -21,12 +21,7 @@ def told_as_one_law(repair: Repair) -> Repair:
     ports: dict[str, list[FoundEffect]] = {}
     for one in repair.effects:
         ports.setdefault(one.at, []).append(one)
-    said = tuple(
-        f"{' and '.join(one.name for one in own)} at {at} {_verb(own)} told as one curve, none of {_whose(own)}: a law "
-        "that the library lacks may be the true one there"
-        for at, own in ports.items()
-        if _is_curve(own)
-    )
+    said = tuple(_said(at, own) for at, own in ports.items() if _is_curve(own))
     if not said:
         return repair
     unknown = repair.unknown or Unknown(
@@ -42,9 +37,9 @@ def _is_curve(own: list[FoundEffect]) -> bool:
     return len(numbers) > 1 and all(one.stderr is None and one.interval is None for one in numbers)
 
 
-def _verb(own: list[FoundEffect]) -> str:
-    return "are" if len(own) > 1 else "is"
-
-
-def _whose(own: list[FoundEffect]) -> str:
-    return "them by its own size" if len(own) > 1 else "its numbers by itself"
+def _said(at: str, own: list[FoundEffect]) -> str:
+    verb, whose = ("are", "their") if len(own) > 1 else ("is", "its")
+    return (
+        f"{' and '.join(one.name for one in own)} at {at} {verb} identified as one curve alone, none of {whose} "
+        "parameters by itself: a law that the library lacks may be the true one there"
+    )

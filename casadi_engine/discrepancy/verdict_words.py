@@ -122,7 +122,7 @@ def next_step(repair: Repair) -> str:
     if BOUNDS in repair.options:
         return "look at the bounds first, as said above, and repair again with wider ones"
     if STARTS in repair.options:
-        return "look at the first states that were given, as said above, and repair again with them free"
+        return "look at the initial states that were given, as said above, and repair again without initial="
     if HINT in repair.options:
         return "look at the data first, as said above"
     if repair.status == "interrupted":

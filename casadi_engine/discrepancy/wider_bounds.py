@@ -59,7 +59,7 @@ def with_free_starts(
     record, own = next(iter(found.initial.items()))
     values = ", ".join(f"{name} = {one.value:.4g}{si(one.unit)}" for name, one in own.items())
     words = (
-        f"The first states were given: with {values} in {record} the model without any effect follows "
+        f"The initial states were given: with {values} in {record} the model without any effect follows "
         f"{_shares(found, repair.null_fit)}. Look whether they are right"
     )
     return replace(repair, options={**repair.options, STARTS: words})

@@ -127,7 +127,8 @@ def check_side(model: Model, port: Port) -> None:
     for share in _TRIED:
         x = np.array([share * variable.scale for variable in model.states])
         found.append(float(slope(x, 0, 0, 0, 0.0, values)))
-    if all(math.isfinite(one) and sign * one < 0 for one in found):
+    known = [one for one in found if math.isfinite(one)]
+    if known and all(sign * one < 0 for one in known):
         raise EffectError(
             f"the slot of the port {port.name} acts the other way round: friction there would drive",
             seen=f"a positive torque or force in it {'slows' if sign > 0 else 'widens'} {signal}",

@@ -20,8 +20,8 @@ def found(*effects):
 def test_two_effects_at_a_port_without_sizes_of_their_own_are_one_curve():
     made = told_as_one_law(found(("drag", "tank", None, None), ("fading", "tank", None, None)))
     assert made.messages == (
-        "drag and fading at tank are told as one curve, none of them by its own size: a law that the library "
-        "lacks may be the true one there",
+        "drag and fading at tank are identified as one curve alone, none of their parameters by itself: a law that the "
+        "library lacks may be the true one there",
         "said before",
     )
     assert made.unknown.odds == 1.0
@@ -35,7 +35,9 @@ def test_a_law_of_which_no_number_is_known_is_a_curve_too():
     assert told_as_one_law(made) is made  # one number, and no shape
     shaped = replace(one, parameters={**one.parameters, "shape": Estimate(0.2, None, "m")})
     told = told_as_one_law(replace(made, effects=(shaped,)))
-    assert told.messages[0].startswith("fading at tank is told as one curve, none of its numbers by itself")
+    assert told.messages[0].startswith(
+        "fading at tank is identified as one curve alone, none of its parameters by itself"
+    )
     assert told.unknown.port == "tank"
     known = replace(one, parameters={**one.parameters, "shape": Estimate(0.2, 0.01, "m")})
     made = replace(made, effects=(known,))

@@ -96,8 +96,8 @@ def test_first_states_that_were_given_wrong_are_said_first():
         progress=False,
     )
     said = first_words(made)[0]
-    assert said.startswith("The first states were given: with w = ")
-    assert "look at the first states that were given" in str(made)
+    assert said.startswith("The initial states were given: with w = ")
+    assert "look at the initial states that were given" in str(made)
 
 
 def test_first_states_that_are_right_or_were_found_are_no_cause():

@@ -1,5 +1,6 @@
 """The library at models that are no engines: an effect acts, or says by name why it cannot."""
 
+from types import SimpleNamespace
 from typing import ClassVar
 
 import casadi as ca
@@ -383,3 +384,20 @@ def test_a_slot_whose_side_hangs_on_a_state_is_not_refused():
     b.ode("P", 0.2 * (pressure - 2.0) * (1.0 - pressure / 8.0 + acts))
     b.output("P", pressure, unit="mmHg")
     assert b.model().with_effect(ce.effects.LoadStep(), at="cavity").effects[0].at == "cavity"
+
+
+def test_a_spring_that_is_none_has_no_play():
+    """A stiffness that a fit took to zero was a ZeroDivisionError in what could not be applied."""
+    port = SimpleNamespace(number=lambda *_: 0.0)
+    assert ce.effects.Backlash().sizes(port, {}) == ()
+
+
+def test_a_slot_on_the_wrong_side_is_refused_where_some_states_have_no_equations():
+    """A level has no root below zero."""
+    b = ce.Blueprint("tank")
+    level = b.state("h", unit="m")
+    acts = b.port("tank", "inertia", {"speed": level})
+    b.ode("h", -0.1 * ca.sqrt(level) - acts * ca.sqrt(level))
+    b.output("h", level, unit="m")
+    with pytest.raises(EffectError, match="acts the other way round"):
+        b.model().with_effect(ce.effects.LoadStep(), at="tank")
