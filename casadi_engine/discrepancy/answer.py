@@ -34,6 +34,7 @@ from casadi_engine.discrepancy.claim import (
     Claim,
     at_own_port,
     behind_a_sensor,
+    closed_on_fresh,
     missing_beside,
     more_than_stated,
     no_noise,
@@ -231,6 +232,9 @@ class Answer:
         law = replace(law, imitators=self._imitators(held, law)) if law.log >= math.log(FACTOR) else law
         judged = claim.proof.judgement  # what fresh data deny is no name for the law that is more probable
         denied = judged is not None and judged.confirmed is False and law.log >= math.log(FACTOR)
+        if judged is not None and judged.confirmed:  # or show that they explain what they ought to
+            fresh = closed_on_fresh(claim.proof, last.screened.noise)
+            law = law if fresh is None else replace(law, share=max(law.share, fresh))
         if law.excludes or denied:
             return claim.withdrawn_for(claim.unknown, null, BEHIND_LAW)
         return claim

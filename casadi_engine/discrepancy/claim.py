@@ -64,8 +64,8 @@ def reason_to_withdraw(claim: Claim, null: Station, confirmed: bool, *, cut: boo
     if known:  # what is left beyond it is no noise, whatever its colour
         noise = NoiseModel({**noise.sigma, **stated})
     closed = _closed([null.screened.null], [claim.last.screened.null], noise)
-    if confirmed and proof.before and proof.after:  # which show more of it, or as much
-        fresh = _closed([one for _, one in proof.before], [one for _, one in proof.after], noise)
+    fresh = closed_on_fresh(proof, noise) if confirmed else None
+    if fresh is not None:  # which show more of it, or as much
         closed = fresh if told and not known else min(closed, fresh)
     early = any(
         is_early(one) for one in claim.found
@@ -84,6 +84,13 @@ def reason_to_withdraw(claim: Claim, null: Station, confirmed: bool, *, cut: boo
     words = f"{names} explains the gap best and closes {more}, which is no noise"
     unknown = claim.unknown or Unknown("what is left is coloured", {})
     return replace(unknown, sentence=f"{unknown.sentence}; {words}")
+
+
+def closed_on_fresh(proof: Confirmation, noise: NoiseModel) -> float | None:
+    """The share of the gap on fresh data that is closed; None without fresh data."""
+    if not proof.before or not proof.after:
+        return None
+    return _closed([one for _, one in proof.before], [one for _, one in proof.after], noise)
 
 
 def _closed(before: Sequence[NullModel], after: Sequence[NullModel], noise: NoiseModel) -> float:

@@ -243,7 +243,7 @@ class _Readings:
             found = self._fit(records, self.parameters, _MORE * work)
             if found is None or min(followed(found).values(), default=0.0) < _GOOD:
                 continue
-            if not self._inputs_matter(records, found, work):
+            if _bent(found) or not self._inputs_matter(records, found, work):
                 continue
             fits.append((_left(found), one, followed(found)))
         fits.sort(key=lambda made: made[0])
@@ -276,6 +276,12 @@ class _Readings:
         except (TimeUp, *_FAILURES):
             return None
         return found if math.isfinite(found.cost) else None
+
+
+def _bent(fit: Fit) -> bool:
+    """True where a parameter went to a bound that is not zero: right data ask for no such value, and what a wrong
+    reading explains with it is what any law does that bends."""
+    return any(fit.estimates[n].at_bound and fit.values[n] for n in fit.free if n in fit.estimates)
 
 
 def _left(fit: Fit) -> float:

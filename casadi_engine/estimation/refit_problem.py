@@ -24,7 +24,7 @@ from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters, compile
 from casadi_engine.parameters.compiled import ParameterMap
 from casadi_engine.simulation.grid import lay_grid
-from casadi_engine.simulation.null_path import NullPath, with_slope
+from casadi_engine.simulation.null_path import NullPath, pieces_path, with_slope
 from casadi_engine.simulation.propagator import fineness_of, switches_with_states
 from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
 from casadi_engine.simulation.shared_core import Cores
@@ -319,7 +319,14 @@ class RefitProblem:
         v = self.coordinates.of(z)
         for record in self.records:
             nodes = self._nodes(record, v, z, None, None)
-            found.append(self._path(record, record.outputs_at(v, nodes)[1].x, z))
+            values, length = self.pmap.unpack(z, record.experiment.name), record.plan.length
+            path = None
+            if record.linear:  # which steps by blocks of samples
+                nodes = fitted_nodes(record, v, nodes)
+                path = pieces_path(self.model, record.grid, values, nodes * record.scale, length)
+            if path is None:
+                path = self._path(record, record.outputs_at(v, nodes)[1].x, z)
+            found.append(path)
         return found
 
     def _path(self, record: RecordTerm, states: Array, z: Array) -> NullPath:

@@ -17,6 +17,7 @@ from casadi_engine.posterior.drawing import OPTIMA, Drawing, Met
 from casadi_engine.posterior.drawn import Drawn
 from casadi_engine.posterior.left_out import SCATTER, with_all_data
 from casadi_engine.posterior.modes import Modes, along, find_modes, inverse, separate
+from casadi_engine.posterior.open_ends import check_ends
 from casadi_engine.posterior.result import Posterior, made
 from casadi_engine.posterior.target import Target
 
@@ -54,7 +55,8 @@ def posterior(
     ----------
     fit : a converged Fit with the loss "square", without a predictor. Its bounds are the prior's: flat between them in
         the logarithm of a parameter whose lower bound is positive, else in its value; a normal prior of the set is
-        taken as it is; ties and constraints hold. A noise level that was estimated is flat in its logarithm
+        taken as it is; ties and constraints hold. A noise level that was estimated is flat in its logarithm. A
+        parameter of an effect that has no bound on a side needs none where the data end what is drawn
     draws : number of draws that the result keeps
     method : "importance" for few smooth optima, "ensemble" for walkers (extra "bayes"); "auto" takes the first that can
         be trusted
@@ -119,6 +121,7 @@ def posterior(
             allowed="draws that pass their diagnostics",
             cure="let it run; progress=print tells where it is",
         ) from None
+    check_ends(fit, target.within, target.names, target.values(drawn.u))
     return made(fit, target, modes, separate(modes, target), drawn, seed, time.process_time() - begun)
 
 

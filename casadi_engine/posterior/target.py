@@ -14,6 +14,7 @@ from casadi_engine.estimation.search import Search
 from casadi_engine.estimation.single_shots import SingleShots, evaluator
 from casadi_engine.estimation.spectral_start import no_spectrum
 from casadi_engine.posterior.laplace_likelihood import LaplaceLikelihood
+from casadi_engine.posterior.open_ends import with_ends
 from casadi_engine.posterior.prior import Prior
 from casadi_engine.posterior.spectral_likelihood import SpectralLikelihood
 from casadi_engine.posterior.states import state_prior
@@ -58,13 +59,15 @@ class Target:
     """Log density over u (d,): the coordinates v of the parameters, then logarithms of noise levels over the fit's.
 
     names, units : of the d numbers as they are printed; low, high : (d,) bounds of u; start : (d,) of the fit
+    within : parameters without bounds of their own, and how far from the fit's value their draws may lie
     evaluations : of the likelihood so far
     """
 
     def __init__(self, fit: Fit) -> None:
         levels: dict[str, Any] = {name: sigma for name, (sigma, _) in fit.noise.items()}
         method = str(fit.options.get("method", "exact"))
-        self.search = evaluator(fit.model, fit.data, fit.parameters.copy(), Noise(**levels), method=method)
+        parameters, self.within = with_ends(fit)
+        self.search = evaluator(fit.model, fit.data, parameters, Noise(**levels), method=method)
         self.coordinates: Coordinates = self.search.coordinates
         pmap = self.search.pmap
         self.prior = Prior(pmap, self.coordinates)

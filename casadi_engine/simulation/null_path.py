@@ -130,20 +130,37 @@ def null_path(model: Model, grid: Grid, p: Array, start: Array, *, steps: int | 
     timed = timed_drives(model) and is_affine(model.closed_ode, model.u, ca.SX(0, 1))
     if not grid.uniform or timed or switches_in_time(model):
         return _adaptive_path(model, grid, p, start)
-    observed = replace(model, outputs=model.states, output_expressions=model.x)
-    bare = replace(grid, measured={})
-    plan = cut(bare, None)
-    scale = np.array([state.scale for state in model.states])
-    none = ca.SX(0, 1)
-    propagator = make_propagator(observed, bare, plan, none, ca.SX(ca.DM(p)), scale=scale, steps=steps)
-    if isinstance(propagator, RungeKuttaPropagator):
+    x = _stepped(model, grid, p, start[None], None, steps)
+    if x is None:
         return _adaptive_path(model, grid, p, start)
-    path = propagator.propagate(np.zeros(0), (start / scale)[None], 0)
-    rows = path.y[0].reshape(len(plan.samples), len(start), plan.b).transpose(1, 2, 0)
-    x = np.ascontiguousarray(rows.reshape(len(start), -1)[:, : grid.samples])
     if not np.isfinite(x).all():
         raise FloatingPointError("the model's state is not finite here")
     return with_slope(model, grid, x, p)
+
+
+def pieces_path(model: Model, grid: Grid, p: Array, starts: Array, length: int) -> NullPath | None:
+    """The same of a linear model piece by piece: every piece of ``length`` samples from a state (n,) of its own, of
+    ``starts`` (M, n); None for a model that is no linear one."""
+    x = _stepped(model, grid, p, starts, length, None)
+    return None if x is None else with_slope(model, grid, x, p)
+
+
+def _stepped(
+    model: Model, grid: Grid, p: Array, starts: Array, length: int | None, steps: int | None
+) -> Array | None:
+    """(n, N) states on equal steps, from ``starts`` (M, n) of pieces of ``length`` samples; None where no exponential
+    integrator makes them."""
+    observed = replace(model, outputs=model.states, output_expressions=model.x)
+    bare = replace(grid, measured={})
+    plan = cut(bare, length)
+    scale = np.array([state.scale for state in model.states])
+    none, known = ca.SX(0, 1), ca.SX(ca.DM(p))
+    propagator = make_propagator(observed, bare, plan, none, known, scale=scale, steps=steps)
+    if isinstance(propagator, RungeKuttaPropagator):
+        return None
+    path = propagator.propagate(np.zeros(0), starts / scale, 0)
+    rows = path.y[0].reshape(len(plan.samples), len(scale), plan.b, plan.m).transpose(1, 3, 2, 0)
+    return np.ascontiguousarray(rows.reshape(len(scale), -1)[:, : grid.samples])
 
 
 def _adaptive_path(model: Model, grid: Grid, p: Array, start: Array) -> NullPath:

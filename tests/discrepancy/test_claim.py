@@ -6,10 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from casadi_engine.discrepancy import answer
 from casadi_engine.discrepancy import claim as module
 from casadi_engine.discrepancy.claim import Claim, reason_to_withdraw
 from casadi_engine.discrepancy.confirmation import Gap
 from casadi_engine.discrepancy.repaired import TOO_LITTLE, Unknown
+from casadi_engine.discrepancy.unknown_law import UnknownLaw
 
 
 def stub(**known):
@@ -268,3 +270,36 @@ def test_a_sensor_that_would_be_early_leaves_nothing_that_a_person_sees(monkeypa
     )
     found = reason_to_withdraw(replace(claim, found=(early,)), null, True)
     assert (found is not None) == withdrawn
+
+
+def test_what_is_closed_of_the_gap_on_fresh_data(monkeypatch):
+    claim, _ = claimed(monkeypatch, before=3.0, after=2.9, tests=None, fresh=(5.0, 2.0))
+    noise = stub(sigma={"y": 1.0})
+    assert module.closed_on_fresh(claim.proof, noise) == pytest.approx(21 / 24)
+    assert module.closed_on_fresh(stub(before=[], after=[]), noise) is None
+
+
+@pytest.mark.parametrize(
+    ("confirmed", "fresh", "near", "kept"),
+    [
+        (True, (5.0, 1.5), 0.8, True),
+        (None, (5.0, 1.5), 0.8, False),
+        (True, (5.0, 3.0), 0.8, False),
+        (True, (5.0, 1.5), 0.99, False),  # a constant is the mean of any law, of fresh data too
+    ],
+)
+def test_a_law_that_explains_most_of_fresh_data_stays_beside_one_that_is_more_probable(
+    monkeypatch, confirmed, fresh, near, kept
+):
+    """The drag of a pendulum by the square of its speed closed nine tenths of the gap on fresh data, and was withdrawn
+    as a curve was more probable."""
+    claim, null = claimed(monkeypatch, before=3.0, after=2.9, tests={"line": 1e-9}, fresh=fresh)
+    claim = replace(claim, proof=stub(**vars(claim.proof), judgement=stub(confirmed=confirmed)))
+    null.screened.request = claim.last.screened.request = stub(blind=False)
+    law = UnknownLaw(None, 9.0, 0.1, near=near)
+    monkeypatch.setattr(answer, "_said", lambda *_, **__: Unknown("a function of speed", {}))
+    monkeypatch.setattr(Claim, "withdrawn_for", lambda *_: "withdrawn")
+    own = stub(_law=lambda *_: law, _is_far=lambda _: False, _in_time=lambda _, work: work(), _rare=1e-3)
+    own._imitators = lambda *_: 0
+    found = answer.Answer._held_to_laws(own, claim, null)
+    assert (found != "withdrawn") is kept

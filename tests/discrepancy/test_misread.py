@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
+from casadi_engine.discrepancy import misread as module
 from casadi_engine.discrepancy.misread import Misread, followed, misread, readings, unexplained, with_hint
 from casadi_engine.discrepancy.wording import HINT
 
@@ -216,3 +217,19 @@ def test_a_doubt_stays_beside_a_gain_of_no_known_size(verdict, kind, error, said
         _Asked(verdict, effects, {}, model), Misread("with the input F reversed", certain=False)
     )
     assert (HINT in found.options) is said
+
+
+def test_a_reading_that_drives_a_parameter_to_its_bound_is_none():
+    """An escalator whose load comes during the record was "seconds stated as minutes", with a damper a hundred times
+    too large. A damper that is 0 is no such thing."""
+
+    def bent(value, at_bound):
+        return module._bent(
+            SimpleNamespace(
+                free=("c",), values={"c": value}, estimates={"c": SimpleNamespace(at_bound=at_bound)}
+            )
+        )
+
+    assert bent(500.0, "max")
+    assert not bent(0.0, "min")
+    assert not bent(4.0, False)

@@ -221,3 +221,22 @@ def test_what_cannot_be_used_is_refused(swing):
     pars.constrain(pars.symbols["w2"] - pars.symbols["c"], min=1.0)
     with pytest.raises(EstimationError, match="a refit keeps bounds, ties and priors alone"):
         refit(model, data, pars, levels={"y": LEVEL})
+
+
+@pytest.mark.parametrize("linear", [True, False])
+def test_the_motion_of_pieces_is_that_of_the_records(linear):
+    """A model that is linear steps by blocks of samples, and has states at each of them all the same."""
+    model = pendulum()
+    if linear:
+        b = ce.Blueprint("swing")
+        angle, rate = b.state("angle", unit="rad"), b.state("rate", unit="rad/s", scale=5)
+        b.ode("angle", rate)
+        stiff, damping = b.parameter("w2", 40.0, unit="rad2/s2"), b.parameter("c", 0.05, unit="1/s")
+        b.ode("rate", -damping * rate - stiff * angle)
+        b.output("y", angle, unit="rad")
+        model = b.model()
+    record = decay(model, w2=41.3)
+    problem = RefitProblem(model, [record], model.parameters(), levels={"y": LEVEL})
+    (path,) = problem.measured_paths({"w2": 41.3, "c": 0.05})
+    assert path.x.shape == (2, 500)
+    assert np.std(path.x[0] - record["y"].values) < 2 * LEVEL
