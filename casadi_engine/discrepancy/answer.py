@@ -160,6 +160,7 @@ class Answer:
             fresh=self.portion.fresh,
             options=self._options(null, last) if found else self.options,
             blind=null.screened.request.blind,
+            nearest=claim.nearest_of(),
         )
         return self._finished(blank, null, last, proof)
 
@@ -204,9 +205,8 @@ class Answer:
         found, unknown, last = claim.found, claim.unknown, claim.last
         coloured = last.screened.choice.is_coloured
         sure = unknown is not None and bool(unknown.tests) and not null.screened.request.blind
-        # where something is known to be missing, it is looked for everywhere; and where effects may imitate it
-        far = (sure or bool(found)) and not null.screened.request.blind
-        near = partial(unknown_law, everywhere=True) if far else unknown_law
+        # looked for everywhere: effects may imitate it, and what is coloured may hide it
+        near = unknown_law if null.screened.request.blind else partial(unknown_law, everywhere=True)
         held = claim.nearest or last  # effects that leave too much are still nearer than none
         law = self._law(held, near) if found or sure or (unknown is None and coloured) else None
         rival = _said(claim, held, law)

@@ -14,7 +14,7 @@ from casadi_engine.discrepancy.fresh_misfit import HALF, SEEN
 from casadi_engine.discrepancy.no_noise import why_no_noise
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
-from casadi_engine.discrepancy.repaired import FoundEffect, Unknown
+from casadi_engine.discrepancy.repaired import FoundEffect, Nearest, Unknown
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.discrepancy.wording import is_early
 from casadi_engine.distributions import chi2_sf
@@ -27,7 +27,7 @@ _BY_CHANCE = 0.01
 class Claim:
     """What is said: the structures that fresh data kept, the last of them, the effects found and those withdrawn, and
     what is missing beside the found ones, or at all; nearest : the structure whose effects were withdrawn as they leave
-    too much."""
+    too much, and nearest_proof : what fresh data said of it."""
 
     proof: Confirmation
     last: Station
@@ -35,12 +35,23 @@ class Claim:
     withdrawn: tuple[FoundEffect, ...]
     unknown: Unknown | None
     nearest: Station | None = None
+    nearest_proof: Confirmation | None = None
 
     def withdrawn_for(self, unknown: Unknown | None, null: Station, why: str) -> Claim:
         """Without any effect: something else is missing."""
         gone = [replace(one, why_withdrawn=why) for one in self.found]
         proof = replace(self.proof, kept=self.proof.kept[:1], after=self.proof.before)
-        return Claim(proof, null, (), (*gone, *self.withdrawn), unknown, self.last)
+        near = (self.last, self.proof) if self.found else (self.nearest, self.nearest_proof)
+        return Claim(proof, null, (), (*gone, *self.withdrawn), unknown, *near)
+
+    def nearest_of(self) -> Nearest | None:
+        """The model with the effects that were withdrawn; None without any."""
+        if self.found or self.nearest is None or self.nearest_proof is None:
+            return None
+        noise, after = self.nearest.screened.noise, self.nearest_proof.after
+        names = tuple(f"{one.candidate.effect} at {one.candidate.port}" for one in self.nearest.effects)
+        fresh = gap_of([one for _, one in after], noise) if after else None
+        return Nearest(names, self.nearest.fit, gap_of([self.nearest.screened.null], noise), fresh)
 
 
 def reason_to_withdraw(claim: Claim, null: Station, confirmed: bool, *, cut: bool = False) -> Unknown | None:

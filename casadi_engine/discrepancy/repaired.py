@@ -204,6 +204,32 @@ class Unknown:
     odds: float | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Nearest:
+    """The model with the effects that were withdrawn, where these are not all that is missing, or not it.
+
+    names : "effect at port" of each; fit : on the data of the search; estimation, validation : the gap with it, None
+    without fresh data
+    """
+
+    names: tuple[str, ...]
+    fit: Fit
+    estimation: Gap
+    validation: Gap | None = None
+
+    def closes(self, gaps: Gaps) -> float:
+        """Share of the gap's squares that is closed, of the output with the least; of fresh data where there are
+        some."""
+        pairs = [(gaps.estimation_before.gap, self.estimation)]
+        if gaps.validation_before is not None and self.validation is not None:
+            pairs.append((gaps.validation_before.gap, self.validation))
+        squares = [
+            sum((after.rmse[name] / max(size, 1e-300)) ** 2 for name, size in before.rmse.items())
+            for before, after in pairs
+        ]
+        return min(1 - own / max(len(pairs[0][0].rmse), 1) for own in squares)
+
+
 def more_probable(unknown: Unknown | None) -> bool:
     """True for a law of no name that is far more probable than the effects that were found."""
     return unknown is not None and unknown.odds is not None and unknown.odds >= FACTOR
@@ -298,6 +324,7 @@ class Repair:
     stopped : "the user" or "the time budget" where one of them ended the search, else ""; not_searched : what it was
         about to try
     blind : True if the whole library was asked for, and no effect of it could act inside the model
+    nearest : of an answer without a name, the model with the effects that were withdrawn; None without any
     """
 
     status: str
@@ -331,6 +358,7 @@ class Repair:
     stopped: str = ""
     not_searched: tuple[str, ...] = ()
     blind: bool = False
+    nearest: Nearest | None = None
 
     @property
     def model(self) -> Model:

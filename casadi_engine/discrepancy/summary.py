@@ -221,6 +221,7 @@ def _gap_lines(repair: Repair, most: int) -> Lines:
     rest = len(gaps.estimation_before.gap.rmse) - most
     lines += [f"  and {count(rest)} more outputs in repair.gaps"] if rest > 0 else []
     lines += wrapped(f"  {noise_of_chi2(repair)}", "    ") if noise_of_chi2(repair) else []
+    lines += _nearest(repair, most)
     gain = gaps.gain_per_cycle
     if gain is not None and gain.mean is not None:
         turns = any(variable.name == "theta" for variable in repair.model.inputs)
@@ -231,6 +232,22 @@ def _gap_lines(repair: Repair, most: int) -> Lines:
         changes = f"2 ln(likelihood) changes by {size} per {part}{gone}, over {gain.cycles} {part}s"
         lines += [f"  fresh data: {changes}"]
     return lines
+
+
+def _nearest(repair: Repair, most: int) -> list[str]:
+    """The gap with what was withdrawn, of the first outputs."""
+    near, gaps = repair.nearest, repair.gaps
+    if near is None or gaps is None or repair.effects:
+        return []
+    sides = [("found on", gaps.estimation_before.gap, near.estimation)]
+    if gaps.validation_before is not None and near.validation is not None:
+        sides.append(("fresh", gaps.validation_before.gap, near.validation))
+    told = [
+        f"{title} {', '.join(f'{o} {old.rmse[o]:.4g} -> {new.rmse[o]:.4g}' for o in list(old.rmse)[:most])}"
+        for title, old, new in sides
+    ]
+    words = f"with {' and '.join(near.names)} the rmse is, {'; '.join(told)}: repair.nearest"
+    return wrapped(f"  {words}", "    ")
 
 
 def levels(repair: Repair) -> dict[str, float]:

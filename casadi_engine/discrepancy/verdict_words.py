@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from casadi_engine.discrepancy.fresh_misfit import FRESH, fresh_doubt, fresh_misfit, how_far, is_louder
+from casadi_engine.discrepancy.fresh_misfit import FRESH, HALF, fresh_doubt, fresh_misfit, how_far, is_louder
 from casadi_engine.discrepancy.repaired import UNTOLD, more_probable
 from casadi_engine.discrepancy.wording import (
     AT_FAULT,
@@ -53,7 +53,7 @@ def headline(repair: Repair) -> str:
         why = "no physical effect could be looked for" if unseen else "no effect of the library names it"
         if repair.stopped and not blind:
             why = "the search ended before an effect of the library could name it"
-        return f"something is missing, and {why}"
+        return f"something is missing, and {why}{_nearest(repair)}"
     sure = {True: "confirmed on fresh data", False: "not confirmed by fresh data", None: "unconfirmed"}
     others = [m.label for one in repair.effects for m in one.members[1:]]
     doubt = (
@@ -65,6 +65,16 @@ def headline(repair: Repair) -> str:
         doubt += ", and more that no effect of the library names"
     tried = " (of what was tried)" if repair.stopped or "left out" in repair.options else ""
     return f"{_named(repair)}{tried}{doubt}, {sure[repair.confirmed]}{_on_fresh(repair)}"
+
+
+def _nearest(repair: Repair) -> str:
+    """What comes nearest of what was withdrawn, where it closes more than it leaves."""
+    near, gaps = repair.nearest, repair.gaps
+    closes = 0.0 if near is None or gaps is None else near.closes(gaps)
+    if near is None or closes < HALF:
+        return ""
+    verb, which = ("is", "closes") if len(near.names) == 1 else ("are", "close")
+    return f"; nearest {verb} {' and '.join(near.names)}, which {which} {100 * closes:.0f} % of its squares"
 
 
 def _in_fresh_alone(repair: Repair) -> bool:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from casadi_engine.discrepancy.evidence import FACTOR
-from casadi_engine.discrepancy.repaired import BEHIND_OTHERS, FoundEffect, Repair, Unknown
+from casadi_engine.discrepancy.repaired import BEHIND_OTHERS, FoundEffect, Nearest, Repair, Unknown
 
 
 def withdrawn(repair: Repair, why: str, unknown: Unknown | None, *messages: str) -> Repair:
@@ -14,6 +14,12 @@ def withdrawn(repair: Repair, why: str, unknown: Unknown | None, *messages: str)
     gaps = repair.gaps
     if gaps is not None:
         gaps = replace(gaps, estimation_after=gaps.estimation_before, validation_after=gaps.validation_before)
+    nearest = None
+    if unknown is not None and gaps is not None and repair.gaps is not None and repair.effects:
+        after = repair.gaps.validation_after
+        names = tuple(f"{one.name} at {one.at}" for one in repair.effects)
+        fresh = None if after is None else after.gap
+        nearest = Nearest(names, repair.fit, repair.gaps.estimation_after.gap, fresh)
     gone = tuple(replace(one, why_withdrawn=why) for one in repair.effects)
     return replace(
         repair,
@@ -23,6 +29,7 @@ def withdrawn(repair: Repair, why: str, unknown: Unknown | None, *messages: str)
         effects=(),
         withdrawn=(*gone, *repair.withdrawn),
         unknown=unknown,
+        nearest=nearest,
         gaps=gaps,
         equation=None,
         next_experiment=None,

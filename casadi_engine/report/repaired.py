@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from casadi_engine.discrepancy.confirmation import PairedGain
-from casadi_engine.discrepancy.repaired import FoundEffect, Gaps, Place, Repair, Side, Unknown
+from casadi_engine.discrepancy.repaired import FoundEffect, Gaps, Nearest, Place, Repair, Side, Unknown
 from casadi_engine.estimation.fit import Estimate
 from casadi_engine.report.result_file import (
     _for_warm_start,
@@ -71,10 +71,21 @@ def _(result: Repair) -> dict[str, Any]:
         "fresh": [one.name for one in result.fresh],
         "stopped": result.stopped,
         "not_searched": list(result.not_searched),
+        "nearest": None if result.nearest is None else _nearest(result.nearest),
         "summary": str(result),
         **stored,
         "messages": messages,
         "why": why,
+    }
+
+
+def _nearest(near: Nearest) -> dict[str, Any]:
+    """The model with the effects that were withdrawn: its parameters and the gap with it."""
+    return {
+        "effects": list(near.names),
+        "values": dict(near.fit.values),
+        "rmse": dict(near.estimation.rmse),
+        "rmse_fresh": None if near.validation is None else dict(near.validation.rmse),
     }
 
 

@@ -1,10 +1,14 @@
 """A repair of which the effects are no answer."""
 
+import dataclasses
 from types import SimpleNamespace as stub
 
 import pytest
 
-from casadi_engine.discrepancy.withdrawal import far_less_probable
+from casadi_engine.discrepancy import summary, verdict_words
+from casadi_engine.discrepancy.confirmation import Gap
+from casadi_engine.discrepancy.repaired import Gaps, Nearest, Repair, Side, Unknown
+from casadi_engine.discrepancy.withdrawal import far_less_probable, withdrawn
 
 
 @pytest.mark.parametrize(("probability", "withdrawn"), [(0.03, True), (0.06, False), (0.97, False)])
@@ -22,3 +26,59 @@ def test_what_the_data_exclude_beside_another_is_no_answer(probability, withdraw
         assert found.sentence.startswith(
             "drag at shaft with sensor_gain at sensor_w is far more probable than load_step at shaft, but no whole fit"
         )
+
+
+def gap(*sizes):
+    return Gap(1.0, dict(zip("yz", sizes, strict=False)), {}, 100)
+
+
+def sides(before, after, fresh=None):
+    """Gaps of the data of the search and of fresh ones, (before, after) each."""
+    told = [stub(gap=one) for one in (before, after, *(fresh or ()))]
+    return stub(
+        estimation_before=told[0],
+        estimation_after=told[1],
+        validation_before=told[2] if fresh else None,
+        validation_after=told[3] if fresh else None,
+    )
+
+
+@pytest.mark.parametrize(
+    ("fresh", "share"),
+    [(None, 1 - (0.25 + 0.16) / 2), ((gap(4.0, 2.0), gap(3.0, 2.0)), 1 - (9 / 16 + 1) / 2)],
+)
+def test_what_was_withdrawn_closes_as_much_as_the_data_show_that_show_least(fresh, share):
+    found = Nearest(("a",), None, gap(1.0, 2.0), fresh and fresh[1])
+    given = sides(gap(2.0, 5.0), gap(2.0, 5.0), fresh and (fresh[0], fresh[0]))
+    assert found.closes(given) == pytest.approx(share)
+
+
+@pytest.mark.parametrize(("after", "said"), [(1.0, True), (3.5, False)])
+def test_the_headline_says_what_comes_nearest(after, said):
+    """A sensor's offset closed nine tenths of the gap, and the only word of it was that it had been withdrawn."""
+    near = Nearest(("sensor_offset at sensor_V",), None, gap(after))
+    repair = stub(nearest=near, gaps=sides(gap(4.0), gap(4.0)))
+    words = verdict_words._nearest(repair)
+    assert words == (
+        "; nearest is sensor_offset at sensor_V, which closes 94 % of its squares" if said else ""
+    )
+    assert verdict_words._nearest(stub(nearest=None, gaps=None)) == ""
+
+
+def test_effects_that_are_withdrawn_leave_their_model_as_the_nearest():
+    effect = dataclasses.make_dataclass("Effect", ["name", "at", "why_withdrawn"])("drag", "shaft", "")
+    before = Gaps(side(3.0), side(1.0), side(4.0), side(2.0))
+    repair = Repair("answered", "named", True, "null", "with it", 0.01, effects=(effect,), gaps=before)
+    found = withdrawn(repair, "why", Unknown("what is left is no noise", {}))
+    assert (found.fit, found.nearest.fit, found.nearest.names) == ("null", "with it", ("drag at shaft",))
+    assert (found.nearest.estimation.rmse, found.nearest.validation.rmse) == ({"y": 1.0}, {"y": 2.0})
+    assert withdrawn(repair, "why", None).nearest is None  # nothing is missing
+    words = summary._nearest(found, 3)
+    assert words == [
+        "  with drag at shaft the rmse is, found on y 3 -> 1; fresh y 4 -> 2: repair.nearest",
+    ]
+    assert summary._nearest(repair, 3) == []
+
+
+def side(size):
+    return Side(gap(size), {}, {})
