@@ -32,6 +32,7 @@ from casadi_engine.estimation import Fit
 
 NO_RUN = "the repaired model cannot be simulated on the fresh data, which neither confirms nor refuses it"
 LEFT_OUT = "is left out:"
+CONFIRMED_ALONE = "fresh data confirm the second one, and not the first"
 _UNSETTLED = (
     "its initial states on the fresh data had not settled, so that these neither confirm nor refuse it"
 )
@@ -40,6 +41,8 @@ _UNSETTLED = (
 _JUDGED, _EVALUATIONS = 0.6, 5000
 # Rivals of a structure that does not stand as a whole, of which it is asked whether they do.
 _RIVALS = 2
+# Structures that are held against fresh data after one that these neither confirm nor refuse.
+_FURTHER = 4
 Pairs = list[tuple[Fit, NullModel]]
 
 
@@ -118,7 +121,15 @@ class FreshChoice:
                 self.messages.append("fresh data weigh no structure against another, as the time was up")
         first: list[Station] | None = None
         blind: list[Station] | None = None  # the first one of which fresh data can say nothing
+        open_one: tuple[Key, list[Station], Judgement, Pairs] | None = None  # neither confirmed nor refused
+        asked = 0
         for key in search.ranked():
+            if open_one is not None:
+                if asked == _FURTHER or late():
+                    break
+                if not self._closes_as_much(key, open_one[0]):
+                    continue
+                asked += 1
             stations = search.way(key)
             if stations is None:
                 label = search.pool[key].label
@@ -129,7 +140,7 @@ class FreshChoice:
                 break
             if before is None or len(stations) == 1:
                 return self._kept(stations, first, before)
-            whole, stations = stations, self._each_confirmed(stations)
+            said, whole, stations = len(self.messages), stations, self._each_confirmed(stations)
             if (
                 len(stations) < len(whole)
                 and key == search.best
@@ -143,16 +154,35 @@ class FreshChoice:
                 continue
             if blind is not None and not judged.confirmed:
                 break
+            if open_one is not None:  # it is confirmed, or no better
+                if judged.confirmed:
+                    best, now = search.pool[open_one[0]].name, search.pool[key].name
+                    self.messages.append(
+                        f"the data of the search alone prefer {best} to {now}; {CONFIRMED_ALONE}"
+                    )
+                    return self._kept(stations, first, before, judged, after)
+                del self.messages[said:]
+                continue
             if not judged.refused:
-                if not judged.confirmed and judged.why:
-                    self.messages.append(judged.why)
+                if judged.confirmed is False:
+                    open_one = key, stations, judged, after
+                    continue
                 return self._kept(stations, first, before, judged, after)
             self._denied = True
             self.messages.append(f"{search.pool[key].name}: {judged.why}")
+        if open_one is not None:
+            _, stations, judged, after = open_one
+            self.messages += [judged.why] if judged.why else []
+            return self._kept(stations, first or stations, before, judged, after)
         if blind is not None:
             self.messages += [] if self._costly else [NO_RUN]
             return self._kept(blind, first or blind, before, Judgement(None, None, False, NO_RUN))
         return self._kept([null], first or [null], before)
+
+    def _closes_as_much(self, key: Key, other: Key) -> bool:
+        """True if a structure closes as much of the gap of the search as another one, as a person sees it."""
+        none, one, best = (self.search.pool[k].evidence.cost for k in (frozenset(), key, other))
+        return none - one >= (1 - SEEN) * (none - best)
 
     def _shortened(self, before: Pairs | None) -> None:
         """Let the most probable structure of the effects that stand by themselves take the place of the chosen one, and

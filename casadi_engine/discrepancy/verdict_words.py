@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from casadi_engine.discrepancy.fresh_misfit import FRESH, HALF, fresh_doubt, fresh_misfit, how_far, is_louder
-from casadi_engine.discrepancy.repaired import UNTOLD, more_probable
+from casadi_engine.discrepancy.repaired import UNCONFIRMED, UNTOLD, more_probable
 from casadi_engine.discrepancy.wording import (
     AT_FAULT,
     BOUNDS,
@@ -42,7 +42,7 @@ def headline(repair: Repair) -> str:
             return "nothing was found, but no physical effect could be looked for"
         tried = " (of what was tried)" if repair.stopped else ""
         what = "no effect of the library" if may_hide(repair) else "nothing"
-        said = f"{what} is missing that these data could show{tried}{_on_fresh(repair)}"
+        said = f"{what} is missing that these data could show{tried}{_by_chance(repair)}{_on_fresh(repair)}"
         return said + ("; the residual is coloured, and others may hide in it" if may_hide(repair) else "")
     if repair.verdict == "unnamed":
         if repair.unknown is not None and repair.unknown.sentence == UNTOLD:
@@ -65,6 +65,18 @@ def headline(repair: Repair) -> str:
         doubt += ", and more that no effect of the library names"
     tried = " (of what was tried)" if repair.stopped or "left out" in repair.options else ""
     return f"{_named(repair)}{tried}{doubt}, {sure[repair.confirmed]}{_on_fresh(repair)}"
+
+
+def _by_chance(repair: Repair) -> str:
+    """What may be missing all the same: effects beyond chance on the data of the search that fresh ones neither confirm
+    nor refuse."""
+    maybe = [
+        one for one in repair.withdrawn if one.why_withdrawn == UNCONFIRMED and one.p_value < repair.alpha
+    ]
+    if not maybe:
+        return ""
+    one = min(maybe, key=lambda found: found.p_value)
+    return f"; {one.name} at {one.at} may be (p = {one.p_value:.2g}), and fresh data do not tell"
 
 
 def _nearest(repair: Repair) -> str:
@@ -152,6 +164,8 @@ def next_step(repair: Repair) -> str:
     if repair.verdict == "nothing missing" and fresh_doubt(repair) is not None:
         return "record more before you use the model, or give the fresh records as data too: its parameters are vague"
     if repair.verdict == "nothing missing":
+        if _by_chance(repair):
+            return "record more before you rely on it: what may be missing was not told from chance"
         if is_blind(repair):
             return "give the model its ports as said above, and repair again: no physical effect was tested"
         if not any(one.excluded for one in repair.not_found):

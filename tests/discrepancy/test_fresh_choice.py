@@ -357,3 +357,61 @@ def test_a_gap_that_grows_confirms_nothing(monkeypatch, said, then, confirmed, r
     assert (found.confirmed, found.refused) == (confirmed, refused)
     assert (found.why is not None) == (confirmed is False)
     assert found.why is None or "the gap there grows by" in found.why
+
+
+def in_order(monkeypatch, says, costs, *, late=False):
+    """The structure that fresh data leave of those in order of evidence, each of one effect; and what is said.
+
+    says : name -> what they say of it; costs : name -> chi-squared; it is 1000 without effects
+    """
+    names = list(says)
+    pool = {frozenset({n}): stub(name=n, label=n, evidence=stub(cost=costs[n])) for n in names}
+    pool[frozenset()] = stub(evidence=stub(cost=1000.0))
+    ways = {frozenset({n}): stations_of([n]) for n in names}
+    null = stub(screened=stub(request=stub(blind=False), choice=stub(scatter=True)))
+    search = stub(null=null, ranked=lambda: list(ways), way=ways.get, pool=pool, best=frozenset({names[0]}))
+    monkeypatch.setattr(FreshChoice, "_on_fresh", lambda self, one: "pairs")
+    monkeypatch.setattr(FreshChoice, "_shortened", lambda self, before: None)
+    monkeypatch.setattr(FreshChoice, "_each_confirmed", lambda self, stations: stations)
+    monkeypatch.setattr(
+        FreshChoice,
+        "_of_structure",
+        lambda self, stations, before: (says[stations[-1].effects[-1].name], "pairs"),
+    )
+    monkeypatch.setattr(module, "late", lambda: late)
+    said = []
+    found = FreshChoice(search, stub(fresh=["a record"]), print, said)._judged_in_order()
+    return found.kept[-1].effects[-1].name, said
+
+
+OPEN, SURE = Judgement(None, False, False, "chance may make it"), Judgement(None, True)
+NO = Judgement(None, False, True, "fresh data refuse it")
+
+
+@pytest.mark.parametrize(
+    ("says", "costs", "kept"),
+    [
+        ({"dry": OPEN, "viscous": SURE}, (10, 12), "viscous"),
+        ({"dry": OPEN, "viscous": SURE}, (10, 200), "dry"),  # which closes much less
+        ({"dry": OPEN, "viscous": OPEN}, (10, 12), "dry"),
+        ({"dry": OPEN, "square": NO, "viscous": SURE}, (10, 12, 14), "viscous"),
+        ({"dry": NO, "square": OPEN, "viscous": SURE}, (10, 12, 14), "viscous"),
+        ({"dry": SURE, "viscous": SURE}, (10, 12), "dry"),
+    ],
+)
+def test_what_fresh_data_confirm_stands_before_what_they_do_not(monkeypatch, says, costs, kept):
+    """A flexible arm without its damper: the data of the search preferred friction that is dry by 4 % of chi-squared,
+    the fresh ones made it worse than none, and the damper was not asked."""
+    found, said = in_order(monkeypatch, says, dict(zip(says, costs, strict=True)))
+    assert found == kept
+    assert (kept == "viscous") == any(words.endswith(module.CONFIRMED_ALONE) for words in said)
+
+
+def test_no_more_is_asked_of_fresh_data_once_the_time_is_up(monkeypatch):
+    says = {"dry": OPEN, "viscous": SURE}
+    assert in_order(monkeypatch, says, {"dry": 10, "viscous": 12}, late=True) == (
+        "dry",
+        ["chance may make it"],
+    )
+    many = {**{f"law {k}": OPEN for k in range(6)}, "viscous": SURE}
+    assert in_order(monkeypatch, many, dict.fromkeys(many, 10))[0] == "law 0"
