@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from casadi_engine.discrepancy.claim import above_stated
 from casadi_engine.discrepancy.confirmation import CHANCE
 from casadi_engine.discrepancy.fresh_misfit import SURE, fresh_misfit
 from casadi_engine.discrepancy.no_noise import why_no_noise
@@ -30,7 +31,10 @@ def held_to_chance(repair: Repair) -> Repair:
         f"it{against}: then it has to be as improbable as what they confirm, p < {CHANCE * repair.alpha:.2g}"
     )
     bare = withdrawn(repair, UNCONFIRMED, None, words)
-    return repair if fresh_misfit(bare) is not None or _leaves_no_noise(bare) else bare
+    sure = (
+        fresh_misfit(bare) is not None or _leaves_no_noise(bare) or above_stated(repair.null_fit) is not None
+    )
+    return repair if sure else bare
 
 
 def _leaves_no_noise(repair: Repair) -> bool:

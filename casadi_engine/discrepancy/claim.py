@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 from casadi_engine.discrepancy.certificate import unknown_of
@@ -15,9 +15,11 @@ from casadi_engine.discrepancy.no_noise import why_no_noise
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.repaired import FoundEffect, Nearest, Unknown
+from casadi_engine.discrepancy.selection import effective_samples
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.discrepancy.wording import is_early
 from casadi_engine.distributions import chi2_sf
+from casadi_engine.estimation import Fit
 
 # How often white noise of the level that was stated may be found larger.
 _BY_CHANCE = 0.01
@@ -123,6 +125,9 @@ def missing_beside(
     unknown = unknown_of(last.screened)
     if unknown is not None or found:
         return unknown or no_noise(last)
+    above = above_stated(null.fit, null.screened.choice.rounded)
+    if above is not None:
+        return above
     if withdrawn:
         words = f"{withdrawn[0].name} at {withdrawn[0].at} explains these data best, but fresh data refuse it"
         return Unknown(words, {})
@@ -145,6 +150,26 @@ def more_than_stated(last: Station) -> Unknown | None:
         chance = float(chi2_sf(count * (left[name] / stated[name]) ** 2, count))
         if chance < _BY_CHANCE / len(stated):
             words.append(f"{name}, {left[name]:.4g} in place of {stated[name]:.4g}")
+    return Unknown(f"more is left than the noise that was stated: {'; '.join(words)}", {}) if words else None
+
+
+def above_stated(fit: Fit, rounded: Collection[str] = ()) -> Unknown | None:
+    """What is said of a model that leaves more than the noise that was stated, beyond chance; None where no level is
+    stated, or no more is left.
+
+    rounded : outputs whose level is that of rounding; samples of what is coloured count as fewer independent ones
+    """
+    words = []
+    stated = {name: sigma for name, (sigma, estimated) in fit.noise.items() if not estimated}
+    for name in stated.keys() - set(rounded):
+        left = [own[name].residual[own[name].mask] for own in fit.traces.values() if name in own]
+        count, worth = (
+            sum(len(e) for e in left),
+            sum(min(effective_samples(e), len(e)) for e in left if len(e)),
+        )
+        size = math.sqrt(sum(float(e @ e) for e in left) / max(count, 1))
+        if worth and float(chi2_sf(worth * (size / stated[name]) ** 2, worth)) < _BY_CHANCE / len(stated):
+            words.append(f"{name}, {size:.4g} in place of {stated[name]:.4g}")
     return Unknown(f"more is left than the noise that was stated: {'; '.join(words)}", {}) if words else None
 
 

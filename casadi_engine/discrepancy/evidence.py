@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import special
 
-from casadi_engine.discrepancy.linear_algebra import Array, triangle
+from casadi_engine.discrepancy.linear_algebra import Array, svd, triangle
 from casadi_engine.discrepancy.noise_choice import is_white
 from casadi_engine.discrepancy.noise_model import NoiseModel, estimated_noise, left_over
 from casadi_engine.discrepancy.null_model import NullModel
@@ -289,7 +289,7 @@ def _log_determinant(rows: Array) -> float:
     """1/2 log det(R'R)."""
     if not rows.shape[1]:
         return 0.0
-    strength = np.linalg.svd(rows, compute_uv=False)
+    strength = svd(rows)[1]
     return float(np.log(np.maximum(strength, _TINY)).sum())
 
 

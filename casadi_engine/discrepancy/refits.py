@@ -306,6 +306,17 @@ class Refits:
         """The levels below which no model's noise is: those that were stated, and of rounding."""
         return {name: s for name, (s, own) in self.null_fit.noise.items() if not own} | self.rounded
 
+    def _is_its_limit(self, one: Tried, added: Addition) -> bool:
+        """True if a law of a structure rests at that bound of its own where it is a simpler one."""
+        effect = added.candidate.source.effect
+        name = f"{added.key}.{effect.limit_at}"
+        if not one.arrived.rests(name):
+            return False
+        bounds = self.path.parameters(one.effects)[name]
+        other = {"max": bounds.min, "min": bounds.max}.get(effect.limit_end, math.nan)
+        values = [value for own, value in one.arrived.values.items() if own.partition("@")[0] == name]
+        return not any(math.isclose(value, other, rel_tol=1e-6) for value in values)
+
     def weigh(self) -> None:
         """Count every structure's evidence with the noise that the most probable one leaves.
 
@@ -315,8 +326,8 @@ class Refits:
         for key, one in self.pool.items():
             for added in one.effects:
                 effect, (_, at) = added.candidate.source.effect, added.candidate.key
-                rests = bool(effect.limit_at) and one.arrived.rests(f"{added.key}.{effect.limit_at}")
-                one.failed |= rests and key - {added.candidate.key} | {(effect.limit, at)} in self.pool
+                simpler = key - {added.candidate.key} | {(effect.limit, at)} in self.pool
+                one.failed |= bool(effect.limit_at) and simpler and self._is_its_limit(one, added)
         seen: set[Key] = set()
         while True:
             best = max(self.pool.values(), key=lambda one: one.log)

@@ -19,7 +19,7 @@ RATE_WIDTH = 1.4e-4
 # Beyond so many times its fading speed a ten-thousandth of the friction is left, and within a third of it nine tenths.
 _REACH = 3.03
 # The least fading speed that is looked for, as a share of the largest speed: what fades sooner acts in an instant.
-_SLOWEST = 1 / 40
+_SLOWEST = 1 / 100
 _FADING = Grid(0.25, 2.5, steps=8, log=True, of="speed", unit="rad/s", description="fading speed")
 
 
@@ -189,7 +189,7 @@ class StribeckFriction(_Rounded):
     name = "stribeck_friction"
     attaches = ("inertia",)
     kin = ("coulomb_friction", "constant_torque", "viscous_friction")
-    limit, limit_at = "coulomb_friction", "fading"
+    limit, limit_at, limit_end = "coulomb_friction", "fading", "max"
     sentence = "friction at {port} that fades with {motion}"
     neutral = "a loss at {port} that fades as {motion} grows"
     amplitude = Amplitude("torque", unit="N m", min=0)

@@ -164,7 +164,8 @@ class Effect:
         or masses), pipe (between two of anything else)
     kin : names of effects that look alike, for the reader of a class
     limit : name of the simpler effect that this one becomes at an end or in the middle of its
-        grid; "" for none. limit_at : the nuisance parameter at whose bound it is that one, "" for none
+        grid; "" for none. limit_at : the nuisance parameter at whose bound it is that one, "" for none; limit_end :
+        "min" or "max" where it is at that bound alone
     sentence : one clause with {port}, for reports; {effort} and {motion} stand for what acts there ("torque") and for
         what is read ("speed", or the signal's expression)
     neutral : the clause for ports where no torque or force acts; "" for the same
@@ -191,6 +192,7 @@ class Effect:
     kin: ClassVar[tuple[str, ...]] = ()
     limit: ClassVar[str] = ""
     limit_at: ClassVar[str] = ""
+    limit_end: ClassVar[str] = ""
     sentence: ClassVar[str] = ""
     neutral: ClassVar[str] = ""
     fixed_only: ClassVar[bool] = False

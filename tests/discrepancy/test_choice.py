@@ -477,7 +477,13 @@ def test_an_effect_of_which_the_whole_fit_leaves_nothing_is_none():
 
 
 @pytest.mark.parametrize(
-    ("held", "beside", "rival"), [(True, True, False), (False, True, True), (True, False, True)]
+    ("held", "beside", "end", "rival"),
+    [
+        (True, True, "max", False),
+        (False, True, "max", True),
+        (True, False, "max", True),
+        (True, True, "min", None),
+    ],
 )
 @pytest.mark.parametrize(
     ("law", "case", "resting"),
@@ -487,9 +493,11 @@ def test_an_effect_of_which_the_whole_fit_leaves_nothing_is_none():
     ],
 )
 def test_a_law_that_rests_where_it_is_a_simpler_one_is_no_rival_of_that(
-    law, case, resting, held, beside, rival
+    law, case, resting, held, beside, end, rival
 ):
-    """Friction that fades beyond all speeds is dry friction, a load that comes with every record a constant one."""
+    """Friction that fades beyond all speeds is dry friction, a load that comes with every record a constant one; what
+    fades in an instant is none, and was left out for good where the least fading speed was just too large."""
+    rival = law.limit_end == "max" if rival is None else rival
 
     def tried(effect):
         candidate = SimpleNamespace(key=(effect.name, "load"), source=SimpleNamespace(effect=effect))
@@ -506,7 +514,10 @@ def test_a_law_that_rests_where_it_is_a_simpler_one_is_no_rival_of_that(
     more = tried(law)
     every = [more, tried(case)] if beside else [more]
     all_of_them = refits.Refits.__new__(refits.Refits)
-    all_of_them.null_fit, all_of_them.path = SimpleNamespace(noise={}), SimpleNamespace(residuals=fails)
+    bounds = SimpleNamespace(**{"min": -1.0, "max": 1.0, end: 0.0})
+    names = [f"load.{law.name}.{name.partition('@')[0]}" for name in resting]
+    all_of_them.null_fit = SimpleNamespace(noise={})
+    all_of_them.path = SimpleNamespace(residuals=fails, parameters=lambda _: dict.fromkeys(names, bounds))
     all_of_them.pool = {one.key: one for one in every}
     all_of_them.weigh()
     assert (more.log > -np.inf) == rival

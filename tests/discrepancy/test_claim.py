@@ -46,13 +46,15 @@ def test_what_is_missing_where_nothing_else_tells(monkeypatch, withdrawn, signif
         pooled=lambda k: 0.001,
         leftover=None,
         null=stub(records=()),
+        choice=stub(rounded={}),
     )
-    station = stub(screened=screened)
+    fit = stub(noise={"y": (1.0, True)}, traces={})
+    station = stub(screened=screened, fit=fit)
     found = module.missing_beside(station, station, (), withdrawn)
     assert (found and found.sentence) == words
     assert module.missing_beside(station, station, [stub()], withdrawn) is None
     if significant:  # a score that no refit bears out has to be rarer where there are fresh data
-        assert module.missing_beside(station, stub(screened=screened, fit=None), (), (), least=1e-4) is None
+        assert module.missing_beside(station, stub(screened=screened, fit=fit), (), (), least=1e-4) is None
         assert module.missing_beside(station, station, (), (), least=1e-4, cut=True) is not None
 
 
@@ -303,3 +305,18 @@ def test_a_law_that_explains_most_of_fresh_data_stays_beside_one_that_is_more_pr
     own._imitators = lambda *_: 0
     found = answer.Answer._held_to_laws(own, claim, null)
     assert (found != "withdrawn") is kept
+
+
+@pytest.mark.parametrize(
+    ("size", "stated", "rounded", "said"),
+    [(2.3, True, (), True), (1.2, True, (), False), (2.3, False, (), False), (2.3, True, ("y",), False)],
+)
+def test_a_model_that_leaves_more_than_the_stated_noise_lacks_something(size, stated, rounded, said):
+    """Fourteen levels of a drug were off by 2.3 times the stated noise, and by chance a second loss might be all of it:
+    nothing was missing."""
+    signs = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, -1, 1, -1, 1])
+    trace = stub(residual=size * signs, mask=np.ones(14, dtype=bool))
+    fit = stub(noise={"y": (1.0, not stated)}, traces={"run": {"y": trace}})
+    found = module.above_stated(fit, rounded)
+    assert (found is not None) is said
+    assert not said or found.sentence.startswith("more is left than the noise that was stated: y, 2.")

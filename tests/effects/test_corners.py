@@ -89,7 +89,7 @@ def test_friction_that_keeps_nine_tenths_of_itself_is_dry_friction():
     slow = view_of("load", {"speed": 45.0 * np.sin(TIME)})
     made = plain.fitted(slow, None, {})
     low, high = made.nuisance["fading"].ends()
-    assert low == pytest.approx(45.0 / 40, rel=0.05)
+    assert low == pytest.approx(45.0 / 100, rel=0.05)
     assert np.exp(-((45.0 / high) ** 2)) == pytest.approx(0.9, abs=0.03)
     fast = view_of("load", {"speed": 120.0 + 5 * np.sin(TIME)})
     assert plain.fitted(fast, None, {}).span == (40.0, 380.0)

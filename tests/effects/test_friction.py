@@ -40,7 +40,7 @@ def test_a_corner_shrinks_by_the_share_and_a_kink_stays():
 def test_fading_speeds_follow_the_motion_and_not_the_scale(size):
     for scale in (1.0, 100.0):
         low, high = StribeckFriction().fitted(shaft(size * SWING / 40, scale), None, {}).span
-        assert low == pytest.approx(size / 40, rel=0.05)
+        assert low == pytest.approx(size / 100, rel=0.05)
         assert high == pytest.approx(3.03 * size, rel=0.05)
 
 
