@@ -72,7 +72,7 @@ from casadi_engine.discrepancy.repaired import (
     Repair,
     Unknown,
     Verdict,
-    more_probable,
+    in_its_place,
 )
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.discrepancy.too_few import held_to_what_fresh_data_tell
@@ -234,10 +234,28 @@ class Answer:
         denied = judged is not None and judged.confirmed is False and law.log >= math.log(FACTOR)
         if judged is not None and judged.confirmed:  # or show that they explain what they ought to
             fresh = closed_on_fresh(claim.proof, last.screened.noise)
-            law = law if fresh is None else replace(law, share=max(law.share, fresh))
-        if law.excludes or denied:
-            return claim.withdrawn_for(claim.unknown, null, BEHIND_LAW)
-        return claim
+            law = law if fresh is None else law.on_fresh(fresh)
+        if not law.excludes and not denied:
+            return claim
+        fewer = self._without_last(claim) if law.imitators > 1 else None
+        kept = None if fewer is None else self._held_to_laws(fewer, null)
+        return (
+            kept if kept is not None and kept.found else claim.withdrawn_for(claim.unknown, null, BEHIND_LAW)
+        )
+
+    def _without_last(self, claim: Claim) -> Claim | None:
+        """The claim without the effect that was found last: one that comes near to a law of no name says more than
+        several that imitate it. None where it was the only one."""
+        kept, before = claim.proof.kept[:-1], claim.proof.before
+        if len(kept) < 2 or not before:
+            return None
+        judged, after = self.fresh.judged(kept, before)
+        if after is None:
+            return None
+        proof = replace(claim.proof, kept=kept, judgement=judged, after=after)
+        gone = [replace(one, why_withdrawn=BEHIND_LAW) for one in claim.found[len(kept) - 1 :]]
+        found, _ = _effects(proof)
+        return Claim(proof, kept[-1], found, (*gone, *claim.withdrawn), claim.unknown)
 
     @property
     def _rare(self) -> float:
@@ -446,7 +464,8 @@ def _effects(proof: Confirmation) -> tuple[tuple[FoundEffect, ...], tuple[FoundE
 def _verdict(found: Sequence[FoundEffect], unknown: Unknown | None) -> Verdict:
     if found:
         several = any(len(one.members) > 1 for one in found)
-        return "class" if several or more_probable(unknown) else "named"  # a law of no name is a member too
+        law = in_its_place(unknown, found)  # of no name, which is a member too
+        return "class" if several or law else "named"
     return "nothing missing" if unknown is None else "unnamed"
 
 

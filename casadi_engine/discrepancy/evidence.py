@@ -171,6 +171,8 @@ def evidence(model: Digest, levels: Levels) -> Evidence:
     rows = np.concatenate([part * levels.weight(output) for output, part in model.parts])
     order = [k for k in last if used[k]]
     whole, prior = triangle(np.concatenate([rows, prior])[:, order]), prior[:, order]
+    if not np.isfinite(whole).all():  # slopes along a motion that has run off
+        return Evidence(-math.inf, math.inf, {}, {})
     free = len(order) - 1 - len(model.held)
     occam = _log_determinant(prior[:, :free]) - _log_determinant(whole[:free, :free])
     occam += _at_bounds(whole[free:-1, free:], np.linalg.norm(prior[:, free:-1], axis=0))

@@ -390,6 +390,10 @@ class FreshChoice:
         )
         return max(self.work, _EVALUATIONS * own) * max(fresh / own, 1.0)
 
+    def judged(self, stations: Sequence[Station], before: Pairs) -> tuple[Judgement, Pairs | None]:
+        """See ``_of_structure``."""
+        return self._of_structure(list(stations), before)
+
     def _of_structure(self, stations: list[Station], before: Pairs) -> tuple[Judgement, Pairs | None]:
         """What fresh data say of a structure, against none and against its parts; None where it cannot be simulated."""
         last, base = stations[-1], stations[-2]

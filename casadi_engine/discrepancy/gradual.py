@@ -16,8 +16,10 @@ import numpy as np
 from casadi_engine.discrepancy.compression import candidate_columns
 from casadi_engine.discrepancy.evidence import Columns, Digest, Levels, Prior, evidence
 from casadi_engine.discrepancy.law_rival import (
+    bare_digest,
     beside_it,
     counted_with,
+    is_told,
     names_of,
     of_size,
     without_effects,
@@ -37,10 +39,16 @@ _SIZES = np.logspace(-2, 2, 9)
 @dataclass(frozen=True, eq=False)
 class Gradual:
     """A structure with a smooth course in time of each record in the place of one of its events, at its largest size,
-    and the terms of that course."""
+    and the terms of that course; event : the key of that event; bare : the structure with neither."""
 
     digest: Digest
     terms: tuple[str, ...]
+    event: tuple[str, str] = ("", "")
+    bare: Digest | None = None
+
+    def is_told(self, levels: Levels, named: float, without: float) -> bool:
+        """See ``law_rival.is_told``."""
+        return self.bare is None or is_told(evidence(self.bare, levels).cost, named, without)
 
     def log(self, levels: Levels) -> float:
         """The log evidence, averaged over the size of the course."""
@@ -78,7 +86,10 @@ def in_place_of_event(
     variances = np.concatenate([family.variances for _, family in courses])
     whole = Family(one.candidate.port, TIME, tuple(range(terms)), variances, 0.0, 1.0, np.ones(1))
     digest = counted_with(beside_it(bare, columns), dict(priors), whole, held - own, random)
-    return None if digest is None else Gradual(digest, tuple(names_of(whole)))
+    if digest is None:
+        return None
+    without = bare_digest(bare, priors, held - own, random)
+    return Gradual(digest, tuple(names_of(whole)), one.candidate.key, without)
 
 
 def _course(null: NullModel, record: RecordNull, port: str) -> tuple[Mapping[str, Array], Family]:

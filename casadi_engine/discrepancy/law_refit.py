@@ -36,7 +36,7 @@ from casadi_engine.discrepancy.priors import priors_of
 from casadi_engine.discrepancy.random_families import Course, Family, course_of, smooth_family, terms_at
 from casadi_engine.discrepancy.refit_null import null_of_refit
 from casadi_engine.discrepancy.refits import Refits, Tried
-from casadi_engine.discrepancy.unknown_law import UnknownLaw, near_of, several_at
+from casadi_engine.discrepancy.unknown_law import UnknownLaw, near_of
 from casadi_engine.effects import Amplitude, Effect, Grid
 from casadi_engine.estimation.refit_answer import Refit
 from casadi_engine.estimation.refit_problem import RefitProblem
@@ -273,7 +273,7 @@ def _followed(refits: Refits, none: Tried, tried: Tried, setup: _Setup, one: _Be
             zero, named, law = (evidence(own, levels) for own in (none.digest, tried.digest, best))
             share = (zero.cost - named.cost) / (zero.cost - law.cost) if zero.cost > law.cost else 1.0
             course = _course(best, null, setup, levels)
-            alike = several_at(tried, setup.family.port)
+            alike = len(tried.effects) > 1
             return (
                 UnknownLaw(course, log - named.log, share, alike, near_of(tried, setup.family.port))
                 if math.isfinite(log)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +22,8 @@ SIZES = np.logspace(-4, 0, 9)
 LAW = "law"
 # Share of what effects leave beyond white noise that a function has to take for that to be no noise of the sensors.
 TAKEN = 0.8
+# Share of what chi-squared rises by without effects that slopes have to say it rises by.
+_TOLD = 0.1
 LAW = "law"
 
 
@@ -153,6 +155,25 @@ def without_effects(null: NullModel, amplitudes: Sequence[str], own: Collection[
         prior=prior,
         records=tuple(records),
     )
+
+
+def bare_digest(
+    bare: NullModel, priors: Mapping[str, Prior], held: frozenset[str], random: Columns | None
+) -> Digest:
+    """What the evidence of a model without its effects is counted from."""
+    own = {name: prior for name, prior in priors.items() if name in bare.parameters}
+    return digest(bare, own, random=random, held=held)
+
+
+def is_told(linear: float, named: float, without: float) -> bool:
+    """True unless slopes say that a model without its effects is next to as good, where a refit says it is not.
+
+    Where outputs do not change if effects and parameters grow together, the others by their slopes make up for effects
+    of any size, and what takes the place of these has nothing to explain.
+
+    linear : chi-squared without the effects by the slopes; named, without : of the refits with them and without
+    """
+    return linear - named >= _TOLD * (without - named)
 
 
 def beside_it(bare: NullModel, columns: dict[str, dict[str, Array]]) -> NullModel:

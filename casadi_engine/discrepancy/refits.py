@@ -122,8 +122,13 @@ class Tried:
     def weigh(self, levels: Levels) -> None:
         """Count the evidence with this noise."""
         self.evidence = evidence(self.digest, levels)
-        odds = [one.log(levels) - self.evidence.log for one in self.courses]
+        odds = [one.log(levels) - self.evidence.log for one in self.courses if self._is_told(one, levels)]
         self.is_gradual = max(odds, default=-math.inf) > math.log(FACTOR)
+
+    def _is_told(self, course: Gradual, levels: Levels) -> bool:
+        """True if the slopes along a structure say what it is without an event; see ``law_rival.is_told``."""
+        without = self.pool().get(self.key - {course.event})
+        return without is None or course.is_told(levels, self.evidence.cost, without.evidence.cost)
 
     @property
     def counted(self) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -233,6 +233,14 @@ class Nearest:
 def more_probable(unknown: Unknown | None) -> bool:
     """True for a law of no name that is far more probable than the effects that were found."""
     return unknown is not None and unknown.odds is not None and unknown.odds >= FACTOR
+
+
+def in_its_place(unknown: Unknown | None, effects: Sequence[FoundEffect]) -> bool:
+    """True where a law of no name may stand in the place of effects: it is far more probable, or what they leave is
+    again a function at a port of theirs, so that they are a part of it."""
+    if unknown is None or unknown.odds is not None or unknown.course is None:
+        return more_probable(unknown)
+    return any(one.at == unknown.port for one in effects)
 
 
 @dataclass(frozen=True)

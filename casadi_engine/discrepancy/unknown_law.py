@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -31,8 +31,10 @@ from casadi_engine.discrepancy.fresh_misfit import SEEN
 from casadi_engine.discrepancy.law_rival import (
     SIZES,
     Rival,
+    bare_digest,
     beside_it,
     counted_with,
+    is_told,
     names_of,
     of_size,
     with_own_colour,
@@ -58,19 +60,23 @@ _COLOURED = 3
 _NEAR = 0.8
 # The same of what is no law of the motion at that port: a constant is the mean of any law, an event bends in time to
 # one that is not there all the time, effects elsewhere are another explanation. They stay where they leave no more of
-# the gap (rmse) than a person would see.
-_NEAR_OF_OTHERS = 1 - SEEN**2
+# the gap (rmse) than a person would see; or twice as much, where fresh data confirm them and show as much: of other
+# motions the mean is another.
+_NEAR_OF_OTHERS, _CONFIRMED = 1 - SEEN**2, 1 - (2 * SEEN) ** 2
 
 
 @dataclass(frozen=True)
 class UnknownLaw:
     """The function that is most probable: its course, the log of how much more probable the model is with it than with
-    the effects, the share of what it takes from chi-squared that these take too, and whether they are several at its
-    own port; near : the share from which on effects come near; beside : the log of how much more probable the function
-    is with the effects beside it than without them, where none of them is a law there itself: what they do is no
-    imitation of it then; price : the part of the log that is paid for further names, not told by the data; imitators :
-    how many of the effects do nothing beside the function: one name that comes near is worth keeping, several that
-    together imitate a function are not."""
+    the effects, the share of what it takes from chi-squared that these take too, and whether they are several.
+
+    near : the share from which on effects come near
+    beside : the log of how much more probable the function is with the effects beside it than without them, where none
+        of them is a law there itself: what they do is no imitation of it then
+    price : the part of the log that is paid for further names, not told by the data
+    imitators : how many of the effects do nothing beside the function: one name that comes near is worth keeping,
+        several that together imitate a function are not
+    """
 
     course: Course
     log: float
@@ -88,9 +94,16 @@ class UnknownLaw:
 
     @property
     def is_curve(self) -> bool:
-        """True where several effects at one port do no more than a smooth function of what moves there: two laws of one
-        signal add up to many a curve, and that they are fewer numbers is all that speaks for them."""
+        """True where several effects do no more than a smooth function of one signal: two laws of it add up to many a
+        curve, as do one and an error of what it is measured by, and that they are fewer numbers is all that speaks for
+        them."""
         return self.several and self.share <= 1
+
+    def on_fresh(self, closed: float) -> UnknownLaw:
+        """The same with what effects explain by fresh data, which confirm them and of whose gap they close a share."""
+        if self.near == _NEAR:
+            return replace(self, share=max(self.share, closed))
+        return replace(self, near=_CONFIRMED) if closed >= _CONFIRMED else self
 
     @property
     def excludes(self) -> bool:
@@ -108,11 +121,6 @@ def near_of(tried: Tried, port: str) -> float:
     laws = [one for one in tried.effects if one.is_law and not port.startswith("parameter_")]
     there = any(one.candidate.port == port for one in laws)
     return _NEAR if there else _NEAR_OF_OTHERS
-
-
-def several_at(tried: Tried, port: str) -> bool:
-    """True for a structure of several effects, all of them at one port."""
-    return len(tried.effects) > 1 and all(one.candidate.port == port for one in tried.effects)
 
 
 def unknown_law(
@@ -137,6 +145,10 @@ def unknown_law(
     others = held & refits.pool[frozenset()].arrived.held - own
     bare = without_effects(null, [one.amplitude for one in effects], own)
     if bare is None or not math.isfinite(named.log):
+        return None
+    none = refits.pool[frozenset()].evidence.cost
+    linear = evidence(bare_digest(bare, priors, others, random), refits.levels).cost
+    if effects and not is_told(linear, named.cost, none):
         return None
     columns: dict[str, dict[str, dict[str, Array]]] = {}
     prices: dict[str, float] = {}
@@ -167,7 +179,6 @@ def unknown_law(
     # that it is any of them
     price = (len(effects) - 1) * further
     log = float(np.logaddexp.reduce([one.log for one in found])) + price
-    none = refits.pool[frozenset()].evidence.cost
     least = evidence(best.digest, refits.levels).cost
     share = (none - named.cost) / (none - least) if none > least else 1.0
     course = _course(best.digest, best.family, refits.levels)
@@ -178,7 +189,7 @@ def unknown_law(
     ):  # which may bend to a part of it
         both = counted_with(beside_it(null, columns[best.family.name]), priors, best.family, held, random)
         further_by = _further(both, best, refits.levels) - math.log(choices)
-    return UnknownLaw(course, log, share, several_at(tried, port), near_of(tried, port), further_by, price)
+    return UnknownLaw(course, log, share, len(effects) > 1, near_of(tried, port), further_by, price)
 
 
 def _offered(

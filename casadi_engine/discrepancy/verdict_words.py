@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from casadi_engine.discrepancy.fresh_misfit import FRESH, HALF, fresh_doubt, fresh_misfit, how_far, is_louder
-from casadi_engine.discrepancy.repaired import UNCONFIRMED, UNTOLD, more_probable
+from casadi_engine.discrepancy.repaired import UNCONFIRMED, UNTOLD, in_its_place
 from casadi_engine.discrepancy.wording import (
     AT_FAULT,
     BOUNDS,
@@ -59,8 +59,9 @@ def headline(repair: Repair) -> str:
     doubt = (
         f", or {others[0] if len(others) == 1 else f'one of {count(len(others))} others'}" if others else ""
     )
-    if repair.unknown and repair.unknown.odds is not None:
-        doubt += f", or {'rather ' if more_probable(repair.unknown) else ''}a law that the library lacks"
+    law = in_its_place(repair.unknown, repair.effects)
+    if repair.unknown and (law or repair.unknown.odds is not None):
+        doubt += f", or {'rather ' if law else ''}a law that the library lacks"
     elif repair.unknown:
         doubt += ", and more that no effect of the library names"
     tried = " (of what was tried)" if repair.stopped or "left out" in repair.options else ""
@@ -178,7 +179,7 @@ def next_step(repair: Repair) -> str:
         return _without_name(repair)
     if repair.verdict == "class" and any(len(one.members) > 1 for one in repair.effects):
         return _of_class(repair)
-    if more_probable(repair.unknown):
+    if in_its_place(repair.unknown, repair.effects):
         return _without_name(repair)
     if repair.unknown is not None:
         return "look at the figures of the residuals after the repair: they hold more"

@@ -1,18 +1,40 @@
 """The last word of fresh data: what is kept, withdrawn, taken in its place, and what is said of it."""
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import casadi_engine as ce
+from casadi_engine.discrepancy import answer as module
 from casadi_engine.discrepancy import answer_words as words
 from casadi_engine.discrepancy import fresh_choice
 from casadi_engine.discrepancy.answer import Answer
 from casadi_engine.discrepancy.choice import TIME_UP
+from casadi_engine.discrepancy.claim import Claim
 from casadi_engine.discrepancy.fresh import Judgement
 from casadi_engine.discrepancy.fresh_choice import FreshChoice
+from casadi_engine.discrepancy.repaired import BEHIND_LAW
 from casadi_engine.effects import Amplitude, Effect
+
+
+@dataclass
+class Found:
+    """An effect that was found."""
+
+    name: str
+    why_withdrawn: str = ""
+
+
+@dataclass
+class Proof:
+    """What fresh data leave."""
+
+    kept: tuple
+    judgement: object
+    before: list
+    after: list
 
 
 class Brake(Effect):
@@ -203,3 +225,19 @@ def test_what_rounded_corners_leave_at_their_port_is_no_law_of_no_name(port, fel
     asked = SimpleNamespace(search=SimpleNamespace(refits=refits))
     unknown = SimpleNamespace(port=port, course=object())
     assert Answer._may_be_rounding(asked, SimpleNamespace(effects=(friction,)), unknown) is rounding
+
+
+def test_several_that_imitate_a_law_leave_the_one_that_comes_near(monkeypatch):
+    """A damper and a load step did nothing beside a function of speed, of which the damper alone explains 99 %; both
+    were withdrawn."""
+    kept = ("none", "damper", "damper and load")
+    found = (Found("damper"), Found("load"))
+    claim = Claim(Proof(kept, "judged", ["fresh"], ["after"]), kept[-1], found, (), "a function of speed")
+    own = stub(fresh=stub(judged=lambda stations, before: (len(stations), ["less"])))
+    monkeypatch.setattr(module, "_effects", lambda proof: (proof.kept[1:], ()))
+    fewer = Answer._without_last(own, claim)
+    assert (fewer.last, fewer.found, fewer.proof.judgement) == ("damper", ("damper",), 2)
+    assert [(one.name, one.why_withdrawn) for one in fewer.withdrawn] == [("load", BEHIND_LAW)]
+    assert Answer._without_last(own, fewer) is None  # it is the only one
+    own.fresh.judged = lambda stations, before: (None, None)
+    assert Answer._without_last(own, claim) is None

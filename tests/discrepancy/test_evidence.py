@@ -426,3 +426,16 @@ def test_an_amplitude_that_shares_a_factor_with_others_counts_by_what_it_gains()
     assert known(1.0, 3.0, 0.01) == pytest.approx(6000**0.5)
     assert known(1e-3, 3.0, 0.01) == pytest.approx(1e-3 / 3.0)  # it is none, whatever was gained on the way
     assert known(1.0, 1e-3, 1e-3) == pytest.approx(1000.0)
+
+
+def test_slopes_that_run_off_make_a_model_improbable_and_no_error():
+    """The drift of a heated house that was held against a structure: "SVD did not converge", and no answer."""
+    null = linear()
+    made = digest(null, wide(null))
+    parts = tuple(
+        (output, np.where(np.arange(rows.size).reshape(rows.shape) == 0, np.nan, rows))
+        for output, rows in made.parts
+    )
+    found = evidence(replace(made, parts=parts), Levels(SIGMA))
+    assert (found.log, found.cost) == (-np.inf, np.inf)
+    assert found.error.get("p0", np.inf) == np.inf

@@ -1,10 +1,13 @@
 """A function held against the colour that it leaves itself: noise has none that it would take."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from casadi_engine.discrepancy import law_rival
 from casadi_engine.discrepancy.evidence import digest
-from casadi_engine.discrepancy.law_rival import Rival, beside_it, counted_with, with_own_colour
+from casadi_engine.discrepancy.law_rival import Rival, beside_it, counted_with, is_told, with_own_colour
 from casadi_engine.discrepancy.priors import priors_of
 from casadi_engine.discrepancy.random_families import family_candidates, family_columns
 from casadi_engine.discrepancy.unknown_law import _members
@@ -37,3 +40,26 @@ def test_a_law_is_far_more_probable(shaft):
 
     data = shaft.data(hidden=hidden, n=900, seed=3)
     assert odds(shaft, "a function of twist at coupling", data) > 50
+
+
+@pytest.mark.parametrize(
+    ("linear", "told"), [(23_000.0, True), (3_200.0, True), (1_000.0, False), (790.0, False)]
+)
+def test_slopes_that_make_up_for_an_effect_of_any_size_say_nothing_of_what_takes_its_place(linear, told):
+    """A pressure alone tells no scale of capacities, resistances and flows: by its slopes they made up for a load that
+    chi-squared rises by 23 000 without, and a course of almost no size was a hundred times as probable as the load."""
+    assert is_told(linear, 792.0, 24_291.0) is told
+
+
+def test_a_model_without_its_effects_has_the_priors_of_what_is_left():
+    null = SimpleNamespace(parameters=("m",))
+    seen = {}
+
+    def made(bare, priors, **more):
+        seen.update(priors=priors, **more)
+        return bare
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(law_rival, "digest", made)
+        assert law_rival.bare_digest(null, {"m": 1, "load": 2}, frozenset("k"), None) is null
+    assert seen == {"priors": {"m": 1}, "random": None, "held": frozenset("k")}

@@ -13,6 +13,7 @@ from casadi_engine.discrepancy.certificate import in_place_of, law_words
 from casadi_engine.discrepancy.random_families import Family
 from casadi_engine.discrepancy.refit import Refitter, addition
 from casadi_engine.discrepancy.refits import Refits
+from casadi_engine.discrepancy.repaired import Unknown, in_its_place
 from casadi_engine.discrepancy.screening import screen
 from casadi_engine.discrepancy.unknown_law import UnknownLaw, depends_on_more, does_more, imitators
 
@@ -246,3 +247,38 @@ def test_only_what_no_function_of_the_speed_does_is_missing_beside_it(tied):
     assert not does_more(refits, both, dry, "engine", "speed")
     # one name may well carry the mean of a function; a load that the speed tells does nothing beside it
     assert imitators(refits, both, "engine", "speed") == (1 if tied else 0)
+
+
+@pytest.mark.parametrize(
+    ("near", "share", "closed", "excluded"),
+    [
+        (0.8, 0.1, 0.93, False),  # a law there that closes most of fresh data
+        (0.8, 0.1, 0.7, True),
+        (0.99, 0.987, 0.97, False),  # a constant that leaves a fifth (rmse), of other motions too
+        (0.99, 0.987, 0.9, True),
+        (0.99, 0.83, 0.97, True),
+    ],
+)
+def test_fresh_data_that_confirm_effects_say_how_near_they_come(near, share, closed, excluded):
+    """A room whose temperature was stated 15 K too low: a constant power closed 99 % of the gap of both records."""
+    assert UnknownLaw(None, 80.0, share, near=near).on_fresh(closed).excludes is excluded
+
+
+@pytest.mark.parametrize(
+    ("at", "odds", "course", "law"),
+    [
+        ("oil", None, "a curve", True),
+        ("hose", None, "a curve", False),
+        ("oil", None, None, False),
+        ("oil", 0.5, "a curve", False),
+        ("hose", 30.0, "a curve", True),
+    ],
+)
+def test_what_is_left_at_the_port_of_an_effect_makes_it_a_part_of_a_law(at, odds, course, law):
+    """A relief valve was "named": drag by the square of the pressure, eight times the noise beside it, and a function
+    of the same pressure that was still missing."""
+    unknown = Unknown("words", {}, at, "p", None, course, odds)
+    effects = (SimpleNamespace(at="oil", members=("one",)),)
+    assert in_its_place(unknown, effects) is law
+    assert answer._verdict(effects, unknown) == ("class" if law else "named")
+    assert not in_its_place(None, effects)
