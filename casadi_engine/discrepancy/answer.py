@@ -200,8 +200,11 @@ class Answer:
             unknown.course is not None and unknown.port in ports and refits.rounding_felt(last.effects) != 0.0
         )
 
-    def _held_to_laws(self, claim: Claim, null: Station) -> Claim:
-        """What is left where laws that no effect names are held against what is claimed."""
+    def _held_to_laws(self, claim: Claim, null: Station, *, told: bool = False) -> Claim:
+        """What is left where laws that no effect names are held against what is claimed.
+
+        told : of effects that only stay if such a law can be told from them
+        """
         found, unknown, last = claim.found, claim.unknown, claim.last
         coloured = last.screened.choice.is_coloured
         sure = unknown is not None and bool(unknown.tests) and not null.screened.request.blind
@@ -210,20 +213,20 @@ class Answer:
         held = claim.nearest or last  # effects that leave too much are still nearer than none
         law = self._law(held, near) if found or sure or (unknown is None and coloured) else None
         rival = _said(claim, held, law)
-        # near the truth the law that is linearised is told from the effects; else it is refitted
-        asked = rival is not None or (unknown is not None and not found)
+        # near the truth the law that is linearised is told from the effects, if slopes tell; else it is refitted
+        asked = rival is not None or bool(found and law is None) or (unknown is not None and not found)
         asked = asked or (coloured and self._in_time("unknown law", lambda: self._is_far(last)) is True)
         if asked and not null.screened.request.blind:  # an error of a sensor may be all there is
             again = self._law(held, refitted_law)
-            told = _said(claim, held, again, refitted=True)
+            said = _said(claim, held, again, refitted=True)
             if (
-                told is not None
+                said is not None
                 and again is not None
                 and (rival is None or law is None or again.log > law.log)
             ):
-                law, rival = again, told
+                law, rival = again, said
         if rival is None or law is None:
-            return claim
+            return claim.withdrawn_for(claim.unknown, null, BEHIND_LAW) if told and law is None else claim
         if not found and unknown is None and law.log < -math.log(self._rare):  # by their odds alone
             return claim
         if unknown is not None and not found:
@@ -238,7 +241,7 @@ class Answer:
         if not law.excludes and not denied:
             return claim
         fewer = self._without_last(claim) if law.imitators > 1 else None
-        kept = None if fewer is None else self._held_to_laws(fewer, null)
+        kept = None if fewer is None else self._held_to_laws(fewer, null, told=True)
         return (
             kept if kept is not None and kept.found else claim.withdrawn_for(claim.unknown, null, BEHIND_LAW)
         )
@@ -250,7 +253,7 @@ class Answer:
         if len(kept) < 2 or not before:
             return None
         judged, after = self.fresh.judged(kept, before)
-        if after is None:
+        if after is None or not judged.confirmed:
             return None
         proof = replace(claim.proof, kept=kept, judgement=judged, after=after)
         gone = [replace(one, why_withdrawn=BEHIND_LAW) for one in claim.found[len(kept) - 1 :]]

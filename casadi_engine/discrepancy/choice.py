@@ -20,7 +20,13 @@ import numpy as np
 from casadi_engine.deadline import Deadline, TimeUp, ask, late
 from casadi_engine.discrepancy.additions import AGAIN, TIME_UP, Additions
 from casadi_engine.discrepancy.assumed_pressure import settle_scatter
-from casadi_engine.discrepancy.exchange import exchanged, leaves_more, special_cases, weak_beside_colour
+from casadi_engine.discrepancy.exchange import (
+    exchanged,
+    known_twins,
+    leaves_more,
+    special_cases,
+    weak_beside_colour,
+)
 from casadi_engine.discrepancy.exchanged_units import impossible
 from casadi_engine.discrepancy.families import BEYOND, chosen_of, families_of
 from casadi_engine.discrepancy.fresh_misfit import SEEN
@@ -98,6 +104,7 @@ class Choice:
             self._grown(here)
             self._from_others()
             self._timed("exchange", lambda: self._special_cases_of(self.pool[self.best]))
+            self._timed("exchange", lambda: known_twins(self.refits, self.best, self.tell))
             least = self.pool[self.best].log - math.log(FACTOR)
             near = [t for t in self.pool.values() if len(t.key) == len(self.best) > 0 and t.log > least]
             self._timed("refit", lambda: self.refits.exactly(near if len(near) > 1 else ()))
@@ -217,6 +224,8 @@ class Choice:
         do not tell from the most probable; none that has effects more, and one of those that are left out."""
         for one in self.pool.values():
             one.failed |= len(one.key) > len(key) and not one.key.isdisjoint(without)
+        if TIME_UP not in self.failed.values():
+            known_twins(self.refits, key, self.tell)
         self.refits.weigh()
         ready = self._alike(self.pool[key])
         top = max(ready, key=lambda one: one.log, default=self.pool[key])

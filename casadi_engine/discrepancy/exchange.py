@@ -26,6 +26,8 @@ from casadi_engine.discrepancy.screening import Screened
 Tell = Callable[[str], None]
 # Log evidence by which a law's special case may be less probable than its chi-squared beside the law's makes it.
 _TIE = 1.0
+# Share of chi-squared up to which two structures have come to one and the same.
+_SAME = 1e-4
 
 
 def special_cases(refits: Refits, best: Key, screened: Screened, tell: Tell) -> None:
@@ -49,6 +51,44 @@ def special_cases(refits: Refits, best: Key, screened: Screened, tell: Tell) -> 
             rest = (other for other in one.effects if other is not member)
             start = start_without(one.arrived, member)
             refits.tried((*rest, addition(candidate, size)), start)
+
+
+def known_twins(refits: Refits, best: Key, tell: Tell) -> None:
+    """Refit a structure with what is known to do the same as one of its effects in its place.
+
+    A wrong conductance, power and gain of the input come to one chi-squared where a capacity is free; the slopes along
+    a structure with one of them do not say so of the others, which are far from it.
+    """
+    now = refits.pool[best]
+    if len(best) < 2:
+        return
+    for member in now.effects:
+        for key, other in _did_the_same(refits, member).items():
+            target = best - {member.candidate.key} | {key}
+            if key in best or target in refits.pool or len(target) < len(best):
+                continue
+            ask()
+            tell(f"{other.label} in place of {member.label}, in {now.label}")
+            rest = (one for one in now.effects if one is not member)
+            refits.tried((*rest, other), start_without(now.arrived, member))
+
+
+def _did_the_same(refits: Refits, member: Addition) -> dict[tuple[str, str], Addition]:
+    """Effects that came to the same chi-squared as one of a structure in its place, beside the same others."""
+    found: dict[tuple[str, str], Addition] = {}
+    own = member.candidate.key
+    for key, one in refits.pool.items():
+        for other_key, other in refits.pool.items() if own in key else ():
+            more = other_key - key
+            if len(other_key) != len(key) or len(more) != 1 or own in other_key:
+                continue
+            if abs(one.arrived.cost - other.arrived.cost) <= _SAME * one.arrived.cost:
+                added = next(effect for effect in other.effects if effect.candidate.key in more)
+                size = next(
+                    v for n, v in other.arrived.values.items() if n.partition("@")[0] == added.amplitude
+                )
+                found[added.candidate.key] = addition(added.candidate, size)
+    return found
 
 
 def _at_its_best(case: Tried, law: Tried) -> bool:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from casadi_engine.deadline import Deadline, TimeUp, late
+from casadi_engine.deadline import Deadline, TimeUp, late, left
 from casadi_engine.discrepancy.certificate import unknown_of
 from casadi_engine.discrepancy.choice import NO_FIT, TIME_UP, Choice
 from casadi_engine.discrepancy.confirmation import CHANCE, share_closed
@@ -43,6 +43,8 @@ _JUDGED, _EVALUATIONS = 0.6, 5000
 _RIVALS = 2
 # Structures that are held against fresh data after one that these neither confirm nor refuse.
 _FURTHER = 4
+# Share of the time that has to be left for what comes after.
+_HALF = 0.5
 Pairs = list[tuple[Fit, NullModel]]
 
 
@@ -122,12 +124,12 @@ class FreshChoice:
         first: list[Station] | None = None
         blind: list[Station] | None = None  # the first one of which fresh data can say nothing
         open_one: tuple[Key, list[Station], Judgement, Pairs] | None = None  # neither confirmed nor refused
-        asked = 0
+        asked, time_left = 0, left()
         for key in search.ranked():
             if open_one is not None:
-                if asked == _FURTHER or late():
+                if asked == _FURTHER or late() or left() < _HALF * time_left:
                     break
-                if not self._closes_as_much(key, open_one[0]):
+                if len(key) >= len(open_one[1]) or not self._closes_as_much(key, open_one[0]):
                     continue
                 asked += 1
             stations = search.way(key)

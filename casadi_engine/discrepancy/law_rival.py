@@ -23,7 +23,7 @@ LAW = "law"
 # Share of what effects leave beyond white noise that a function has to take for that to be no noise of the sensors.
 TAKEN = 0.8
 # Share of what chi-squared rises by without effects that slopes have to say it rises by.
-_TOLD = 0.1
+_TOLD = 0.01
 LAW = "law"
 
 

@@ -326,12 +326,13 @@ class Refits:
         """Count every structure's evidence with the noise that the most probable one leaves.
 
         A law that rests where it is a simpler one (friction that fades beyond all speeds is dry friction) is no rival
-        of that: nothing of what it has more was estimated.
+        of that: nothing of what it has more was estimated. Nor is one beside an effect that it is made of.
         """
         for key, one in self.pool.items():
             for added in one.effects:
                 effect, (_, at) = added.candidate.source.effect, added.candidate.key
                 simpler = key - {added.candidate.key} | {(effect.limit, at)} in self.pool
+                one.failed |= bool(effect.holds) and (effect.holds, at) in key
                 one.failed |= bool(effect.limit_at) and simpler and self._is_its_limit(one, added)
         seen: set[Key] = set()
         while True:

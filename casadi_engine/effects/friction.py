@@ -104,7 +104,7 @@ class AsymmetricFriction(_Rounded):
     name = "asymmetric_friction"
     attaches = ("inertia",)
     kin = ("coulomb_friction", "constant_torque", "stribeck_friction")
-    limit = "coulomb_friction"
+    limit, holds = "coulomb_friction", "constant_torque"
     sentence = (
         "dry friction at {port} that differs by direction, or beside a constant {effort}: one and the same"
     )

@@ -165,7 +165,8 @@ class Effect:
     kin : names of effects that look alike, for the reader of a class
     limit : name of the simpler effect that this one becomes at an end or in the middle of its
         grid; "" for none. limit_at : the nuisance parameter at whose bound it is that one, "" for none; limit_end :
-        "min" or "max" where it is at that bound alone
+        "min" or "max" where it is at that bound alone; holds : name of another effect that this one is made of, so that
+        both together say no more than this one; "" for none
     sentence : one clause with {port}, for reports; {effort} and {motion} stand for what acts there ("torque") and for
         what is read ("speed", or the signal's expression)
     neutral : the clause for ports where no torque or force acts; "" for the same
@@ -191,6 +192,7 @@ class Effect:
     attaches: ClassVar[tuple[str, ...]] = ()
     kin: ClassVar[tuple[str, ...]] = ()
     limit: ClassVar[str] = ""
+    holds: ClassVar[str] = ""
     limit_at: ClassVar[str] = ""
     limit_end: ClassVar[str] = ""
     sentence: ClassVar[str] = ""

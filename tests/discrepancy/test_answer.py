@@ -233,11 +233,16 @@ def test_several_that_imitate_a_law_leave_the_one_that_comes_near(monkeypatch):
     kept = ("none", "damper", "damper and load")
     found = (Found("damper"), Found("load"))
     claim = Claim(Proof(kept, "judged", ["fresh"], ["after"]), kept[-1], found, (), "a function of speed")
-    own = stub(fresh=stub(judged=lambda stations, before: (len(stations), ["less"])))
+    sure = True
+    own = stub(
+        fresh=stub(judged=lambda stations, before: (stub(confirmed=sure, count=len(stations)), ["less"]))
+    )
     monkeypatch.setattr(module, "_effects", lambda proof: (proof.kept[1:], ()))
     fewer = Answer._without_last(own, claim)
-    assert (fewer.last, fewer.found, fewer.proof.judgement) == ("damper", ("damper",), 2)
+    assert (fewer.last, fewer.found, fewer.proof.judgement.count) == ("damper", ("damper",), 2)
     assert [(one.name, one.why_withdrawn) for one in fewer.withdrawn] == [("load", BEHIND_LAW)]
     assert Answer._without_last(own, fewer) is None  # it is the only one
+    sure = False
+    assert Answer._without_last(own, claim) is None
     own.fresh.judged = lambda stations, before: (None, None)
     assert Answer._without_last(own, claim) is None

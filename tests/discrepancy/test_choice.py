@@ -521,3 +521,26 @@ def test_a_law_that_rests_where_it_is_a_simpler_one_is_no_rival_of_that(
     all_of_them.pool = {one.key: one for one in every}
     all_of_them.weigh()
     assert (more.log > -np.inf) == rival
+
+
+def test_friction_that_differs_by_direction_is_none_beside_a_constant_torque():
+    """They took each other back: 11 000 N m of a drawbridge, named and confirmed."""
+
+    def tried(*effects):
+        made = []
+        for effect in effects:
+            candidate = SimpleNamespace(key=(effect.name, "leaf"), source=SimpleNamespace(effect=effect))
+            made.append(SimpleNamespace(candidate=candidate, key=f"leaf.{effect.name}"))
+        arrived = path.Arrived({}, {}, 1.0, True, frozenset(), None, {})
+        return refits.Tried(tuple(made), arrived, None, SimpleNamespace(log=1.0), dict)
+
+    def fails(*_):
+        raise FloatingPointError
+
+    asymmetric, constant = ce.effects.AsymmetricFriction(), ce.effects.ConstantTorque()
+    every = [tried(asymmetric), tried(asymmetric, constant), tried(ce.effects.CoulombFriction(), constant)]
+    all_of_them = refits.Refits.__new__(refits.Refits)
+    all_of_them.null_fit, all_of_them.path = SimpleNamespace(noise={}), SimpleNamespace(residuals=fails)
+    all_of_them.pool = {one.key: one for one in every}
+    all_of_them.weigh()
+    assert [one.failed for one in every] == [False, True, False]

@@ -1,0 +1,48 @@
+"""What is known to do the same as an effect of a structure is tried in its place."""
+
+from types import SimpleNamespace as stub
+
+import pytest
+
+from casadi_engine.discrepancy import exchange as module
+
+
+def effect(name):
+    return stub(label=name, amplitude=f"{name}.size", candidate=stub(key=(name, "port")), key=name)
+
+
+class Pool:
+    """Structures that were refitted, by name and chi-squared; what is tried further."""
+
+    def __init__(self, **costs):
+        self.pool, self.asked = {}, []
+        for names, cost in costs.items():
+            effects = tuple(effect(name) for name in names.split("_"))
+            key = frozenset(one.candidate.key for one in effects)
+            arrived = stub(cost=cost, values={one.amplitude: 1.0 for one in effects})
+            self.pool[key] = stub(key=key, effects=effects, arrived=arrived, label=names)
+
+    def tried(self, effects, start):
+        self.asked.append((sorted(one.label for one in effects), start))
+
+
+@pytest.mark.parametrize(
+    ("costs", "asked"),
+    [
+        ({"gain": 300.0, "value": 300.0, "gain_load": 80.0}, [["load", "value"]]),
+        ({"gain": 300.0, "value": 310.0, "gain_load": 80.0}, []),  # they do not do the same
+        ({"gain_delay": 90.0, "value_delay": 90.0, "gain_load": 80.0}, [["load", "value"]]),
+        ({"gain": 300.0, "value": 300.0, "gain_load": 80.0, "value_load": 81.0}, []),  # it was tried
+        ({"gain": 300.0, "value": 300.0}, []),
+    ],
+)
+def test_a_name_that_came_to_the_same_is_tried_beside_the_other_effects(monkeypatch, costs, asked):
+    """A conductance that was stated wrong did the same as a gain of the input, and had been tried beside none of the
+    other effects: the gain was the only name."""
+    monkeypatch.setattr(module, "addition", lambda candidate, size: effect(candidate.key[0]))
+    monkeypatch.setattr(module, "start_without", lambda arrived, member: f"without {member.label}")
+    refits = Pool(**costs)
+    best = list(refits.pool)[2] if len(costs) > 2 else next(iter(refits.pool))
+    module.known_twins(refits, best, lambda words: None)
+    assert [names for names, _ in refits.asked] == asked
+    assert all(start == "without gain" for _, start in refits.asked)
