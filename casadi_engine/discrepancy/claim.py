@@ -10,7 +10,7 @@ from casadi_engine.discrepancy.certificate import unknown_of
 from casadi_engine.discrepancy.confirmation import share_closed
 from casadi_engine.discrepancy.fresh import gap_of
 from casadi_engine.discrepancy.fresh_choice import Confirmation
-from casadi_engine.discrepancy.fresh_misfit import HALF, SEEN
+from casadi_engine.discrepancy.fresh_misfit import HALF, SEEN, SURE
 from casadi_engine.discrepancy.no_noise import why_no_noise
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
@@ -168,7 +168,7 @@ def above_stated(fit: Fit, rounded: Collection[str] = ()) -> Unknown | None:
             sum(min(effective_samples(e), len(e)) for e in left if len(e)),
         )
         size = math.sqrt(sum(float(e @ e) for e in left) / max(count, 1))
-        if worth and float(chi2_sf(worth * (size / stated[name]) ** 2, worth)) < _BY_CHANCE / len(stated):
+        if worth and float(chi2_sf(worth * (size / stated[name]) ** 2, worth)) < SURE / len(stated):
             words.append(f"{name}, {size:.4g} in place of {stated[name]:.4g}")
     return Unknown(f"more is left than the noise that was stated: {'; '.join(words)}", {}) if words else None
 
