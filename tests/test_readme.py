@@ -11,7 +11,16 @@ import pytest
 
 import casadi_engine as ce
 from casadi_engine.discrepancy.confirmation import Gap
-from casadi_engine.discrepancy.repaired import FoundEffect, Gaps, Member, NotFound, Repair, Side, Unknown
+from casadi_engine.discrepancy.repaired import (
+    FoundEffect,
+    Gaps,
+    Member,
+    Nearest,
+    NotFound,
+    Repair,
+    Side,
+    Unknown,
+)
 from casadi_engine.estimation import Estimate
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -69,13 +78,13 @@ def test_there_are_blocks():
 def test_the_table_of_a_repair_names_what_there_is():
     """Every name in code of the table's first column is one of the answer's, of its parts, or of an estimate."""
     known = {"found", "name", "output"}
-    for part in (Repair, FoundEffect, Member, Unknown, NotFound, Gaps, Side, Gap, Estimate):
+    for part in (Repair, FoundEffect, Member, Nearest, Unknown, NotFound, Gaps, Side, Gap, Estimate):
         known |= {one.name for one in fields(part)} | {name for name in dir(part) if name[0] != "_"}
     table = (
         (ROOT / "README.md").read_text(encoding="utf-8").partition("| in Python |")[2].partition("\n\n")[0]
     )
     rows = [row.split("|")[1] for row in table.splitlines() if row.startswith("| `")]
-    assert len(rows) == 10
+    assert len(rows) == 11
     names = [
         name for row in rows for text in re.findall(r"`(.*?)`", row) for name in re.findall(r"[a-z]\w+", text)
     ]

@@ -275,6 +275,7 @@ def in_rounds(monkeypatch, *structures):
     monkeypatch.setattr(Choice, "_most_probable_first", lambda *_: None)
     monkeypatch.setattr(Choice, "_in_two", lambda *_: None)
     monkeypatch.setattr(module, "special_cases", lambda *_: None)
+    monkeypatch.setattr(module, "known_twins", lambda *_: None)
     monkeypatch.setattr(Choice, "prefer", lambda self, key, without: preferred.append((key, without)))
     return found, preferred
 

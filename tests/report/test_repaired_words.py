@@ -153,7 +153,10 @@ def test_more_than_the_effects_explain_is_said(repaired, unnamed):
     )
     assert "Found first and withdrawn, contradicted by fresh data: coulomb_friction at coupling." in lines
     assert "A note." in lines
-    assert next_step(changed).startswith("look at the figures of the residuals after the repair")
+    # at the port of the effect, which is a part of it
+    assert next_step(changed).startswith("look at the curve of the unknown torque")
+    elsewhere = replace(changed, unknown=replace(unnamed.unknown, port="load"))
+    assert next_step(elsewhere).startswith("look at the figures of the residuals after the repair")
 
 
 def test_an_amplitude_without_error_and_parameters_that_stayed(repaired):
