@@ -169,6 +169,7 @@ class FreshChoice:
                 if judged.confirmed is False:
                     open_one = key, stations, judged, after
                     continue
+                self.messages += [judged.why] if judged.why else []
                 return self._kept(stations, first, before, judged, after)
             self._denied = True
             self.messages.append(f"{search.pool[key].name}: {judged.why}")

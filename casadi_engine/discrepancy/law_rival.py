@@ -30,13 +30,16 @@ LAW = "law"
 @dataclass
 class Rival:
     """A function in the place of effects: its log odds, its model, and what its evidence is counted from, at its
-    largest and at the size that serves best."""
+    largest and at the size that serves best; price : log of among how many it is one; far : it is none of what a port
+    itself knows."""
 
     log: float
     family: Family
     null: NullModel
     largest: Digest
     digest: Digest
+    price: float = 0.0
+    far: bool = False
 
 
 def with_own_colour(rival: Rival, null: NullModel, effects: Digest, own: frozenset[str]) -> float:

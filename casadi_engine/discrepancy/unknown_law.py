@@ -53,7 +53,7 @@ from casadi_engine.discrepancy.random_families import (
 from casadi_engine.discrepancy.refit import Addition
 from casadi_engine.discrepancy.refits import Refits, Tried
 
-# The most probable functions, which are held against the noise that they leave themselves.
+# The most probable functions of either kind, which are held against the noise that they leave themselves.
 _COLOURED = 3
 # Effects that explain this share of what a function does stay the answer, whatever is more probable: dry friction of a
 # real machine is never all that depends on its speed.
@@ -151,30 +151,22 @@ def unknown_law(
     if effects and not is_told(linear, named.cost, none):
         return None
     columns: dict[str, dict[str, dict[str, Array]]] = {}
-    prices: dict[str, float] = {}
     found: list[Rival] = []
-    for candidates, families, among in _offered(null, bare, refits.levels, everywhere):
+    for k, (candidates, families, among) in enumerate(_offered(null, bare, refits.levels, everywhere)):
         every = family_columns(null, candidates)
         for family in families:
             columns[family.name] = _members(every, family)
-            prices[family.name] = math.log(among)
             beside = beside_it(bare, columns[family.name])
             made = counted_with(beside, priors, family, others, random)
             if made is not None:
-                logs = [
-                    evidence(of_size(made, names_of(family), share), refits.levels).log for share in SIZES
-                ]
-                sized = of_size(made, names_of(family), SIZES[int(np.argmax(logs))])
-                log = float(np.logaddexp.reduce(logs)) - math.log(len(SIZES) * among) - named.log
-                found.append(Rival(log, family, beside, made, sized))
-    found.sort(key=lambda one: -one.log)
+                rival = _rival(beside, made, family, refits.levels)
+                rival.log -= math.log(among) + named.log
+                found.append(replace(rival, price=math.log(among), far=k > 0))
     if not found:
         return None
     if refits.levels.memory and random is None:
         of_effects = digest(null, priors, held=held, choices=choices)
-        for one in found[:_COLOURED]:
-            log = with_own_colour(one, null, of_effects, frozenset(own)) - prices[one.family.name]
-            one.log = max(one.log, log)
+        _held_to_colour(found, null, of_effects, frozenset(own))
     best = max(found, key=lambda one: one.log)
     # that it is any of them
     price = (len(effects) - 1) * further
@@ -190,6 +182,22 @@ def unknown_law(
         both = counted_with(beside_it(null, columns[best.family.name]), priors, best.family, held, random)
         further_by = _further(both, best, refits.levels) - math.log(choices)
     return UnknownLaw(course, log, share, len(effects) > 1, near_of(tried, port), further_by, price)
+
+
+def _rival(beside: NullModel, made: Digest, family: Family, levels: Levels) -> Rival:
+    """A function of the sizes that it may have, and its log evidence averaged over these."""
+    logs = [evidence(of_size(made, names_of(family), share), levels).log for share in SIZES]
+    sized = of_size(made, names_of(family), SIZES[int(np.argmax(logs))])
+    return Rival(float(np.logaddexp.reduce(logs)) - math.log(len(SIZES)), family, beside, made, sized)
+
+
+def _held_to_colour(found: Sequence[Rival], null: NullModel, effects: Digest, own: frozenset[str]) -> None:
+    """Let the most probable functions have the odds beside the noise that they leave themselves, where these are
+    better: of those of what a port itself knows, and of the others, as what comes first beside colour says little."""
+    for far in (False, True):
+        kind = sorted((one for one in found if one.far is far), key=lambda one: -one.log)
+        for one in kind[:_COLOURED]:
+            one.log = max(one.log, with_own_colour(one, null, effects, own) - one.price)
 
 
 def _offered(
