@@ -112,15 +112,7 @@ class FreshChoice:
         before = self._on_fresh(null) if self.portion.fresh else None
         if self.portion.fresh and before is None and not self._costly:
             self.messages.append("the model without effects cannot be simulated on the fresh data")
-        self._shortened(before)
-        if self.portion.fresh and not null.screened.choice.scatter:
-            sure = self._confirms(before)
-            try:
-                FreshWeights(search, self._sides, self.messages).run(sure=sure)
-            except TimeUp:
-                for one in search.pool.values():
-                    one.fresh = 0.0
-                self.messages.append("fresh data weigh no structure against another, as the time was up")
+        self._weighed(before)
         first: list[Station] | None = None
         blind: list[Station] | None = None  # the first one of which fresh data can say nothing
         open_one: tuple[Key, list[Station], Judgement, Pairs] | None = None  # neither confirmed nor refused
@@ -181,6 +173,19 @@ class FreshChoice:
             self.messages += [] if self._costly else [NO_RUN]
             return self._kept(blind, first or blind, before, Judgement(None, None, False, NO_RUN))
         return self._kept([null], first or [null], before)
+
+    def _weighed(self, before: Pairs | None) -> None:
+        """Let fresh data say which structure comes first."""
+        search = self.search
+        self._shortened(before)
+        if self.portion.fresh and not search.null.screened.choice.scatter:
+            sure = self._confirms(before)
+            try:
+                FreshWeights(search, self._sides, self.messages).run(sure=sure)
+            except TimeUp:
+                for one in search.pool.values():
+                    one.fresh = 0.0
+                self.messages.append("fresh data weigh no structure against another, as the time was up")
 
     def _closes_as_much(self, key: Key, other: Key) -> bool:
         """True if a structure closes as much of the gap of the search as another one, as a person sees it."""
