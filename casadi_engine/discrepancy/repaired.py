@@ -218,16 +218,16 @@ class Nearest:
     validation: Gap | None = None
 
     def closes(self, gaps: Gaps) -> float:
-        """Share of the gap's squares that is closed, of the output with the least; of fresh data where there are
-        some."""
+        """Share of the squared gap that is closed, the mean of all outputs; where there are fresh data, the smaller one
+        of both."""
         pairs = [(gaps.estimation_before.gap, self.estimation)]
         if gaps.validation_before is not None and self.validation is not None:
             pairs.append((gaps.validation_before.gap, self.validation))
-        squares = [
-            sum((after.rmse[name] / max(size, 1e-300)) ** 2 for name, size in before.rmse.items())
+        shares = [
+            [1 - (after.rmse[name] / size) ** 2 for name, size in before.rmse.items() if size > 0]
             for before, after in pairs
         ]
-        return min(1 - own / max(len(pairs[0][0].rmse), 1) for own in squares)
+        return min((sum(own) / len(own) for own in shares if own), default=0.0)
 
 
 def more_probable(unknown: Unknown | None) -> bool:

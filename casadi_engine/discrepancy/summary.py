@@ -239,14 +239,14 @@ def _nearest(repair: Repair, most: int) -> list[str]:
     near, gaps = repair.nearest, repair.gaps
     if near is None or gaps is None or repair.effects:
         return []
-    sides = [("found on", gaps.estimation_before.gap, near.estimation)]
+    sides = [("", gaps.estimation_before.gap, near.estimation)]
     if gaps.validation_before is not None and near.validation is not None:
-        sides.append(("fresh", gaps.validation_before.gap, near.validation))
+        sides.append(("fresh: ", gaps.validation_before.gap, near.validation))
     told = [
-        f"{title} {', '.join(f'{o} {old.rmse[o]:.4g} -> {new.rmse[o]:.4g}' for o in list(old.rmse)[:most])}"
+        f"{title}{', '.join(f'{o} {old.rmse[o]:.4g} -> {new.rmse[o]:.4g}' for o in list(old.rmse)[:most])}"
         for title, old, new in sides
     ]
-    words = f"with {' and '.join(near.names)} the rmse is, {'; '.join(told)}: repair.nearest"
+    words = f"rmse with {' and '.join(near.names)}: {'; '.join(told)} (repair.nearest)"
     return wrapped(f"  {words}", "    ")
 
 

@@ -77,7 +77,9 @@ def _by_chance(repair: Repair) -> str:
     if not maybe:
         return ""
     one = min(maybe, key=lambda found: found.p_value)
-    return f"; {one.name} at {one.at} may be (p = {one.p_value:.2g}), and fresh data do not tell"
+    return (
+        f"; {one.name} at {one.at} may be missing (p = {one.p_value:.2g}), and fresh data do not confirm it"
+    )
 
 
 def _nearest(repair: Repair) -> str:
@@ -87,7 +89,9 @@ def _nearest(repair: Repair) -> str:
     if near is None or closes < HALF:
         return ""
     verb, which = ("is", "closes") if len(near.names) == 1 else ("are", "close")
-    return f"; nearest {verb} {' and '.join(near.names)}, which {which} {100 * closes:.0f} % of its squares"
+    return (
+        f"; nearest {verb} {' and '.join(near.names)}, which {which} {100 * closes:.0f} % of the squared gap"
+    )
 
 
 def _in_fresh_alone(repair: Repair) -> bool:

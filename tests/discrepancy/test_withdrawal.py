@@ -7,7 +7,15 @@ import pytest
 
 from casadi_engine.discrepancy import summary, verdict_words
 from casadi_engine.discrepancy.confirmation import Gap
-from casadi_engine.discrepancy.repaired import Gaps, Nearest, Repair, Side, Unknown
+from casadi_engine.discrepancy.repaired import (
+    REFUSED,
+    UNCONFIRMED,
+    Gaps,
+    Nearest,
+    Repair,
+    Side,
+    Unknown,
+)
 from casadi_engine.discrepancy.withdrawal import far_less_probable, withdrawn
 
 
@@ -60,7 +68,7 @@ def test_the_headline_says_what_comes_nearest(after, said):
     repair = stub(nearest=near, gaps=sides(gap(4.0), gap(4.0)))
     words = verdict_words._nearest(repair)
     assert words == (
-        "; nearest is sensor_offset at sensor_V, which closes 94 % of its squares" if said else ""
+        "; nearest is sensor_offset at sensor_V, which closes 94 % of the squared gap" if said else ""
     )
     assert verdict_words._nearest(stub(nearest=None, gaps=None)) == ""
 
@@ -75,10 +83,28 @@ def test_effects_that_are_withdrawn_leave_their_model_as_the_nearest():
     assert withdrawn(repair, "why", None).nearest is None  # nothing is missing
     words = summary._nearest(found, 3)
     assert words == [
-        "  with drag at shaft the rmse is, found on y 3 -> 1; fresh y 4 -> 2: repair.nearest",
+        "  rmse with drag at shaft: y 3 -> 1; fresh: y 4 -> 2 (repair.nearest)",
     ]
     assert summary._nearest(repair, 3) == []
 
 
 def side(size):
     return Side(gap(size), {}, {})
+
+
+def test_an_output_without_a_gap_says_nothing_of_what_is_closed():
+    near = Nearest(("a",), None, gap(1.0, 1e-12))
+    assert near.closes(sides(gap(2.0, 0.0), gap(2.0, 0.0))) == pytest.approx(0.75)
+    assert Nearest(("a",), None, gap(0.0)).closes(sides(gap(0.0), gap(0.0))) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("why", "p", "said"), [(UNCONFIRMED, 0.0043, True), (UNCONFIRMED, 0.02, False), (REFUSED, 0.0043, False)]
+)
+def test_what_chance_may_have_made_is_in_the_headline_and_before_the_model_is_used(why, p, said):
+    """Fourteen levels of a drug, six times the noise beside two compartments: "nothing is missing", "use the model"."""
+    effect = stub(name="drag", at="blood", why_withdrawn=why, p_value=p)
+    found = verdict_words._by_chance(stub(withdrawn=(effect,), alpha=0.01))
+    assert found == (
+        "; drag at blood may be missing (p = 0.0043), and fresh data do not confirm it" if said else ""
+    )

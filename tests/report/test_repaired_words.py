@@ -510,3 +510,10 @@ def test_a_lead_that_is_not_the_most_probable_is_explained(repaired, lead, words
     changed = replace(repaired, verdict="class", effects=(replace(repaired.effects[0], members=members),))
     for text in (" ".join(str(changed).split()), verdict_lines(changed)[1]):
         assert (f"; {words}" in text) if words else " lead" not in text
+
+
+def test_what_chance_may_have_made_asks_for_more_records(nothing_missing, repaired):
+    gone = tuple(replace(one, why_withdrawn=UNCONFIRMED, p_value=1e-3) for one in repaired.effects)
+    words = "record more before you rely on it: what may be missing was not told from chance"
+    assert next_step(replace(nothing_missing, withdrawn=gone)) == words
+    assert next_step(nothing_missing) != words
