@@ -1,26 +1,27 @@
 """Data that are not what they are said to be: an input with its sign turned, numbers in another unit, another clock.
 
 Where no fit explains an output, the model is fitted to the records as they would be if one channel, or their time, had
-been stated wrong in one of the usual ways. A way that makes the fit good is told before any effect is looked for: a
-search would spend its time on what no effect can mend.
+been stated wrong in one of the usual ways (``ways_to_read``). A way that makes the fit good is told before any effect
+is looked for: a search would spend its time on what no effect can mend. Where a search has found no answer that holds,
+the ways are looked at again.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from casadi_engine.deadline import Deadline, TimeUp
-from casadi_engine.discrepancy.exchanged_units import exchanges
+from casadi_engine.discrepancy.ways_to_read import Reading, readings
 from casadi_engine.discrepancy.wording import HINT
 from casadi_engine.errors import CasadiEngineError
 from casadi_engine.estimation import Fit, estimate
 from casadi_engine.estimation.followed import FOLLOWED
-from casadi_engine.experiment import Channel, Experiment
+from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
 from casadi_engine.problem.noise import Noise
@@ -31,52 +32,23 @@ if TYPE_CHECKING:
 # Per cent of every output that a fit follows which is called good: a twentieth of its squares is left at most. No
 # better than the mean is 0.
 _GOOD = 100 * (1 - math.sqrt(0.05))
+# Part of the squares which the data as they are leave that another reading leaves at most to be told after a search.
+_HALF = 0.5
 # Per cent that is next to nothing: a tenth of the squares, as initial states explain some of any motion.
 _NOTHING = 100 * (1 - math.sqrt(0.9))
 # Part of the squares of an output that a gain and an offset of its own simulation leave where its sensor is at fault.
 _BENT = 0.2
 # Samples of the outputs on which all ways are looked at, and ways that the parameters are fitted in.
-_SAMPLES, _TRIED = 400, 3
+_SAMPLES, _TRIED = 400, 6
 # Kinds of ports at which an effect is another way to read the data.
 _READ = ("input", "sensor", "parameter")
 # Work of a look, of all looks, and of a fit, in multiples of that of one start of the fit before.
-_LOOK, _LOOKS, _MORE = 0.5, 5.0, 4.0
+_LOOK, _LOOKS, _MORE = 0.5, 10.0, 4.0
 # Ways that leave no more than this factor times the squares of the best one are as good.
 _ALIKE = 1.1
-# Beside a way that is good only those are fitted that left no more than this factor times the least at first sight.
+# Beside a way that is good only those are fitted that left no more than this factor times its squares at first sight.
 _PROMISING = 2.0
-_PREFIX = "a prefix, milli or kilo, that was not stated or not meant"
-# Factors of a time that is taken for seconds, or was made of them.
-_CLOCKS = {
-    1e-3: "milliseconds stated as seconds", 1e3: "seconds stated as milliseconds", 60.0: "minutes stated as seconds",
-    1 / 60.0: "seconds stated as minutes",
-}  # fmt: skip
 _FAILURES = (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError, ValueError)
-_TIME = "the time"
-
-
-@dataclass(frozen=True)
-class Reading:
-    """A way to read the records: a channel, or the time, times a factor.
-
-    what : "input", "output" or "time"; words : what is done, for a sentence; check : what may be wrong;
-    named : a search for effects tells it, by the gain of a sensor
-    """
-
-    what: str
-    name: str
-    factor: float
-    words: str
-    check: str
-    named: bool = False
-
-    def of(self, record: Experiment) -> Experiment:
-        """The record read so."""
-        if self.what != "time":
-            own = record[self.name]
-            return record.with_channel(replace(own, values=self.factor * own.values))
-        begin = None if record.begin is None else self.factor * record.begin
-        return replace(record, channels=tuple(_later(c, self.factor) for c in record.channels), begin=begin)
 
 
 @dataclass(frozen=True)
@@ -101,13 +73,11 @@ def misread(
     job = _Readings(fit.model, fit.data, parameters, noise, options)
     ways = readings(fit.model, fit.data)
     if (sensors := _sensors(fit, poor)) is not None:
-        ways = [one for one in ways if one.what == "output" and one.name in sensors]
-    found = job.good(ways, work)
+        ways = [one for one in ways if one.what == "output" and sensors.issuperset(one.names)]
+    found = job.good(ways, work, lambda shares: min(shares.values(), default=0.0) >= _GOOD)
     if found:
-        said = _told(*found[0])
-        said += "".join(f"; as much with {one.words}: {one.check}" for one, _ in found[1:2])
         before = _listed(followed(fit))
-        words = f"{said}. As the records are, no fit explains more than {before}"
+        words = f"{_told(found, 'the fit')}. As the records are, no fit explains more than {before}"
         return Misread(words, not any(one.named for one, _ in found))
     still = _still(fit)
     lost = " and ".join(name for name, share in poor.items() if share <= _NOTHING)
@@ -126,6 +96,33 @@ def with_hint(repair: Repair, found: Misread | None) -> Repair:
     if found is None or told:
         return repair
     return replace(repair, options={**repair.options, HINT: found.words})
+
+
+def with_other_reading(
+    repair: Repair, parameters: Parameters, noise: Noise | None, options: Mapping[str, Any], work: float
+) -> Repair:
+    """The same, and at the top that the data may be stated wrong, where the model without any effect explains them so
+    read: half of what it leaves of every output as they are, or less, and no more than the answer leaves."""
+    null = repair.null_fit
+    if repair.verdict in (None, "nothing missing") or HINT in repair.options:
+        return repair
+    before = followed(null)
+    answer = [(before, _HALF)] + ([(followed(repair.fit), _ALIKE)] if repair.effects else [])
+
+    def closes(shares: Mapping[str, float]) -> bool:
+        return all(
+            (100 - shares[name]) ** 2 <= part * (100 - then) ** 2
+            for own, part in answer
+            for name, then in own.items()
+        )
+
+    job = _Readings(null.model, repair.data, parameters, noise, options)
+    found = job.good([one for one in readings(null.model, repair.data) if not one.named], work, closes)
+    if not found:
+        return repair
+    words = _told(found, "the fit without any effect")
+    said = f"W{words[1:]}. As the records are, it explains {_listed(before)}"
+    return replace(repair, options={**repair.options, HINT: said})
 
 
 def unexplained(fit: Fit) -> dict[str, float]:
@@ -169,45 +166,6 @@ def followed(fit: Fit) -> dict[str, float]:
     }
 
 
-def readings(model: Model, data: Sequence[Experiment]) -> list[Reading]:
-    """The usual ways in which a record is stated wrong, one at a time, of channels that move; the most usual first.
-
-    Of one output among several those are left out that a search for effects tells.
-    """
-    found = []
-    for variable in model.inputs:
-        if any(np.ptp(record[variable.name].values) > 0 for record in data):
-            words = f"the input {variable.name} reversed"
-            found.append(Reading("input", variable.name, -1.0, words, "look at its sign"))
-            found += _units("input", variable.name, variable.unit)
-    outputs = [variable for variable in model.outputs if any(variable.name in record for record in data)]
-    for variable in outputs:
-        words = f"the output {variable.name} reversed"
-        own = [Reading("output", variable.name, -1.0, words, "look at its sign", True)]
-        own += _units("output", variable.name, variable.unit)
-        found += [one for one in own if len(outputs) == 1 or not one.named]
-    for factor, words in _CLOCKS.items():
-        found.append(Reading("time", "", factor, f"{_TIME} times {factor:.4g} ({words})", "look at its unit"))
-    return sorted(found, key=lambda one: (one.factor != -1.0, one.what != "time", _PREFIX not in one.words))
-
-
-def _units(what: str, name: str, unit: str) -> Iterator[Reading]:
-    """Numbers in a unit that is taken for that of the channel, or a prefix that is not its own."""
-    found: dict[float, str] = {}
-    for right, label, ratio in exchanges(unit):
-        found.setdefault(float(f"{1 / ratio:.6g}"), f"numbers in {right} labelled {label}")
-    told = set(found) if what == "output" else set()
-    for factor in (1e-3, 1e3):
-        found.setdefault(factor, _PREFIX)
-    for factor, words in found.items():
-        said = f"the {what} {name} times {factor:.4g} ({words})"
-        yield Reading(what, name, factor, said, "look at its unit", factor in told)
-
-
-def _later(channel: Channel, factor: float) -> Channel:
-    return replace(channel, time=factor * channel.time)
-
-
 @dataclass(frozen=True)
 class _Readings:
     """Fits of one model to records that are read in other ways."""
@@ -218,7 +176,9 @@ class _Readings:
     noise: Noise | None
     options: Mapping[str, Any]
 
-    def good(self, ways: Sequence[Reading], work: float) -> list[tuple[Reading, dict[str, float]]]:
+    def good(
+        self, ways: Sequence[Reading], work: float, is_good: Callable[[Mapping[str, float]], bool]
+    ) -> list[tuple[Reading, dict[str, float]]]:
         """The ways in which the fit is good, the best first, of those that promise most where the parameters start,
         with the per cent of each output that it follows; those that are not as good as the best are left out."""
         held = self.parameters.copy()
@@ -236,16 +196,18 @@ class _Readings:
                     break
         looks.sort(key=lambda pair: pair[0])
         fits: list[tuple[float, Reading, dict[str, float]]] = []
+        least = math.inf  # at first sight, of those that are good
         for left, one in looks[:_TRIED]:
-            if fits and left > looks[0][0] + math.log(_PROMISING):
+            if left > least + math.log(_PROMISING):
                 break
             records = [one.of(record) for record in self.data]
             found = self._fit(records, self.parameters, _MORE * work)
-            if found is None or min(followed(found).values(), default=0.0) < _GOOD:
+            if found is None or not is_good(followed(found)):
                 continue
             if _bent(found) or not self._inputs_matter(records, found, work):
                 continue
             fits.append((_left(found), one, followed(found)))
+            least = min(least, left)
         fits.sort(key=lambda made: made[0])
         return [(one, shares) for left, one, shares in fits if left <= fits[0][0] + math.log(_ALIKE)]
 
@@ -326,9 +288,12 @@ def _still(fit: Fit) -> str:
     return " and ".join(found)
 
 
-def _told(one: Reading, shares: Mapping[str, float]) -> str:
-    return f"with {one.words} the fit explains {_listed(shares)}: {one.check}"
+def _told(found: Sequence[tuple[Reading, Mapping[str, float]]], what: str) -> str:
+    """What a fit explains in the best way to read the data, and the next one that is as good."""
+    one, shares = found[0]
+    beside = "".join(f"; as much with {other.words}: {other.check}" for other, _ in found[1:2])
+    return f"with {one.words} {what} explains {_listed(shares)}: {one.check}{beside}"
 
 
 def _listed(shares: Mapping[str, float]) -> str:
-    return " and ".join(f"{max(share, -999):.0f} % of {name}" for name, share in shares.items())
+    return " and ".join(f"{max(share, 0):.0f} % of {name}" for name, share in shares.items())

@@ -25,7 +25,7 @@ from casadi_engine.discrepancy.fresh_misfit import FRESH
 from casadi_engine.discrepancy.input_hold import other_hold
 from casadi_engine.discrepancy.lost_fit import explained, found_again
 from casadi_engine.discrepancy.lower_rate import at_lower_rate
-from casadi_engine.discrepancy.misread import Misread, misread, with_hint
+from casadi_engine.discrepancy.misread import Misread, misread, with_hint, with_other_reading
 from casadi_engine.discrepancy.noise_choice import ColourChoice, check_choice
 from casadi_engine.discrepancy.null_model import refuse_jumps
 from casadi_engine.discrepancy.one_law import told_as_one_law
@@ -365,6 +365,8 @@ class _Job:
         with self.deadline.spared(1.0), suppress(TimeUp), Deadline(work=_AGAIN * work):
             made = with_wider_bounds(made, self.parameters, self.noise, options)
             made = with_free_starts(made, self.parameters, self.noise, options)
+        with self.deadline.spared(1.0), suppress(TimeUp):
+            made = with_other_reading(made, self.parameters, self.noise, options, work)
         return made
 
     def _null(self, jobs: int | None, scores: Any) -> tuple[Fit, Parameters, float]:

@@ -84,13 +84,13 @@ def test_what_is_stated_wrong_is_told(factors, words):
 
 
 def tank():
-    """A store that empties by itself, seen twice, in a unit that is taken for no other."""
+    """A field that fades by itself, seen twice, in a unit that is taken for no other."""
     b = ce.Blueprint("tank")
-    level = b.state("level", unit="K")
-    inflow = b.input("q", unit="K/s") + b.port("tank", "inertia", {"speed": level}, unit="K/s")
+    level = b.state("level", unit="T")
+    inflow = b.input("q", unit="T/s") + b.port("tank", "inertia", {"speed": level}, unit="T/s")
     b.ode("level", inflow - b.parameter("a", 0.3, unit="1/s", min=0.01, max=3) * level)
-    b.output("seen", level, unit="K")
-    b.output("rate", 0.5 * level, unit="K")
+    b.output("seen", level, unit="T")
+    b.output("rate", 0.5 * level, unit="T")
     return b.model()
 
 
@@ -102,7 +102,7 @@ def filled(*, seen=1.0, q_shown=1.0):
     ]
     shown = {"seen": seen * made, "rate": 0.5 * made}
     shown = {name: y + 0.01 * np.std(y) * rng.standard_normal(600) for name, y in shown.items()}
-    units = {"q": "K/s", "seen": "K", "rate": "K"}
+    units = {"q": "T/s", "seen": "T", "rate": "T"}
     return ce.Experiment.from_arrays("run", time=t, units=units, q=q_shown * q, **shown)
 
 
@@ -233,3 +233,77 @@ def test_a_reading_that_drives_a_parameter_to_its_bound_is_none():
     assert bent(500.0, "max")
     assert not bent(0.0, "min")
     assert not bent(4.0, False)
+
+
+def oven(*, seen=("wall", "load")):
+    """Two heated masses, in kelvin."""
+    b = ce.Blueprint("oven")
+    wall, load = (b.state(name, unit="K", scale=100) for name in ("T_wall", "T_load"))
+    power, room = b.input("P", unit="W"), b.input("T_room", unit="K")
+    loss = b.parameter("G", 6.0, unit="W/K", min=0.1, max=500) * (wall - room)
+    across = b.parameter("H", 9.0, unit="W/K", min=0.1, max=500) * (wall - load)
+    extra = b.port("wall", "inertia", {"speed": wall - room})
+    b.ode("T_wall", (power - loss - across + extra) / b.parameter("C_w", 8e3, unit="J/K", min=100, max=1e6))
+    b.ode("T_load", across / b.parameter("C_l", 3e3, unit="J/K", min=10, max=1e6))
+    for name, state in (("wall", wall), ("load", load)):
+        if name in seen:
+            b.output(name, state, unit="K")
+    return b.model()
+
+
+def heated(*, law=0.0, **shown):
+    """A record of the oven; shown : channel -> values from those of (time, power, room, wall, load)."""
+    rng, t = np.random.default_rng(3), 20.0 * np.arange(400)
+    power = np.repeat(rng.uniform(0, 2500, 10), 40)
+    room = 293.0 + 2 * np.sin(t / 1500)
+
+    def rates(s, y):
+        k = min(int(s / 20.0), 399)
+        d = y[0] - 293.0 - 2 * np.sin(s / 1500)
+        across = 11.0 * (y[0] - y[1])
+        return [(power[k] - 7.0 * d - law * d * abs(d) - across) / 9000.0, across / 2600.0]
+
+    made = solve_ivp(rates, (0, t[-1]), [293.0, 293.0], t_eval=t, rtol=1e-8, max_step=20.0).y
+    wall, load = made + 0.3 * rng.standard_normal((2, 400))
+    own = {"P": power, "T_room": room, "wall": wall, "load": load}
+    own |= {name: change(own) for name, change in shown.items()}
+    units = {"P": "W", "T_room": "K", "wall": "K", "load": "K"}
+    hold = {"P": "zero", "T_room": "first", "wall": "first", "load": "first"}
+    return ce.Experiment.from_arrays("run", time=t, units=units, hold=hold, **own)
+
+
+def test_temperatures_of_the_other_scale_are_told():
+    wrong = heated(wall=lambda own: own["wall"] - 273.15, load=lambda own: own["load"] - 273.15)
+    _, found = asked(oven(), wrong)
+    assert found.certain
+    assert "the outputs wall and load plus 273.15 (numbers in degC labelled K)" in found.words
+    assert "the input T_room minus 273.15 (numbers in K labelled degC)" in found.words
+
+
+def test_a_scale_of_one_sensor_of_several_is_left_to_its_offset():
+    ways = readings(oven(), [heated()])
+    shifted = [one.names for one in ways if one.plus]
+    assert ("wall",) not in shifted
+    assert {("wall", "load"), ("T_room",)} <= set(shifted)
+    assert {one.names for one in readings(oven(seen=("load",)), [heated()]) if one.plus > 0} == {
+        ("T_room",),
+        ("load",),
+    }
+
+
+def test_exchanged_columns_lead_an_answer_that_explains_less():
+    """Both are followed to four fifths as they are: a search is made, and the columns are pointed at."""
+    wrong = heated(law=0.02, wall=lambda own: own["load"], load=lambda own: own["wall"])
+    fit = ce.estimate(oven(), wrong, starts=1, progress=False)
+    assert not unexplained(fit)
+    unnamed = ce.repair(oven(), wrong, effects=["coulomb_friction"], starts=1, progress=False)
+    assert unnamed.verdict == "unnamed"
+    text = " ".join(str(unnamed).split("  data ", maxsplit=1)[0].split())
+    assert "With wall and load exchanged the fit without any effect explains" in text
+    assert "look which column is which. As the records are, it explains" in text
+
+
+def test_a_record_as_it_is_needs_no_other_reading():
+    found = ce.repair(oven(), heated(law=0.02), effects=["coulomb_friction"], starts=1, progress=False)
+    assert found.verdict != "nothing missing"
+    assert HINT not in found.options

@@ -1,0 +1,136 @@
+"""The usual ways in which a record is stated wrong: a sign, a unit, a clock, two columns in each other's place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from casadi_engine.discrepancy.exchanged_units import exchanges
+from casadi_engine.experiment import Channel, Experiment
+from casadi_engine.experiment.units import NOT_STATED, read_unit
+from casadi_engine.model import Model
+from casadi_engine.model.declarations import Variable
+
+_PREFIX = "a prefix, milli or kilo, that was not stated or not meant"
+# Factors of a time that is taken for seconds, or was made of them.
+_CLOCKS = {
+    1e-3: "milliseconds stated as seconds", 1e3: "seconds stated as milliseconds", 60.0: "minutes stated as seconds",
+    1 / 60.0: "seconds stated as minutes",
+}  # fmt: skip
+_TIME = "the time"
+# Units of temperatures, and what has to be added to numbers of one scale that are labelled with the other.
+_SCALES = ("K", "degC")
+_LABELLED = {273.15: "numbers in degC labelled K", -273.15: "numbers in K labelled degC"}
+# Channels of one unit beyond which no two of them are looked at in each other's place: a wiring of so many is looked
+# at as a whole.
+_CHANNELS = 8
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A way to read the records: channels, or the time, times a factor and plus a number, or two channels exchanged.
+
+    what : "input", "output", "time" or "exchange"; names : of channels; words : what is done, for a sentence;
+    check : what may be wrong; named : a search for effects tells it, by the sensor or the input
+    """
+
+    what: str
+    names: tuple[str, ...]
+    words: str
+    check: str
+    factor: float = 1.0
+    plus: float = 0.0
+    named: bool = False
+
+    def of(self, record: Experiment) -> Experiment:
+        """The record read so."""
+        if self.what == "time":
+            begin = None if record.begin is None else self.factor * record.begin
+            return replace(record, channels=tuple(self._later(c) for c in record.channels), begin=begin)
+        if self.what == "exchange":
+            if any(name not in record for name in self.names):
+                return record
+            one, other = (record[name] for name in self.names)
+            return record.with_channel(_as(one, other)).with_channel(_as(other, one))
+        for name in self.names:
+            if name in record:
+                own = record[name]
+                record = record.with_channel(replace(own, values=self.factor * own.values + self.plus))
+        return record
+
+    def _later(self, channel: Channel) -> Channel:
+        return replace(channel, time=self.factor * channel.time)
+
+
+def _as(one: Channel, other: Channel) -> Channel:
+    return replace(one, unit=other.unit, time=other.time, values=other.values, mask=other.mask)
+
+
+def readings(model: Model, data: Sequence[Experiment]) -> list[Reading]:
+    """The usual ways in which a record is stated wrong, one at a time, of channels that move; the most usual first.
+
+    Of one output among several those are left out that a search for effects tells.
+    """
+    found = []
+    moving = [one for one in model.inputs if any(np.ptp(record[one.name].values) > 0 for record in data)]
+    for variable in moving:
+        words = f"the input {variable.name} reversed"
+        found.append(Reading("input", (variable.name,), words, "look at its sign", -1.0))
+        found += _units("input", variable.name, variable.unit)
+    outputs = [variable for variable in model.outputs if any(variable.name in record for record in data)]
+    for variable in outputs:
+        words = f"the output {variable.name} reversed"
+        own = [Reading("output", (variable.name,), words, "look at its sign", -1.0, named=True)]
+        own += _units("output", variable.name, variable.unit)
+        found += [one for one in own if len(outputs) == 1 or not one.named]
+    for factor, words in _CLOCKS.items():
+        found.append(Reading("time", (), f"{_TIME} times {factor:.4g} ({words})", "look at its unit", factor))
+    found = sorted(found, key=lambda one: (one.factor != -1.0, one.what != "time", _PREFIX not in one.words))
+    found += [*_exchanged(moving), *_exchanged(outputs)]
+    found += _temperatures("input", moving)
+    return [*found, *(one for one in _temperatures("output", outputs) if len(outputs) == 1 or not one.named)]
+
+
+def _units(what: str, name: str, unit: str) -> Iterator[Reading]:
+    """Numbers in a unit that is taken for that of the channel, or a prefix that is not its own; none of a temperature,
+    whose usual units have another zero."""
+    if unit in _SCALES:
+        return
+    found: dict[float, str] = {}
+    for right, label, ratio in exchanges(unit):
+        found.setdefault(float(f"{1 / ratio:.6g}"), f"numbers in {right} labelled {label}")
+    told = set(found) if what == "output" else set()
+    for factor in (1e-3, 1e3):
+        found.setdefault(factor, _PREFIX)
+    for factor, words in found.items():
+        said = f"the {what} {name} times {factor:.4g} ({words})"
+        yield Reading(what, (name,), said, "look at its unit", factor, named=factor in told)
+
+
+def _exchanged(channels: Sequence[Variable]) -> Iterator[Reading]:
+    """Two channels of one dimension, each with the numbers of the other."""
+    alike: dict[object, list[str]] = {}
+    for one in channels:
+        kind = NOT_STATED if one.unit == NOT_STATED else read_unit(one.unit).dimension
+        alike.setdefault(kind, []).append(one.name)
+    for names in alike.values():
+        if len(names) <= _CHANNELS:
+            for pair in combinations(names, 2):
+                words = f"{pair[0]} and {pair[1]} exchanged"
+                yield Reading("exchange", pair, words, "look which column is which")
+
+
+def _temperatures(what: str, channels: Sequence[Variable]) -> Iterator[Reading]:
+    """Temperatures in degrees Celsius taken for kelvin, or the other way round: each channel, and all of them."""
+    names = [one.name for one in channels if one.unit in _SCALES]
+    groups = [(name,) for name in names] + ([tuple(names)] if len(names) > 1 else [])
+    for group in groups:
+        which = f"the {what}{'s' * (len(group) > 1)} {' and '.join(group)}"
+        told = what == "output" and len(group) == 1  # by the offset of a sensor
+        for plus, words in _LABELLED.items():
+            sign = "plus" if plus > 0 else "minus"
+            said = f"{which} {sign} {abs(plus)} ({words})"
+            yield Reading(what, group, said, "look at its unit", plus=plus, named=told)
