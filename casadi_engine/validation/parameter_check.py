@@ -22,6 +22,7 @@ from casadi_engine.estimation.fit_percent import FloatArray
 from casadi_engine.estimation.single_shots import Place, SingleShots
 from casadi_engine.problem.noise import Noise
 from casadi_engine.validation.parameter_prior import PriorSplit
+from casadi_engine.validation.projection import orthonormal
 from casadi_engine.validation.residual_tests import ResidualTest
 
 # A direction that bounds or constraints hold is kept to this share of the parameters' size.
@@ -261,18 +262,17 @@ class _Problem:
         return 0.5 * float(value @ value), rows.T @ value, matrix, matrix
 
     def _levels(self, x: FloatArray, sigma: Mapping[str, float]) -> dict[str, float]:
-        """Levels of the outputs that are estimated: from what no parameters and no initial states explain."""
+        """Levels of the outputs that are estimated: from what no parameters and no initial states explain of all
+        outputs together, as in a fit; each output by itself would be explained by what another one contradicts."""
         residual, slopes = self.shots.evaluate(x)
+        reach = orthonormal(slopes) if slopes.size else np.zeros((len(residual), 0))
+        left, taken = residual - reach @ (reach.T @ residual), np.sum(reach**2, axis=1)
         found = dict(sigma)
         for name in sorted(self.estimated):
-            total, freedom = 0.0, 0
-            for (record, output), rows in self.shots.places.items():
-                if output == name:
-                    own = slopes[rows][:, self.shots.columns(record)]
-                    left = PriorSplit.of(residual[rows], own, np.zeros((0, own.shape[1])), np.zeros(0))
-                    total += float(left.noise @ left.noise)
-                    freedom += len(left.noise) - left.rank
-            self.freedom[name] = float(freedom)
+            own = [rows for (_, output), rows in self.shots.places.items() if output == name]
+            total = sum(float(left[rows] @ left[rows]) for rows in own)
+            freedom = sum(float(rows.stop - rows.start - taken[rows].sum()) for rows in own)
+            self.freedom[name] = freedom
             if freedom > 0 and total > 0:
                 found[name] = sigma[name] * math.sqrt(total / freedom)
         return found
