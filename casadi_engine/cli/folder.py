@@ -37,6 +37,27 @@ def check_folder(folder: Path, *, files: tuple[str, ...] = ("result.json", "repo
                 path.rmdir()
 
 
+def refuse_others(folder: Path, names: Iterable[str]) -> None:
+    """OutputError if one of the files that are to be written is there, and no command of this program made it."""
+    for name in sorted(names):
+        if (folder / name).exists():
+            raise OutputError(
+                f"a file of this name would be lost: {folder / name}",
+                seen="a file that no earlier result in this folder lists as its own",
+                allowed="a folder in which only earlier results of this program are replaced",
+                cure="give another folder by --out DIR, or take the file out of there",
+            )
+
+
+def is_ours(folder: Path) -> bool:
+    """True if the result.json of a folder is one of this program's."""
+    try:
+        found = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(found, dict) and {"schema", "command"} <= set(found)
+
+
 def make_folder(folder: Path) -> None:
     """Make `folder` and its parents; OutputError if that fails."""
     try:

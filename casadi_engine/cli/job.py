@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from casadi_engine.cli.folder import check_folder
+from casadi_engine.cli.folder import check_folder, is_ours, refuse_others
 from casadi_engine.cli.options import Options
 from casadi_engine.errors import CasadiEngineError
 
@@ -53,6 +53,8 @@ def prepare(options: Options) -> Job:
     parameters = apply_settings(problem.parameters, set=options.set, free=options.free, fix=options.fix)
     folder = options.out or Path("results") / f"{problem.name}-{options.command}"
     check_folder(folder)
+    if not is_ours(folder):
+        refuse_others(folder, ("result.json", "report.html"))
     return Job(options, problem.with_parameters(parameters), folder)
 
 

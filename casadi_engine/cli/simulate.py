@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from casadi_engine.cli.earlier import From, values_of
-from casadi_engine.cli.folder import remove_files, simulated_files
+from casadi_engine.cli.folder import refuse_others, remove_files, simulated_files
 from casadi_engine.cli.job import ANSWERED, Job, run, say
 from casadi_engine.cli.options import (
     Data,
@@ -50,6 +50,7 @@ def simulate(
 def _work(job: Job) -> int:
     from casadi_engine import estimation
     from casadi_engine.cli.one_time import on_one_time
+    from casadi_engine.model.arrival import arriving
     from casadi_engine.report import Simulated, text
 
     problem, parameters = job.problem, job.problem.parameters
@@ -58,6 +59,9 @@ def _work(job: Job) -> int:
     records = problem.load_records()
     if job.options.validate:
         records += problem.load_validation()
+    records = tuple(arriving(problem.model, record) for record in records)
+    files, earlier = file_names(record.name for record in records), simulated_files(job.folder)
+    refuse_others(job.folder, {*files} - {*earlier})
     states = [state.name for state in problem.model.states]
     outputs = [output.name for output in problem.model.outputs]
     made = tuple(
@@ -73,9 +77,7 @@ def _work(job: Job) -> int:
         )
         for record in records
     )
-    files = file_names(record.name for record in records)
     answer = Simulated(problem.model, parameters, records, made, files)
-    earlier = simulated_files(job.folder)
     write_answer(job, answer, data_files=dict(zip(files, made, strict=True)))
     # Records of an earlier run would stand beside a result that does not speak of them.
     remove_files(job.folder, {*earlier} - {*files})

@@ -23,6 +23,7 @@ from casadi_engine.discrepancy.repaired import Side
 from casadi_engine.errors import ExperimentError
 from casadi_engine.estimation import Fit
 from casadi_engine.experiment import Experiment
+from casadi_engine.experiment.twins import refuse_twins, twin_of
 from casadi_engine.model import Model
 from casadi_engine.validation.parameter_prior import PriorSplit
 
@@ -52,17 +53,10 @@ def portions(
     """Fresh records as they are; without them the last ``share`` of every record's cycles is held out, at least three
     cycles together, if three are left to search in. Raises ExperimentError for a fresh record that is searched in, and
     for one that is given twice."""
-    for k, record in enumerate(data):
-        twin = next((one for one in data[:k] if _same(model, one, record)), None)
-        if twin is not None:
-            raise ExperimentError(
-                f"{record.place} is given twice",
-                seen=f"the measurements of {twin.place}, sample by sample",
-                allowed="records that were measured apart: the same one twice makes errors that are too small",
-                cure="leave one of them out",
-            )
+    outputs = [out.name for out in model.outputs]
+    refuse_twins(data, outputs)
     for record in fresh:
-        twin = next((one for one in data if _same(model, one, record)), None)
+        twin = twin_of(record, data, outputs)
         if twin is not None:
             raise ExperimentError(
                 f"{record.place} is to confirm what is found in the same data",
@@ -95,16 +89,6 @@ def portions(
         kept.append(record.between(float(time[0]), float(time[stop - 1]), inputs=inputs))
         held.append(record.between(float(time[stop]), float(time[-1]), inputs=inputs))
     return Portions(tuple(kept), tuple(held), "cycles")
-
-
-def _same(model: Model, one: Experiment, other: Experiment) -> bool:
-    """True if all outputs that both records hold have the same samples."""
-    both = [out.name for out in model.outputs if out.name in one and out.name in other]
-    pairs = [(one[name], other[name]) for name in both]
-    return bool(pairs) and all(
-        np.array_equal(a.time, b.time) and np.array_equal(a.values, b.values, equal_nan=True)
-        for a, b in pairs
-    )
 
 
 def _turns(model: Model, record: Experiment) -> bool:

@@ -29,13 +29,7 @@ from casadi_engine.discrepancy.misread import Misread, misread, with_hint, with_
 from casadi_engine.discrepancy.noise_choice import ColourChoice, check_choice
 from casadi_engine.discrepancy.null_model import refuse_jumps
 from casadi_engine.discrepancy.one_law import told_as_one_law
-from casadi_engine.discrepancy.output_check import (
-    at_its_limit,
-    noise_alone,
-    refuse_still,
-    stands_still,
-    wild_samples,
-)
+from casadi_engine.discrepancy.output_check import noise_alone, refuse_still
 from casadi_engine.discrepancy.own_jumps import JUMPED, with_own_jumps
 from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.progress import Progress, shown
@@ -51,6 +45,7 @@ from casadi_engine.errors import CasadiEngineError, EstimationError, ExperimentE
 from casadi_engine.estimation import Fit, estimate
 from casadi_engine.estimation.corner_widths import ROUNDED, felt_by, widths_of, with_widths
 from casadi_engine.estimation.estimate import _own, _records
+from casadi_engine.estimation.faulty_samples import at_its_limit, stands_still, wild_samples
 from casadi_engine.estimation.followed import not_followed
 from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.ipopt import OUT_OF_ITERATIONS

@@ -16,10 +16,8 @@ import numpy as np
 from casadi_engine.discrepancy.linear_algebra import Array, basis, without
 from casadi_engine.discrepancy.null_model import NullModel, RecordNull
 from casadi_engine.discrepancy.score import TESTABLE
+from casadi_engine.experiment.resolution import step_of
 
-# Values that differ by less than this share of the largest gap between two are one; gaps are multiples of a step within
-# this share of it; so many values have to be there.
-_SAME, _NEAR, _FEWEST = 1e-3, 0.02, 3
 # Noise beside the rounding, in steps, from which on it hides what rounding does: the first harmonic of the mean error
 # falls as exp(-2 (pi s)^2), to 0.7 % here (Widrow & Kollar, Quantization Noise, 2008).
 _HIDDEN = 0.5
@@ -28,18 +26,6 @@ _DRAWS, _FEW = 60, 20
 _TINY = 1e-300
 # Ratio of squared scores that draws of white noise in place of rounding do not reach.
 _WORSE = 1.25
-
-
-def step_of(measured: Array) -> float | None:
-    """The step of which all measured values (N,) are multiples, but for one offset; None where there is none."""
-    values = np.unique(measured)
-    if len(values) < _FEWEST:
-        return None
-    gaps = np.diff(values)
-    gaps = gaps[gaps > _SAME * gaps.max()]
-    step = float(gaps.min())
-    turns = gaps / step
-    return step if np.abs(turns - np.round(turns)).max() < _NEAR else None
 
 
 @dataclass(frozen=True, eq=False)

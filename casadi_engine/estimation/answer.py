@@ -103,7 +103,7 @@ def make_fit(
         data=search.data,
         status="interrupted" if stopped else best.solution.status,
         estimates=found.estimates,
-        start=dict(zip(pmap.free, best.start.tolist(), strict=True)),
+        start=dict(zip(pmap.free, search.begins.tolist(), strict=True)),
         free=pmap.free,
         z=z,
         covariance=errors.of_parameters(),

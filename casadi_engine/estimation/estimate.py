@@ -19,6 +19,7 @@ from casadi_engine.estimation.answer import make_fit
 from casadi_engine.estimation.behind_a_bound import told_from_their_bounds
 from casadi_engine.estimation.corner_widths import follow_motion, from_wide_corners
 from casadi_engine.estimation.cut_short import GIVEN_UP, MANY, in_time
+from casadi_engine.estimation.faulty_samples import faults
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.interrupts import Interrupts
 from casadi_engine.estimation.late_sensors import begun_late, follow_delays
@@ -34,6 +35,7 @@ from casadi_engine.estimation.two_stages import bent_by_thinning, lower_search, 
 from casadi_engine.estimation.workers import Workers
 from casadi_engine.experiment import Experiment
 from casadi_engine.experiment.experiment import with_unique_names
+from casadi_engine.experiment.twins import refuse_twins
 from casadi_engine.model import Model
 from casadi_engine.model.arrival import arriving
 from casadi_engine.parameters import Parameters
@@ -147,6 +149,7 @@ def estimate(
         "tolerance": tolerance,
         "warm": warm,
     }
+    refuse_twins(records, [out.name for out in model.outputs])
     arguments["model"] = begun_late(arguments)
     run = partial(
         _searched,
@@ -177,7 +180,8 @@ def estimate(
     fit = _with_sharp_corners(fit, arguments, again)
     if is_set() or errors == "quadratic":  # another verb asks for what it needs
         return fit
-    return in_time(lambda: told_from_their_bounds(fit, arguments["parameters"], again), lambda: fit)
+    fit = in_time(lambda: told_from_their_bounds(fit, arguments["parameters"], again), lambda: fit)
+    return replace(fit, messages=(*faults(fit), *fit.messages))
 
 
 def _with_sharp_corners(fit: Fit, arguments: Mapping[str, Any], run: Callable[[dict[str, Any]], Fit]) -> Fit:

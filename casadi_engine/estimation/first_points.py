@@ -40,6 +40,11 @@ class FirstPoints(LaidProblem):
         self._first: tuple[Array, Array] | None = None  # the set's own start and its variables, once laid out
         super().__init__(*arguments, **laid)
 
+    @property
+    def begins(self) -> Array:
+        """(nz,) where the search is told to start."""
+        return self._warm_values(self.pmap.start)
+
     def _warm_values(self, z: Array) -> Array:
         """The free parameters of a warm start as far as it has them, moved into the bounds; as they are without one."""
         if self.warm is None:

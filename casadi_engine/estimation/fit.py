@@ -118,7 +118,8 @@ class Fit:
     status : "converged", "interrupted" (the best point so far) or "not converged: <why>". Converged means that one more
     step would lower chi-squared by 0.001 at most (the optimum is within 0.03 standard errors), and that the simulation
     from these values and initial states has the chi-squared that the search found, within 0.001 and a millionth of it
-    parameters : frozen set at the optimum. start : name -> value the search started from (free parameters)
+    parameters : frozen set at the optimum. start : name -> value where the search was told to start (free
+    parameters), whichever of several starts was the best
     estimates : name -> Estimate of every parameter of the set, tied, auxiliary and fixed ones too
     free : names of the estimated vector z. z : (nz,) its values. covariance : (nz, nz) of the quadratic around the
     optimum, also where the fit doubts it; zero rows for entries at a bound, NaN rows for entries that the data do not

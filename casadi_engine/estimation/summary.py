@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casadi_engine.estimation.behind_a_bound import NOT_TOLD
+from casadi_engine.estimation.faulty_samples import faults
 from casadi_engine.estimation.fit import Estimate, Fit
 from casadi_engine.estimation.followed import not_followed
 from casadi_engine.estimation.gain_table import gain_rows, predictor_words
@@ -132,7 +133,7 @@ def _header(fit: Fit) -> list[str]:
     how = f"{fit.iterations} iterations, {seconds:.2g} s" + (f" ({parts})" if parts else "")
     names = [experiment.name for experiment in fit.data]
     lines = wrapped(f"Fit of {fit.model.name}: {fit.status}", "  ")[:3]
-    lines += _labelled("records", _some(names, 4) + assumed_words(fit))
+    lines += _labelled("records", f"{_some(names, 4)}{lengths(fit)}{assumed_words(fit)}")
     lines += _labelled("samples", f"{count(fit.n)} that count, in {count(fit.nodes)} shooting intervals")
     lines += _labelled("solved", how)
     if "searched on" in fit.options:
@@ -147,6 +148,25 @@ def _header(fit: Fit) -> list[str]:
     lines += _labelled("noise", "; ".join(noise_words(fit)))
     lines += _labelled("cost", cost_words(fit))
     return lines
+
+
+def lengths(fit: Fit) -> str:
+    """How long the records are, and how far apart the samples of their outputs: a wrong unit of time shows here."""
+    long = [record.duration for record in fit.data]
+    steps = [
+        float(np.median(np.diff(one.time)))
+        for own in fit.traces.values()
+        for one in own.values()
+        if len(one.time) > 1
+    ]
+    if not steps:
+        return ""
+    return f", {_range(long)} s long, outputs every {_range(steps)} s"
+
+
+def _range(values: Sequence[float]) -> str:
+    low, high = f"{min(values):.3g}", f"{max(values):.3g}"
+    return low if low == high else f"{low} to {high}"
 
 
 def assumed_words(fit: Fit) -> str:
@@ -365,7 +385,7 @@ def optima_words(fit: Fit) -> str:
 
 def next_steps(fit: Fit) -> list[str]:
     """What to type next, the most urgent first; never empty."""
-    steps = []
+    steps = ["look at the data first, as noted above, and fit again"] if faults(fit) else []
     if fit.status == "interrupted":
         steps.append("it was interrupted; go on from here: ce.estimate(model, data, warm=fit)")
     elif not fit.converged:

@@ -14,6 +14,7 @@ from casadi_engine.errors import EstimationError, ExperimentError
 from casadi_engine.estimation import Fit, Trace, estimate
 from casadi_engine.estimation.fit_percent import fit_measures
 from casadi_engine.experiment import Experiment
+from casadi_engine.experiment.twins import twin_of
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
 from casadi_engine.problem.noise import Noise
@@ -133,7 +134,12 @@ def validate(
 
 def _notes(fit: Fit, held: Fit, again: Refit | None, alpha: float, failed: Sequence[str]) -> tuple[str, ...]:
     """What the user should know beside the tests."""
-    said = []
+    outputs = [out.name for out in fit.model.outputs]
+    seen = [] if held is fit else [one.name for one in held.data if twin_of(one, fit.data, outputs)]
+    said = [
+        f"the parameters were found from the measurement of {name}: it tells nothing of fresh data"
+        for name in seen
+    ]
     if held is not fit and not held.converged:
         said.append(
             f"the initial states were not found on these data: {held.status}; the tests are of that point"

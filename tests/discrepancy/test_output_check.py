@@ -1,21 +1,13 @@
 """Outputs that a search has no use for are refused or named within a second, and no others are."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import casadi_engine as ce
-from casadi_engine.discrepancy.output_check import (
-    at_its_limit,
-    noise_alone,
-    refuse_still,
-    stands_still,
-    wild_samples,
-)
+from casadi_engine.discrepancy.output_check import noise_alone, refuse_still
 from casadi_engine.errors import ExperimentError
-from casadi_engine.estimation.fit import Trace
 
 T = np.arange(400) * 0.01
 
@@ -104,71 +96,6 @@ def test_a_sensor_at_its_limit_is_named(moved):
     assert ce.repair(spring(), kept, starts=1, progress=False).verdict == "nothing missing"
 
 
-@pytest.mark.parametrize(
-    ("bend", "limited"),
-    [
-        (lambda y: np.minimum(y, 0.8), True),
-        (lambda y: y, False),
-        (
-            lambda y: np.round(np.minimum(y, 0.8) / 0.1) * 0.1,
-            False,
-        ),  # it reads in steps, of which one is the largest
-        (lambda y: np.where(np.arange(len(y)) < 300, 2.0, y), False),  # it rests there once
-        (lambda y: np.zeros(len(y)), False),
-        (lambda y: np.maximum(y, 0.0), False),  # a machine that stands still now and then
-    ],
-)
-def test_a_limit_is_met_more_than_once_and_is_no_step(bend, limited):
-    y = bend(np.sin(0.05 * np.arange(1000)) + 1e-3 * np.random.default_rng(0).standard_normal(1000))
-    trace = Trace(np.arange(1000) * 1.0, y, np.ones(1000, bool), y)
-    assert (at_its_limit(SimpleNamespace(traces={"run": {"y": trace}})) is not None) == limited
-
-
-def fit_that_leaves(e):
-    n = len(e)
-    trace = Trace(np.arange(n) * 1.0, np.asarray(e, float), np.ones(n, bool), np.zeros(n))
-    return SimpleNamespace(traces={"run": {"y": trace}})
-
-
-def test_the_wild_are_counted_and_the_first_ones_listed():
-    e = np.random.default_rng(0).standard_normal(1000)
-    e[50:750:100] = 400.0
-    said = wild_samples(fit_that_leaves(e))
-    assert said.startswith("7 single samples hold")
-    assert "y of run at 50, 150, 250, 350, 450 s and 2 more" in said
-
-
-@pytest.mark.parametrize(
-    "e",
-    [
-        np.random.default_rng(2).standard_normal(2000),
-        np.random.default_rng(2).standard_t(3, 2000),
-        np.where(np.abs(np.arange(1000) - 500) < 4, 300.0, 1.0)
-        * np.random.default_rng(0).standard_normal(1000),
-        np.where(np.arange(1000) % 20 == 0, 300.0, 1.0) * np.random.default_rng(0).standard_normal(1000),
-        np.zeros(1000),
-    ],
-    ids=["white", "heavy tails", "an event", "many", "nothing left"],
-)
-def test_what_lasts_or_is_common_is_not_wild(e):
-    assert wild_samples(fit_that_leaves(e)) is None
-
-
-def test_a_sample_on_the_way_from_one_level_to_another_is_not_wild():
-    """A titration passes six units of pH from one sample to the next: a model that is late by half a sample misses that
-    one sample alone, and the measurement has no fault."""
-    fit = fit_that_leaves(np.random.default_rng(0).standard_normal(1000))
-    seen = fit.traces["run"]["y"]
-    level = 300.0 * (np.arange(1000) // 100 % 2)
-    late = level.copy()
-    late[100::100] = 150.0
-    fit.traces["run"]["y"] = Trace(seen.time, late + seen.measured, seen.mask, level)
-    assert wild_samples(fit) is None
-    late[[345, 745]] = 500.0, -300.0
-    fit.traces["run"]["y"] = Trace(seen.time, late + seen.measured, seen.mask, level)
-    assert "y of run at 345, 745 s" in wild_samples(fit)
-
-
 def test_an_output_that_is_one_number_beside_others_that_move_is_refused(moved):
     b = ce.Blueprint("spring")
     x, v = b.state("x", unit="m"), b.state("v", unit="m/s")
@@ -186,30 +113,3 @@ def test_an_output_that_is_one_number_beside_others_that_move_is_refused(moved):
         refuse_still(b.model(), [stuck])
     assert "seen: speed of stuck is 0 in all samples" in str(refused.value)
     refuse_still(b.model(), [stuck, live])
-
-
-def seen(y, simulated):
-    trace = Trace(T, y, np.ones(len(T), dtype=bool), simulated)
-    return stands_still(SimpleNamespace(traces={"run": {"y": trace}}))
-
-
-def test_a_sensor_that_stands_still_is_named():
-    """A gyro that stood still for half of a record was "an unknown torque that depends on its speed"."""
-    motion = 3 * np.sin(2 * np.pi * 0.7 * T)
-    y = motion + 0.3 * np.random.default_rng(0).standard_normal(len(T))
-    assert seen(y, motion) is None
-    y[100:200] = y[100]
-    said = seen(y, motion)
-    assert f"y of run reads {y[100]:.6g} in all 100 samples from 1 to 1.99 s" in said
-    assert 'record.masked("y", keep) with keep False there' in said
-
-
-def test_a_machine_at_rest_does_not_stand_still_for_its_sensor():
-    """Without noise, and in a sensor's steps, a machine that friction holds reads one number too."""
-    held = 3 * np.sin(2 * np.pi * 0.7 * np.minimum(T, 1.5))
-    moving = 3 * np.sin(2 * np.pi * 0.7 * T)
-    assert seen(held, moving) is None
-    noisy = held + 0.3 * np.random.default_rng(0).standard_normal(len(T))
-    assert seen(np.round(noisy / 0.5) * 0.5, moving) is None
-    noisy[150:] = noisy[150]
-    assert seen(noisy, held) is None  # nothing moves meanwhile

@@ -9,7 +9,7 @@ from casadi_engine.report import fit_html, fit_text, validation_html, validation
 
 GOLDEN = """\
 Fit of two_mass: converged
-  records   misfire_1200rpm (assumed, not measured: p3, p4)
+  records   misfire_1200rpm, 0.6 s long, outputs every 0.0005 s (assumed, not measured: p3, p4)
   samples   1 170 that count, in 60 shooting intervals
   solved    12 iterations, 0.06 s (setup 0.021, solve 0.034, covariance 0.005)
   integrated exactly (a linear model on equal steps)
