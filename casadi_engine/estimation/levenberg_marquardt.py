@@ -26,6 +26,8 @@ _DAMPING, _LEAST, _STUCK, _EASE, _HINDER = 1e-2, 1e-9, 1e9, 0.2, 6.0
 _SMALL, _LOOKS = 1e-6, 3
 # Share of the foretold fall that makes a step, and the shares between which the damping stays.
 _SHARE, _POOR, _GOOD = 1e-3, 0.25, 0.75
+# Damping of the step back into a valley.
+_STEEP = 1e-2
 # A symmetric rank-one update is passed over where its denominator is so small a share of the sizes in it.
 _SAFE = 1e-8
 # Longest step after one that does not fall, as a share of that.
@@ -96,6 +98,9 @@ def minimise(
         gained = -np.inf if there is None else here.cost - there.cost
         if there is not None:
             learnt, trusted = _learn(learnt, here, there, moved)
+            if gained < _SHARE * foretold:
+                moved, there = _back_into_valley(evaluate, x, moved, there, (low, high, longest))
+                gained = here.cost - there.cost
         if there is None or gained < _SHARE * foretold:
             if (exact := anew(x)) is not None:  # a value that is too low would refuse every step
                 here = exact
@@ -112,6 +117,23 @@ def minimise(
             damping = 2.0 * damping
         x, here = x + moved, there
     return Minimum(x, here, steps, converged=False)
+
+
+def _back_into_valley(
+    evaluate: Evaluate,
+    x: Array,
+    moved: Array,
+    there: Squares,
+    limits: tuple[Array, Array, Callable[[Array], Array]],
+) -> tuple[Array, Squares]:
+    """A step that did not fall, and one more from where it ends, so damped that it goes along what is told well alone:
+    a valley that bends is left by a straight step, and found again by this (Chamberlain et al. 1982). The first step
+    as it was where the second does not help."""
+    low, high, longest = limits
+    at = x + moved
+    back, promised, _ = _best_step(there, None, (low - at, high - at, longest(at)), _STEEP)
+    again = evaluate(at + back) if promised > 0 else None
+    return (moved, there) if again is None or again.cost >= there.cost else (moved + back, again)
 
 
 def _best_step(
