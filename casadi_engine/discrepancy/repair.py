@@ -23,6 +23,7 @@ from casadi_engine.discrepancy.fresh import Portions, portions
 from casadi_engine.discrepancy.fresh_choice import FreshChoice
 from casadi_engine.discrepancy.fresh_misfit import FRESH
 from casadi_engine.discrepancy.input_hold import other_hold
+from casadi_engine.discrepancy.kept_near import KEPT_NEAR, kept_near
 from casadi_engine.discrepancy.lost_fit import explained, found_again
 from casadi_engine.discrepancy.lower_rate import at_lower_rate
 from casadi_engine.discrepancy.misread import Misread, misread, with_hint, with_other_reading
@@ -229,6 +230,7 @@ class _Job:
     search: Choice | None = None
     felt: float = 0.0
     misread: Misread | None = None
+    kept: bool = False  # the fit without effects had run away
     cut: tuple[str, ...] = ()  # that records are searched in pieces
 
     def stop(self) -> None:
@@ -325,6 +327,7 @@ class _Job:
         told += [_JUMPED.format(widths)] if widths else []
         told += [words for words in null_fit.messages if words.startswith(ROUNDED)]
         told += search.refits.doubt(search.chosen.effects)
+        told += [KEPT_NEAR] if self.kept else []
         if not null_fit.converged:  # a wrong model may have a valley without end; the right one has none
             told.append(
                 f"the fit without effects has {null_fit.status}; effects were looked for from where it ended"
@@ -398,6 +401,10 @@ class _Job:
                 self.misread = misread(fit, self.parameters, self.noise, self.options, work)
             if self.misread is not None and self.misread.certain:
                 return fit, self.parameters, work
+        ended = fit.status in ("interrupted", _SHARE_OVER)
+        if not (fit.converged or ended) and (near := kept_near(fit, own.done, given)) is not None:
+            self.null_fit, self.kept = near, True
+            fit = near
         if not_followed(fit) and not (fit.converged and explained(scores(fit))):
             self.tell("fit without effects by predictions, as the simulation does not follow the data")
             self.null_fit = fit = found_again(fit, own.done, given, _NULL * self.deadline.left)

@@ -168,4 +168,5 @@ class Priors:
             return 0.0, np.zeros(len(v)), none, none
         cost, gradient, hessian, jacobian = self._function(v)
         rows = np.asarray(jacobian).reshape(self.count, len(v))
-        return float(cost), np.asarray(gradient).ravel(), np.asarray(hessian), rows.T @ rows
+        with np.errstate(over="ignore"):  # far out; what looks at it refuses a value that is not finite
+            return float(cost), np.asarray(gradient).ravel(), np.asarray(hessian), rows.T @ rows

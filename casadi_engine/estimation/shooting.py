@@ -114,6 +114,7 @@ class ShootingProblem:
         ends = [(p.path.end_z, p.path.end_s) for p in point.records]
         return assembly.jacobian_values(point.user_jacobian, self.layouts, ends)
 
+    @np.errstate(over="ignore", invalid="ignore")  # the solver refuses a value that is not finite
     def hessian(self, x: Array, factor: float, lam: Array) -> Array:
         """Raw values of the Hessian of factor * objective + lam * constraints, or of what stands in for it."""
         point = self.at(x)
