@@ -124,6 +124,8 @@ def _by_error(line: ProfileLine) -> str:
 def shape(line: ProfileLine) -> str:
     """How far the interval is from the symmetric one of the standard error."""
     low, high = line.interval.low, line.interval.high
+    if line.interval.lost:
+        return "not known: a refit did not end"
     if low is None and high is None:
         return "flat: not identifiable in practice"
     if low is None or high is None:

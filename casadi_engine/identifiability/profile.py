@@ -17,7 +17,7 @@ from casadi_engine.errors import CasadiEngineError, EstimationError
 from casadi_engine.estimation.estimate import estimate
 from casadi_engine.estimation.fit import Estimate, Fit
 from casadi_engine.estimation.options import check_level, check_likelihood, whole
-from casadi_engine.parameters import near_matches
+from casadi_engine.parameters import Parameters, near_matches
 from casadi_engine.problem.noise import Noise
 
 Array = NDArray[np.float64]
@@ -32,17 +32,31 @@ _GROWTH = 3.0
 _BETTER = 1e-3
 
 
+# Refits that look for an end between two points, and the share of its distance within which it is found.
+_HALVED, _NARROW = 12, 0.01
+# Root of the rise, as a share of that at the threshold, by which no refit leaps from the last one.
+_LEAP = 0.5
+# How it begins what is said of a side on which a refit was not to be had.
+LOST = "the refit"
+
+
 @dataclass(frozen=True)
 class Interval:
     """An interval by profile likelihood: low, high in the parameter's unit; None on a side that is open.
 
     low_why, high_why : None, "at its bound", "open: the data set no limit here" or why a refit failed
+    lost : a side ends where a refit failed: nobody knows how far it goes
     """
 
     low: float | None
     high: float | None
     low_why: str | None = None
     high_why: str | None = None
+
+    @property
+    def lost(self) -> bool:
+        sides = (self.low, self.low_why), (self.high, self.high_why)
+        return any(end is None and (why or "").startswith(LOST) for end, why in sides)
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +185,7 @@ class _Warm:
     values: Mapping[str, float]
     initial: Mapping[str, Any]
     noise: Mapping[str, tuple[float, bool]]
-    converged: bool = True
+    converged: bool
 
 
 @dataclass
@@ -198,6 +212,8 @@ class _Walker:
         if fit.gain is not None:
             self.messages.append("the predictor's gain is held at the fit's, not estimated again")
         self.base = fit.cost
+        # A search in the frequency domain takes valleys that one from nearby does not.
+        self.in_full = "frequency bins" not in str(fit.options.get("searched on", ""))
         most = max((fit.own_noise.get(name, 1.0) for name in fit.free), default=1.0)
         if most > _SEEN:
             self.messages.append(
@@ -248,7 +264,8 @@ class _Walker:
             height = math.sqrt(max(point.rise, 0.0))
             if height >= root:
                 end = self._refined(name, [centre, *found], root, found)
-                return sorted(found, key=lambda one: sign * one.value), end, None
+                why = f"{LOST} that looks for the end did not converge" if end is None else None
+                return sorted(found, key=lambda one: sign * one.value), end, why
             if at_limit:
                 return found, None, "at its bound"
             gained = height - math.sqrt(max(last.rise, 0.0))
@@ -264,18 +281,25 @@ class _Walker:
         return 0.01 * abs(centre.value) or 0.01
 
     def _refined(self, name: str, course: list[_Point], root: float, found: list[_Point]) -> float | None:
-        """The interval's end, with one more refit where the last step was so long that interpolation is coarse."""
-        end = _crossing(course, root)
+        """The interval's end, with more refits where the last step was so long that interpolation is coarse: a wall
+        behind a flat is halved in upon."""
         before, after = course[-2], course[-1]
-        coarse = math.sqrt(after.rise) - math.sqrt(max(before.rise, 0.0)) > 2 * root / self.points
-        if end is None or not coarse:
-            return end
-        point = self._refit(name, end, before)
-        if isinstance(point, str):
-            return end
-        found.append(point)
-        course = sorted([*course, point], key=lambda one: abs(one.value - course[0].value))
-        return _crossing(course, root)
+        for _ in range(_HALVED):
+            low, high = math.sqrt(max(before.rise, 0.0)), math.sqrt(after.rise)
+            coarse = high - low > 2 * root / self.points
+            if not coarse or abs(after.value - before.value) <= _NARROW * abs(after.value - course[0].value):
+                break
+            middle = 0.5 * (before.value + after.value)
+            end = middle if high > 2 * root else _crossing([before, after], root)
+            point = self._refit(name, middle if end is None else end, before)
+            if isinstance(point, str):
+                return None
+            found.append(point)
+            if math.sqrt(max(point.rise, 0.0)) >= root:
+                after = point
+            else:
+                before = point
+        return _crossing([before, after], root)
 
     def _refit(self, name: str, value: float, last: _Point) -> _Point | str:
         """The fit with the parameter held at a value, or why there is none."""
@@ -287,31 +311,52 @@ class _Walker:
             guess[key] += slope * (value - last.value)
         self.refits += 1
         try:
-            fit = estimate(
-                own.model,
-                own.data,
-                parameters=held,
-                noise=self.noise,
-                initial=self.initial,
-                interval=own.options.get("interval", "auto"),
-                ties=own.options.get("ties", "substitute"),
-                method=own.options.get("method", "exact"),
-                warm=_Warm(guess, last.fit.initial, own.noise),
-                errors="quadratic",
-                progress=False,
-            )
+            fit = self._nearby(held, guess, last)
         except CasadiEngineError as error:
-            return f"the refit failed: {error.problem}"
+            return f"{LOST} failed: {error.problem}"
         if self.progress is not None:
             self.progress(name, self.refits)
         if not fit.converged:
-            return f"the refit did not converge: {fit.status}"
+            return f"{LOST} did not converge: {fit.status}"
         rise = (fit.cost - self.base) / own.own_noise.get(name, 1.0) ** 2
         if rise < -_BETTER * max(1.0, self.threshold):
             self.messages.append(
                 f"a refit with {name} = {value:.6g} costs {-rise:.3g} less than the fit: start again there"
             )
         return _Point(value, rise, fit)
+
+    def _nearby(self, held: Parameters, guess: Mapping[str, float], last: _Point) -> Fit:
+        """The refit from where the tangent leads; where that does not converge, or the cost leaps, which a profile does
+        not do, the lowest of it and those from the last point and from the fit."""
+        found: list[Fit] = []
+        most = (math.sqrt(max(last.rise, 0.0)) + _LEAP * math.sqrt(self.threshold)) ** 2
+        for values, initial in (
+            (guess, last.fit.initial),
+            (last.fit.values, last.fit.initial),
+            (self.fit.values, self.fit.initial),
+        ):
+            found.append(
+                self._estimated(held, _Warm(values, initial, self.fit.noise, converged=self.in_full))
+            )
+            if found[-1].converged and found[-1].cost - self.base <= most:
+                break
+        return min(found, key=lambda fit: (not fit.converged, fit.cost))
+
+    def _estimated(self, held: Parameters, warm: _Warm) -> Fit:
+        own = self.fit
+        return estimate(
+            own.model,
+            own.data,
+            parameters=held,
+            noise=self.noise,
+            initial=self.initial,
+            interval=own.options.get("interval", "auto"),
+            ties=own.options.get("ties", "substitute"),
+            method=own.options.get("method", "exact"),
+            warm=warm,
+            errors="quadratic",
+            progress=False,
+        )
 
 
 def _tangent(fit: Fit, name: str) -> dict[str, float]:

@@ -1,6 +1,8 @@
 """Profile likelihoods against exact parabolas, t-intervals, and brute force over closed forms."""
 
 import math
+from importlib import import_module
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +13,10 @@ from scipy.stats import t as student
 import casadi_engine as ce
 from casadi_engine.errors import EstimationError
 from casadi_engine.identifiability import profile
+from casadi_engine.identifiability.practical_summary import shape
+
+module = import_module("casadi_engine.identifiability.profile")
+Interval, LOST = module.Interval, module.LOST
 
 
 def linear_model():
@@ -172,3 +178,38 @@ def test_messages():
     assert not short.converged
     with pytest.raises(EstimationError, match="a profile needs a fit that converged, with free parameters"):
         profile(short)
+
+
+def test_a_wall_behind_a_flat_is_found():
+    """Two losses of which the sum is known to 0.1 %: one of them may be anything up to that, and the step that leaps over
+    the flat had ended its interval at the estimate, or at a refit that ended elsewhere."""
+    b = ce.Blueprint("losses")
+    first, second = (b.parameter(name, 0.4, unit="1/s", min=0) for name in ("first", "second"))
+    w = b.state("w", unit="rad/s")
+    b.ode("w", b.input("T", unit="rad/s2") - (first + second) * w)
+    b.output("speed", w, unit="rad/s")
+    t = 0.02 * np.arange(1500)
+    drive = 2 + np.sign(np.sin(1.1 * t))
+    speed = np.empty(len(t))
+    speed[0] = 1.0
+    decay = np.exp(-0.02)
+    for k in range(len(t) - 1):
+        speed[k + 1] = decay * speed[k] + (1 - decay) * drive[k]
+    shown = speed + 0.05 * np.random.default_rng(2).standard_normal(len(t))
+    units = {"T": "rad/s2", "speed": "rad/s"}
+    record = ce.Experiment.from_arrays(
+        "run", time=t, units=units, hold={"T": "zero", "speed": "first"}, T=drive, speed=shown
+    )
+    fit = ce.estimate(b.model(), record, noise=ce.Noise(speed=0.05), progress=False)
+    line = ce.profile(fit, "first")["first"]
+    assert line.interval.low_why == "at its bound"
+    assert line.interval.high == pytest.approx(fit.values["first"] + fit.values["second"], rel=0.01)
+
+
+def test_a_side_that_was_not_reached_is_not_flat():
+    """A ratio known to 0.005 % was "flat: not identifiable in practice", as its refits had not converged."""
+    lost = Interval(None, None, f"{LOST} did not converge: not converged: the iterations ran out", None)
+    assert lost.lost
+    assert not Interval(None, 1.0, "at its bound", None).lost
+    line = SimpleNamespace(interval=lost)
+    assert shape(line) == "not known: a refit did not end"
