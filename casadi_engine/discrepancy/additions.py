@@ -355,7 +355,7 @@ class Additions:
         z = np.array([float(own[n].value) if n in own else fit.values[n] for n in fit.free])
         try:
             with np.errstate(all="ignore"):
-                null = null_at(fit.model, fit.data, fit.parameters, z, refits.path.first_states())
+                null = null_at(fit.model, fit.data, fit.parameters, z, refits.path.first_states(fit.model))
         except (*FAILURES, KeyError):
             return None
         return one_step(null, self.screened.candidates, refits.path.levels, sorted(members))

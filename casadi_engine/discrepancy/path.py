@@ -195,12 +195,12 @@ class Path:
         z = np.array([arrived.values[name] for name in problem.pmap.free])
         return null_at(model, self.refitter.data, parameters, z, first)
 
-    def first_states(self) -> dict[str, Array]:
-        """record -> (n,) first states that the measurement gives at the parameters' own values."""
-        model, _, problem = self._problem(())
-        found = problem.run(horizons=(None,), most=1)
+    def first_states(self, model: Model) -> dict[str, Array]:
+        """record -> (n,) first states that the measurement gives at the parameters' own values, for a model with effects:
+        states of theirs begin at 0."""
+        found = self._problem(())[2].run(horizons=(None,), most=1)
         names = [state.name for state in model.states]
-        return {record: np.array([own[n] for n in names]) for record, own in found.initial.items()}
+        return {record: np.array([own.get(n, 0.0) for n in names]) for record, own in found.initial.items()}
 
     def parameters(self, effects: Sequence[Addition]) -> Parameters:
         """The parameters of the model with these effects."""

@@ -24,7 +24,14 @@ if TYPE_CHECKING:
     from casadi_engine.effects.library import library
     from casadi_engine.effects.parameter import WrongValue
     from casadi_engine.effects.protocol import Amplitude, Effect, Grid, Law
-    from casadi_engine.effects.sensor import InputGain, InputOffset, SensorDelay, SensorGain, SensorOffset
+    from casadi_engine.effects.sensor import (
+        InputGain,
+        InputOffset,
+        SensorDelay,
+        SensorGain,
+        SensorLag,
+        SensorOffset,
+    )
     from casadi_engine.effects.stiffness import Backlash, CubicStiffness
     from casadi_engine.effects.table import table
     from casadi_engine.effects.torque import ConstantTorque, Impulse, LoadStep
@@ -55,6 +62,7 @@ __all__ = [
     "QuadraticDrag",
     "SensorDelay",
     "SensorGain",
+    "SensorLag",
     "SensorOffset",
     "Sharp",
     "Smooth",
@@ -93,6 +101,7 @@ import_at_first_use(
             "InputOffset",
             "SensorDelay",
             "SensorGain",
+            "SensorLag",
             "SensorOffset",
         ),
         "casadi_engine.effects.stiffness": ("Backlash", "CubicStiffness"),

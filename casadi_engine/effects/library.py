@@ -12,7 +12,14 @@ from casadi_engine.effects.friction import (
 )
 from casadi_engine.effects.parameter import WrongValue
 from casadi_engine.effects.protocol import Effect
-from casadi_engine.effects.sensor import InputGain, InputOffset, SensorDelay, SensorGain, SensorOffset
+from casadi_engine.effects.sensor import (
+    InputGain,
+    InputOffset,
+    SensorDelay,
+    SensorGain,
+    SensorLag,
+    SensorOffset,
+)
 from casadi_engine.effects.stiffness import Backlash, CubicStiffness
 from casadi_engine.effects.torque import ConstantTorque, Impulse, LoadStep
 from casadi_engine.effects.transfer import Overflow, Transfer
@@ -44,6 +51,7 @@ def library(*names: str) -> tuple[Effect, ...]:
         LoadStep(),
         SensorOffset(),
         SensorDelay(),
+        SensorLag(),
         SensorGain(),
         InputGain(),
         InputOffset(),

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
-from casadi_engine.effects.protocol import Amplitude, Effect
+from casadi_engine.effects.protocol import Amplitude, Effect, Grid, Law
 
 # Share of its mean by which an output varies at least, that a gain acts otherwise than an offset: one of a tenth moves
 # what varies by a ten-thousandth of the mean then, which is below what sensors resolve. Whether the data tell one from
 # the other where it varies more, their likelihood says.
 _VARIES = 1e-3
+# Least time constant of a lag, in samples, and the largest one, as a share of a record.
+_SHORTEST, _LONGEST = 0.5, 0.25
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,7 @@ class SensorDelay(Effect):
 
     name = "sensor_delay"
     attaches = ("sensor",)
-    kin = ("sensor_offset",)
+    kin = ("sensor_offset", "sensor_lag")
     sentence = "a delay of {port}"
     retards = True
     amplitude = Amplitude("delay", unit="s")
@@ -52,6 +55,51 @@ class SensorDelay(Effect):
         del math
         bend = port.bend if port.has("bend") else 0.0
         return -p.delay * port.rate + 0.5 * p.delay**2 * bend
+
+
+@dataclass(frozen=True)
+class SensorLag(Effect):
+    """A sensor of which a share follows with a time constant τ [s], as behind a filter or in a well: with all of it
+    (share 1) y − τ d(shown)/dt.
+
+    What it is behind by, e, goes by de/dt = −dy/dt − e/τ; it shows y + share e. A delay as long does nearly the same to
+    motion that is slow beside it.
+
+    span : the least and the largest time constant [s]; None for half a sample to a quarter of the records
+
+    >>> SensorLag().describe("sensor_T_out")
+    'a lag of sensor_T_out'
+    """
+
+    span: tuple[float, float] | None = None
+
+    name = "sensor_lag"
+    attaches = ("sensor",)
+    kin = ("sensor_delay", "sensor_gain")
+    sentence = "a lag of {port}"
+    amplitude = Amplitude("share", unit="1", min=0)
+
+    @property
+    def nuisance(self) -> Mapping[str, Grid]:  # type: ignore[override]
+        """The time constant."""
+        low, high = self.span or (1e-3, 1e3)
+        return {"time": Grid(low, high, steps=6, unit="s", log=True, description="time constant")}
+
+    def fitted(self, port: Any, record: Any, values: Mapping[str, float]) -> Effect:
+        """The same with the time constants that a record can show, where none were given."""
+        del values
+        name = port.name.partition("_")[2]
+        if self.span is not None or name not in record:
+            return self
+        time = record[name].time
+        step, length = float(np.median(np.diff(time))), float(time[-1] - time[0])
+        return replace(self, span=(float(f"{_SHORTEST * step:.2g}"), float(f"{_LONGEST * length:.2g}")))
+
+    def law(self, port: Any, p: Any, math: Any) -> Any:
+        """share e."""
+        del math
+        behind = port.state("behind")
+        return Law(p.share * behind, {"behind": (0.0, -port.rate - behind / p.time)})
 
 
 @dataclass(frozen=True)

@@ -167,7 +167,7 @@ def test_a_known_point_stays_but_for_what_is_left_of_a_step(path, rubbing):
 
 
 def test_first_states_are_those_of_the_measurement(path, rubbing):
-    found = path.first_states()
+    found = path.first_states(rubbing.fit.model)
     assert set(found) == {"decay", "again"}
     assert found["decay"][0] == pytest.approx(1.5, abs=0.1)
     assert found["again"][0] == pytest.approx(0.7, abs=0.1)

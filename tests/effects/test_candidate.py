@@ -65,11 +65,14 @@ def test_the_closed_forms_are_slopes_of_the_extended_model(name):
             step = {"backlash": 1e-7, "sensor_delay": 1e-6, "drift": 1e-5, "input_gain": 1e-5}.get(
                 effect.name, 1e-3
             )
-            low, high = (f(x, u, t, wide.parameter_vector({key: value})) for value in (-step, step))
-            g = ca.Function("g", [model.x, model.u, model.t, model.p], [one.ode, one.output])
-            found = g(x, u, t, model.parameter_vector())
+            own = ca.vertcat(ca.SX(0, 1), *[state.symbol for state in one.states])
+            behind = 0.3 * np.ones(own.numel())
+            every = np.concatenate([x, behind])
+            low, high = (f(every, u, t, wide.parameter_vector({key: value})) for value in (-step, step))
+            g = ca.Function("g", [model.x, model.u, model.t, model.p, own], [one.ode, one.output])
+            found = g(x, u, t, model.parameter_vector(), behind)
             for slope, down, up in zip(found, low, high, strict=True):
-                expected = (up.full() - down.full()).ravel() / (2 * step)
+                expected = (up.full() - down.full()).ravel()[: slope.numel()] / (2 * step)
                 scale = np.abs(expected).max() + 1e-12
                 np.testing.assert_allclose(slope.full().ravel(), expected, atol=2e-6 * scale + 1e-5)
 
@@ -283,7 +286,8 @@ def test_the_library_by_name():
         "coulomb_friction", "viscous_friction", "quadratic_drag", "stribeck_friction", "asymmetric_friction",
         "constant_torque",
         "cubic_stiffness", "backlash", "misfire", "cylinder_imbalance", "load_step", "sensor_offset", "sensor_delay",
-        "sensor_gain",
+        "sensor_lag",
+            "sensor_gain",
         "input_gain",
         "input_offset",
         "transfer",

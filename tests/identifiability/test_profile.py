@@ -181,8 +181,8 @@ def test_messages():
 
 
 def test_a_wall_behind_a_flat_is_found():
-    """Two losses of which the sum is known to 0.1 %: one of them may be anything up to that, and the step that leaps over
-    the flat had ended its interval at the estimate, or at a refit that ended elsewhere."""
+    """Two losses of which the sum is known to 0.1 %: one of them may be anything up to that, and the step that leaps
+    over the flat had ended its interval at the estimate, or at a refit that ended elsewhere."""
     b = ce.Blueprint("losses")
     first, second = (b.parameter(name, 0.4, unit="1/s", min=0) for name in ("first", "second"))
     w = b.state("w", unit="rad/s")

@@ -1,0 +1,109 @@
+"""A sensor that is behind: told from one that is late, beside another effect, and in a model that is not linear."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import casadi_engine as ce
+
+STEP, COUNT = 0.5, 900
+
+
+def plate(law=""):
+    """A heated plate and its coolant; a loss by radiation makes it nonlinear."""
+    b = ce.Blueprint("plate")
+    heat, cold = b.input("P", unit="W"), b.input("T_in", unit="K")
+    plate, coolant = b.state("T_p", unit="K", scale=100), b.state("T_c", unit="K", scale=100)
+    across = b.parameter("hA", 40.0, unit="W/K", min=1, max=1e3) * (plate - coolant)
+    flow = b.parameter("flow", 60.0, unit="W/K", min=1, max=1e3) * (coolant - cold)
+    lost = 2e-8 * plate**4 if law == "radiation" else 0.0
+    b.ode(
+        "T_p", (heat - across - lost + b.port("plate", "inertia", {"speed": plate - cold}, unit="W")) / 160.0
+    )
+    b.ode("T_c", (across - flow) / b.parameter("C_c", 300.0, unit="J/K", min=10, max=1e4))
+    b.output("T_plate", plate, unit="K")
+    b.output("T_out", coolant, unit="K")
+    return b.model()
+
+
+def record(name, seed, *, behind=0.0, late=0.0, leak=0.0, law=""):
+    rng, t = np.random.default_rng(seed), STEP * np.arange(COUNT)
+    heat = np.repeat(rng.uniform(0, 3000, COUNT // 60), 60)
+    cold = 300.0
+
+    def rates(s, y):
+        plate, coolant, shown = y
+        across = 45.0 * (plate - coolant)
+        lost = 2e-8 * plate**4 if law == "radiation" else 0.0
+        heated = heat[min(int(s / STEP), COUNT - 1)] - across - lost - leak * (plate - cold)
+        moves = (coolant - shown) / behind if behind else 0.0
+        return [heated / 160.0, (across - 70.0 * (coolant - cold)) / 320.0, moves]
+
+    made = solve_ivp(
+        rates,
+        (0, t[-1]),
+        [310.0, 305.0, 305.0],
+        t_eval=t,
+        rtol=1e-9,
+        atol=1e-9,
+        max_step=STEP,
+        dense_output=True,
+    )
+    shown = made.y[2] if behind else made.sol(np.maximum(t - late, 0.0))[1]
+    values = {
+        "T_plate": made.y[0] + 0.2 * rng.standard_normal(COUNT),
+        "T_out": shown + 0.1 * rng.standard_normal(COUNT),
+    }
+    units = {"P": "W", "T_in": "K", "T_plate": "K", "T_out": "K"}
+    hold = {"P": "zero", "T_in": "zero", "T_plate": "first", "T_out": "first"}
+    cold = np.full(COUNT, cold)
+    return ce.Experiment.from_arrays(name, time=t, units=units, hold=hold, P=heat, T_in=cold, **values)
+
+
+def found(model, **how):
+    effects = [
+        "sensor_delay",
+        "sensor_lag",
+        "sensor_offset",
+        "viscous_friction",
+        "constant_torque",
+        "wrong_value",
+    ]
+    return ce.repair(
+        model,
+        record("found on", 1, **how),
+        fresh=record("fresh", 2, **how),
+        effects=effects,
+        starts=1,
+        progress=False,
+    )
+
+
+@pytest.mark.parametrize("law", ["", "radiation"])
+def test_a_slow_sensor_is_named_with_its_time_constant(law):
+    """It had been a delay, without a doubt, and fresh data confirmed it."""
+    answer = found(plate(law), behind=6.0, law=law)
+    assert (answer.verdict, answer.confirmed) == ("named", True)
+    (lag,) = answer.effects
+    assert lag.key == "sensor_T_out.sensor_lag"
+    assert abs(lag.amplitude.value - 1.0) < 4 * lag.amplitude.stderr
+    time = lag.parameters["sensor_T_out.sensor_lag.time"]
+    assert abs(time.value - 6.0) < 4 * time.stderr
+
+
+def test_a_late_sensor_stays_late():
+    answer = found(plate(), late=5.0)
+    assert [one.key for one in answer.effects] == ["sensor_T_out.sensor_delay"]
+    assert answer.effects[0].amplitude.value == pytest.approx(5.0, abs=0.2)
+
+
+def test_a_slow_sensor_beside_a_leak():
+    """Effects that were prepared for the model without the sensor's state are looked for in the one with it."""
+    answer = found(plate(), behind=6.0, leak=3.0)
+    assert {one.key for one in answer.effects} == {"sensor_T_out.sensor_lag", "plate.viscous_friction"}
+    sizes = {one.name: one.amplitude for one in answer.effects}
+    assert abs(sizes["viscous_friction"].value - 3.0) < 4 * sizes["viscous_friction"].stderr
+
+
+def test_nothing_is_behind_where_nothing_is():
+    assert found(plate()).verdict == "nothing missing"
