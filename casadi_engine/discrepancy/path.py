@@ -196,8 +196,8 @@ class Path:
         return null_at(model, self.refitter.data, parameters, z, first)
 
     def first_states(self, model: Model) -> dict[str, Array]:
-        """record -> (n,) first states that the measurement gives at the parameters' own values, for a model with effects:
-        states of theirs begin at 0."""
+        """record -> (n,) first states that the measurement gives at the parameters' own values, for a model with
+        effects: states of theirs begin at 0."""
         found = self._problem(())[2].run(horizons=(None,), most=1)
         names = [state.name for state in model.states]
         return {record: np.array([own.get(n, 0.0) for n in names]) for record, own in found.initial.items()}
