@@ -1,7 +1,8 @@
-"""Parameter values of an earlier fit, from its result.json."""
+"""Parameter values of an earlier fit or repair, from its result.json, and the effects that a repair found."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,15 +15,48 @@ from casadi_engine.errors import ResultError
 
 if TYPE_CHECKING:
     from casadi_engine.parameters import Parameters
+    from casadi_engine.problem import Problem
 
 From = Annotated[
     Path | None,
     typer.Option(
         "--from",
         metavar="RESULT",
-        help="result.json of an earlier fit (or its folder) that gives the values.",
+        help="result.json of an earlier fit or repair (or its folder) that gives the values, and the effects found.",
     ),
 ]
+
+
+def with_effects_of(path: Path, problem: Problem) -> Problem:
+    """The problem with the effects that a stored repair found in its model; as it is for any other result.
+
+    ResultError for an effect that is none of the library's.
+    """
+    from casadi_engine.effects import library
+    from casadi_engine.errors import EffectError
+
+    found, model = _document(path), problem.model
+    added = found.get("effects") if found.get("command") == "repair" else None
+    for one in added or ():
+        name, at = str(one["name"]), str(one["at"])
+        try:
+            (effect,) = library(name)
+            if one.get("width") is not None and hasattr(effect, "width"):
+                effect = dataclasses.replace(effect, width=one["width"])  # type: ignore[type-var]
+            known = {key.rpartition(".")[2]: value for key, value in (one.get("constants") or {}).items()}
+            model = model.with_effect(
+                effect, at=at, values={k: known[k] for k in effect.nuisance if k in known}
+            )
+        except EffectError as error:
+            raise ResultError(
+                f"{path}: the effect {name} at {at} that was found cannot be added to the model of the problem file",
+                seen=error.problem,
+                allowed="effects of the library, at ports of the model that the result was made with",
+                cure=f'write it into the problem file: model = model.with_effect(..., at="{at}")',
+            ) from None
+    if model is problem.model:
+        return problem
+    return dataclasses.replace(problem, model=model, parameters=problem.parameters.extended(model))
 
 
 def values_of(path: Path, parameters: Parameters, *, given: Options) -> Parameters:
@@ -62,11 +96,7 @@ def values_of(path: Path, parameters: Parameters, *, given: Options) -> Paramete
 
 def _stored(path: Path) -> dict[str, float]:
     """Name -> value of a result."""
-    from casadi_engine.report import load_result
-
-    file = path / "result.json" if path.is_dir() else path
-    stored: Any = load_result(file)
-    entries = stored["parameters"] if isinstance(stored, Mapping) and "parameters" in stored else {}
+    entries = _document(path).get("parameters") or {}
     values = {
         name: entry["value"]
         for name, entry in entries.items()
@@ -74,11 +104,18 @@ def _stored(path: Path) -> dict[str, float]:
     }
     if not values:
         raise ResultError(
-            f"{file}: the result holds no parameter values",
+            f"{path}: the result holds no parameter values",
             allowed="the result.json of a fit",
             cure="run `casadi-engine fit` first",
         )
     return values
+
+
+def _document(path: Path) -> Mapping[str, Any]:
+    from casadi_engine.report import load_result
+
+    stored: Any = load_result(path / "result.json" if path.is_dir() else path)
+    return stored if isinstance(stored, Mapping) else {}
 
 
 def _within(value: float, low: float, high: float) -> float:

@@ -16,7 +16,7 @@ from casadi_engine.cli.options import (
     Set,
     Validate,
 )
-from casadi_engine.cli.work import estimate_job, fitting, say_where, write_answer
+from casadi_engine.cli.work import estimate_job, fitting, say_answer, say_where, write_answer
 
 
 def fit(
@@ -54,9 +54,10 @@ def _work(job: Job) -> int:
             write_answer(job, found)  # the fit is not lost with its tests
             raise
     write_answer(job, found, check=check)
-    say(found)
+    say_answer(job, found, tested=bool(fresh))
     if check is not None:
-        say(f"\n{check}")
+        say("")
+        say_answer(job, check)
         if not fresh:
             say(
                 "Tested on the records it was fitted to: that proves little; give fresh ones by --validate FILE"

@@ -20,7 +20,7 @@ from casadi_engine.cli.options import (
     Set,
     Validate,
 )
-from casadi_engine.cli.work import estimate_job, fitting, say_where, write_answer
+from casadi_engine.cli.work import estimate_job, fitting, say_answer, say_where, write_answer
 from casadi_engine.errors import CasadiEngineError, IdentifiabilityError
 
 Inputs = Annotated[
@@ -105,7 +105,7 @@ def _work(job: Job) -> int:
         combinations=extra["combination"] or (),
         seed=job.options.seed,
     )
-    say(found)
+    say_answer(job, found)
     information = fit = profiled = None
     notes: list[str] = []
     if not records:
@@ -118,7 +118,8 @@ def _work(job: Job) -> int:
     write_answer(job, answer)
     for part in (information, profiled, *notes):
         if part is not None:
-            say(f"\n{part}")
+            say("")
+            say_answer(job, part)
     say_where(job)
     return NEGATIVE if extra["check"] and not found.passed else ANSWERED
 

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from casadi_engine.cli.job import ANSWERED, INTERRUPTED, NEGATIVE, NO_ANSWER, Job, complain, run, say
+from casadi_engine.cli.job import ANSWERED, INTERRUPTED, NEGATIVE, NO_ANSWER, Job, complain, run
 from casadi_engine.cli.options import (
     Data,
     Debug,
@@ -20,7 +20,7 @@ from casadi_engine.cli.options import (
     Set,
     Validate,
 )
-from casadi_engine.cli.work import fitting, nothing_found, say_where, write_answer
+from casadi_engine.cli.work import fitting, nothing_found, say_answer, say_where, write_answer
 from casadi_engine.errors import NotConvergedError
 
 Alpha = Annotated[
@@ -91,7 +91,7 @@ def repair(
 def _work(job: Job) -> int:
     found = _found(job)
     write_answer(job, found)
-    say(found)
+    say_answer(job, found)
     say_where(job)
     if found.verdict is None:
         complain("repair", f"no answer: {found.status}; what there is lies in {job.folder}")

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from casadi_engine.cli.earlier import From, values_of
+from casadi_engine.cli.earlier import From, values_of, with_effects_of
 from casadi_engine.cli.folder import refuse_others, remove_files, simulated_files
 from casadi_engine.cli.job import ANSWERED, Job, run, say
 from casadi_engine.cli.options import (
@@ -53,9 +53,11 @@ def _work(job: Job) -> int:
     from casadi_engine.model.arrival import arriving
     from casadi_engine.report import Simulated, text
 
-    problem, parameters = job.problem, job.problem.parameters
-    if job.options.extra["from_"] is not None:
-        parameters = values_of(job.options.extra["from_"], parameters, given=job.options)
+    earlier = job.options.extra["from_"]
+    problem = job.problem if earlier is None else with_effects_of(earlier, job.problem)
+    parameters = problem.parameters
+    if earlier is not None:
+        parameters = values_of(earlier, parameters, given=job.options)
     records = problem.load_records()
     if job.options.validate:
         records += problem.load_validation()

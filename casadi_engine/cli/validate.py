@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated
 
 import typer
 
-from casadi_engine.cli.earlier import From, values_of
-from casadi_engine.cli.job import ANSWERED, INTERRUPTED, NEGATIVE, NO_ANSWER, Job, complain, run, say
+from casadi_engine.cli.earlier import From, values_of, with_effects_of
+from casadi_engine.cli.job import ANSWERED, INTERRUPTED, NEGATIVE, NO_ANSWER, Job, complain, run
 from casadi_engine.cli.options import (
     Data,
     Debug,
@@ -21,7 +22,7 @@ from casadi_engine.cli.options import (
     Set,
     Validate,
 )
-from casadi_engine.cli.work import estimate_job, held, say_where, write_answer
+from casadi_engine.cli.work import estimate_job, held, say_answer, say_where, write_answer
 
 Check = Annotated[bool, typer.Option("--check", help="End with exit code 1 if a residual test fails.")]
 
@@ -51,15 +52,17 @@ def validate(
 def _work(job: Job) -> int:
     from casadi_engine import validation
 
-    options, parameters = job.options, job.problem.parameters
-    earlier = options.extra["from_"]
+    options, earlier = job.options, job.options.extra["from_"]
+    if earlier is not None:
+        job = replace(job, problem=with_effects_of(earlier, job.problem))
+    parameters = job.problem.parameters
     if earlier is not None:
         parameters = values_of(earlier, parameters, given=options)
     records = job.problem.load_validation() or job.problem.load_records()
     found = estimate_job(job, records, held(parameters, options.free))
     checked = validation.validate(found) if found.converged else None
     write_answer(job, checked if checked is not None else found)
-    say(checked if checked is not None else found)
+    say_answer(job, checked if checked is not None else found)
     say_where(job)
     if checked is None:
         complain("validate", f"no answer: {found.status}; the best point so far is in {job.folder}")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from casadi_engine.cli.folder import make_folder
 from casadi_engine.cli.job import Job, say, uninterrupted
+from casadi_engine.cli.shell_words import in_shell
 from casadi_engine.errors import NotConvergedError
 
 if TYPE_CHECKING:
@@ -129,6 +130,11 @@ def nothing_found(
         # A page of an earlier run would stand beside a result that it does not belong to.
         (job.folder / "report.html").unlink(missing_ok=True)
         write_result(job.folder / "result.json", document)
+
+
+def say_answer(job: Job, answer: Any, *, tested: bool = False) -> None:
+    """Print a result in the words of the command line; tested : fresh records have just been tested on."""
+    say(in_shell(str(answer), problem=job.options.problem, folder=job.folder, tested=tested))
 
 
 def say_where(job: Job, *others: str) -> None:

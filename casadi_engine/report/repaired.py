@@ -7,7 +7,7 @@ from typing import Any
 
 from casadi_engine.discrepancy.confirmation import PairedGain
 from casadi_engine.discrepancy.repaired import FoundEffect, Gaps, Nearest, Place, Repair, Side, Unknown
-from casadi_engine.estimation.fit import Estimate
+from casadi_engine.estimation.fit import Estimate, Fit
 from casadi_engine.report.result_file import (
     _for_warm_start,
     content,
@@ -41,8 +41,8 @@ def _(result: Repair) -> dict[str, Any]:
         "alpha": result.alpha,
         "threshold": result.threshold,
         "candidates": result.candidates,
-        "effects": [_effect(one) for one in result.effects],
-        "withdrawn": [_effect(one) for one in result.withdrawn],
+        "effects": [_effect(one, fit) for one in result.effects],
+        "withdrawn": [_effect(one, fit) for one in result.withdrawn],
         "where": None if result.where is None else _place(result.where),
         "gap": None if result.gaps is None else _gaps(result.gaps),
         "unknown": None if result.unknown is None else _unknown(result.unknown),
@@ -100,8 +100,9 @@ def _null_fit(result: Repair) -> dict[str, Any]:
     }
 
 
-def _effect(one: FoundEffect) -> dict[str, Any]:
+def _effect(one: FoundEffect, fit: Fit) -> dict[str, Any]:
     amplitude = next(iter(one.parameters))
+    widths = [getattr(term.effect, "width", None) for term in fit.model.effects if term.key == one.key]
     made = {
         "name": one.name,
         "at": one.at,
@@ -120,6 +121,8 @@ def _effect(one: FoundEffect) -> dict[str, Any]:
             for member in one.members
         ],
     }
+    if widths and widths[0] is not None:
+        made["width"] = widths[0]  # over which its corners are rounded
     if one.selection_frequency is None:
         made["why"] = {"selection_frequency": "too few cycles to draw halves of them"}
     return made

@@ -86,3 +86,21 @@ def test_only_what_is_named_is_removed(tmp_path):
         (tmp_path / name).write_text("x")
     remove_files(tmp_path, simulated_files(tmp_path))
     assert sorted(os.listdir(tmp_path)) == ["mine.csv", "result.json"]
+
+
+def test_no_command_takes_a_file_that_is_not_its_own(here, call, quick_report):
+    """A measured record had been replaced by its simulation, and result files of other programs by ours."""
+    measured = (here / "run.csv").read_bytes()
+    told = call("simulate", "problem.py", "--out", ".")
+    assert told.code == 2
+    assert "a file of this name would be lost: fresh.csv" in told.err or "would be lost: run.csv" in told.err
+    assert "do: give another folder by --out DIR" in told.err
+    assert (here / "run.csv").read_bytes() == measured
+    assert call("simulate", "problem.py", "--out", "own").code == 0
+    assert call("simulate", "problem.py", "--out", "own").code == 0  # what it wrote itself it writes again
+    (here / "theirs").mkdir()
+    (here / "theirs" / "result.json").write_text('{"score": 3}')
+    told = call("fit", "problem.py", "--out", "theirs")
+    assert told.code == 2
+    assert "would be lost: theirs/result.json" in told.err
+    assert (here / "theirs" / "result.json").read_text() == '{"score": 3}'
