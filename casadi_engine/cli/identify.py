@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -22,6 +23,10 @@ from casadi_engine.cli.options import (
 )
 from casadi_engine.cli.work import estimate_job, fitting, say_answer, say_where, write_answer
 from casadi_engine.errors import CasadiEngineError, IdentifiabilityError
+
+if TYPE_CHECKING:
+    from casadi_engine.experiment import Experiment
+    from casadi_engine.model import Model
 
 Inputs = Annotated[
     str,
@@ -92,10 +97,12 @@ def identify(
 
 def _work(job: Job) -> int:
     from casadi_engine.identifiability import identifiability
+    from casadi_engine.model.arrival import arriving
     from casadi_engine.report.identified import Identified
 
     extra, problem = job.options.extra, job.problem
-    records = fitting(job, problem.load_records()) if problem.records else ()
+    loaded = fitting(job, problem.load_records()) if problem.records else ()
+    records = tuple(arriving(problem.model, record) for record in loaded)
     found = identifiability(
         problem.model,
         parameters=problem.parameters,
@@ -113,6 +120,8 @@ def _work(job: Job) -> int:
     elif not found.passed:
         notes.append("Data cannot tell what structure hides: the records are not looked at.")
     elif found.free:
+        seen = _names(extra["outputs"])
+        records = tuple(_of_outputs(record, problem.model, seen) for record in records)
         information, fit, profiled = _practical(job, records, notes)
     answer = Identified(found, tuple(records), information, fit, profiled, tuple(notes))
     write_answer(job, answer)
@@ -122,6 +131,12 @@ def _work(job: Job) -> int:
             say_answer(job, part)
     say_where(job)
     return NEGATIVE if extra["check"] and not found.passed else ANSWERED
+
+
+def _of_outputs(record: Experiment, model: Model, seen: tuple[str, ...] | None) -> Experiment:
+    """The record without the outputs that --outputs leaves out."""
+    hidden = set() if seen is None else {out.name for out in model.outputs} - {*seen}
+    return replace(record, channels=tuple(one for one in record.channels if one.name not in hidden))
 
 
 def _practical(job: Job, records: Any, notes: list[str]) -> tuple[Any, Any, Any]:

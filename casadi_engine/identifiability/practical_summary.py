@@ -48,10 +48,13 @@ def verdict(estimate: Estimate) -> str:
 def information_text(info: Information) -> str:
     """Expected errors of all parameters that are not fixed, and the sloppiest directions in words."""
     shown = [(name, one) for name, one in info.errors.items() if not one.fixed]
+    units = {out.name: out.unit for out in info.model.outputs}
     noise = ", ".join(
-        f"{name} {level:.3g}{' (from residuals)' if found else ''}"
+        f"{name} {level:.3g} {units[name]}{' (what these values leave)' if found else ''}"
         for name, (level, found) in info.noise.items()
     )
+    if any(found for _, found in info.noise.values()):
+        noise += "; where the values are guesses, their misfit counts as noise: fit first, or state it"
     lines = [
         f"Fisher information of {info.model.name}: {len(info.records)} record"
         f"{'s' * (len(info.records) > 1)}, {count(info.n)} samples, {info.duration:.4g} s",
