@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import math
+from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
 from casadi_engine.cli.job import ANSWERED, INTERRUPTED, NO_ANSWER, Job, complain, run, say
 from casadi_engine.cli.options import (
     Data,
@@ -17,6 +22,9 @@ from casadi_engine.cli.options import (
     Validate,
 )
 from casadi_engine.cli.work import estimate_job, fitting, say_answer, say_where, write_answer
+
+if TYPE_CHECKING:
+    from casadi_engine.estimation.fit import Fit
 
 
 def fit(
@@ -38,12 +46,38 @@ def fit(
     run(Options.collect("fit", locals()), _work)
 
 
+def _with_doubts(job: Job, found: Fit) -> Fit:
+    """The fit with what is likely wrong with its data said first, where it follows next to nothing of an output: an
+    input reversed, a unit, two columns exchanged. It is looked for as long as the fit took, and a second."""
+    from casadi_engine.estimation.followed import not_followed
+
+    if found.status == "interrupted" or not not_followed(found):
+        return found
+    from casadi_engine.deadline import Deadline, TimeUp
+    from casadi_engine.discrepancy.misread import misread
+    from casadi_engine.estimation.faulty_samples import IN_DOUBT
+
+    problem = job.problem
+    options = {
+        "interval": problem.interval,
+        "initial": problem.initial_of(found.data),
+        "method": problem.method,
+    }
+    doubt = None
+    with suppress(TimeUp, KeyboardInterrupt), Deadline(1.0 + found.timing["solve"]):
+        doubt = misread(found, problem.parameters, problem.noise, options, math.inf, every=True)
+    if doubt is None:
+        return found
+    messages = (doubt.words, *found.messages)
+    return replace(found, messages=messages, options={**found.options, IN_DOUBT: doubt.words})
+
+
 def _work(job: Job) -> int:
     from casadi_engine import validation
 
     records = job.problem.load_records()
     fresh = fitting(job, job.problem.load_validation())  # a fault in these files shows before the long work
-    found = estimate_job(job, records, job.problem.parameters)
+    found = _with_doubts(job, estimate_job(job, records, job.problem.parameters))
     check, stopped = None, False
     if found.converged:
         try:

@@ -60,18 +60,25 @@ class Misread:
 
 
 def misread(
-    fit: Fit, parameters: Parameters, noise: Noise | None, options: Mapping[str, Any], work: float
+    fit: Fit,
+    parameters: Parameters,
+    noise: Noise | None,
+    options: Mapping[str, Any],
+    work: float,
+    *,
+    every: bool = False,
 ) -> Misread | None:
     """What is likely wrong with the data of a fit that explains next to nothing of an output, or that is poor with
     parameters at their bounds; None for any other, and where no way to read them makes it good.
 
     fit : of the model without effects, from ``parameters``, with ``noise`` and ``options``; work : of one of its starts
+    every : also what a search for effects would tell, where there is none
     """
     poor = unexplained(fit)
     if not poor:
         return None
     job = _Readings(fit.model, fit.data, parameters, noise, options)
-    ways = readings(fit.model, fit.data)
+    ways = readings(fit.model, fit.data, every=every)
     if (sensors := _sensors(fit, poor)) is not None:
         ways = [one for one in ways if one.what == "output" and sensors.issuperset(one.names)]
     found = job.good(ways, work, lambda shares: min(shares.values(), default=0.0) >= _GOOD)

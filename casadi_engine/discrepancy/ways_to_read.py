@@ -69,10 +69,10 @@ def _as(one: Channel, other: Channel) -> Channel:
     return replace(one, unit=other.unit, time=other.time, values=other.values, mask=other.mask)
 
 
-def readings(model: Model, data: Sequence[Experiment]) -> list[Reading]:
+def readings(model: Model, data: Sequence[Experiment], *, every: bool = False) -> list[Reading]:
     """The usual ways in which a record is stated wrong, one at a time, of channels that move; the most usual first.
 
-    Of one output among several those are left out that a search for effects tells.
+    Of one output among several those are left out that a search for effects tells, unless ``every`` one is asked for.
     """
     found = []
     moving = [one for one in model.inputs if any(np.ptp(record[one.name].values) > 0 for record in data)]
@@ -81,17 +81,18 @@ def readings(model: Model, data: Sequence[Experiment]) -> list[Reading]:
         found.append(Reading("input", (variable.name,), words, "look at its sign", -1.0))
         found += _units("input", variable.name, variable.unit)
     outputs = [variable for variable in model.outputs if any(variable.name in record for record in data)]
+    every = every or len(outputs) == 1
     for variable in outputs:
         words = f"the output {variable.name} reversed"
         own = [Reading("output", (variable.name,), words, "look at its sign", -1.0, named=True)]
         own += _units("output", variable.name, variable.unit)
-        found += [one for one in own if len(outputs) == 1 or not one.named]
+        found += [one for one in own if every or not one.named]
     for factor, words in _CLOCKS.items():
         found.append(Reading("time", (), f"{_TIME} times {factor:.4g} ({words})", "look at its unit", factor))
     found = sorted(found, key=lambda one: (one.factor != -1.0, one.what != "time", _PREFIX not in one.words))
     found += [*_exchanged(moving), *_exchanged(outputs)]
     found += _temperatures("input", moving)
-    return [*found, *(one for one in _temperatures("output", outputs) if len(outputs) == 1 or not one.named)]
+    return [*found, *(one for one in _temperatures("output", outputs) if every or not one.named)]
 
 
 def _units(what: str, name: str, unit: str) -> Iterator[Reading]:

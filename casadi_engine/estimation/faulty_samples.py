@@ -11,6 +11,8 @@ from casadi_engine.experiment.resolution import step_of
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
+# Key of a fit's options under which is kept what else may be wrong with its data.
+IN_DOUBT = "data in doubt"
 # Fewest samples by which anything is said of an output.
 _FEW = 8
 # Standard deviations, by the median, beyond which a sample is wild; share of all squared residuals that wild ones hold
@@ -19,9 +21,10 @@ _WILD, _DECIDE, _RARE = 15.0, 0.5, 0.01
 # Share of its median absolute deviation that the standard deviation of a normal variable is.
 _MAD = 1.4826
 _NAMED = 5
-# Equal samples in a row from which a sensor stands still that is never so for a tenth as long elsewhere; share of the
-# motion between samples that noise has to be before for that to be no machine at rest; times the level of the noise by
-# which the simulation moves meanwhile.
+# Equal samples in a row from which a sensor stands still that is never so for a tenth as long elsewhere; how often
+# second differences change sign where noise is in them, without which that may be a machine at rest (white noise does
+# in 0.73 of all samples, smooth motion in next to none); times the level of the noise by which the simulation moves
+# meanwhile.
 _ROW, _ELSEWHERE, _NOISY, _MEANWHILE = 10, 10, 0.5, 5.0
 # Times that an output comes to its limit, and samples, or share of all, in which it is there then.
 _TIMES, _LIMITED, _PART = 2, 6, 0.005
@@ -142,9 +145,10 @@ def _longest_row(trace: Trace) -> Index | None:
         return None
     first, last = edges[k], edges[k + 1]
     outside = np.r_[y[:first], np.nan, y[last:]]
-    once, twice = (np.abs(np.diff(outside, n)) for n in (1, 2))
-    noise = float(np.nanmedian(twice)) / np.sqrt(6) * _MAD
-    if not np.nanmedian(twice) > _NOISY * np.nanmedian(once) > 0:
+    twice = np.diff(outside, 2)
+    noise = float(np.nanmedian(np.abs(twice))) / np.sqrt(6) * _MAD
+    turns = twice[:-1] * twice[1:]
+    if not np.mean(turns[np.isfinite(turns)] < 0) > _NOISY:
         return None
     moved = float(np.ptp(trace.simulated[there[first:last]]))
     return there[first:last] if moved > _MEANWHILE * noise else None

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casadi_engine.estimation.behind_a_bound import NOT_TOLD
-from casadi_engine.estimation.faulty_samples import faults
+from casadi_engine.estimation.faulty_samples import IN_DOUBT, faults
 from casadi_engine.estimation.fit import Estimate, Fit
 from casadi_engine.estimation.followed import not_followed
 from casadi_engine.estimation.gain_table import gain_rows, predictor_words
@@ -385,7 +385,8 @@ def optima_words(fit: Fit) -> str:
 
 def next_steps(fit: Fit) -> list[str]:
     """What to type next, the most urgent first; never empty."""
-    steps = ["look at the data first, as noted above, and fit again"] if faults(fit) else []
+    doubtful = IN_DOUBT in fit.options or faults(fit)
+    steps = ["look at the data first, as noted above, and fit again"] if doubtful else []
     if fit.status == "interrupted":
         steps.append("it was interrupted; go on from here: ce.estimate(model, data, warm=fit)")
     elif not fit.converged:

@@ -414,3 +414,15 @@ def test_a_test_on_the_fitted_records_says_so(here, call):
     assert words in alone.out
     fresh = call("fit", "problem.py", "--data", "run.csv", "--validate", "fresh.csv", "--out", "both")
     assert words not in fresh.out
+
+
+def test_a_fit_of_data_that_are_stated_wrong_says_so(here, call, quick_report):
+    """A torque in kN m under a header of N m had led away: "look for a better optimum"."""
+    lines = (here / "run.csv").read_text().splitlines()
+    rows = [line.split(",") for line in lines[1:]]
+    wrong = [f"{t},{-float(x):.6f},{w}" for t, x, w in rows]
+    (here / "run.csv").write_text("\n".join([lines[0], *wrong]) + "\n")
+    told = call("fit", "problem.py", "--out", "made")
+    said = " ".join(told.out.split())
+    assert "Note: with the input T reversed the fit explains" in said
+    assert "Next: look at the data first, as noted above, and fit again" in said
