@@ -1,7 +1,8 @@
-"""Delays of all sensors by one and the same time: what an input that acts late does."""
+"""Delays, or lags, of all sensors by one and the same time: what an input that acts late, or through a lag, does."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -10,38 +11,61 @@ from casadi_engine.estimation.summary import with_error
 
 if TYPE_CHECKING:
     from casadi_engine.discrepancy.repaired import Repair
+    from casadi_engine.estimation import Estimate
 
-_DELAY = "sensor_delay"
-# Standard errors within which delays are one.
+_DELAY, _LAG = "sensor_delay", "sensor_lag"
+# Standard errors within which times are one.
 _ALIKE = 3.0
 
 
 def common_delay(repair: Repair) -> str:
-    """What to say where every sensor is late by the same time; "" elsewhere, and of a model without inputs or whose
-    equations depend on time itself, as by an event.
+    """What to say where every sensor is late by the same time, or in a linear model behind by the same lag; ""
+    elsewhere, and of a model without inputs or whose equations depend on time itself, as by an event.
 
     Else the states do not know the time: with inputs that act late by τ all outputs are those without delay at t - τ,
-    but for where the record begins.
+    but for where the record begins. And a linear model answers what passes a filter as what it answered passes it.
     """
     model = repair.model
-    late = {one.at: one.amplitude for one in repair.effects if one.name == _DELAY}
-    sensors = [port.name for port in model.ports if port.kind == "sensor"]
+    sensors = {port.name for port in model.ports if port.kind == "sensor"}
     inputs = [variable.name for variable in model.inputs]
     equations = ca.vertcat(model.closed_ode, model.output_expressions)
-    if not inputs or set(late) != set(sensors) or ca.depends_on(equations, model.t):
+    if not inputs or ca.depends_on(equations, model.t):
         return ""
-    sizes = [(one.value, one.stderr or one.quadratic or 0.0) for one in late.values()]
+    which = f"the input {inputs[0]} acts" if len(inputs) == 1 else "the inputs act"
+    late = {one.at: one.amplitude for one in repair.effects if one.name == _DELAY}
+    if set(late) == sensors and (time := _one_time(late.values())):
+        return _said(
+            len(sensors), "late", f"{which} {time} s later than recorded (an actuator, another clock)"
+        )
+    behind = {one.at: one for one in repair.effects if one.name == _LAG}
+    whole = all(_is_whole(one.amplitude) for one in behind.values())
+    if set(behind) != sensors or not whole or repair.null_fit.model.linear is None:
+        return ""
+    times = [one.parameters[f"{at}.{_LAG}.time"] for at, one in behind.items()]
+    if time := _one_time(times):
+        return _said(len(sensors), "behind", f"{which} through a lag of {time} s (an actuator)")
+    return ""
+
+
+def _said(count: int, what: str, where: str) -> str:
+    if count == 1:
+        return f"The only sensor is {what}: where {where}, the data are the same"
+    time = "time" if what == "late" else "lag"
+    return f"All {count} sensors are {what} by one {time}: where {where}, the data are the same, and one cause does it"
+
+
+def _is_whole(share: Estimate) -> bool:
+    """True of a share that is 1 within its errors."""
+    error = share.stderr or share.quadratic or 0.0
+    return abs(share.value - 1.0) <= _ALIKE * error
+
+
+def _one_time(times: Iterable[Estimate]) -> str:
+    """The time that all of these are within their errors, with its own; "" where there is none."""
+    sizes = [(one.value, one.stderr or one.quadratic or 0.0) for one in times]
     if not all(error > 0 for _, error in sizes):
         return ""
     weight = sum(error**-2 for _, error in sizes)
     mean, error = sum(value / own**2 for value, own in sizes) / weight, weight**-0.5
-    if any(abs(value - mean) > _ALIKE * own for value, own in sizes):
-        return ""
-    which = f"the input {inputs[0]} acts" if len(inputs) == 1 else "the inputs act"
-    far = f"{with_error(mean, error)} s later than recorded"
-    if len(sizes) == 1:
-        return f"The only sensor is late: where {which} {far} (an actuator, another clock), the data are the same"
-    return (
-        f"All {len(sizes)} sensors are late by one time: where {which} {far} (an actuator, another clock), the data "
-        "are the same, and one cause does it"
-    )
+    alike = all(abs(value - mean) <= _ALIKE * own for value, own in sizes)
+    return with_error(mean, error) if alike else ""

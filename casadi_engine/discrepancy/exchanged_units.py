@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 WRONG, _STATED, _NEAR = 0.5, 5.0, 0.05
 # Factors of a sensor whose sign is turned, or of whose encoder twice or four times the edges are counted.
 _MISREAD = (-1.0, 2.0, 4.0)
+# Share of its signal with which a sensor may lag: with all of it, but for errors; where these are larger, a delay does
+# as well.
+_WHOLE = 1.1
 # Share of a record by which a sensor may be late: with a longer delay most of what it shows is of no time that was
 # simulated.
 _LATE = 0.5
@@ -40,15 +43,18 @@ def exchanges(unit: str) -> Iterator[tuple[str, str, float]]:
 def impossible(
     effects: Sequence[Addition], values: Mapping[str, float], model: Model, data: Sequence[Experiment]
 ) -> bool:
-    """True if an effect would be what none is: see ``impossible_gain``; or a delay of a sensor by more than half of a
-    record."""
+    """True if an effect would be what none is: see ``impossible_gain``; a delay of a sensor by more than half of a
+    record; or a lag of clearly more than there is, which is a delay that is written so."""
     shortest = min(record.duration for record in data)
     late = (
         abs(values.get(one.amplitude, 0.0)) > _LATE * shortest
         for one in effects
         if getattr(one.candidate.source.effect, "retards", False)
     )
-    return any(late) or impossible_gain(effects, values, model)
+    more = (
+        values.get(one.amplitude, 0.0) > _WHOLE for one in effects if one.candidate.effect == "sensor_lag"
+    )
+    return any(late) or any(more) or impossible_gain(effects, values, model)
 
 
 def impossible_gain(effects: Sequence[Addition], values: Mapping[str, float], model: Model) -> bool:
