@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from casadi_engine.cli.earlier import From, values_of, with_effects_of
-from casadi_engine.cli.job import ANSWERED, INTERRUPTED, NEGATIVE, NO_ANSWER, Job, complain, run
+from casadi_engine.cli.job import ANSWERED, INTERRUPTED, NEGATIVE, NO_ANSWER, Job, complain, run, say
 from casadi_engine.cli.options import (
     Data,
     Debug,
@@ -63,6 +63,10 @@ def _work(job: Job) -> int:
     checked = validation.validate(found) if found.converged else None
     write_answer(job, checked if checked is not None else found)
     say_answer(job, checked if checked is not None else found)
+    if earlier is not None and checked is not None:
+        say(
+            "The values count as exact here; `casadi-engine fit ... --validate FILE` counts with their errors"
+        )
     say_where(job)
     if checked is None:
         complain("validate", f"no answer: {found.status}; the best point so far is in {job.folder}")
