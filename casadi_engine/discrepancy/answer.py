@@ -44,6 +44,7 @@ from casadi_engine.discrepancy.coloured_errors import with_coloured_errors
 from casadi_engine.discrepancy.confirmation import CHANCE, PairedGain
 from casadi_engine.discrepancy.detectable import not_found
 from casadi_engine.discrepancy.evidence import FACTOR
+from casadi_engine.discrepancy.filters import behind_a_filter
 from casadi_engine.discrepancy.fresh import (
     Portions,
     side,
@@ -132,7 +133,7 @@ class Answer:
         proof, last = self._honest(proof)
         claim = self._held_to_laws(self._claimed(proof, last), null)
         if claim.found and claim.unknown is None:
-            claim = replace(claim, unknown=more_than_stated(claim.last))
+            claim = replace(claim, unknown=self._behind_a_filter(claim) or more_than_stated(claim.last))
         found, last, proof = claim.found, claim.last, claim.proof
         if not found:  # there is no repaired model
             self.messages[:] = [words for words in self.messages if words != NO_RUN]
@@ -199,6 +200,10 @@ class Answer:
         return (
             unknown.course is not None and unknown.port in ports and refits.rounding_felt(last.effects) != 0.0
         )
+
+    def _behind_a_filter(self, claim: Claim) -> Unknown | None:
+        search = self.search
+        return behind_a_filter(claim.found, key_of(claim.last.effects), search.pool, search.refits.filters)
 
     def _held_to_laws(self, claim: Claim, null: Station, *, told: bool = False) -> Claim:
         """What is left where laws that no effect names are held against what is claimed.

@@ -27,7 +27,7 @@ from casadi_engine.discrepancy.exchange import (
     special_cases,
     weak_beside_colour,
 )
-from casadi_engine.discrepancy.exchanged_units import impossible
+from casadi_engine.discrepancy.exchanged_units import impossible, more_than_whole
 from casadi_engine.discrepancy.families import BEYOND, chosen_of, families_of
 from casadi_engine.discrepancy.fresh_misfit import SEEN
 from casadi_engine.discrepancy.membership import simpler
@@ -553,6 +553,7 @@ class Choice:
         if fit is not None and (
             not fit.converged
             or impossible(tried.effects, fit.values, self.refitter.model, self.refitter.data)
+            or more_than_whole(tried.effects, fit.values)
         ):
             fit = None  # the gain or delay was a possible one where the refit ended
         if fit is not None:

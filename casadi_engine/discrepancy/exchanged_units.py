@@ -20,7 +20,7 @@ WRONG, _STATED, _NEAR = 0.5, 5.0, 0.05
 _MISREAD = (-1.0, 2.0, 4.0)
 # Share of its signal with which a sensor may lag: with all of it, but for errors; where these are larger, a delay does
 # as well.
-_WHOLE = 1.1
+LAG, _WHOLE = "sensor_lag", 1.1
 # Share of a record by which a sensor may be late: with a longer delay most of what it shows is of no time that was
 # simulated.
 _LATE = 0.5
@@ -43,18 +43,22 @@ def exchanges(unit: str) -> Iterator[tuple[str, str, float]]:
 def impossible(
     effects: Sequence[Addition], values: Mapping[str, float], model: Model, data: Sequence[Experiment]
 ) -> bool:
-    """True if an effect would be what none is: see ``impossible_gain``; a delay of a sensor by more than half of a
-    record; or a lag of clearly more than there is, which is a delay that is written so."""
+    """True if an effect would be what none is: see ``impossible_gain``; or a delay of a sensor by more than half of a
+    record."""
     shortest = min(record.duration for record in data)
     late = (
         abs(values.get(one.amplitude, 0.0)) > _LATE * shortest
         for one in effects
         if getattr(one.candidate.source.effect, "retards", False)
     )
-    more = (
-        values.get(one.amplitude, 0.0) > _WHOLE for one in effects if one.candidate.effect == "sensor_lag"
-    )
-    return any(late) or any(more) or impossible_gain(effects, values, model)
+    return any(late) or impossible_gain(effects, values, model)
+
+
+def more_than_whole(effects: Sequence[Addition], values: Mapping[str, float]) -> bool:
+    """True of a sensor that would lag with clearly more than all of its signal: none does, but a delay, and a filter of
+    a higher order, are nearly that."""
+    lags = (one for one in effects if one.candidate.effect == LAG)
+    return any(values.get(one.amplitude, 0.0) > _WHOLE for one in lags)
 
 
 def impossible_gain(effects: Sequence[Addition], values: Mapping[str, float], model: Model) -> bool:

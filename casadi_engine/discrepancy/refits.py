@@ -24,7 +24,7 @@ from casadi_engine.discrepancy.evidence import (
     innovations,
     levels_left,
 )
-from casadi_engine.discrepancy.exchanged_units import impossible
+from casadi_engine.discrepancy.exchanged_units import impossible, more_than_whole
 from casadi_engine.discrepancy.gradual import Gradual, in_place_of_event
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.linearised import OneStep
@@ -211,6 +211,9 @@ class Refits:
         # structure -> what was asked, and one step of all candidates in the place of one of its effects
         self.steps: dict[Tried, tuple[tuple[object, ...], OneStep | None]] = {}
         self._own: dict[int, tuple[Digest, float]] = {}  # log evidence in their own noise
+        self.filters: dict[
+            Key, Tried
+        ] = {}  # structures with a lag that no sensor has, see ``more_than_whole``
         self.named_alone = False  # no structure whose effects bend to something else is wanted any more
         self._fine: set[Key] = set()  # structures whose corners are as sharp as the data feel
         self._tell = tell
@@ -270,6 +273,9 @@ class Refits:
         )
         tried = Tried(effects, arrived, made, found, lambda: self.pool, courses=courses, cancels=cancels)
         tried.weigh(self.levels)
+        if more_than_whole(effects, arrived.values):
+            self.filters[key_of(effects)] = tried
+            return None
         tried.failed = self.named_alone and tried.is_curve
         tried.acts = self._acts(tried)
         return tried

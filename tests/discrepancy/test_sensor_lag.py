@@ -26,30 +26,31 @@ def plate(law=""):
     return b.model()
 
 
-def record(name, seed, *, behind=0.0, late=0.0, leak=0.0, law=""):
+def record(name, seed, *, behind=0.0, again=0.0, late=0.0, leak=0.0, law=""):
     rng, t = np.random.default_rng(seed), STEP * np.arange(COUNT)
     heat = np.repeat(rng.uniform(0, 3000, COUNT // 60), 60)
     cold = 300.0
 
     def rates(s, y):
-        plate, coolant, shown = y
+        plate, coolant, shown, second = y
         across = 45.0 * (plate - coolant)
         lost = 2e-8 * plate**4 if law == "radiation" else 0.0
         heated = heat[min(int(s / STEP), COUNT - 1)] - across - lost - leak * (plate - cold)
         moves = (coolant - shown) / behind if behind else 0.0
-        return [heated / 160.0, (across - 70.0 * (coolant - cold)) / 320.0, moves]
+        further = (shown - second) / again if again else 0.0
+        return [heated / 160.0, (across - 70.0 * (coolant - cold)) / 320.0, moves, further]
 
     made = solve_ivp(
         rates,
         (0, t[-1]),
-        [310.0, 305.0, 305.0],
+        [310.0, 305.0, 305.0, 305.0],
         t_eval=t,
         rtol=1e-9,
         atol=1e-9,
         max_step=STEP,
         dense_output=True,
     )
-    shown = made.y[2] if behind else made.sol(np.maximum(t - late, 0.0))[1]
+    shown = made.y[3 if again else 2] if behind else made.sol(np.maximum(t - late, 0.0))[1]
     values = {
         "T_plate": made.y[0] + 0.2 * rng.standard_normal(COUNT),
         "T_out": shown + 0.1 * rng.standard_normal(COUNT),
@@ -103,6 +104,16 @@ def test_a_slow_sensor_beside_a_leak():
     assert {one.key for one in answer.effects} == {"sensor_T_out.sensor_lag", "plate.viscous_friction"}
     sizes = {one.name: one.amplitude for one in answer.effects}
     assert abs(sizes["viscous_friction"].value - 3.0) < 4 * sizes["viscous_friction"].stderr
+
+
+def test_a_filter_of_a_higher_order_is_no_delay_without_a_doubt():
+    """A lag of 1.3 times the signal is none that a sensor has; where it does far better than a delay, the sensor has
+    dynamics that the library lacks."""
+    answer = found(plate(), behind=14.0, again=7.0)
+    assert answer.verdict in ("class", "unnamed")
+    if answer.verdict == "class":
+        assert "sensor_T_out answers with dynamics of its own" in answer.unknown.sentence
+        assert "or rather a law that the library lacks" in " ".join(str(answer).split())
 
 
 def test_nothing_is_behind_where_nothing_is():
