@@ -185,6 +185,8 @@ def next_step(repair: Repair) -> str:
         return _of_class(repair)
     if in_its_place(repair.unknown, repair.effects):
         return _without_name(repair)
+    if repair.unknown is not None and repair.unknown.odds is not None:
+        return "record other motion, larger or slower, that tells what was found from a law that the library lacks"
     if repair.unknown is not None:
         return "look at the figures of the residuals after the repair: they hold more"
     if repair.confirmed is None:
