@@ -108,8 +108,9 @@ def with_hint(repair: Repair, found: Misread | None) -> Repair:
 def with_other_reading(
     repair: Repair, parameters: Parameters, noise: Noise | None, options: Mapping[str, Any], work: float
 ) -> Repair:
-    """The same, and at the top that the data may be stated wrong, where fresh data have confirmed nothing, and the model
-    without any effect explains them so read: half of what it leaves of every output as they are, or less, and no more than the answer leaves."""
+    """The same, and at the top that the data may be stated wrong, where fresh data have confirmed nothing, and the
+    model without any effect explains them so read: half of what it leaves of every output as they are, or less, and no
+    more than the answer leaves."""
     null = repair.null_fit
     if repair.verdict in (None, "nothing missing") or HINT in repair.options or repair.confirmed:
         return repair
