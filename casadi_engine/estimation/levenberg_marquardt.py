@@ -68,6 +68,7 @@ def minimise(
     longest: Callable[[Array], Array] = np.ones_like,
     stop: Callable[[float], bool] = lambda _: False,
     anew: Callable[[Array], Squares | None] = lambda _: None,
+    round_bends: bool = True,
 ) -> Minimum | None:
     """A minimum within bounds from ``start`` (n,), or None where nothing can be evaluated there.
 
@@ -77,6 +78,7 @@ def minimise(
     longest : the longest change (n,) of each unknown in one step from a point
     stop : sees the cost before every step; True ends the search
     anew : the problem at a point from which a step did not fall, where it is known there more exactly by now
+    round_bends : go on along valleys that bend; not where a part of the data leads, whose valleys lead nowhere
     """
     x = np.clip(start, low, high)
     here = evaluate(x)
@@ -98,7 +100,7 @@ def minimise(
         gained = -np.inf if there is None else here.cost - there.cost
         if there is not None:
             learnt, trusted = _learn(learnt, here, there, moved)
-            if gained < _SHARE * foretold:
+            if round_bends and gained < _SHARE * foretold:
                 moved, there = _back_into_valley(evaluate, x, moved, there, (low, high, longest))
                 gained = here.cost - there.cost
         if there is None or gained < _SHARE * foretold:

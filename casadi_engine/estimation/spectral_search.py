@@ -243,7 +243,7 @@ class SpectralSearch:
             edge = share * min(hertz, self._top)
             found = minimise(
                 partial(self.squares, hertz=edge), v, fall=_BEFORE, steps=steps - done,
-                stop=self._shown(told, edge), **self._limits,
+                stop=self._shown(told, edge), round_bends=False, **self._limits,
             )  # fmt: skip
             if found is None:
                 break
