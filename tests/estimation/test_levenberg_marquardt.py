@@ -155,3 +155,27 @@ def test_what_has_no_slope_stays_where_it_is():
     found = minimise(flat, np.array([0.0, 5.0]), -WIDE, WIDE, fall=1e-13)
     assert found.converged
     np.testing.assert_allclose(found.x, [3.0, 5.0], rtol=1e-6)
+
+
+@pytest.mark.parametrize(("steep", "fewer"), [(100.0, 3.0), (1000.0, 5.0)])
+def test_a_valley_that_bends_is_gone_along(steep, fewer):
+    """Rosenbrock's, of a hundred and a thousand: the optimum in a fraction of the evaluations."""
+    asked = {}
+    for round_bends in (True, False):
+        count = 0
+
+        def squares(v):
+            nonlocal count
+            count += 1
+            r = np.array([steep * (v[1] - v[0] ** 2), 1 - v[0]])
+            jacobian = np.array([[-2 * steep * v[0], steep], [-1.0, 0.0]])
+            return Squares(0.5 * float(r @ r), jacobian.T @ r, jacobian.T @ jacobian)
+
+        free = np.full(2, np.inf)
+        found = minimise(
+            squares, np.array([-1.2, 1.0]), -free, free, fall=1e-9, steps=3000, round_bends=round_bends
+        )
+        assert found.converged
+        np.testing.assert_allclose(found.x, 1.0, atol=1e-3)
+        asked[round_bends] = count
+    assert fewer * asked[True] < asked[False]
