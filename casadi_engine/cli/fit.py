@@ -91,7 +91,7 @@ def _work(job: Job) -> int:
     say_answer(job, found, tested=bool(fresh))
     if check is not None:
         say("")
-        say_answer(job, check)
+        say_answer(job, check, source=job.folder)
         if not fresh:
             say(
                 "Tested on the records it was fitted to: that proves little; give fresh ones by --validate FILE"

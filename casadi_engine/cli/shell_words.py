@@ -11,10 +11,11 @@ _SPOKEN = ("Next: ", "Note: ")
 _IN_PYTHON = "in Python"
 
 
-def in_shell(text: str, *, problem: Path, folder: Path, tested: bool = False) -> str:
+def in_shell(text: str, *, problem: Path, folder: Path | None, tested: bool = False) -> str:
     """The text of a result with its notes and next steps in the words of the command line.
 
-    problem : the problem file; folder : where the result is written; tested : fresh records have just been tested on
+    problem : the problem file; folder : of the result that holds the values, None where the problem file does; tested :
+    fresh records have just been tested on
     """
     from casadi_engine.estimation.summary import wrapped
 
@@ -44,12 +45,13 @@ def _paragraphs(lines: list[str]) -> list[list[str]]:
 
 
 def _phrases(
-    problem: Path, folder: Path, tested: bool
+    problem: Path, folder: Path | None, tested: bool
 ) -> list[tuple[str, str | Callable[[re.Match[str]], str]]]:
     """Patterns, and what stands in their place."""
 
     def command(name: str, more: str = "") -> str:
-        return f"casadi-engine {name} {problem} --from {folder}{more}"
+        source = "" if folder is None else f" --from {folder}"
+        return f"casadi-engine {name} {problem}{source}{more}"
 
     validate, simulate = command("validate", " --data FRESH.csv"), command("simulate")
     fresh = f"use it: {simulate}" if tested else f"test it on data it has not seen: {validate}"
@@ -57,7 +59,7 @@ def _phrases(
         (r"test it on data it has not seen: print\(ce\.validate\(fit, fresh\)\)", lambda _: fresh),
         (r"go on with repair\.fit, the repaired model: print\(repair\.fit\)",
          lambda _: f"go on with the repaired model: {validate}, or {simulate}"),
-        (r"keep it: ce\.report\(validation, \"report\.html\"\)", lambda _: f"use it: casadi-engine simulate {problem}"),
+        (r"keep it: ce\.report\(validation, \"report\.html\"\)", lambda _: f"use it: {simulate}"),
         (r",? ?ce\.report\(repair, 'repair\.html'\)", " in report.html"),
         (r"look at the residual: ce\.plot\(validation\)", "look at the residual in report.html"),
         (r"it says what the model lacks", lambda _: f"casadi-engine repair {problem} looks for what the model lacks"),

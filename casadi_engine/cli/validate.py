@@ -62,7 +62,7 @@ def _work(job: Job) -> int:
     found = estimate_job(job, records, held(parameters, options.free))
     checked = validation.validate(found) if found.converged else None
     write_answer(job, checked if checked is not None else found)
-    say_answer(job, checked if checked is not None else found)
+    say_answer(job, checked if checked is not None else found, source=earlier)
     if earlier is not None and checked is not None:
         say(
             "The values count as exact here; `casadi-engine fit ... --validate FILE` counts with their errors"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from casadi_engine.cli.folder import make_folder
@@ -132,9 +133,15 @@ def nothing_found(
         write_result(job.folder / "result.json", document)
 
 
-def say_answer(job: Job, answer: Any, *, tested: bool = False) -> None:
-    """Print a result in the words of the command line; tested : fresh records have just been tested on."""
-    say(in_shell(str(answer), problem=job.options.problem, folder=job.folder, tested=tested))
+def say_answer(job: Job, answer: Any, *, tested: bool = False, source: Path | None = None) -> None:
+    """Print a result in the words of the command line.
+
+    tested : fresh records have just been tested on; source : the result that holds the values, for those of a test
+    """
+    from casadi_engine.validation import Validation
+
+    folder = source if isinstance(answer, Validation) else job.folder
+    say(in_shell(str(answer), problem=job.options.problem, folder=folder, tested=tested))
 
 
 def say_where(job: Job, *others: str) -> None:
