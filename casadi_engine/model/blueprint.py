@@ -435,7 +435,7 @@ def _scalar(what: str, expression: Any) -> Any:
 def _identifier(kind: str, name: str) -> str:
     if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
         raise ModelError(
-            f"the name of a {kind} is not acceptable",
+            f"the name of a{'n' * (kind[0] in 'aeiou')} {kind} is not acceptable",
             seen=repr(name),
             allowed="an identifier: letters, digits and _, not starting with a digit",
             cure="rename it",

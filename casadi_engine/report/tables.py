@@ -43,7 +43,8 @@ def _(result: Validation) -> str:
 
 @text.register
 def _(result: Simulated) -> str:
-    lines = [f"Simulation of {result.model.name}: {len(result.simulated)} records"]
+    many = len(result.simulated)
+    lines = [f"Simulation of {result.model.name}: {many} record{'s' * (many != 1)}"]
     for index, one in enumerate(result.simulated):
         where = f" -> {result.files[index]}" if index < len(result.files) else ""
         lines.append(f"  {one.name}: {fits.count(one.samples)} samples, {one.duration:.6g} s{where}")
