@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 
 from casadi_engine.discrepancy.clocks import clock_of
 from casadi_engine.discrepancy.confirmation import share_closed
@@ -41,7 +42,7 @@ def verdict_lines(repair: Repair) -> list[str]:
     lines += [
         f"Found first and withdrawn, {one.why_withdrawn}: {one.name} at {one.at}." for one in repair.withdrawn
     ]
-    lines += [_sentence(text) for text in repair.messages]
+    lines += [_sentence(text, _names(repair)) for text in repair.messages]
     lines.append(f"Next: {next_step(repair)}.")
     return [line for line in lines if line]
 
@@ -96,14 +97,21 @@ def _class(effect: FoundEffect) -> str:
     return f"These data do not tell apart {len(effect.members)} effects that explain it as well: {others}."
 
 
-def _sentence(text: str) -> str:
-    """A note as a sentence.
+def _names(repair: Repair) -> set[str]:
+    """What the model calls something: no word of a sentence."""
+    model = repair.fit.model
+    variables = (*model.states, *model.inputs, *model.outputs)
+    return {*model.parameter_names, *(one.name for one in variables)}
 
-    >>> _sentence("a note"), _sentence("J_eng went to a bound")
-    ('A note.', 'J_eng went to a bound.')
+
+def _sentence(text: str, names: Collection[str] = ()) -> str:
+    """A note as a sentence; names : words that stay as they are.
+
+    >>> _sentence("a note"), _sentence("J_eng went to a bound"), _sentence("c may go", {"c"})
+    ('A note.', 'J_eng went to a bound.', 'c may go.')
     """
     first, _, rest = text.partition(" ")
-    plain = first.isalpha() and first.islower()
+    plain = first.isalpha() and first.islower() and first not in names
     return f"{first.capitalize() if plain else first} {rest}".strip().rstrip(".") + "."
 
 
