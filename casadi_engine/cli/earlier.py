@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from casadi_engine.cli.job import say
 from casadi_engine.cli.options import Options
 from casadi_engine.errors import ResultError
 
@@ -33,6 +34,7 @@ def with_effects_of(path: Path, problem: Problem) -> Problem:
     ResultError for an effect that is none of the library's.
     """
     from casadi_engine.effects import library
+    from casadi_engine.effects.protocol import moves
     from casadi_engine.errors import EffectError
 
     found, model = _document(path), problem.model
@@ -44,6 +46,10 @@ def with_effects_of(path: Path, problem: Problem) -> Problem:
             if one.get("width") is not None and hasattr(effect, "width"):
                 effect = dataclasses.replace(effect, width=one["width"])  # type: ignore[type-var]
             known = {key.rpartition(".")[2]: value for key, value in (one.get("constants") or {}).items()}
+            if moves(effect):
+                say(
+                    f"{name} at {at} is an event of the records it was found in: here it happens at the same time"
+                )
             model = model.with_effect(
                 effect, at=at, values={k: known[k] for k in effect.nuisance if k in known}
             )

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-# Paragraphs that speak to the user, and how far their later lines are indented.
+# How paragraphs begin that speak to the user; their later lines are indented.
 _SPOKEN = ("Next: ", "Note: ")
 _IN_PYTHON = "in Python"
 

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 
+from casadi_engine.discrepancy.clocks import Clock, clock_of
+from casadi_engine.estimation.fit import Estimate
 from casadi_engine.estimation.summary import with_error
 
 if TYPE_CHECKING:
     from casadi_engine.discrepancy.repaired import Repair
-    from casadi_engine.estimation import Estimate
 
 _DELAY, _LAG = "sensor_delay", "sensor_lag"
 # Standard errors within which times are one.
@@ -31,19 +32,18 @@ def common_delay(repair: Repair) -> str:
     equations = ca.vertcat(model.closed_ode, model.output_expressions)
     if not inputs or ca.depends_on(equations, model.t):
         return ""
+    clock = clock_of(model)
     which = f"the input {inputs[0]} acts" if len(inputs) == 1 else "the inputs act"
     late = {one.at: one.amplitude for one in repair.effects if one.name == _DELAY}
-    if set(late) == sensors and (time := _one_time(late.values())):
-        return _said(
-            len(sensors), "late", f"{which} {time} s later than recorded (an actuator, another clock)"
-        )
+    if set(late) == sensors and (time := _one_time(late.values(), clock)):
+        return _said(len(sensors), "late", f"{which} {time} later than recorded (an actuator, another clock)")
     behind = {one.at: one for one in repair.effects if one.name == _LAG}
     whole = all(_is_whole(one.amplitude) for one in behind.values())
     if set(behind) != sensors or not whole or repair.null_fit.model.linear is None:
         return ""
     times = [one.parameters[f"{at}.{_LAG}.time"] for at, one in behind.items()]
-    if time := _one_time(times):
-        return _said(len(sensors), "behind", f"{which} through a lag of {time} s (an actuator)")
+    if time := _one_time(times, clock):
+        return _said(len(sensors), "behind", f"{which} through a lag of {time} (an actuator)")
     return ""
 
 
@@ -60,12 +60,15 @@ def _is_whole(share: Estimate) -> bool:
     return abs(share.value - 1.0) <= _ALIKE * error
 
 
-def _one_time(times: Iterable[Estimate]) -> str:
+def _one_time(times: Iterable[Estimate], clock: Clock) -> str:
     """The time that all of these are within their errors, with its own; "" where there is none."""
     sizes = [(one.value, one.stderr or one.quadratic or 0.0) for one in times]
-    if not all(error > 0 for _, error in sizes):
+    if not sizes or not all(error > 0 for _, error in sizes):
         return ""
     weight = sum(error**-2 for _, error in sizes)
     mean, error = sum(value / own**2 for value, own in sizes) / weight, weight**-0.5
     alike = all(abs(value - mean) <= _ALIKE * own for value, own in sizes)
-    return with_error(mean, error) if alike else ""
+    if not alike:
+        return ""
+    one, _ = clock.told(Estimate(mean, error, "s"), always=False)
+    return f"{with_error(one.value, one.stderr)} {one.unit}"

@@ -119,7 +119,7 @@ def with_other_reading(
 
     def closes(shares: Mapping[str, float]) -> bool:
         return all(
-            (100 - shares[name]) ** 2 <= part * (100 - then) ** 2
+            (100 - shares.get(name, -math.inf)) ** 2 <= part * (100 - then) ** 2
             for own, part in answer
             for name, then in own.items()
         )

@@ -66,7 +66,9 @@ class Reading:
 
 
 def _as(one: Channel, other: Channel) -> Channel:
-    return replace(one, unit=other.unit, time=other.time, values=other.values, mask=other.mask)
+    return replace(
+        one, unit=other.unit, time=other.time, values=other.values, mask=other.mask, rows=other.rows
+    )
 
 
 def readings(model: Model, data: Sequence[Experiment], *, every: bool = False) -> list[Reading]:

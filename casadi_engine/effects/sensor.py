@@ -93,7 +93,8 @@ class SensorLag(Effect):
             return self
         time = record[name].time
         step, length = float(np.median(np.diff(time))), float(time[-1] - time[0])
-        return replace(self, span=(float(f"{_SHORTEST * step:.2g}"), float(f"{_LONGEST * length:.2g}")))
+        low, high = float(f"{_SHORTEST * step:.2g}"), float(f"{_LONGEST * length:.2g}")
+        return replace(self, span=(low, high)) if low < high else self
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
         """share e."""

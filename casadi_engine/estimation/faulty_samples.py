@@ -39,9 +39,9 @@ def faults(fit: Fit) -> tuple[str, ...]:
 def _constant(fit: Fit) -> str | None:
     found = []
     for output, (_, estimated) in fit.noise.items():
-        if not estimated:
-            continue
         traces = [own[output] for own in fit.traces.values() if output in own]
+        if not (estimated and traces):
+            continue
         values = np.concatenate([np.unique(one.measured[one.mask]) for one in traces])
         if sum(len(one.time) for one in traces) >= _FEW and len(np.unique(values)) == 1:
             found.append(f"{output} is {values[0]:.6g} in all samples")

@@ -69,6 +69,10 @@ def test_a_repaired_model_goes_on_from_its_result(here, call, quick_report):
     assert call("simulate", "problem.py", "--from", "made", "--out", "run").code == 0
     values = json.loads((here / "run" / "result.json").read_text())["parameters"]
     assert values["engine.viscous_friction.coefficient"]["value"] == pytest.approx(0.2, abs=0.02)
+    event = (here / "made" / "result.json").read_text().replace('"viscous_friction"', '"load_step"')
+    (here / "event.json").write_text(event)
+    told = call("simulate", "problem.py", "--from", "event.json", "--out", "at_that_time")
+    assert "load_step at engine is an event of the records it was found in: here it happens at" in told.out
     foreign = (here / "made" / "result.json").read_text().replace('"viscous_friction"', '"fan_torque"')
     (here / "made" / "result.json").write_text(foreign)
     told = call("validate", "problem.py", "--from", "made")

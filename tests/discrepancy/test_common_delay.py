@@ -14,7 +14,7 @@ def late(*delays, inputs=("u",), outputs=2, timed=False):
     x, t = ca.SX.sym("x"), ca.SX.sym("t")
     model = SimpleNamespace(
         ports=ports, inputs=[SimpleNamespace(name=name) for name in inputs], t=t,
-        closed_ode=-x + ca.sin(t) if timed else -x, output_expressions=x,
+        closed_ode=-x + ca.sin(t) if timed else -x, output_expressions=x, time_unit="s",
     )  # fmt: skip
     effects = [
         SimpleNamespace(

@@ -1,5 +1,8 @@
 """A sensor that is behind: told from one that is late, beside another effect, and in a model that is not linear."""
 
+import re
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -118,3 +121,37 @@ def test_a_filter_of_a_higher_order_is_no_delay_without_a_doubt():
 
 def test_nothing_is_behind_where_nothing_is():
     assert found(plate()).verdict == "nothing missing"
+
+
+def test_a_lag_of_the_only_sensor_is_said_in_the_time_of_the_model():
+    """Of a model per hour the lag of the input was said in seconds, and that of the sensor in hours."""
+    b = ce.Blueprint("drug", time_unit="h")
+    amount, rate = b.state("A", unit="mg"), b.input("R", unit="mg/h")
+    b.ode("A", rate - b.parameter("k", 0.8, unit="1/h", min=0.01) * amount)
+    b.output("c", amount / b.parameter("V", 8.0, unit="L", min=0.1), unit="mg/L")
+    rng, t = np.random.default_rng(1), 0.1 * np.arange(400)
+    given = np.repeat(rng.uniform(0, 100, 20), 20)
+
+    def rates(s, y):
+        return [given[min(int(s / 0.1), 399)] - 0.5 * y[0], (y[0] / 10 - y[1]) / 0.6]
+
+    shown = solve_ivp(rates, (0, t[-1]), [50.0, 5.0], t_eval=t, rtol=1e-9, max_step=0.1).y[1]
+    units, hold = {"R": "mg/h", "c": "mg/L"}, {"R": "zero", "c": "first"}
+    data = ce.Experiment.from_arrays(
+        "drug", time=3600 * t, units=units, hold=hold, R=given, c=shown + 0.05 * rng.standard_normal(400)
+    )
+    answer = ce.repair(b.model(), data, effects=["sensor_lag", "sensor_offset"], starts=1, progress=False)
+    assert [one.key for one in answer.effects] == ["sensor_c.sensor_lag"]
+    words = " ".join(str(answer).split())
+    told = re.search(r"the input R acts through a lag of ([\d.]+) ± ([\d.]+) h \(an actuator\)", words)
+    size, error = map(float, told.groups())
+    assert abs(size - 0.6) < 4 * error < 0.1
+
+
+def test_a_record_too_short_for_a_lag_keeps_the_usual_range():
+    t = np.arange(3) * 2.0
+    short = ce.Experiment.from_arrays("short", time=t, units={"y": "1"}, y=t)
+    effect = ce.effects.SensorLag()
+    assert effect.fitted(SimpleNamespace(name="sensor_y"), short, {}) is effect
+    long = ce.Experiment.from_arrays("long", time=np.arange(100) * 2.0, units={"y": "1"}, y=np.arange(100.0))
+    assert effect.fitted(SimpleNamespace(name="sensor_y"), long, {}).span == (1.0, 50.0)
