@@ -339,9 +339,13 @@ class Choice:
             return False
         return bool(screened.significant) or bool(screened.noise.colour) or bool(screened.leftover.alarms)
 
-    def _round(self, here: Tried, station: Station) -> Tried | None:
-        """The structure that takes the place of ``here``; None where none does."""
+    def _round(self, here: Tried, station: Station, known: tuple[Key, ...] = ()) -> Tried | None:
+        """The structure that takes the place of ``here``; None where none does.
+
+        known : structures that were found to be better before, by exchange too
+        """
         tried = self._timed("refit", lambda: self._added(here, station))
+        tried += [self.pool[key] for key in known if self.pool[key] not in tried]
         self._timed("evidence", self.refits.weigh)
         tried += self._timed("exchange", lambda: self._without_idle(tried))
         return self._chosen_of(here, station, tried)
@@ -382,11 +386,12 @@ class Choice:
             # where that is not told, the simpler one is named in the end: a whole fit of the other is in a flat valley
             self._timed("exchange", lambda: self._special_cases_of(best))  # noqa: B023
             best = simpler(best, self._alike(best), FACTOR)
+            tried += [] if best in tried else [best]
             self._timed("exchange", lambda: self._again_without(best, here))  # noqa: B023
             here = self.pool[here.key]
             renewed = self._renewed(here)
             if renewed is not None:
-                return self._round(self.pool[here.key], renewed)
+                return self._round(self.pool[here.key], renewed, (best.key,) if best.effects else ())
             if self._timed("refit", lambda: self._sharpened(best)):  # noqa: B023
                 here, tried = self.pool[here.key], [self.pool[one.key] for one in tried]
                 continue
@@ -417,6 +422,9 @@ class Choice:
         if here.key not in self.refits.improved:
             return None
         self.refits.improved.clear()
+        made = self._fits.get(here.key)
+        if made is not None and made[0] is self.pool[here.key].arrived:
+            return None  # the station is that optimum's already
         before, found = self.stations.pop(here.key), None
         try:
             found = self.station_of(self.refits.pool[here.key])

@@ -228,6 +228,7 @@ class Path:
         if not self.cornered(effects) or switches_with_states(model) or len(shares) == 1:
             return before
         last, wider = math.nan, before
+        self.felt, self.moved = math.nan, {}  # another structure's says nothing of this one
         felt = FELT * max(arrived.cost / max(own.count, 1), 1.0) / worth
         try:
             with np.errstate(all="ignore"):

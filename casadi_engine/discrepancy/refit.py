@@ -183,12 +183,13 @@ class Refitter:
             fit is not None and not fit.converged and math.isfinite(fit.cost)
         ):  # often it is a step short of it
             fit = _better(self._try(model, pars, Start.of(fit), most=_FEWER), fit)
-        if start.converged and (fit is None or not fit.converged) and self._has_corners(effects):
-            # it is near an optimum in one run, and gaps between intervals may not close beside sharp corners
-            fit = _better(self._try(model, pars, start, most=_FEWER, interval="single"), fit)
         if fit is None or not fit.converged:
             far = Start(start.values, {}, {}, False)
             fit = _better(fit, self._try(model, pars, far))
+        if start.converged and (fit is None or not fit.converged) and self._has_corners(effects):
+            # it is near an optimum in one run, and gaps between intervals may not close beside sharp corners; step by
+            # step this takes long
+            fit = _better(self._try(model, pars, start, most=_FEWER, interval="single"), fit)
         if fit is None or not fit.converged:
             return fit
         return self._smallest(fit, effects, effects)

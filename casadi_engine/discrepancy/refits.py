@@ -429,8 +429,8 @@ class Refits:
             return False
         found = self.path.sharpest(best.effects, best.arrived, target, worth)
         if found is None or found[1].cost > best.arrived.cost + FELT:
-            self._blunt = True
-            self.path.felt = math.nan if found is None else 0.0  # the law itself is no sharper
+            self._fine.add(best.key)
+            self.path.felt = math.nan if found is None else 0.0  # its law itself is no sharper
             return False
         self._fine |= {best.key} if self.path.felt < FELT else set()
         self._wide = self.refitter.share, dict(self.pool)
