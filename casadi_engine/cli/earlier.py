@@ -88,7 +88,8 @@ def values_of(path: Path, parameters: Parameters, *, given: Options) -> Paramete
         if parameter.tie is not None or name in chosen:
             continue
         if name in stored:
-            parameter.set(_within(stored[name], parameter.min, parameter.max))
+            value = _in_its_unit(path, name, stored[name], parameter.unit)
+            parameter.set(_within(value, parameter.min, parameter.max))
         elif name not in given.free:
             by_record = [key for key in stored if key.startswith(f"{name}@")]
             raise ResultError(
@@ -100,11 +101,43 @@ def values_of(path: Path, parameters: Parameters, *, given: Options) -> Paramete
     return result
 
 
-def _stored(path: Path) -> dict[str, float]:
-    """Name -> value of a result."""
+def noise_of(path: Path) -> dict[str, tuple[float, float]]:
+    """Output -> standard deviation of the noise that a stored fit found, and from how many degrees of freedom."""
+    stored = _document(path)
+    dof = stored.get("dof")
+    return {
+        name: (one["sigma"], float(dof or 1) if one.get("estimated") else math.inf)
+        for name, one in (stored.get("noise") or {}).items()
+        if isinstance(one, Mapping) and isinstance(one.get("sigma"), (int, float))
+    }
+
+
+def _in_its_unit(path: Path, name: str, found: tuple[float, str], unit: str) -> float:
+    """A stored value in the unit of the problem's parameter."""
+    from casadi_engine.errors import UnitError
+    from casadi_engine.experiment.units import converted
+
+    value, own = found
+    if own == unit or not own:
+        return value
+    try:
+        changed = float(converted([value], own, unit)[0])
+    except UnitError:
+        raise ResultError(
+            f"{path}: the unit of the parameter {name} is another one in the problem",
+            seen=f"{own} in the result, {unit} in the problem",
+            allowed="a unit of the same quantity",
+            cure=f"give it by --set {name}=VALUE, or the problem file that the result was made with",
+        ) from None
+    say(f"{name} = {value:.6g} {own} of {path} is {changed:.6g} {unit} here")
+    return changed
+
+
+def _stored(path: Path) -> dict[str, tuple[float, str]]:
+    """Name -> value of a result, and its unit."""
     entries = _document(path).get("parameters") or {}
     values = {
-        name: entry["value"]
+        name: (entry["value"], str(entry.get("unit") or ""))
         for name, entry in entries.items()
         if isinstance(entry.get("value"), (int, float)) and math.isfinite(entry["value"])
     }

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from casadi_engine.cli.earlier import From, values_of, with_effects_of
+from casadi_engine.cli.earlier import From, noise_of, values_of, with_effects_of
 from casadi_engine.cli.job import ANSWERED, INTERRUPTED, NEGATIVE, NO_ANSWER, Job, complain, run, say
 from casadi_engine.cli.options import (
     Data,
@@ -60,7 +60,8 @@ def _work(job: Job) -> int:
         parameters = values_of(earlier, parameters, given=options)
     records = job.problem.load_validation() or job.problem.load_records()
     found = estimate_job(job, records, held(parameters, options.free))
-    checked = validation.validate(found) if found.converged else None
+    levels = {} if earlier is None else noise_of(earlier)
+    checked = validation.validate(found, known=None if found.free else levels) if found.converged else None
     write_answer(job, checked if checked is not None else found)
     say_answer(job, checked if checked is not None else found, source=earlier)
     if earlier is not None and checked is not None:

@@ -312,13 +312,16 @@ def _option(value: Any) -> Any:
 
 
 def _check(check: Any) -> dict[str, Any]:
-    tests = {"whiteness_p": check.whiteness} | {f"cross_p.{name}": test for name, test in check.cross.items()}
+    tests = {"whiteness_p": check.whiteness, "mean_p": check.mean, "size_p": check.size}
+    tests |= {f"cross_p.{name}": test for name, test in check.cross.items()}
     return {
         "fit_percent": percents(check.fit_percent),
         "rmse": check.rmse,
         "S1": check.S1,
         "S2": check.S2,
         "whiteness_p": check.whiteness.p_value,
+        "mean_p": check.mean.p_value,
+        "size_p": check.size.p_value,
         "cross_p": {name: test.p_value for name, test in check.cross.items()},
         # Reasons of cross_p stand here under "cross_p.<drive>": cross_p itself holds drives alone.
         "why": {key: test.why or "no test" for key, test in tests.items() if test.p_value is None},

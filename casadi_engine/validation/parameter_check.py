@@ -111,6 +111,7 @@ class Refit:
     slopes: Mapping[Place, FloatArray]
     levels: Mapping[str, tuple[float, float]]
     freedom: Mapping[str, float]
+    reach: Mapping[Place, float]
 
 
 def noise_changed(fit: Fit, again: Refit, output: str) -> float:
@@ -131,7 +132,7 @@ def refit(fit: Fit, held: Fit) -> Refit:
         return problem.answer(x, sigma)
     except (CasadiEngineError, FloatingPointError) as error:
         why = f"the parameters could not be fitted to the fresh data ({str(error).splitlines()[0]})"
-        return Refit(ParameterCheck(None, None, None, why=why), {}, {}, {}, {}, {})
+        return Refit(ParameterCheck(None, None, None, why=why), {}, {}, {}, {}, {}, {})
 
 
 class _Problem:
@@ -319,7 +320,20 @@ class _Problem:
                 if name in self.fit.residual_level and self.freedom.get(name, 0.0) > 0
             },
             self.freedom,
+            self._reach(x, slopes),
         )
+
+    def _reach(self, x: FloatArray, slopes: FloatArray) -> dict[Place, float]:
+        """See ``Refit``."""
+        frame = (
+            orthonormal(np.vstack([slopes, self._prior(x)[1]])) if slopes.size else np.zeros((len(slopes), 0))
+        )
+        return {
+            place: max(
+                1.0 - float((frame[rows].sum(axis=0) ** 2).sum()) / max(rows.stop - rows.start, 1), 0.0
+            )
+            for place, rows in self.shots.places.items()
+        }
 
     def _limits(
         self, x: FloatArray, step: FloatArray, covariance: FloatArray

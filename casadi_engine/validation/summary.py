@@ -96,13 +96,13 @@ def cross_rows(validation: Validation) -> list[tuple[str, str, str, str]]:
 
 
 def all_tests(validation: Validation) -> dict[str, Any]:
-    """Every test by the name that ``failed`` uses: "record/output/whiteness", "record/output/drive", "parameters" or
-    "bounds"."""
+    """Every test by the name that ``failed`` uses."""
+    from casadi_engine.validation.validate import tests_of
+
     found: dict[str, Any] = {}
     for record, outputs in validation.records.items():
         for output, check in outputs.items():
-            found[f"{record}/{output}/whiteness"] = check.whiteness
-            found |= {f"{record}/{output}/{drive}": test for drive, test in check.cross.items()}
+            found |= tests_of(record, output, check)
     if validation.parameters is not None:
         found["parameters"] = validation.parameters
         if validation.parameters.limits is not None:

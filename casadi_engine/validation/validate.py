@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,10 +21,15 @@ from casadi_engine.parameters import Parameters
 from casadi_engine.problem.noise import Noise
 from casadi_engine.validation.correlation import Correlation
 from casadi_engine.validation.held import held_on, what_was_freed
+from casadi_engine.validation.level_tests import mean_test, size_test
 from casadi_engine.validation.parameter_check import ParameterCheck, Refit, noise_changed, refit
 from casadi_engine.validation.residual_tests import ResidualTest, check_residual, rejected
 
 Array = NDArray[np.float64]
+# Output -> standard deviation of the noise, and from how many degrees of freedom it was found.
+Levels = Mapping[str, tuple[float, float]]
+# A test that a fit's own data are not asked for: it is zero on average there, and as large as it is.
+NOT_FRESH = ResidualTest(None, None, None, 0, why="not fresh data")
 
 
 @dataclass(frozen=True)
@@ -32,7 +38,8 @@ class OutputCheck:
 
     fit_percent : {"simulation": %, "prediction": % or None}, (2.32); rmse, S1, S2 in the output's unit, (2.34), of the
     prediction where there is one, else of the simulation; whiteness, cross (by drive): the tests of the verdict;
-    autocorrelation, cross_correlation (by drive) : with 99 % bands, for the eye
+    mean, size : on fresh data, whether the residual is off on average, and larger than the noise of the fit; elsewhere
+    without a p-value; autocorrelation, cross_correlation (by drive) : with 99 % bands, for the eye
     """
 
     fit_percent: Mapping[str, float | None]
@@ -44,6 +51,14 @@ class OutputCheck:
     autocorrelation: Correlation
     cross_correlation: Mapping[str, Correlation]
     trace: Trace
+    mean: ResidualTest = NOT_FRESH
+    size: ResidualTest = NOT_FRESH
+
+
+def tests_of(record: str, output: str, check: OutputCheck) -> dict[str, ResidualTest]:
+    """The tests of one output by the names of the verdict."""
+    own = {"whiteness": check.whiteness, "mean": check.mean, "size": check.size, **check.cross}
+    return {f"{record}/{output}/{name}": test for name, test in own.items() if test is not NOT_FRESH}
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +66,10 @@ class Validation:
     """The answer of ``validate``.
 
     records : record -> output -> OutputCheck; passed : no test is rejected at ``alpha`` over all of them (Holm);
-    failed : the rejected ones as "record/output/whiteness", "record/output/drive", "parameters" or "bounds"; fit : the
-    parameters held and the initial states found on these data; parameters : whether fresh data agree with these
-    within their errors, None for a fit's own data and for parameters that were given; notes : what the user should know
+    failed : the rejected ones as "record/output/whiteness", ".../mean", ".../size", "record/output/drive", "parameters"
+    or "bounds"; fit : the parameters held and the initial states found on these data; parameters : whether fresh data
+    agree with these within their errors, None for a fit's own data and for parameters that were given; notes : what the
+    user should know
     """
 
     records: Mapping[str, Mapping[str, OutputCheck]]
@@ -79,18 +95,22 @@ def validate(
     noise: Noise | None = None,
     alpha: float = 0.01,
     lags: int = 25,
+    known: Levels | None = None,
 ) -> Validation:
     """Test a fit on data: fit percentages (2.32), residual sizes (2.34), whiteness and independence of the drives.
 
     On fresh data percentages and sizes are those of the simulation with the fit's parameters. The tests count with the
     errors of these: whether the parameters that suit the fresh data agree with the fit's within both errors, and
-    whether what no parameters explain is white and independent of the drives.
+    whether what no parameters explain is white, zero on average, no larger than the noise of the fit by half, and
+    independent of the drives.
 
     fit : a Fit; or a model, with ``parameters`` and ``data``
     data : fresh experiments, on which only initial states are found, and parameters that vary by experiment where a
     record has another name than those of the fit; None tests the fit on its own data
     parameters : other values than the fit's; noise : other noise levels than the fit's
     alpha : false-alarm rate of the verdict over all tests together; lags : of the tests
+    known : output -> (standard deviation, degrees of freedom) of the noise that what is left is held against, where a
+    fit that holds the values of an earlier one is tested; found from ``fit`` where there are fresh ``data``
 
     Raises EstimationError if there are no data, ExperimentError for data that do not suit the model.
 
@@ -112,15 +132,19 @@ def validate(
         )
     held = _hold(fit, data, parameters, noise)
     again = refit(fit, held) if isinstance(fit, Fit) and data is not None and parameters is None else None
+    levels = (
+        known if known is not None else _levels_of(fit) if isinstance(fit, Fit) and held is not fit else None
+    )
     tests: dict[str, ResidualTest | ParameterCheck] = {}
     records: dict[str, dict[str, OutputCheck]] = {}
     for name, traces in held.traces.items():
         records[name] = {}
         for output, trace in traces.items():
             check = _check(held, name, output, trace, lags, again)
+            if levels is not None:
+                check = _with_level(check, (name, output), levels, again)
             records[name][output] = check
-            tests[f"{name}/{output}/whiteness"] = check.whiteness
-            tests.update({f"{name}/{output}/{drive}": test for drive, test in check.cross.items()})
+            tests |= tests_of(name, output, check)
     if again is not None:
         tests["parameters"] = again.check
         if again.check.limits is not None:
@@ -130,6 +154,19 @@ def validate(
     return Validation(
         records, not failed, tuple(failed), alpha, held, None if again is None else again.check, notes
     )
+
+
+def _off_on_average(again: Refit, failed: Sequence[str], units: Mapping[str, str]) -> list[str]:
+    """By how much outputs differ on average from what any parameters explain, where the mean is rejected."""
+    said = []
+    for (record, output), residual in again.residual.items():
+        if f"{record}/{output}/mean" in failed:
+            mean = float(residual.mean())
+            said.append(
+                f"{output} reads {abs(mean):.3g} {units.get(output, '')} {'more' if mean > 0 else 'less'} than the "
+                f"model on average in {record}: an offset of its sensor, or something constant that the model lacks"
+            )
+    return said
 
 
 def _notes(fit: Fit, held: Fit, again: Refit | None, alpha: float, failed: Sequence[str]) -> tuple[str, ...]:
@@ -146,6 +183,7 @@ def _notes(fit: Fit, held: Fit, again: Refit | None, alpha: float, failed: Seque
         )
     if again is None:
         return tuple(said)
+    said += _off_on_average(again, failed, {out.name: out.unit for out in fit.model.outputs})
     said += what_was_freed(fit, held)
     if again.check.at_bound:
         said.append(
@@ -217,6 +255,41 @@ def held_parameters(model: Model, source: Parameters) -> Parameters:
     return held
 
 
+def _levels_of(fit: Fit) -> Levels:
+    """The noise of a fit, as ``validate`` takes it."""
+    return {
+        name: (sigma, max(fit.dof, 1.0) if fit.noise.get(name, (sigma, True))[1] else math.inf)
+        for name, sigma in fit.residual_level.items()
+    }
+
+
+def _with_level(
+    check: OutputCheck, place: tuple[str, str], levels: Levels, again: Refit | None
+) -> OutputCheck:
+    """The check of a fresh output with the tests of its mean and of its size; see ``level_tests``."""
+    residual, mask, reach = check.trace.residual, check.trace.mask, 1.0
+    if again is not None and place in again.index:
+        residual, mask, _ = _within_errors(check.trace, place, again)
+        reach = again.reach[place]
+    own = np.asarray(residual, dtype=float)[mask]
+    check = replace(check, mean=mean_test(own, check.autocorrelation, reach))
+    if place[1] not in levels:
+        return check
+    return replace(check, size=size_test(own, *levels[place[1]], check.autocorrelation))
+
+
+def _within_errors(
+    trace: Trace, place: tuple[str, str], again: Refit
+) -> tuple[Array, NDArray[np.bool_], Array]:
+    """The residual (N,) that no parameters explain, where there is one, and its slopes (N, p)."""
+    index, count = again.index[place], len(trace.time)
+    mask = np.zeros(count, dtype=bool)
+    mask[index] = True
+    residual, jacobian = np.full(count, np.nan), np.zeros((count, again.slopes[place].shape[1]))
+    residual[index], jacobian[index] = again.residual[place], again.slopes[place]
+    return residual, mask, jacobian
+
+
 def _check(fit: Fit, record: str, output: str, trace: Trace, lags: int, again: Refit | None) -> OutputCheck:
     model = trace.simulated if trace.predicted is None else trace.predicted
     sizes = fit_measures(trace.measured, model, mask=trace.mask)
@@ -226,13 +299,7 @@ def _check(fit: Fit, record: str, output: str, trace: Trace, lags: int, again: R
     residual, mask, jacobian = trace.residual, trace.mask, None
     place = (record, output)
     if again is not None and place in again.index:
-        index = again.index[place]
-        mask = np.zeros(len(trace.time), dtype=bool)
-        mask[index] = True
-        residual = np.full(len(trace.time), np.nan)
-        residual[index] = again.residual[place]
-        jacobian = np.zeros((len(trace.time), again.slopes[place].shape[1]))
-        jacobian[index] = again.slopes[place]
+        residual, mask, jacobian = _within_errors(trace, place, again)
     checks = check_residual(residual, drives, mask=mask, jacobian=jacobian, lags=lags)
     return OutputCheck(
         fit.fit_percent[record][output],

@@ -285,6 +285,25 @@ def test_from_a_result_of_another_problem(here, call):
     assert call("validate", "problem.py", "--from", "by_record.json", "--free", "C_eng").code == 0
 
 
+def test_from_a_result_in_other_units(here, call):
+    call("fit", "problem.py", "--out", "out")
+    stored = json.loads((here / "out" / "result.json").read_text())
+    value = stored["parameters"]["J_eng"]["value"]
+    stored["parameters"]["J_eng"] |= {"value": 1e4 * value, "unit": "kg cm2"}
+    (here / "cm.json").write_text(json.dumps(stored))
+    done = call("validate", "problem.py", "--from", "cm.json", "--out", "same")
+    assert done.code == 0
+    assert "kg cm2 of cm.json is" in " ".join(done.out.split())
+    again = json.loads((here / "same" / "result.json").read_text())
+    assert again["parameters"]["J_eng"]["value"] == pytest.approx(value, rel=1e-9)
+    stored["parameters"]["J_eng"]["unit"] = "kg"
+    (here / "wrong.json").write_text(json.dumps(stored))
+    done = call("validate", "problem.py", "--from", "wrong.json")
+    assert done.code == 2
+    assert "the unit of the parameter J_eng is another one in the problem" in done.err
+    assert "kg in the result, kg m2 in the problem" in done.err
+
+
 # ---- 3: no answer
 
 

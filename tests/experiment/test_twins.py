@@ -33,3 +33,40 @@ def test_what_stands_still_in_two_records_is_no_twin():
 def test_a_record_that_shows_more_is_a_twin_of_what_both_show():
     noise = np.random.default_rng(0).standard_normal(50)
     assert twin_of(record("a", noise, second=noise), [record("b", noise)], ["omega", "second"]) is not None
+
+
+def measured(name, time, values):
+    return ce.Experiment.from_arrays(name, time=time, units={"y": "m"}, y=values)
+
+
+def test_a_measurement_that_was_shifted_cut_or_thinned():
+    rng = np.random.default_rng(2)
+    t = 0.01 * np.arange(600)
+    y = np.round(np.sin(3 * t) + 0.05 * rng.standard_normal(600), 4)
+    first = measured("first", t, y)
+    for name, other in {
+        "shifted": measured("shifted", t + 100, y),
+        "cut": measured("cut", t[:300], y[:300]),
+        "cut and shifted": measured("late", t[200:550] - 2, y[200:550]),
+        "thinned": measured("thinned", t[::4], y[::4]),
+    }.items():
+        assert twin_of(other, [first], ["y"]) is first, name
+        assert twin_of(first, [other], ["y"]) is other, name
+
+
+def test_what_is_no_twin():
+    rng = np.random.default_rng(2)
+    t = 0.01 * np.arange(600)
+    clean = np.sin(3 * t)
+    first = measured("first", t, np.round(clean + 0.05 * rng.standard_normal(600), 2))
+    others = [
+        measured("again", t, np.round(clean + 0.05 * rng.standard_normal(600), 2)),
+        # neighbours in time share a few samples alone
+        measured("next", t, np.concatenate([first["y"].values[450:], np.round(rng.standard_normal(450), 2)])),
+        measured("still", t, np.zeros(600)),
+        # an encoder that passes each of its steps once, at another speed
+        measured("ramp", t, np.round(7.0 * t, 2)),
+    ]
+    for other in others:
+        assert twin_of(first, [other], ["y"]) is None, other.name
+    assert twin_of(measured("run", t, np.round(5.0 * t, 2)), [others[3]], ["y"]) is None

@@ -213,9 +213,32 @@ def test_gaps_another_rate_and_louder_noise(first):
     holes[100:300] = np.nan
     assert ce.validate(fit, record("holes", force, holes, 11)).passed
     assert ce.validate(fit, record("slow", force, output, 11).resample(x=4)).passed
+    assert ce.validate(fit, record("louder", force, output, 13, sigma=0.0125)).passed
     loud = ce.validate(fit, record("loud", force, output, 13, sigma=0.05))
-    assert loud.passed
+    assert loud.failed == ("loud/x/size",)
     assert any(note.startswith("what is left of x on these data is 5.") for note in loud.notes)
+
+
+def test_an_offset_and_one_wild_reading_are_seen(first):
+    fit, _, _ = first
+    force = drive(800, 3.0, np.random.default_rng(5), 25)
+    output = exact(force, [0.1, 0.0])
+    off = ce.validate(fit, record("off", force, output + 0.004, 11))
+    assert off.failed == ("off/x/mean",)
+    (said,) = [note for note in off.notes if "on average" in note]
+    assert float(said.split()[2]) == pytest.approx(0.004, abs=1.5e-3)
+    assert " m more than the model on average in off: an offset" in said
+    wild = output.copy()
+    wild[400] = 9999.0
+    assert ce.validate(fit, record("wild", force, wild, 11)).failed == ("wild/x/size",)
+    # an offset that the values of a fit are tested on as if they were exact
+    exactly = fit.model.parameters()
+    for name, value in {"m": M, "c": C, "k": K}.items():
+        exactly[name].set(value)
+        exactly.fix(name)
+    held = ce.estimate(fit.model, record("off", force, output + 0.004, 11), parameters=exactly, progress=False)
+    assert ce.validate(held, known={"x": (SIGMA, 700.0)}).failed == ("off/x/mean",)
+    assert ce.validate(held).passed
 
 
 def test_too_few_samples_are_not_called_passed(first):

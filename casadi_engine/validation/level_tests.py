@@ -1,0 +1,77 @@
+"""What whiteness does not see of fresh data: a residual that is off on average, and one that is too large.
+
+Whiteness looks at a residual beside its own mean and by its own size. A sensor that reads 37 standard deviations too
+high leaves white noise about a constant, and one reading of 9999 leaves next to nothing beside it. So the mean is held
+against zero, and the size against the noise of the fit.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from casadi_engine.distributions import f_sf
+from casadi_engine.estimation.fit_percent import FloatArray
+from casadi_engine.validation.correlation import Correlation
+from casadi_engine.validation.projection import ABSORBED
+from casadi_engine.validation.residual_tests import ResidualTest
+
+# A residual is too large from so many times the noise of the fit: a sensor may be louder by half on another day.
+LOUDER = 1.5
+# Degrees of freedom of a level that was stated.
+_STATED = 1e9
+# Fewest samples that tell a mean from chance.
+_FEWEST = 8
+
+
+def mean_test(residual: FloatArray, correlation: Correlation, reach: float = 1.0) -> ResidualTest:
+    """Test whether a residual is off on average.
+
+    residual : (n,) valid samples y − ŷ; correlation : with its past, by which a mean is worth fewer samples
+    reach : share of a constant, by its square, that parameters and first states cannot take within what the fit and all
+        outputs say of them
+
+    >>> import numpy as np
+    >>> from casadi_engine.validation import autocorrelation
+    >>> white = np.random.default_rng(0).standard_normal(400)
+    >>> own = autocorrelation(white)
+    >>> mean_test(white, own).p_value > 0.01, mean_test(white + 1, own).p_value < 1e-6
+    (True, True)
+    """
+    count = len(residual)
+    if count < _FEWEST:
+        return ResidualTest(None, None, None, count, why=f"{count} valid samples: {_FEWEST} are needed")
+    if reach <= ABSORBED:
+        return ResidualTest(None, None, None, count, why="parameters and first states take what is constant")
+    variance = float(residual.var()) * count / (count - 1)
+    rho = _past(correlation)
+    stop = int(np.argmax(rho <= 0)) if (rho <= 0).any() else len(rho)
+    memory = 1 + 2 * float(rho[:stop].sum())
+    floor = (np.finfo(float).eps * float(np.abs(residual).max())) ** 2 + 1e-300
+    ratio = float(residual.sum()) ** 2 / (reach * count * memory * max(variance, floor))
+    chance = float(f_sf(ratio, 1, max(count / memory - 1, 1.0)))
+    return ResidualTest(ratio, 1, chance, count)
+
+
+def size_test(residual: FloatArray, level: float, dof: float, correlation: Correlation) -> ResidualTest:
+    """Test whether a residual (n,) is larger than ``LOUDER`` times the noise of the fit.
+
+    level, dof : standard deviation of that noise, and from how many degrees of freedom it was estimated, inf for one
+    that was stated; correlation : with its past, by which its squares are worth fewer samples
+    """
+    count = len(residual)
+    if not count or not level > 0:
+        why = "no valid samples" if level > 0 else "the fit leaves no noise"
+        return ResidualTest(None, None, None, count, why=why)
+    ratio = float(residual @ residual) / count / level**2
+    worth = max(count / (1 + 2 * float((_past(correlation) ** 2).sum())), 1.0)
+    chance = float(f_sf(ratio / LOUDER**2, worth, dof if math.isfinite(dof) else _STATED))
+    return ResidualTest(ratio, 1, chance, count)
+
+
+def _past(correlation: Correlation) -> FloatArray:
+    """(lags,) correlation of a residual with its past; none where that cannot be told."""
+    if correlation.values is None:
+        return np.zeros(0)
+    return np.nan_to_num(np.asarray(correlation.values, dtype=float)[1:])
