@@ -58,13 +58,14 @@ def held_fit(
     idle: Sequence[Event] = (),
     model: Model | None = None,
     places: Places | None = None,
+    known: Mapping[str, float] | None = None,
 ) -> Fit:
     """The fit's parameters held on one record; initial states, and what is wrong with assumed pressures, found.
 
     A parameter that varies by experiment has the value of the record of the same name; in a record of another name it
     is found there too, beside the scatter of the fit's records where three or more tell it (``parameters_for``).
     idle : effects that do not act there; model : in place of the fit's, with the same parameters; places : parameters
-    to be found there, name -> (start, least, most).
+    to be found there, name -> (start, least, most); known : first states by which another structure describes it.
     Raises EstimationError where the model fails.
     """
     model = fit.model if model is None else model
@@ -76,15 +77,17 @@ def held_fit(
 
     found, fault = None, None
     near = first_states_on(model, record, held, levels)
-    starts: list[Start | None] = [near and replace(near, in_places=_in_places(fit)), None]
-    known = near is not None and not any(held[name].vary for name in held)
-    if near is not None and known:
+    starts: list[Start | None] = [near and replace(near, in_places=_in_places(fit))]
+    starts += [] if known is None else [_from_known(fit, model, record, known, near)]
+    starts.append(None)
+    if near is not None and not any(held[name].vary for name in held):
         with unmetered(), suppress(CasadiEngineError, FloatingPointError):
             found = _simulated(fit, near, model, record, held, levels)
             if near.converged and found.cost / found.n <= _chance(found) * _misfit(fit, noise):
                 return found
-    for number in range(1 if found is not None and found.converged else 0, 3):
-        if number == 2:
+    last = len(starts)
+    for number in range(1 if found is not None and found.converged else 0, last + 1):
+        if number == last:
             if found is None:
                 break
             # a state that no output shows may rest elsewhere: on a side of a play, which short intervals lose
@@ -109,6 +112,15 @@ def held_fit(
         assert fault is not None
         raise fault
     return found
+
+
+def _from_known(
+    fit: Fit, model: Model, record: Experiment, known: Mapping[str, float], near: Start | None
+) -> Start:
+    """First states as another structure has them; of those that it lacks, as found so far, or none."""
+    own = {} if near is None else dict(near.initial.get(record.name, {}))
+    first = {state.name: known.get(state.name, own.get(state.name, 0.0)) for state in model.states}
+    return Start(fit.values, {record.name: first}, in_places=_in_places(fit))
 
 
 def _simulated(
@@ -198,16 +210,30 @@ def fresh_sides(
         idle = [e for e in effects if e.placed and not _goes_on(e, record, portion)]
         try:
             fits = [
-                held_fit(fit, record, noise=noise, idle=idle, model=model)
+                held_fit(fit, record, noise=noise, idle=idle, model=model, known=_known_on(record, refitter))
                 for model in _continued(fit, effects, record, portion, refitter)
             ]
             fits += _with_events(fit, effects, record, noise, idle, fits[0], refitter)
             held = min(fits, key=lambda one: one.cost)
+            _remember(held, record, _misfit(fit, noise), refitter)
             with unmetered():  # what was found is to count
                 found.append((held, null_model(held)))
         except (CasadiEngineError, FloatingPointError):
             return None
     return found
+
+
+def _known_on(record: Experiment, refitter: Refitter) -> Mapping[str, float] | None:
+    """The first states by which a structure described a fresh record best so far, None at first."""
+    return refitter.firsts.get(record.name, (0.0, None))[1]
+
+
+def _remember(held: Fit, record: Experiment, misfit: float, refitter: Refitter) -> None:
+    """Keep the first states of a fresh record if they describe it better than others do, in units of what the
+    structure leaves of its own data."""
+    ratio = held.cost / held.n / max(misfit, 1e-300)
+    if ratio < refitter.firsts.get(record.name, (math.inf, None))[0]:
+        refitter.firsts[record.name] = ratio, {n: one.value for n, one in held.initial[record.name].items()}
 
 
 def _with_events(

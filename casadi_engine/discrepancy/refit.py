@@ -153,6 +153,7 @@ class Refitter:
     base : the fit without effects, by whose motion the corners of laws are narrowed; share : of the width that this
         motion gives, one for all effects, so that no structure gains by a sharper corner than its rivals have;
         sharpest : share from which on corners ask for more steps than are taken everywhere
+    firsts : fresh record -> how well it was described best so far, and the first states by which it was
     """
 
     model: Model
@@ -163,6 +164,7 @@ class Refitter:
     base: Fit | None = None
     share: float = 1.0
     sharpest: float = 0.0
+    firsts: dict[str, tuple[float, Mapping[str, float] | None]] = field(default_factory=dict, repr=False)
     # (label, share) -> the effect as refits have it, with its corners narrowed
     _narrow: dict[tuple[str, float], Any] = field(default_factory=dict, repr=False)
     _motion: list[NullPath] | None = field(default=None, repr=False)

@@ -236,7 +236,9 @@ def test_an_offset_and_one_wild_reading_are_seen(first):
     for name, value in {"m": M, "c": C, "k": K}.items():
         exactly[name].set(value)
         exactly.fix(name)
-    held = ce.estimate(fit.model, record("off", force, output + 0.004, 11), parameters=exactly, progress=False)
+    held = ce.estimate(
+        fit.model, record("off", force, output + 0.004, 11), parameters=exactly, progress=False
+    )
     assert ce.validate(held, known={"x": (SIGMA, 700.0)}).failed == ("off/x/mean",)
     assert ce.validate(held).passed
 
