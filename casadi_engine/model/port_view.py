@@ -171,21 +171,32 @@ class PortView:
 
 
 def _is_constant(model: Model, port: Port, symbol: Any) -> bool:
-    """True if the slope of all equations by a parameter or channel is that by the port's slot times a constant other
-    than 0."""
+    """True if a parameter or channel acts as a constant in the port's slot does, and nowhere else."""
+    return constant_of(model, port, symbol) is not None
+
+
+def constant_of(
+    model: Model, port: Port, symbol: Any, values: Mapping[str, float] | None = None
+) -> float | None:
+    """What one unit of a parameter or channel adds in the port's slot, where the slope of all equations by it is that
+    by the slot times a constant other than 0; None elsewhere.
+
+    values : of the parameters, those that the model declares where they are not given
+    """
     if port.slot is None:
-        return False
+        return None
     slot = ca.jacobian(ca.vertcat(model.ode, model.output_expressions), port.slot)
     both = ca.vertcat(model.closed_ode, model.closed_outputs)
     unknown = [model.x, model.u, model.d, model.w, model.t]
-    values = ca.vertcat(*[one.value for one in model.declarations])
+    known = {} if values is None else values
+    at = ca.vertcat(*[known.get(one.name, one.value) for one in model.declarations])
     function = ca.Function("slopes", [*unknown, model.p], [slot, ca.jacobian(both, symbol)])
     rng = np.random.default_rng(0)
     # on both sides of zero, where the equations have numbers there: a sign is constant on one
     drawn = [
         [side * rng.uniform(0.5, 1.5, one.numel()) for one in unknown] for _ in range(3) for side in (1, -1)
     ]
-    points = [[np.array(part).ravel() for part in function(*point, values)] for point in drawn]
+    points = [[np.array(part).ravel() for part in function(*point, at)] for point in drawn]
     points = [
         point
         for k, point in enumerate(points)
@@ -193,9 +204,9 @@ def _is_constant(model: Model, port: Port, symbol: Any) -> bool:
     ]
     unit, own = (np.concatenate([point[k] for point in points]) for k in range(2))
     if not (np.isfinite(own).all() and np.isfinite(unit).all() and unit.any() and own.any()):
-        return False
+        return None
     ratio = float(own @ unit) / float(unit @ unit)
-    return bool(np.abs(own - ratio * unit).max() < 1e-9 * np.abs(own).max())
+    return ratio if np.abs(own - ratio * unit).max() < 1e-9 * np.abs(own).max() else None
 
 
 class TrialView(PortView):
