@@ -98,6 +98,7 @@ def class_of(
     effect of which its refit has left nothing explains nothing in its place. misfit : chi-squared per sample of fresh
     data, in the noise's: where it is more than 1 no structure is right, and evidence counts by as much less.
     second_names : effects that are the same as one in the equations, which is why that one alone was refitted.
+    One that the data do not tell from it, with no more numbers, is named however improbable it was before them.
     """
     own = one.candidate.key
     rest = key - {own}
@@ -124,10 +125,28 @@ def class_of(
             logs[next(iter(new)), f" in place of it and {gone[0]} at {gone[1]}"] = log + price
     top = max(logs.values(), default=0.0)
     logs.setdefault((own, ""), top)
-    kept = {k: math.exp(log - top) for k, log in logs.items() if k[0] == own or log > top - math.log(factor)}
+    untold = _untold(pool, key, rest)
+    kept = {
+        k: math.exp(log - top) for k, log in logs.items()
+        if k[0] == own or log > top - math.log(factor) or (not k[1] and k[0] in untold)
+    }  # fmt: skip
     total = sum(kept.values())
     order = _simple_first(sorted(kept, key=lambda k: (k[0] != own, -kept[k])), kept, pool, rest)
     return tuple(Member(name, at, 1.0, kept[(name, at), more] / total, more) for (name, at), more in order)
+
+
+def _untold(pool: Mapping[Any, Any], key: Key, rest: Key) -> set[tuple[str, str]]:
+    """The effects that leave in the place of one of a structure what it does, with no more numbers: what makes them
+    less probable is what was held of them before the data."""
+    now = pool.get(key)
+    if now is None:
+        return set()
+    return {
+        next(iter(other - rest)) for other, found in pool.items()
+        if len(other) == len(key) and rest < other and found.log > -math.inf and found.beyond > _NOTHING
+        and found.evidence.cost < now.evidence.cost + 2 * _TIE
+        and numbers(found.effects) <= numbers(now.effects)
+    }  # fmt: skip
 
 
 def _simple_first(

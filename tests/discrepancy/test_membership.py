@@ -24,7 +24,7 @@ def pool_of(**logs):
     known = {"dry": DRY, "drag": DRAG, "step": STEP, "offset": OFFSET, "none": None}
     return {
         frozenset(known[part] for part in name.split("_") if known[part]): SimpleNamespace(
-            log=log, effects=(), beyond=9.0
+            log=log, effects=(), beyond=9.0, evidence=SimpleNamespace(cost=-2 * log)
         )
         for name, log in logs.items()
     }
@@ -123,6 +123,16 @@ def test_one_effect_may_stand_in_the_place_of_two():
 def test_a_structure_whose_fit_failed_is_no_rival():
     found = class_of(pool_of(dry=1.0, drag=-math.inf), frozenset({DRY}), effect(DRY), 20.0, PRICE)
     assert names(found) == ["dry"]
+
+
+def test_what_the_data_do_not_tell_is_named_however_improbable_it_was_before():
+    pool = pool_of(dry=7.0, offset=0.5, drag=0.5)
+    pool[frozenset({OFFSET})].evidence.cost = pool[frozenset({DRY})].evidence.cost + 1.9
+    found = class_of(pool, frozenset({DRY}), effect(DRY), 20.0, PRICE)
+    assert names(found) == ["dry", "offset"]
+    assert found[1].probability == pytest.approx(1 / (1 + math.exp(6.5)))
+    pool[frozenset({OFFSET})].evidence.cost += 0.2
+    assert names(class_of(pool, frozenset({DRY}), effect(DRY), 20.0, PRICE)) == ["dry"]
 
 
 def test_an_effect_has_the_candidate_of_its_label_or_else_the_best_one():
