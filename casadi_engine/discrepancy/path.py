@@ -237,7 +237,7 @@ class Path:
                 for level, share in enumerate(shares):
                     refitter.share = share
                     if level > alike:  # beyond that steps have to be short in places alone
-                        if not _local(own):
+                        if not self._same_in_places(effects, arrived, states):
                             break
                         refitter.sharpest = max(refitter.sharpest, share)
                     cost = _cost_along(self._problem(effects, arrived.lags)[2], arrived.values, states)
@@ -252,6 +252,31 @@ class Path:
         finally:
             refitter.share = before
         return wider
+
+    def _same_in_places(self, effects: Sequence[Addition], arrived: Arrived, states: Sequence[Array]) -> bool:
+        """True if steps that are short in places alone have the answer of those of a linear core: with corners as wide
+        as the motion chi-squared is the same by both. Between samples the one reads channels, the other what they
+        drive."""
+        refitter, before = self.refitter, self.refitter.share
+        try:
+            refitter.share = max(1.0, before)
+            model, pars, wide = self._problem(effects, arrived.lags)
+            if not any(bends_between_samples(record.model) for record in wide.records):
+                return True
+            other = RefitProblem(
+                model,
+                refitter.data,
+                pars,
+                levels=self.levels,
+                interval=refitter.interval,
+                felt=self.felt_errors,
+            )
+            if not other.step_in_places(anyway=True):
+                return True
+            costs = [_cost_along(one, arrived.values, states) for one in (wide, other)]
+        finally:
+            refitter.share = before
+        return abs(costs[0] - costs[1]) <= FELT * max(arrived.cost / max(wide.count, 1), 1.0)
 
     def shares(self, begun: float) -> list[float]:
         """Shares of the motion's widths from one on, each sharper by a factor, to the least that is tried."""
@@ -479,7 +504,7 @@ class Path:
                 model, refitter.data, pars, levels=self.levels, interval=interval, felt=self.felt_errors
             )
             if refitter.in_places:
-                problem.step_in_places()
+                problem.step_in_places(anyway=True)
             self._made[key] = model, pars, problem
         return self._made[key]
 
@@ -498,14 +523,6 @@ def _begun(
         own = [name for name in problem.pmap.free if name.partition("@")[0] == one.amplitude]
         found |= {name: one.start for name in own if name not in known}
     return found
-
-
-def _local(problem: RefitProblem) -> bool:
-    """True if steps of the integration are, or can be, short in places alone."""
-    return all(
-        isinstance(record.propagator, RungeKuttaPropagator) or not bends_between_samples(record.model)
-        for record in problem.records
-    )
 
 
 def _followed(problem: RefitProblem) -> int:

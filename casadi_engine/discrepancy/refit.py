@@ -246,7 +246,7 @@ class Refitter:
                 fit.model, self.data, pars.unconstrained(), levels=levels, interval=self.interval
             )
             if self.in_places:
-                problem.step_in_places()
+                problem.step_in_places(anyway=True)
             found = problem.run(start=fit.values, initial=initial, horizons=(None,), most=_GLANCE)
         except (CasadiEngineError, FloatingPointError, np.linalg.LinAlgError):
             return False  # a model that fails explains nothing

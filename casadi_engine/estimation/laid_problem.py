@@ -73,7 +73,7 @@ class LaidProblem:
         self.records, level = self._terms(self._grids, self._whole_tails, self.cut, self._method)
         if getattr(self.warm, "in_places", False):
             for record in self.records:
-                record.step_in_places()
+                record.step_in_places(anyway=True)
         for record in self.records:
             record.as_fine_as(getattr(self.warm, "fineness", {}).get(record.experiment.name))
         priors: Any = Priors(self.pmap, self.coordinates)

@@ -206,11 +206,11 @@ class RecordTerm:
         """True if the state at an interval's end is affine in that at its start."""
         return isinstance(self.propagator, LinearPropagator)
 
-    def step_in_places(self) -> bool:
+    def step_in_places(self, *, anyway: bool = False) -> bool:
         """Integrate by steps that may differ from sample to sample, in place of those of the linear core; False where
-        there are none of these, or the answer would be another one."""
+        there are none of these, or the answer may be another one, which ``anyway`` does not ask."""
         core = isinstance(self.propagator, (ExponentialPropagator, ObservedPropagator))
-        if not core or bends_between_samples(self.model):
+        if not core or (bends_between_samples(self.model) and not anyway):
             return False
         self.propagator = RungeKuttaPropagator(
             self.model, self.grid, self.plan, self._local, self.symbols[1], scale=self.scale

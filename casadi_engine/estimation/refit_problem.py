@@ -162,10 +162,10 @@ class RefitProblem:
         cost = 2 * place.squares.cost
         return Windowed(values, tuple(nodes), tuple(begun or nodes), cost, status == "converged")
 
-    def step_in_places(self) -> bool:
+    def step_in_places(self, *, anyway: bool = False) -> bool:
         """Take steps that are short where a corner is passed, in place of those of a linear core, which are alike
-        everywhere and too long for a sharp one; False where all do."""
-        stepped = [record.step_in_places() for record in self.records]  # each of them
+        everywhere and too long for a sharp one; False where all do. anyway : see ``RecordTerm.step_in_places``"""
+        stepped = [record.step_in_places(anyway=anyway) for record in self.records]  # each of them
         return any(stepped)
 
     def _cut_alike(self, after: Windowed) -> bool:
