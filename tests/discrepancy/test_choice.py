@@ -370,7 +370,11 @@ def test_a_structure_that_is_fitted_anew_keeps_its_fit_where_that_is_ended(prepa
     def ended(self, tried):
         raise KeyboardInterrupt
 
+    assert choice._renewed(choice.pool[choice.best]) is None
     choice.refits.improved.add(choice.best)
+    assert choice._renewed(choice.pool[choice.best]) is None  # it is fitted from there already
+    choice.refits.improved.add(choice.best)
+    choice._fits.clear()
     monkeypatch.setattr(Choice, "station_of", ended)
     with pytest.raises(KeyboardInterrupt):
         choice._renewed(choice.pool[choice.best])

@@ -1,5 +1,7 @@
 """Effects that are the same in the equations: refitted once, named twice."""
 
+from types import SimpleNamespace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -94,6 +96,7 @@ def test_the_same_along_the_records_and_not_elsewhere_is_no_second_name():
 class _Found:
     def __init__(self, log):
         self.log, self.beyond, self.effects = log, 10.0, ()
+        self.evidence = SimpleNamespace(cost=-2 * log)
 
 
 def test_both_names_are_as_probable():

@@ -37,7 +37,12 @@ def tried(effect, log, **values):
     one = Added(effect)
     arrived = SimpleNamespace(values={f"{one.key}.{name}": value for name, value in values.items()})
     return SimpleNamespace(
-        effects=(one,), key=frozenset([one.candidate.key]), log=log, arrived=arrived, beyond=9.0
+        effects=(one,),
+        key=frozenset([one.candidate.key]),
+        log=log,
+        arrived=arrived,
+        beyond=9.0,
+        evidence=SimpleNamespace(cost=-2 * log),
     )
 
 

@@ -39,7 +39,7 @@ def record():
 
 @pytest.fixture(scope="module")
 def leaking(record):
-    effects = ["coulomb_friction", "constant_torque", "sensor_offset"]
+    effects = ["coulomb_friction", "constant_torque", "sensor_offset", "sensor_delay"]
     return ce.repair(tank_model(), record, effects=effects, starts=1, progress=False)
 
 
@@ -69,6 +69,9 @@ def test_a_tank_is_spoken_of_as_a_tank(leaking):
     assert "a constant loss at tank that follows the sign of h: z = " in words
     assert "a volume flow at tank explains most of it" in words
     assert "Smallest detectable sizes (95 % power): sensor_offset at sensor_level" not in words
+    assert (
+        "sensor_offset at sensor_level (" in words
+    )  # no more probable before the data, and the same in them
     for strange in (" -\n", "a torque at", "N m", "friction at tank:", "cycles", "halves"):
         assert strange not in str(leaking), strange
 
@@ -79,8 +82,8 @@ def test_a_class_that_acts_alike_is_said_to_be_one(leaking):
     said = "coulomb_friction at tank (a constant loss at tank that follows the sign of h) is missing, or "
     assert said in joined(leaking)
     assert next_step(leaking).startswith(
-        "coulomb_friction at tank and constant_torque at tank are one and the same in data of this kind "
-        "(correlation 1 or -1), and no other input or sensor and no longer record that could be tried"
+        "coulomb_friction at tank, constant_torque at tank and sensor_offset at sensor_level are one and the same in "
+        "data of this kind (correlation 1 or -1), and no other input or sensor and no longer record that could be tried"
     )
     assert "record data" not in next_step(leaking)
 
