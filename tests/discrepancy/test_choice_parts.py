@@ -121,6 +121,31 @@ def test_where_it_was_not_one_of_fewer_effects_leads_that_is_far_more_probable(m
     assert found.best == (two.key if leads else three.key)
 
 
+def test_a_structure_that_an_exchange_found_is_kept_when_its_corners_are_sharpened(monkeypatch):
+    """It has other effects than what the round began with: no addition leads there again."""
+    here, added = tried("fading", log=-100.0), tried("fading", "gain", log=-50.0)
+    better = tried("dry", "gain", log=0.0)
+    found = choice_of(monkeypatch, tried(log=-500.0), here, added, better, best=here.key)
+    found.refits.levels = stub(memory={})
+    found.refits.settled, found.refits.blunted = (lambda: None), (lambda: False)
+    sharp = iter([True, False])
+    monkeypatch.setattr(Choice, "_exchanged", lambda self, best, here: better)
+    for name in ("_special_cases_of", "_again_without", "_told"):
+        monkeypatch.setattr(Choice, name, lambda *_: None)
+    monkeypatch.setattr(module, "weak_beside_colour", lambda *_: False)
+    monkeypatch.setattr(module, "vanished", lambda *_: False)
+    monkeypatch.setattr(module, "simpler", lambda now, *_: now)
+    scores = stub(testable=np.array([True]))
+    screened = stub(scores=scores, significant=(0,), noise=stub(colour={}), choice=stub(rounded={}))
+
+    def sharpened(self, best):  # afterwards what was added alone fails, as a special case of the other does
+        added.failed, added.log = True, -math.inf
+        return next(sharp)
+
+    monkeypatch.setattr(Choice, "_sharpened", sharpened)
+    assert found._chosen_of(here, stub(screened=screened), [added]) is better
+
+
 FEW = ["coulomb_friction", "constant_torque"]
 DRY = frozenset({("coulomb_friction", "pivot")})
 

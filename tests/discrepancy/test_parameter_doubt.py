@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 
 import casadi_engine as ce
+from casadi_engine.discrepancy import fresh_fits
 from casadi_engine.discrepancy.fresh import residuals, side
 from casadi_engine.discrepancy.fresh_fits import held_fit
 from casadi_engine.discrepancy.noise_choice import NoiseChoice
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import null_model
 from casadi_engine.discrepancy.parameter_doubt import doubted, pooled, within_errors
+from casadi_engine.discrepancy.start import Start
+from casadi_engine.errors import EstimationError
 
 NOISE = NoiseModel({"omega": 0.1})
 
@@ -45,6 +48,27 @@ def test_errors_of_parameters_are_no_colour(fit):
     plain, beside = sides(fit, record("fresh", lambda t: 40 + 0 * t, 1))
     assert plain < 1e-6
     assert beside > 0.05
+
+
+def test_first_states_of_another_structure_lead_out_of_a_wrong_optimum(fit, monkeypatch):
+    """The search over windows had ended, and said that it had, where a fermenter has no substrate."""
+    fresh = record("fresh", lambda t: 4 * np.sin(9 * t), 1)
+    right = held_fit(fit, fresh, noise=NOISE)
+    first = {name: one.value for name, one in right.initial["fresh"].items()}
+    wrong = Start(right.values, {"fresh": {name: value + 30 for name, value in first.items()}}, {}, True)
+    monkeypatch.setattr(fresh_fits, "first_states_on", lambda *_: wrong)
+    asked, real = [], fresh_fits.estimate
+
+    def estimate(*arguments, **options):
+        asked.append(options["warm"])
+        if options["warm"] is None:
+            raise EstimationError("cold starts fail")
+        return real(*arguments, **options)
+
+    monkeypatch.setattr(fresh_fits, "estimate", estimate)
+    held = held_fit(fit, fresh, noise=NOISE, known=first)
+    assert held.cost == pytest.approx(right.cost, rel=1e-6)
+    assert asked[1].initial["fresh"] == first
 
 
 def test_what_no_parameter_explains_is_still_seen(fit):

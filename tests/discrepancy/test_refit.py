@@ -91,6 +91,30 @@ def refit_of(model, data, noise, effect, port, *, parameters=None, starts=1):
     return fit, refitter(fit, [one], start=start), refitter
 
 
+def test_what_the_corners_of_another_structure_did_says_nothing_of_these():
+    """One that describes little does not feel its corners; the next one kept them wide for it."""
+    time, torque, clean = slow_drive(0.3)
+    model = ce.one_inertia()
+    pars = model.parameters()
+    pars["J_eng"].set(0.08, min=1e-3, max=10)
+    pars["C_eng"].set(0.05, min=0, max=10)
+    speed = clean + SLOW_NOISE * np.random.default_rng(0).standard_normal(len(clean))
+    units = {"T": "N m", "omega": "rad/s"}
+    data = ce.Experiment.from_arrays("slow", time=time, units=units, T=torque, omega=speed)
+    fit = ce.estimate(model, data, parameters=pars, noise=ce.Noise(omega=SLOW_NOISE), progress=False)
+    screened = screen(fit, ["coulomb_friction"], at=["engine"])
+    k = screened.order[0]
+    refitter = Refitter(model, pars, (data,), ce.Noise(omega=SLOW_NOISE), OPTIONS, base=fit)
+    one = addition(screened.candidates[k], float(screened.scores.amplitude[k]))
+    path = refits.Path(refitter, {"omega": SLOW_NOISE})
+    end = path.from_windows([one])
+    first = path.sharpness([one], end)
+    assert first < 1
+    felt, path.felt = path.felt, 0.0
+    assert path.sharpness([one], end) == first
+    assert path.felt == pytest.approx(felt)
+
+
 def coverage(fits, name, truth):
     """How far estimates of fits are from the truth, in their standard errors."""
     return np.array([(fit.estimates[name].value - truth) / fit.estimates[name].stderr for fit in fits])
