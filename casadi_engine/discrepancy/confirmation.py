@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.discrepancy.linear_algebra import Array
-from casadi_engine.distributions import t_sf
+from casadi_engine.distributions import chi2_sf, t_sf
 
 # The chance of a gain where there is none (two standard errors of many cycles); fewest cycles that tell.
 CHANCE = 0.02275
 _FEWEST = 3
+# How rarely noise is as large as what is no noise; and how often as what is.
+_SURE, _NOISE = 1e-4, 0.05
 # Share of the chance that is for the ranks of the gains, and cycles from which their sum is taken to be normal.
 _RANKS, _MANY = 0.1, 60
 
@@ -111,6 +113,26 @@ def paired_gain(before: Sequence[Residuals], after: Sequence[Residuals]) -> Pair
     order = np.argsort(np.argsort(np.abs(values))) + 1
     found = PairedGain(mean, se, len(values), None, ranks=int(order[values > 0].sum()))
     return replace(found, confirmed=found.chance is not None and found.chance < CHANCE)
+
+
+def is_foretold(before: Sequence[Residuals], after: Sequence[Residuals]) -> bool:
+    """True if what one model leaves of fresh data is the noise of the search in every output, and what the other leaves
+    is not: where few pieces hold all that an effect does, its gains scatter by that, and not by chance.
+
+    For white noise: by chi-squared, with the levels that the search found.
+    """
+    then, first = (_chances(own) for own in (after, before))
+    return min(first.values(), default=1.0) < _SURE and min(then.values(), default=0.0) > _NOISE / len(then)
+
+
+def _chances(residuals: Sequence[Residuals]) -> dict[str, float]:
+    """Output -> how often noise of its level is as large as the residuals."""
+    found = {}
+    for output in dict.fromkeys(r.output for r in residuals):
+        own = [r for r in residuals if r.output == output]
+        squares = sum(float(r.e @ r.e) / r.sigma**2 for r in own)
+        found[output] = float(chi2_sf(squares, sum(len(r.e) for r in own)))
+    return found
 
 
 def signed_rank_sf(ranks: int, count: int) -> float:

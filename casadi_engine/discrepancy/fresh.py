@@ -11,7 +11,15 @@ from typing import Any, Literal
 import numpy as np
 
 from casadi_engine.discrepancy.compression import scatter_columns
-from casadi_engine.discrepancy.confirmation import Gap, PairedGain, Residuals, gap, hold_out, paired_gain
+from casadi_engine.discrepancy.confirmation import (
+    Gap,
+    PairedGain,
+    Residuals,
+    gap,
+    hold_out,
+    is_foretold,
+    paired_gain,
+)
 from casadi_engine.discrepancy.fresh_misfit import MEMORY
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.noise_choice import NoiseChoice, scatter_of, white_p
@@ -210,13 +218,17 @@ class Judgement:
 
 def judge(before: Sequence[NullModel], after: Sequence[NullModel], noise: NoiseModel) -> Judgement:
     """Compare two models on fresh data."""
-    gain = paired_gain(residuals(before, noise), residuals(after, noise))
+    old, new = residuals(before, noise), residuals(after, noise)
+    gain = paired_gain(old, new)
     if gain.confirmed is None or gain.mean is None or gain.se is None:
         return Judgement(gain, None, why=gain.why)
     if gain.confirmed:
         return Judgement(gain, True)
     part = "cycle" if any(v.name == "theta" for v in before[0].model.inputs) else "piece"
     size = f"{gain.mean:.3g} ± {gain.se:.2g} per {part}"
+    if gain.mean > 0 and not noise.colour and not noise.scatter and is_foretold(old, new):
+        why = f"few {part}s of the fresh data hold all of the gain; what is left in all of them is the noise"
+        return Judgement(gain, True, why=f"{why} of the search, which confirms it")
     if gain.refused:
         return Judgement(gain, False, True, f"fresh data refuse it: the gap grows, the gain is {size}")
     return Judgement(gain, False, False, f"{NOT_CONFIRMED}: the gain is {size}, which chance may make")

@@ -12,6 +12,7 @@ from casadi_engine.discrepancy.confirmation import (
     gains,
     gap,
     hold_out,
+    is_foretold,
     paired_gain,
     share_closed,
     share_explained,
@@ -63,6 +64,21 @@ def test_one_large_gain_does_not_hide_that_all_are_gains():
     shift[100:] = 0.0
     worse = replace(after, e=after.e + np.where(shift > 0, 0.0, 0.03))
     assert paired_gain([replace(before, e=before.e + shift)], [worse]).confirmed is False
+
+
+def test_few_pieces_that_hold_all_of_a_gain_confirm_it_where_noise_alone_is_left():
+    """An effect that acts in two of ten pieces alone: the others are noise with it and without."""
+    shift = np.repeat([0.5, 0.4, *[0.0] * 8], 100)
+    before, after = residuals(0.0, cycles=10), residuals(0.0, cycles=10)
+    first = replace(before, e=before.e + shift)
+    assert paired_gain([first], [replace(after, e=0.999 * after.e[::-1])]).confirmed is False
+    assert is_foretold([first], [after])
+    # where what is left is more than the noise, whatever it explains of it
+    assert not is_foretold([first], [replace(after, e=1.2 * after.e)])
+    # and where nothing was missing; or in one output of two alone
+    assert not is_foretold([before], [after])
+    other = replace(after, output="theta", e=1.2 * after.e)
+    assert not is_foretold([first, other], [after, other])
 
 
 @pytest.mark.parametrize("count", [3, 10])
