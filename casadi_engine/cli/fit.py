@@ -88,7 +88,7 @@ def _work(job: Job) -> int:
             write_answer(job, found)  # the fit is not lost with its tests
             raise
     write_answer(job, found, check=check)
-    say_answer(job, found, tested=bool(fresh))
+    say_answer(job, found, tested=check.passed if fresh and check is not None else None)
     if check is not None:
         say("")
         say_answer(job, check, source=job.folder)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -35,6 +36,17 @@ def _work(name: str, equations: bool) -> int:
     return ANSWERED
 
 
+def _is_module(name: str) -> bool:
+    """True if a module of Python or of an installed package has this name."""
+    import importlib.machinery
+
+    here = {"", os.getcwd()}
+    places = [place for place in sys.path if place not in here]
+    return (
+        name in sys.stdlib_module_names or importlib.machinery.PathFinder.find_spec(name, places) is not None
+    )
+
+
 def write_template(name: str, *, equations: bool = False) -> Path:
     """Write the template, of an engine or of any equations, as NAME.py (NAME may have folders before it, which must be
     there).
@@ -51,6 +63,13 @@ def write_template(name: str, *, equations: bool = False) -> Path:
             "the name of the new problem is not acceptable",
             seen=repr(name),
             allowed="up to 100 letters A-Z a-z, digits, _ and -, not starting with -",
+            cure="give a name such as my_engine",
+        )
+    if _is_module(path.stem):
+        raise ProblemError(
+            "the name of the new problem is that of a Python module, which the file would stand in the way of",
+            seen=path.stem,
+            allowed="a name that no installed module has",
             cure="give a name such as my_engine",
         )
     template = "template_equations.txt" if equations else "template.txt"

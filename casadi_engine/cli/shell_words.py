@@ -11,11 +11,11 @@ _SPOKEN = ("Next: ", "Note: ")
 _IN_PYTHON = "in Python"
 
 
-def in_shell(text: str, *, problem: Path, folder: Path | None, tested: bool = False) -> str:
+def in_shell(text: str, *, problem: Path, folder: Path | None, tested: bool | None = None) -> str:
     """The text of a result with its notes and next steps in the words of the command line.
 
     problem : the problem file; folder : of the result that holds the values, None where the problem file does; tested :
-    fresh records have just been tested on
+    whether the tests on fresh records passed, None where there were none
     """
     from casadi_engine.estimation.summary import wrapped
 
@@ -45,7 +45,7 @@ def _paragraphs(lines: list[str]) -> list[list[str]]:
 
 
 def _phrases(
-    problem: Path, folder: Path | None, tested: bool
+    problem: Path, folder: Path | None, tested: bool | None
 ) -> list[tuple[str, str | Callable[[re.Match[str]], str]]]:
     """Patterns, and what stands in their place."""
 
@@ -54,7 +54,11 @@ def _phrases(
         return f"casadi-engine {name} {problem}{source}{more}"
 
     validate, simulate = command("validate", " --data FRESH.csv"), command("simulate")
-    fresh = f"use it: {simulate}" if tested else f"test it on data it has not seen: {validate}"
+    fresh = {
+        None: f"test it on data it has not seen: {validate}",
+        True: f"use it: {simulate}",
+        False: "see below what the fresh records say of it",
+    }[tested]
     return [
         (r"test it on data it has not seen: print\(ce\.validate\(fit, fresh\)\)", lambda _: fresh),
         (r"go on with repair\.fit, the repaired model: print\(repair\.fit\)",

@@ -133,10 +133,11 @@ def nothing_found(
         write_result(job.folder / "result.json", document)
 
 
-def say_answer(job: Job, answer: Any, *, tested: bool = False, source: Path | None = None) -> None:
+def say_answer(job: Job, answer: Any, *, tested: bool | None = None, source: Path | None = None) -> None:
     """Print a result in the words of the command line.
 
-    tested : fresh records have just been tested on; source : the result that holds the values, for those of a test
+    tested : whether the tests on fresh records passed, None where there were none; source : the result that holds the
+    values, for those of a test
     """
     from casadi_engine.validation import Validation
 

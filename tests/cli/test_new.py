@@ -97,3 +97,12 @@ def test_a_folder_that_is_not_there(tmp_path):
     with pytest.raises(OutputError, match="cannot be written; seen: No such file or directory") as caught:
         write_template(str(tmp_path / "nowhere" / "rig"))
     assert "give a name in a folder that is there" in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["casadi", "json", "numpy.py"])
+def test_a_name_of_a_module_is_refused(name, tmp_path, monkeypatch):
+    """``casadi.py`` in the folder was imported in the place of CasADi: "a bug of this program"."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ProblemError, match=r"that of a Python module.*give a name such as my_engine"):
+        write_template(name)
+    assert list(tmp_path.iterdir()) == []

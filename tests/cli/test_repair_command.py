@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from casadi_engine import cli, discrepancy
+from casadi_engine.discrepancy.repaired import UNTOLD, Unknown
 from casadi_engine.errors import NotConvergedError
 from casadi_engine.report import load_result
 
@@ -227,6 +228,18 @@ def test_a_first_fit_without_answer(folder, canned, found, capsys, status, code)
     assert (got, result["status"], result["verdict"]) == (code, status, None)
     assert capsys.readouterr().err == (
         f"casadi-engine repair: no answer: {status}; what there is lies in {folder / 'failed'}\n"
+    )
+
+
+def test_a_time_that_was_too_short_for_a_finding(folder, canned, capsys):
+    canned(
+        verdict="unnamed", confirmed=None, effects=(), unknown=Unknown(UNTOLD, {}), stopped="the time budget"
+    )
+    code, _ = run(folder, out="short")
+    assert code == 3
+    assert (
+        "no answer: the time was up before it could be told whether anything is missing; give it a larger --budget"
+        in (capsys.readouterr().err)
     )
 
 

@@ -48,6 +48,8 @@ def test_the_next_step_is_one_of_the_shell(said, expected):
 def test_what_was_just_tested_is_not_asked_for_again():
     said = shown("Next: test it on data it has not seen: print(ce.validate(fit, fresh))", tested=True)
     assert said == "Next: use it: casadi-engine simulate rig.py --from results/rig-fit"
+    said = shown("Next: test it on data it has not seen: print(ce.validate(fit, fresh))", tested=False)
+    assert said == "Next: see below what the fresh records say of it"
 
 
 def test_tables_stay_as_they_are():
