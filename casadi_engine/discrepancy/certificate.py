@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from casadi_engine.discrepancy.assumed_pressure import carried_cylinders, is_carried, scatter_carried
+from casadi_engine.discrepancy.common_noise import BESIDE
 from casadi_engine.discrepancy.confirmation import share_closed
 from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.fresh import gap_of
@@ -211,6 +212,10 @@ def unknown_of(screened: Screened) -> Unknown | None:
         if leftover.driven_line is not None:
             return Unknown(_answers(leftover.driven_line, leftover.driven[leftover.driven_line]), alarms)
         first = next(iter(alarms)).rsplit("/", 2)
+        if first[2].startswith(BESIDE):
+            other = first[2].removeprefix(BESIDE)
+            words = f"the residuals of {first[1]} and {other} in {first[0]} move together"
+            return Unknown(f"{words}, which the noise of two sensors does not", alarms)
         return Unknown(f"the residual of {first[1]} in {first[0]} is not white", alarms)
     words = f"{law_words(screened.null.model, family)}{likeness_words(course)}"
     return Unknown(words, alarms, family.port, family.signal, leftover.family_p, course)

@@ -1,4 +1,5 @@
-"""Tests for what no effect of the library names: whiteness, lines in the spectrum, unknown functions of a signal."""
+"""Tests for what no effect of the library names: whiteness, sensors that move together, lines in the spectrum, unknown
+functions of a signal."""
 
 from __future__ import annotations
 
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from casadi_engine.discrepancy.common_noise import common_tests
 from casadi_engine.discrepancy.compression import compress, scatter_columns
 from casadi_engine.discrepancy.driven_lines import driven_by
 from casadi_engine.discrepancy.linear_algebra import Array, without
@@ -120,7 +122,8 @@ def _explained(scores: Scores, row: Row) -> float:
 def _residual_tests(
     screened: Screened,
 ) -> tuple[dict[str, float], dict[str, float], dict[str, tuple[str, ...]]]:
-    """Test -> p-value, of whiteness and of lines; line -> what it explains; line -> the inputs that have it too."""
+    """Test -> p-value, of whiteness, of outputs that move together and of lines; line -> what it explains; line -> the
+    inputs that have it too."""
     null, choice = screened.null, screened.choice
     tests: dict[str, float] = {}
     lines: dict[str, float] = {}
@@ -159,6 +162,8 @@ def _residual_tests(
                 lines[found.name] = found.power / choice.noise.sigma[output] ** 2
                 if found.p < screened.alpha - screened.share and (own := _inputs_at(record, output, found)):
                     driven[found.name] = own
+    if not choice.scatter and not choice.rounded:
+        tests |= dict(common_tests(null.records, left))
     return tests, lines, driven
 
 
