@@ -39,6 +39,8 @@ _UNSETTLED = (
 # Share of the spare time behind a budget at which fresh data have to be judged; evaluations of the model that they may
 # cost at least.
 _JUDGED, _EVALUATIONS = 0.6, 5000
+# So many refits they may cost.
+_REFITS = 10
 # Rivals of a structure that does not stand as a whole, of which it is asked whether they do.
 _RIVALS = 2
 # Structures that are held against fresh data after one that these neither confirm nor refuse.
@@ -391,12 +393,14 @@ class FreshChoice:
 
     @property
     def _allowed(self) -> float:
-        """Work that one structure may cost on the fresh data: that of a start of the first fit, by samples."""
+        """Work that one structure may cost on the fresh data: that of a start of the first fit or, as corners may be
+        sharper by now, of a few refits, by samples."""
         fresh, own = (
             sum(len(record[name].time) for record in records for name in record.names)
             for records in (self.portion.fresh, self.portion.data)
         )
-        return max(self.work, _EVALUATIONS * own) * max(fresh / own, 1.0)
+        usual = _REFITS * self.search.refits.path.usual
+        return max(self.work, _EVALUATIONS * own, usual) * max(fresh / own, 1.0)
 
     def judged(self, stations: Sequence[Station], before: Pairs) -> tuple[Judgement, Pairs | None]:
         """See ``_of_structure``."""

@@ -91,6 +91,7 @@ def class_of(
     price: float,
     misfit: float = 1.0,
     second_names: Mapping[tuple[str, str], Sequence[tuple[str, str]]] = MappingProxyType({}),
+    blur: float = 0.0,
 ) -> tuple[Member, ...]:
     """The effects that are not excluded in the place of one of a structure, with their probabilities, itself first.
 
@@ -99,6 +100,7 @@ def class_of(
     data, in the noise's: where it is more than 1 no structure is right, and evidence counts by as much less.
     second_names : effects that are the same as one in the equations, which is why that one alone was refitted.
     One that the data do not tell from it, with no more numbers, is named however improbable it was before them.
+    blur : chi-squared by which structures may be off, as their corners are rounded
     """
     own = one.candidate.key
     rest = key - {own}
@@ -125,7 +127,7 @@ def class_of(
             logs[next(iter(new)), f" in place of it and {gone[0]} at {gone[1]}"] = log + price
     top = max(logs.values(), default=0.0)
     logs.setdefault((own, ""), top)
-    untold = _untold(pool, key, rest)
+    untold = _untold(pool, key, rest, blur)
     kept = {
         k: math.exp(log - top) for k, log in logs.items()
         if k[0] == own or log > top - math.log(factor) or (not k[1] and k[0] in untold)
@@ -135,7 +137,7 @@ def class_of(
     return tuple(Member(name, at, 1.0, kept[(name, at), more] / total, more) for (name, at), more in order)
 
 
-def _untold(pool: Mapping[Any, Any], key: Key, rest: Key) -> set[tuple[str, str]]:
+def _untold(pool: Mapping[Any, Any], key: Key, rest: Key, blur: float) -> set[tuple[str, str]]:
     """The effects that leave in the place of one of a structure what it does, with no more numbers: what makes them
     less probable is what was held of them before the data."""
     now = pool.get(key)
@@ -144,7 +146,7 @@ def _untold(pool: Mapping[Any, Any], key: Key, rest: Key) -> set[tuple[str, str]
     return {
         next(iter(other - rest)) for other, found in pool.items()
         if len(other) == len(key) and rest < other and found.log > -math.inf and found.beyond > _NOTHING
-        and found.evidence.cost < now.evidence.cost + 2 * _TIE
+        and found.evidence.cost < now.evidence.cost + 2 * _TIE + blur
         and numbers(found.effects) <= numbers(now.effects)
     }  # fmt: skip
 

@@ -481,6 +481,12 @@ class Path:
         most = _MANY * float(np.median(known)) if known else math.inf
         return max(min(most, _AGAIN * self._least.get(id(problem), math.inf)), _FREE)
 
+    @property
+    def usual(self) -> float:
+        """Work of a refit in the middle, with corners as they are; 0 before the first one."""
+        known = self._work.get(self.refitter.share, [])
+        return float(np.median(known)) if known else 0.0
+
     def _done(self, work: float, *, first: bool = False) -> None:
         """Remember what a refit cost; first : what the first one may, in place of what was expected of it before."""
         known = self._work.setdefault(self.refitter.share, [])

@@ -204,6 +204,7 @@ class Refits:
             None  # share and pool before corners were sharpened
         )
         self._blunt = False
+        self.blur = 0.0  # chi-squared that corners as sharp as they are may be off by, as far as it is known
         self.rounded: dict[str, float] = {}  # see ``rounding``
         self.improved: set[Key] = (
             set()
@@ -425,6 +426,7 @@ class Refits:
             return False
         worth = max(1.0 / max(self.levels.memory.values(), default=1.0), 1e-6)
         target = self.path.sharpness(best.effects, best.arrived, worth)
+        self.blur = self.path.felt if self.path.felt > FELT else 0.0
         if target >= self.refitter.share:
             return False
         found = self.path.sharpest(best.effects, best.arrived, target, worth)
@@ -433,6 +435,7 @@ class Refits:
             self.path.felt = math.nan if found is None else 0.0  # its law itself is no sharper
             return False
         self._fine |= {best.key} if self.path.felt < FELT else set()
+        self.blur = self.path.felt if self.path.felt > FELT else 0.0
         self._wide = self.refitter.share, dict(self.pool)
         self.refitter.share = found[0]
         sharp = self._counted(best.effects, found[1])

@@ -164,17 +164,28 @@ def _effect(one: FoundEffect, repair: Repair, most: int) -> Lines:
     lines += wrapped(f"    {changed}", "      ") if changed else []
     lines += [f"    {one.key}.{name} = {value:.6g} (held)" for name, value in one.constants.items()]
     if len(one.members) > 1:
-        others = [f"{m.label} ({100 * m.probability:.0f} %, {m.rho:+.3f})" for m in one.members[1:]]
+        others = [f"{m.label} ({_percent(m.probability)}, {m.rho:+.3f})" for m in one.members[1:]]
         text = ", ".join(listed(others, most))
         own = one.members[0].probability
         which = (
-            f"probability {100 * own:.0f} %; not excluded in its place"
+            f"probability {_percent(own)}; not excluded in its place"
             if own >= _HARDLY
             else "more probable by their evidence"
         )
         words = f"    {which} (probability, correlation with it): {text}"
         lines += wrapped(f"{words}; {why_leads(one)}" if why_leads(one) else words, "      ")
     return lines
+
+
+def _percent(share: float) -> str:
+    """A probability beside others, which is neither 0 nor 1.
+
+    >>> _percent(0.55), _percent(0.9992), _percent(0.0008)
+    ('55 %', 'above 99 %', 'below 1 %')
+    """
+    if 0.005 <= share < 0.995:
+        return f"{100 * share:.0f} %"
+    return "above 99 %" if share > 0.5 else "below 1 %"
 
 
 def _where(repair: Repair) -> list[str]:

@@ -86,5 +86,7 @@ def _reached(
     search: Choice, before: Station, station: Station, key: Key, own: tuple[Addition, ...]
 ) -> Station:
     names = before.screened.second_names
-    members = class_of(search.pool, key, own[-1], FACTOR, search.price, search.misfit, names)
+    members = class_of(
+        search.pool, key, own[-1], FACTOR, search.price, search.misfit, names, search.refits.blur
+    )
     return reached(before, station, own, members)

@@ -454,13 +454,17 @@ def test_fresh_data_that_cost_too_much_are_not_judged_and_that_is_said(pendulum,
 
 def test_what_fresh_data_may_cost_grows_with_their_samples(pendulum):
     data, fresh = pendulum.decay(rubbing, samples=300), pendulum.decay(rubbing, samples=900, name="fresh")
-    allowed = [
-        FreshChoice(None, Portions((data,), own, "records"), print, [], work)._allowed
-        for own, work in (((data,), 1e9), ((fresh,), 1e9), ((fresh, data), 1e9), ((data,), 0.0))
-    ]
-    assert np.diff(allowed[:3]) == pytest.approx([2e9, 1e9], rel=0.02)
-    assert allowed[0] == 1e9
-    assert allowed[3] == 5000 * 300  # evaluations of the samples
+
+    def allowed(own, work, usual=0.0):
+        search = SimpleNamespace(refits=SimpleNamespace(path=SimpleNamespace(usual=usual)))
+        return FreshChoice(search, Portions((data,), own, "records"), print, [], work)._allowed
+
+    grows = [allowed(own, 1e9) for own in ((data,), (fresh,), (fresh, data))]
+    assert np.diff(grows) == pytest.approx([2e9, 1e9], rel=0.02)
+    assert grows[0] == 1e9
+    assert allowed((data,), 0.0) == 5000 * 300  # evaluations of the samples
+    # the fit without effects was cheap, and corners are sharp by now
+    assert allowed((data,), 0.0, usual=1e7) == 1e8
 
 
 def test_an_effect_of_which_the_whole_fit_leaves_nothing_is_none():

@@ -39,7 +39,9 @@ def choice_of(monkeypatch, *structures, best=NONE, refused=()):
     """A choice with these in its pool and none fitted but the model without effects; refused : keys whose whole fit
     does not converge."""
     found = Choice(None, None, 4, print)
-    found.refits = stub(pool={one.key: one for one in structures}, improved=set(), tried=lambda *_: [])
+    found.refits = stub(
+        pool={one.key: one for one in structures}, improved=set(), tried=lambda *_: [], blur=0.0
+    )
     found.stations[NONE] = stub(fit="null fit", screened=stub(candidates=[], second_names={}))
     found.best = best
     found.asked = []
