@@ -394,6 +394,7 @@ class Choice:
                 return self._round(self.pool[here.key], renewed, (best.key,) if best.effects else ())
             if self._timed("refit", lambda: self._sharpened(best)):  # noqa: B023
                 here, tried = self.pool[here.key], [self.pool[one.key] for one in tried]
+                tried += [one for one in self._alike(best) if one not in tried]
                 continue
             if weak_beside_colour(self.refits, best):
                 best.failed = True

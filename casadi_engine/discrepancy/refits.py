@@ -49,8 +49,8 @@ _RELEVELLED = 0.7
 _VALLEY, _PLACE = 0.1, 0.1
 # Log evidence by which an optimum of a structure is another one.
 _BETTER = 1.0
-# Rivals that are refitted with sharper corners.
-_RIVALS = 6
+# Rivals that are refitted with sharper corners; that are asked where these do not help the best one.
+_RIVALS, _SHARP_RIVALS = 6, 3
 # Standard errors, all else known, from which an amplitude is there at all, however much a refit with it gained.
 _THERE = 1.0
 # So many times the standard errors by the slopes: a drop of chi-squared four times what these promise.
@@ -421,39 +421,69 @@ class Refits:
 
     def sharpened(self, best: Tried) -> bool:
         """Refit the best structure and its rivals with corners so sharp that the data do not tell them from sharper
-        ones; False where they are."""
+        ones; False where they are.
+
+        Where sharper ones do not help it, and what it leaves is no noise, the law of a rival may be the sharp one.
+        """
         if self._blunt or best.key in self._fine:
             return False
-        worth = max(1.0 / max(self.levels.memory.values(), default=1.0), 1e-6)
-        target = self.path.sharpness(best.effects, best.arrived, worth)
-        self.blur = self.path.felt if self.path.felt > FELT else 0.0
-        if target >= self.refitter.share:
+        lead, found = best, self._sharpest(best)
+        if found is None and self.levels.memory:
+            lead, found = self._sharp_rival(best)
+        if found is None:
             return False
-        found = self.path.sharpest(best.effects, best.arrived, target, worth)
-        if found is None or found[1].cost > best.arrived.cost + FELT:
-            self._fine.add(best.key)
-            self.path.felt = math.nan if found is None else 0.0  # its law itself is no sharper
-            return False
-        self._fine |= {best.key} if self.path.felt < FELT else set()
-        self.blur = self.path.felt if self.path.felt > FELT else 0.0
         self._wide = self.refitter.share, dict(self.pool)
         self.refitter.share = found[0]
-        sharp = self._counted(best.effects, found[1])
+        sharp = self._counted(lead.effects, found[1])
         if sharp is None:
             self.blunted()
             return False
-        self.pool[best.key] = sharp
+        self.pool[lead.key] = sharp
         least = best.log - abs(sharp.log - best.log) - math.log(FACTOR * len(self.pool))
         alike = [one for one in self.pool.values() if len(one.effects) == len(best.effects)]
         near = sorted(
             (one for one in alike if one.log > least and one is not sharp), key=lambda one: -one.log
         )
-        parts = [one for one in self.pool.values() if one.effects and one.key < best.key]
+        parts = [one for one in self.pool.values() if one.effects and one.key < lead.key]
         for one in (*near[:_RIVALS], *parts):
             if not late():
                 self._again_sharp(one)
         self.weigh()
         return True
+
+    def _sharpest(self, one: Tried) -> tuple[float, Arrived] | None:
+        """The share of corners that a structure's data feel, and where its refit with them arrived; None where they
+        feel none that are sharper, or its law itself is no sharper."""
+        worth = max(1.0 / max(self.levels.memory.values(), default=1.0), 1e-6)
+        target = self.path.sharpness(one.effects, one.arrived, worth)
+        self.blur = self.path.felt if self.path.felt > FELT else 0.0
+        if target >= self.refitter.share:
+            return None
+        found = self.path.sharpest(one.effects, one.arrived, target, worth)
+        if found is None or found[1].cost > one.arrived.cost + FELT:
+            self._fine.add(one.key)
+            self.path.felt = math.nan if found is None else 0.0
+            return None
+        self._fine |= {one.key} if self.path.felt < FELT else set()
+        self.blur = self.path.felt if self.path.felt > FELT else 0.0
+        return found
+
+    def _sharp_rival(self, best: Tried) -> tuple[Tried, tuple[float, Arrived] | None]:
+        """The most probable rival that leaves less than the best structure once its corners are sharp, likewise."""
+        known = self.path.felt, self.path.moved, self.blur
+        alike = [
+            one for one in self.pool.values()
+            if len(one.effects) == len(best.effects) and one is not best and one.log > -math.inf
+            and one.key not in self._fine and self.path.cornered(one.effects)
+        ]  # fmt: skip
+        for one in sorted(alike, key=lambda one: -one.log)[:_SHARP_RIVALS]:
+            if late():
+                break
+            found = self._sharpest(one)
+            if found is not None and found[1].cost < best.arrived.cost - FELT:
+                return one, found
+        self.path.felt, self.path.moved, self.blur = known
+        return best, None
 
     def _again_sharp(self, tried: Tried) -> bool:
         """Refit with the corners as they are now; what a wide one gained is no evidence, so that the end counts even
