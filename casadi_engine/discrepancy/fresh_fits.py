@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -59,13 +60,15 @@ def held_fit(
     model: Model | None = None,
     places: Places | None = None,
     known: Mapping[str, float] | None = None,
+    once: bool = False,
 ) -> Fit:
     """The fit's parameters held on one record; initial states, and what is wrong with assumed pressures, found.
 
     A parameter that varies by experiment has the value of the record of the same name; in a record of another name it
     is found there too, beside the scatter of the fit's records where three or more tell it (``parameters_for``).
     idle : effects that do not act there; model : in place of the fit's, with the same parameters; places : parameters
-    to be found there, name -> (start, least, most); known : first states by which another structure describes it.
+    to be found there, name -> (start, least, most); known : first states by which another structure describes it;
+    once : from one start, as it is only to show where an event happens.
     Raises EstimationError where the model fails.
     """
     model = fit.model if model is None else model
@@ -83,7 +86,7 @@ def held_fit(
     if near is not None and not any(held[name].vary for name in held):
         with unmetered(), suppress(CasadiEngineError, FloatingPointError):
             found = _simulated(fit, near, model, record, held, levels)
-            if near.converged and found.cost / found.n <= _chance(found) * _misfit(fit, noise):
+            if near.converged and (once or found.cost / found.n <= _chance(found) * _misfit(fit, noise)):
                 return found
     last = len(starts)
     for number in range(1 if found is not None and found.converged else 0, last + 1):
@@ -209,12 +212,14 @@ def fresh_sides(
     for record in portion.fresh:
         idle = [e for e in effects if e.placed and not _goes_on(e, record, portion)]
         try:
-            fits = [
-                held_fit(fit, record, noise=noise, idle=idle, model=model, known=_known_on(record, refitter))
-                for model in _continued(fit, effects, record, portion, refitter)
-            ]
-            fits += _with_events(fit, effects, record, noise, idle, fits[0], refitter)
-            held = min(fits, key=lambda one: one.cost)
+            own = partial(held_fit, fit, record, noise=noise, idle=idle, known=_known_on(record, refitter))
+            models = _continued(fit, effects, record, portion, refitter)
+            once = any(e.moves for e in effects)
+            fits = [own(model=model, once=once) for model in models]
+            placed = _with_events(fit, effects, record, noise, idle, fits[0], refitter)
+            held = min([*fits, *placed], key=lambda one: one.cost)
+            if once and held in fits:  # no event is seen there
+                held = min([held, *(own(model=model) for model in models)], key=lambda one: one.cost)
             _remember(held, record, _misfit(fit, noise), refitter)
             with unmetered():  # what was found is to count
                 found.append((held, null_model(held)))

@@ -69,6 +69,10 @@ def test_first_states_of_another_structure_lead_out_of_a_wrong_optimum(fit, monk
     held = held_fit(fit, fresh, noise=NOISE, known=first)
     assert held.cost == pytest.approx(right.cost, rel=1e-6)
     assert asked[1].initial["fresh"] == first
+    # as a step on the way to where an event happens, one start is enough
+    asked.clear()
+    assert held_fit(fit, fresh, noise=NOISE, known=first, once=True).cost > 10 * right.cost
+    assert len(asked) == 1
 
 
 def test_what_no_parameter_explains_is_still_seen(fit):
