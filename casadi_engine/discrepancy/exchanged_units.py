@@ -62,13 +62,16 @@ def more_than_whole(effects: Sequence[Addition], values: Mapping[str, float]) ->
 
 
 def impossible_gain(effects: Sequence[Addition], values: Mapping[str, float], model: Model) -> bool:
-    """True if a sensor would show half as much too much, or more, or a stated value be of the other sign or wrong by a
-    factor of five, and that is no ratio of units, nor what a sensor shows that is read wrong."""
+    """True if a sensor would show half as much too much, or more, an input act five times as much as it says or the
+    other way round, or a stated value be of the other sign or wrong by a factor of five, and that is no ratio of units,
+    nor what a channel shows that is read wrong."""
     for one in effects:
         allowed: tuple[float, ...] = ()
         factor, at = 1 + values.get(one.amplitude, 0.0), one.candidate.port
         if one.candidate.effect == "sensor_gain" and abs(factor - 1) > WRONG:
             units, allowed = [out.unit for out in model.outputs if at == f"sensor_{out.name}"], _MISREAD
+        elif one.candidate.effect == "input_gain" and not 0 <= factor <= _STATED:
+            units, allowed = [own.unit for own in model.inputs if at == f"input_{own.name}"], _MISREAD
         elif one.amplitude.endswith(".wrong_value.share") and not 1 / _STATED <= factor <= _STATED:
             units = [model.parameters()[at.removeprefix("parameter_")].unit]
         else:

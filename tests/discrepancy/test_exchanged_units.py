@@ -66,6 +66,21 @@ def test_a_stated_value_keeps_its_sign_and_its_size_unless_its_unit_is_another(s
     assert impossible_gain([one], {one.amplitude: share}, b.model()) is impossible
 
 
+@pytest.mark.parametrize(
+    ("gain", "impossible"),
+    [(28.05, True), (3.5, False), (-1.0, False), (-2.0, False), (-1.6, True), (999.0, False), (4.5, True)],
+)
+def test_an_input_acts_the_way_it_says_within_reason_unless_its_unit_is_another(gain, impossible):
+    """A torque of which twenty-nine times as much acts, as if a weight were nothing beside it."""
+    b = ce.Blueprint("spin")
+    w, torque = b.state("w", unit="rad/s"), b.input("T", unit="N m")
+    b.ode("w", torque - w)
+    b.output("w", w, unit="rad/s")
+    candidate = SimpleNamespace(effect="input_gain", port="input_T")
+    one = SimpleNamespace(candidate=candidate, amplitude="input_T.input_gain.gain")
+    assert impossible_gain([one], {one.amplitude: gain}, b.model()) is impossible
+
+
 def test_exchanged_units_of_a_sensor_are_in_a_class_with_the_gain_of_an_input_that_does_the_same():
     """A speed in km/h given as m/s, the mass known: the force may as well be so much larger."""
     rng = np.random.default_rng(0)
