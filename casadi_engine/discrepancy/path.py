@@ -115,6 +115,8 @@ class Path:
         self.felt = math.nan
         # parameter -> by how much such corners may change it, where refits with two widths tell
         self.moved: dict[str, float] = {}
+        # structure and share -> both, where a refit with corners so sharp told them
+        self._told: dict[tuple[frozenset[tuple[str, str, bool]], float], tuple[float, dict[str, float]]] = {}
         self._least: dict[int, float] = {}  # the least work that a refit of a structure took
         # structure, share and lags -> where searches over windows of it came by, and ended
         self._ways: dict[tuple[Any, ...], list[tuple[Windowed, Arrived]]] = {}
@@ -228,7 +230,8 @@ class Path:
         if not self.cornered(effects) or switches_with_states(model) or len(shares) == 1:
             return before
         last, wider = math.nan, before
-        self.felt, self.moved = math.nan, {}  # another structure's says nothing of this one
+        # another structure's says nothing of this one
+        self.felt, self.moved = self._told.get((form_of(effects), before), (math.nan, {}))
         felt = FELT * max(arrived.cost / max(own.count, 1), 1.0) / worth
         try:
             with np.errstate(all="ignore"):
@@ -308,6 +311,7 @@ class Path:
                     for name, one in there.values.items()
                     if name in last.values
                 }
+                self._told[form_of(effects), share] = self.felt, self.moved
                 reached, last = (share, there), there
                 if self.felt < FELT or not there.settled:
                     break

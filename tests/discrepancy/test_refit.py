@@ -11,6 +11,7 @@ from scipy import stats
 import casadi_engine as ce
 from casadi_engine.discrepancy import path as refits
 from casadi_engine.discrepancy import refit as refit_module
+from casadi_engine.discrepancy.path import form_of
 from casadi_engine.discrepancy.refit import Refitter, addition
 from casadi_engine.discrepancy.screening import screen
 from casadi_engine.discrepancy.start import Start
@@ -113,6 +114,12 @@ def test_what_the_corners_of_another_structure_did_says_nothing_of_these():
     felt, path.felt = path.felt, 0.0
     assert path.sharpness([one], end) == first
     assert path.felt == pytest.approx(felt)
+    # what a refit of its own with corners so sharp told is known
+    path._told[form_of([one]), refitter.share] = 0.01, {}
+    assert path.sharpness([one], end) == refitter.share
+    path._told[form_of([one]), refitter.share / 4] = 0.01, {}
+    del path._told[form_of([one]), refitter.share]
+    assert path.sharpness([one], end) == first
 
 
 def coverage(fits, name, truth):
