@@ -102,8 +102,11 @@ def values_of(path: Path, parameters: Parameters, *, given: Options) -> Paramete
 
 
 def noise_of(path: Path) -> dict[str, tuple[float, float]]:
-    """Output -> standard deviation of the noise that a stored fit found, and from how many degrees of freedom."""
+    """Output -> standard deviation of the noise that a stored fit found, and from how many degrees of freedom; none of
+    a fit with a gain, whose residuals are innovations."""
     stored = _document(path)
+    if stored.get("gain") is not None:
+        return {}
     dof = stored.get("dof")
     return {
         name: (one["sigma"], float(dof or 1) if one.get("estimated") else math.inf)

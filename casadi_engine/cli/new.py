@@ -42,9 +42,9 @@ def _is_module(name: str) -> bool:
 
     here = {"", os.getcwd()}
     places = [place for place in sys.path if place not in here]
-    return (
-        name in sys.stdlib_module_names or importlib.machinery.PathFinder.find_spec(name, places) is not None
-    )
+    spec = importlib.machinery.PathFinder.find_spec(name, places)
+    # a folder alone, as of results, has no file to load
+    return name in sys.stdlib_module_names or (spec is not None and spec.origin is not None)
 
 
 def write_template(name: str, *, equations: bool = False) -> Path:

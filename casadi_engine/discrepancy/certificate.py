@@ -214,8 +214,8 @@ def unknown_of(screened: Screened) -> Unknown | None:
         first = next(iter(alarms)).rsplit("/", 2)
         if first[2].startswith(BESIDE):
             other = first[2].removeprefix(BESIDE)
-            words = f"the residuals of {first[1]} and {other} in {first[0]} move together"
-            return Unknown(f"{words}, which the noise of two sensors does not", alarms)
+            words = f"the residuals of {first[1]} and {other} in {first[0]} are correlated"
+            return Unknown(f"{words}, which the noise of two sensors is not", alarms)
         return Unknown(f"the residual of {first[1]} in {first[0]} is not white", alarms)
     words = f"{law_words(screened.null.model, family)}{likeness_words(course)}"
     return Unknown(words, alarms, family.port, family.signal, leftover.family_p, course)

@@ -278,7 +278,9 @@ def _p_values(result: Result) -> list[tuple[str, float]]:
     checks = result.get("records", {}) or result.get("validation", {}).get("records", {})
     made = []
     for record, output, check in each(checks):
-        tests = {"whiteness": check["whiteness_p"], **check["cross_p"]}
+        # results from before 0.35 have no tests of mean and size
+        level = {name: check.get(f"{name}_p") for name in ("mean", "size")}
+        tests = {"whiteness": check["whiteness_p"], **level, **check["cross_p"]}
         made += [(f"{record}/{output}/{name}", float(p)) for name, p in tests.items() if p is not None]
     return made
 

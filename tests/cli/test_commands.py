@@ -304,6 +304,29 @@ def test_from_a_result_in_other_units(here, call):
     assert "kg in the result, kg m2 in the problem" in done.err
 
 
+def test_a_sensor_that_reads_too_high_fails_behind_a_result(here, call):
+    """Values from a result count as exact; what is left is held against the noise of that fit."""
+    call("fit", "problem.py", "--out", "out")
+    head, *lines = (here / "run.csv").read_text().splitlines()
+    column = [name.split(" [")[0] for name in head.split(",")].index("omega")
+    rows = [line.split(",") for line in lines]
+    for row in rows:
+        row[column] = f"{float(row[column]) + 5.0:.9f}" if row[column] else ""
+    wild = [list(row) for row in rows]
+    wild[len(rows) // 2][column] = "9999"
+    for name, table in {"off": rows, "wild": wild}.items():
+        (here / f"{name}.csv").write_text("\n".join([head, *(",".join(row) for row in table)]) + "\n")
+        done = call(
+            "validate", "problem.py", "--from", "out", "--data", f"{name}.csv", "--check", "--out", name
+        )
+        assert done.code == 1, done.err
+        assert f"{name}/omega/" in done.out
+    assert (
+        call("validate", "problem.py", "--from", "out", "--data", "run.csv", "--check", "--out", "as").code
+        == 0
+    )
+
+
 # ---- 3: no answer
 
 

@@ -106,3 +106,10 @@ def test_a_name_of_a_module_is_refused(name, tmp_path, monkeypatch):
     with pytest.raises(ProblemError, match=r"that of a Python module.*give a name such as my_engine"):
         write_template(name)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_of_that_name_is_no_module(tmp_path, monkeypatch):
+    (tmp_path / "elsewhere" / "hoist").mkdir(parents=True)
+    monkeypatch.syspath_prepend(tmp_path / "elsewhere")
+    monkeypatch.chdir(tmp_path)
+    assert write_template("hoist").name == "hoist.py"

@@ -57,5 +57,5 @@ def test_outputs_of_different_times_are_not_held_against_each_other():
 def test_it_is_said_in_words():
     screened = stub(leftover=Leftover({"run/a/beside b": 1e-9, "run/a/whiteness": 0.5}, 1e-3))
     assert unknown_of(screened).sentence == (
-        "the residuals of a and b in run move together, which the noise of two sensors does not"
+        "the residuals of a and b in run are correlated, which the noise of two sensors is not"
     )
