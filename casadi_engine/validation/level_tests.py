@@ -21,7 +21,7 @@ from casadi_engine.validation.residual_tests import ResidualTest
 LOUDER = 1.5
 # Degrees of freedom of a level that was stated.
 _STATED = 1e9
-# Fewest samples that tell a mean from chance.
+# Fewest samples, beyond the numbers that were fitted to them, that tell a mean or a size from chance.
 _FEWEST = 8
 
 
@@ -54,15 +54,22 @@ def mean_test(residual: FloatArray, correlation: Correlation, reach: float = 1.0
     return ResidualTest(ratio, 1, chance, count)
 
 
-def size_test(residual: FloatArray, level: float, dof: float, correlation: Correlation) -> ResidualTest:
+def size_test(
+    residual: FloatArray, level: float, dof: float, correlation: Correlation, fitted: int = 0
+) -> ResidualTest:
     """Test whether a residual (n,) is larger than ``LOUDER`` times the noise of the fit.
 
     level, dof : standard deviation of that noise, and from how many degrees of freedom it was estimated, inf for one
-    that was stated; correlation : with its past, by which its squares are worth fewer samples
+    that was stated; correlation : with its past, by which its squares are worth fewer samples; fitted : how many
+    numbers were fitted to these data
     """
     count = len(residual)
-    if not count or not level > 0:
-        why = "no valid samples" if level > 0 else "the fit leaves no noise"
+    if count < fitted + _FEWEST or not level > 0:
+        why = (
+            f"{count} valid samples: {fitted + _FEWEST} are needed"
+            if level > 0
+            else "the fit leaves no noise"
+        )
         return ResidualTest(None, None, None, count, why=why)
     ratio = float(residual @ residual) / count / level**2
     worth = max(count / (1 + 2 * float((_past(correlation) ** 2).sum())), 1.0)

@@ -267,15 +267,15 @@ def _with_level(
     check: OutputCheck, place: tuple[str, str], levels: Levels, again: Refit | None
 ) -> OutputCheck:
     """The check of a fresh output with the tests of its mean and of its size; see ``level_tests``."""
-    residual, mask, reach = check.trace.residual, check.trace.mask, 1.0
+    residual, mask, reach, fitted = check.trace.residual, check.trace.mask, 1.0, 0
     if again is not None and place in again.index:
-        residual, mask, _ = _within_errors(check.trace, place, again)
-        reach = again.reach[place]
+        residual, mask, slopes = _within_errors(check.trace, place, again)
+        reach, fitted = again.reach[place], slopes.shape[1]
     own = np.asarray(residual, dtype=float)[mask]
     check = replace(check, mean=mean_test(own, check.autocorrelation, reach))
     if place[1] not in levels:
         return check
-    return replace(check, size=size_test(own, *levels[place[1]], check.autocorrelation))
+    return replace(check, size=size_test(own, *levels[place[1]], check.autocorrelation, fitted))
 
 
 def _within_errors(

@@ -248,6 +248,9 @@ def test_too_few_samples_are_not_called_passed(first):
     check = ce.validate(fit.model, record("tiny", np.zeros(4), np.zeros(4), 1), parameters=fit.parameters)
     assert str(check).splitlines()[1].strip() == "NOT TESTED: no test could be made with these data"
     assert "Next: give a longer record" in str(check)
+    # two samples that the first states explain say nothing of the size of the noise
+    short = ce.validate(fit, record("two", np.zeros(2), np.zeros(2), 1))
+    assert "NOT TESTED" in str(short)
 
 
 # ---- parameters that vary by experiment

@@ -50,4 +50,5 @@ def test_what_cannot_be_tested_says_why():
     many = np.arange(20.0)
     assert mean_test(many, none(20), reach=0.0).why == "parameters and first states take what is constant"
     assert size_test(many, 0.0, 10, none(20)).why == "the fit leaves no noise"
-    assert size_test(np.zeros(0), 1.0, 10, none(0)).why == "no valid samples"
+    assert size_test(np.zeros(0), 1.0, 10, none(0)).why == "0 valid samples: 8 are needed"
+    assert size_test(many, 1.0, 10, none(20), fitted=13).why == "20 valid samples: 21 are needed"
