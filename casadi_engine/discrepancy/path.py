@@ -180,7 +180,7 @@ class Path:
         _, _, problem = self._problem(effects, arrived.lags)
         values = {n: 0.0 if n.partition("@")[0] == amplitude else v for n, v in arrived.values.items()}
         with suppress(*FAILURES), np.errstate(all="ignore"):
-            return problem.glance(values, arrived.refit.nodes)
+            return problem.glance(values, problem.nodes_of(arrived.refit))
         return math.inf
 
     def residuals(self, effects: Sequence[Addition], arrived: Arrived) -> NullModel:
@@ -235,7 +235,7 @@ class Path:
         felt = FELT * max(arrived.cost / max(own.count, 1), 1.0) / worth
         try:
             with np.errstate(all="ignore"):
-                states = [path.x for path in own.paths(arrived.values, arrived.refit.nodes)]
+                states = [path.x for path in own.paths(arrived.values, own.nodes_of(arrived.refit))]
                 alike = _followed(own)
                 for level, share in enumerate(shares):
                     refitter.share = share

@@ -184,6 +184,14 @@ class LaidProblem:
         except (FloatingPointError, np.linalg.LinAlgError):
             return float("nan")
 
+    def _in_places(self) -> bool:
+        """Go on by steps that may be short in places and implicit, where laws were found too stiff for those of the
+        linear core; False where none was, or none can."""
+        changed = [record.stiff and record.step_in_places() for record in self.records]  # each of them
+        if any(changed):
+            self.problem.forget()
+        return any(changed)
+
     def _lower(self, one: Array, other: Array) -> bool:
         """True if the objective is lower at one point than at another, or is none there."""
         before, after = self._objective(other), self._objective(one)

@@ -217,6 +217,11 @@ class RecordTerm:
         )
         return True
 
+    @property
+    def stiff(self) -> bool:
+        """True if a point was refused because its laws are too stiff for the steps of the linear core."""
+        return bool(getattr(getattr(self.propagator, "states", self.propagator), "stiff", False))
+
     def as_fine_as(self, known: Any) -> None:
         """Integrate as finely as a propagator of this record did elsewhere (`fineness_of`), where both are alike."""
         propagator: Any = self.propagator

@@ -285,6 +285,11 @@ class RefitProblem:
         z = self._values(values, None)
         return [self._nodes(record, self.coordinates.of(z), z, initial, None) for record in self.records]
 
+    def nodes_of(self, refit: Refit) -> list[Array]:
+        """The states (M, n) of each record's intervals where a refit ended, which may have cut records otherwise."""
+        same = all(len(own) == record.plan.m for own, record in zip(refit.nodes, self.records, strict=True))
+        return list(refit.nodes) if same else self.simulated(refit.values, refit.initial)
+
     def cost_from(self, values: Mapping[str, float], nodes: Sequence[Array]) -> float:
         """Chi-squared without priors of the run at these values from the first of each record's states, by steps of
         the integration that move no estimate; nodes : (M, n), near that run."""

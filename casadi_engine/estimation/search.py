@@ -129,7 +129,11 @@ class Search(FirstPoints):
     def _in_full(self, z: Array, given: Array, why: str, *, first: bool, near: bool = False) -> Attempt:
         """Search on all samples from z, which the start that was given led to."""
         self._before = 0
-        x = self._checked(self._start(z, first=first), z)
+        x = self._start(z, first=first)
+        if not np.isfinite(self._objective(x)) and self._in_places():
+            self._first = None
+            x = self._start(z, first=first)
+        x = self._checked(x, z)
         if not near:
             x, near = self._rounded(x, z)
         solution = self._solved(x, exact=near)
@@ -198,16 +202,25 @@ class Search(FirstPoints):
 
     def _solved(self, x: Array, *, exact: bool) -> Solution:
         """The solution from ``x``; from the simulation at the start instead where that explains the data better."""
-        solution = self.solver.solve(x, self.lower, self.upper, exact=exact)
+        solution = self._descended(x, exact=exact)
         if solution.status == "interrupted":
             return solution
         simulated = self._simulated(x, resting=self._followed(solution.x) < FOLLOWED)
         if simulated is None or not self._lower(simulated, solution.x):
             return solution
-        other = self.solver.solve(simulated, self.lower, self.upper)
+        other = self._descended(simulated)
         # an optimum above what the search began at, or came by, is none to end at
         best = other if self._lower(other.x, solution.x) or solution.status != "converged" else solution
         return replace(best, iterations=solution.iterations + other.iterations)
+
+    def _descended(self, x: Array, *, exact: bool = False) -> Solution:
+        """The solver's solution from ``x``; where it came upon laws too stiff for the steps that there are, it goes on
+        with others."""
+        solution = self.solver.solve(x, self.lower, self.upper, exact=exact)
+        if solution.status in ("converged", "interrupted") or not self._in_places():
+            return solution
+        other = self.solver.solve(solution.x, self.lower, self.upper, exact=exact)
+        return replace(other, iterations=solution.iterations + other.iterations)
 
     def _levelled(self, solution: Solution) -> tuple[Solution, int]:
         """The solution with the noise levels settled, and the iterations that it took in all."""
@@ -222,7 +235,7 @@ class Search(FirstPoints):
             self._weigh(weights)
             if change < _LEVEL:
                 break
-            solution = self.solver.solve(solution.x, self.lower, self.upper, exact=True)
+            solution = self._descended(solution.x, exact=True)
             iterations += solution.iterations
         return solution, iterations
 
@@ -239,7 +252,7 @@ class Search(FirstPoints):
                 if not shorten_steps(self.records, x[: self.problem.nv], nodes, misfit):
                     break
                 self.problem.forget()
-                solution = self.solver.solve(x, self.lower, self.upper, exact=True)
+                solution = self._descended(x, exact=True)
                 solution, more = self._levelled(solution)
                 found = self._outcome(self._blamed(solution), attempt.iterations + more, attempt.start)
             except (FloatingPointError, np.linalg.LinAlgError, TimeUp):
@@ -264,7 +277,7 @@ class Search(FirstPoints):
                     return attempt  # no run is: the intervals, joined to rounding, are the motion
                 if last or not math.isfinite(costs[0]):
                     break
-                solution, more = self._levelled(self.solver.solve(run, self.lower, self.upper, exact=True))
+                solution, more = self._levelled(self._descended(run, exact=True))
                 again = self._outcome(self._blamed(solution), attempt.iterations + more, attempt.start)
                 if again.solution.status != "converged":
                     break

@@ -10,7 +10,7 @@ import numpy as np
 from casadi_engine.errors import SimulationError
 from casadi_engine.simulation.carried_errors import carried_on
 from casadi_engine.simulation.event_propagator import EventPropagator
-from casadi_engine.simulation.exponential_runge_kutta import MOST_SUBSTEPS, ExponentialPropagator
+from casadi_engine.simulation.exponential_runge_kutta import MOST_SUBSTEPS, ExponentialPropagator, TooStiff
 from casadi_engine.simulation.intervals import Intervals
 from casadi_engine.simulation.jets import Array
 from casadi_engine.simulation.linear import LinearPropagator
@@ -90,12 +90,12 @@ class ErrorEstimate:
 class SignedError:
     """The estimated error of a whole run's outputs, off (R*ny, b, M), and their size, likewise.
 
-    cells : (N-1,) where it arises, for a propagator that can be refined in places; None for any other
+    steps : where it arises, of each step, for a propagator that can be refined in places; None for any other
     """
 
     off: Array
     size: Array
-    cells: Array | None = None
+    steps: Array | None = None
 
 
 def signed_error(propagator: Stepped, z: Array, nodes: Array) -> SignedError:
@@ -107,8 +107,8 @@ def signed_error(propagator: Stepped, z: Array, nodes: Array) -> SignedError:
     z = np.asarray(z, dtype=float)
     if isinstance(propagator, RungeKuttaPropagator):
         path = propagator.propagate(z, nodes, 1)
-        off, cells = propagator.arising(z, path)
-        return SignedError(off, path.y[0], cells)
+        off, steps = propagator.arising(z, path)
+        return SignedError(off, path.y[0], steps)
     # The coarse path first: it may have refined its steps for stability.
     coarse = propagator.propagate(z, nodes, 1 if len(nodes) > 1 else 0)
     fine = propagator.finer(2).propagate(z, nodes, 0)
@@ -168,9 +168,9 @@ def summed_up(
 def shortened(propagator: Stepped, found: SignedError, ratio: float) -> Stepped | None:
     """The propagator with steps for an error about ``ratio`` times smaller; None where they would be too many."""
     if isinstance(propagator, RungeKuttaPropagator):
-        assert found.cells is not None
+        assert found.steps is not None
         try:
-            return propagator.adapted(found.cells, ratio)
+            return propagator.adapted(found.steps, ratio)
         except FloatingPointError:
             return None
     if isinstance(propagator, EventPropagator):
@@ -200,19 +200,26 @@ def refined_to(
                 propagator, z, nodes, outputs=outputs, samples=samples, tolerance=tolerance
             )
             return propagator, about
-        found = signed_error(propagator, z, nodes)
+        try:
+            found = signed_error(propagator, z, nodes)
+        except TooStiff as fault:
+            raise _out_of_reach(math.inf, propagator, tolerance) from fault
         about = summed_up(propagator, found, outputs=outputs, samples=samples, tolerance=tolerance)
         if about.within:
             return propagator, about
         finer = shortened(propagator, found, 2 * about.largest / tolerance)
         if finer is None:
-            raise SimulationError(
-                "the integration does not reach its tolerance: a law is too sharp for the record's rate",
-                seen=f"{about.largest:.2g} with {propagator.substeps} steps to a sample",
-                allowed=f"a relative error of {tolerance:.2g}",
-                cure="make the law's smoothing wider, or the tolerance larger",
-            )
+            raise _out_of_reach(about.largest, propagator, tolerance)
         propagator = finer
+
+
+def _out_of_reach(largest: float, propagator: Stepped, tolerance: float) -> SimulationError:
+    return SimulationError(
+        "the integration does not reach its tolerance: a law is too sharp for the record's rate",
+        seen=f"{largest:.2g} with {propagator.substeps} steps to a sample",
+        allowed=f"a relative error of {tolerance:.2g}",
+        cure="make the law's smoothing wider, or the tolerance larger",
+    )
 
 
 def _recorded(plan: Intervals, samples: int) -> np.ndarray:

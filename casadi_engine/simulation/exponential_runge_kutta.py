@@ -33,9 +33,16 @@ MOST_SUBSTEPS = 64
 # below which steps four times as long are tried at the next point. A trial point of a search that is far off may ask
 # for the shortest steps there are, and would else have all later ones pay for it.
 _STRONGEST, _EASY, _LONGER = 1.0, 0.2, 4
+# Feedback of the shortest steps above which the scheme is not stable: where that of Runge and Kutta's of fourth order
+# ends on the real axis.
+_UNSTABLE = 2.785
 # A point that asks for more than so many times the steps of the point before it is not worth them: it is refused, and
 # the search comes nearer by a shorter step.
 _JUMP = 16
+
+
+class TooStiff(FloatingPointError):
+    """The laws answer faster than the shortest explicit steps can follow: steps in places are wanted."""
 
 
 @dataclass
@@ -115,6 +122,7 @@ class ExponentialPropagator:
         # The most steps to a sample; a point that asks for more than a lower number set here is refused.
         self.most = MOST_SUBSTEPS
         self._begun = False
+        self.stiff = False  # True once a point was refused because no explicit step is stable there
         self._lay(self._least)
 
     def _lay(self, substeps: int) -> None:
@@ -199,6 +207,9 @@ class ExponentialPropagator:
             steps = self._values(z, nodes, matrices)
             slopes = self._slopes(z, steps)
             feedback = self._feedback(matrices, slopes[0])
+            if self.substeps >= MOST_SUBSTEPS and feedback > _UNSTABLE:
+                self.stiff = True
+                raise TooStiff("the laws answer faster than the shortest integration steps can follow")
             if self.substeps >= MOST_SUBSTEPS or feedback <= _STRONGEST:
                 break
             if self.most < MOST_SUBSTEPS and self.substeps * feedback > self.most * _STRONGEST:

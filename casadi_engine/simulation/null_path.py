@@ -11,6 +11,7 @@ from casadi_engine.model import Model
 from casadi_engine.model.linearity import is_affine
 from casadi_engine.simulation.adaptive import Adaptive
 from casadi_engine.simulation.drives import Drives
+from casadi_engine.simulation.exponential_runge_kutta import MOST_SUBSTEPS, TooStiff
 from casadi_engine.simulation.finer_grid import around_instants, with_parts
 from casadi_engine.simulation.grid import Grid
 from casadi_engine.simulation.intervals import cut
@@ -25,6 +26,8 @@ from casadi_engine.simulation.tape import ArrayFunction
 _TOLERANCE = 1e-9
 # Of the largest value of a state, what the cubic in the middle between two points may be off by.
 _CUBIC = 1e-4
+# Of a state's standard deviation, what steps of half the length may change it by.
+_OTHER = 1e-2
 # Parts that a cell is cut into where it is more, and points of a path for each of the record's at most.
 _PARTS, _MOST = 4, 8
 # Cells longer than this many means are holes in a record: laws move there too.
@@ -122,7 +125,7 @@ def null_path(model: Model, grid: Grid, p: Array, start: Array, *, steps: int | 
     steps : to a sample of an exponential integrator, as in the fit whose path this is; None for the fewest that are
     stable. Any model that is not integrated so, and any on unequal steps or with equations that depend on time itself
     and are affine in the channels, is simulated by steps that follow the error, and gets points between its samples
-    where the states bend there.
+    where the states bend there; and so is one whose run is another one by steps of half the length.
     Raises FloatingPointError where the states are not finite.
     """
     p, start = np.asarray(p, dtype=float), np.asarray(start, dtype=float)
@@ -130,12 +133,26 @@ def null_path(model: Model, grid: Grid, p: Array, start: Array, *, steps: int | 
     timed = timed_drives(model) and is_affine(model.closed_ode, model.u, ca.SX(0, 1))
     if not grid.uniform or timed or switches_in_time(model):
         return _adaptive_path(model, grid, p, start)
-    x = _stepped(model, grid, p, start[None], None, steps)
-    if x is None:
+    try:
+        x = _stepped(model, grid, p, start[None], None, steps)
+        astray = x is None or _astray(model, grid, p, start, steps, x)
+    except TooStiff:
+        x, astray = None, True
+    if x is None or astray:
         return _adaptive_path(model, grid, p, start)
     if not np.isfinite(x).all():
         raise FloatingPointError("the model's state is not finite here")
     return with_slope(model, grid, x, p)
+
+
+def _astray(model: Model, grid: Grid, p: Array, start: Array, steps: int | None, x: Array) -> bool:
+    """True if states (n, N) are not those of shorter steps: a step that leaps to and fro across a corner looks stable to
+    an integrator that asks for slopes where it lands."""
+    if not model.has_slot_laws and model.linear is not None and not timed_drives(model):
+        return False  # exact
+    finer = _stepped(model, grid, p, start[None], None, min(2 * (steps or 1), MOST_SUBSTEPS))
+    assert finer is not None  # as the others were made by the same integrator
+    return bool((np.std(finer - x, axis=1) > _OTHER * np.std(x, axis=1)).any())
 
 
 def pieces_path(model: Model, grid: Grid, p: Array, starts: Array, length: int) -> NullPath | None:

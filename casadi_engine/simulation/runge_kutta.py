@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -55,15 +55,26 @@ MOST_STEPS = 2_000_000
 
 @dataclass(frozen=True, eq=False)
 class Fineness:
-    """How finely a record is integrated: the scheme, and (N-1,) steps of each cell of its grid."""
+    """How finely a record is integrated: the scheme, and (N-1,) steps of each cell of its grid.
+
+    shares : of their cells that steps take, in order of time; None where those of a cell are equal
+    """
 
     scheme: Tableau
     counts: NDArray[np.intp]
+    shares: Array | None = None
 
     @property
     def most(self) -> int:
         """Most steps of a cell."""
         return int(self.counts.max(initial=1))
+
+    def cut(self, parts: NDArray[np.intp]) -> Fineness:
+        """The steps each cut into so many equal parts, (steps,) in order of time."""
+        cell = np.repeat(np.arange(len(self.counts)), self.counts)
+        counts = np.bincount(cell, parts, minlength=len(self.counts)).astype(np.intp)
+        shares = 1 / self.counts[cell] if self.shares is None else self.shares
+        return Fineness(self.scheme, counts, np.repeat(shares / parts, parts))
 
 
 @dataclass
@@ -159,12 +170,12 @@ class RungeKuttaPropagator:
         """The same propagator with every step cut into ``factor`` steps; FloatingPointError for more than 2e6 steps."""
         now = self._fineness
         assert now is not None, "propagated at least once"
-        return self.refined(replace(now, counts=now.counts * factor))
+        return self.refined(now.cut(np.full(now.counts.sum(), factor)))
 
     def adapted(self, errors: Array, ratio: float) -> RungeKuttaPropagator:
         """The same propagator with shorter steps where most of the error arises, for an error ``ratio`` times smaller.
 
-        errors : (N-1,) that arise in the cells of the grid, see `arising`
+        errors : of each step in order of time, see `arising`
         """
         now = self._fineness
         assert now is not None, "propagated at least once"
@@ -175,13 +186,13 @@ class RungeKuttaPropagator:
             ratio = 1.0
         share = np.where(finite, errors, np.inf) / max(float(errors[finite].mean()), 1e-300)
         factor = np.clip((share * ratio) ** (1 / now.scheme.order), 1.0, _FINER)
-        return self.refined(replace(now, counts=np.ceil(now.counts * factor).astype(np.intp)))
+        return self.refined(now.cut(np.ceil(factor).astype(np.intp)))
 
     def arising(self, z: Array, path: RungeKuttaTrajectory) -> tuple[Array, Array]:
-        """What the steps of a path add to the error: of the outputs (R*ny, b, M), carried along, and by cells (N-1,).
+        """What the steps of a path add to the error: of the outputs (R*ny, b, M), carried along, and by steps.
 
         Each step is compared with two of half the length; what it is off by is carried through the later ones by the
-        sensitivities. By cells it is the size of what arises there, relative to the largest state.
+        sensitivities. By steps, in order of time, it is the size of what arises there, relative to the largest state.
         """
         layout, plan, n, count = self.layout, self.intervals, self.n, self.intervals.m
         whole = np.flatnonzero(layout.part[: layout.steps] == 0)
@@ -204,15 +215,17 @@ class RungeKuttaPropagator:
         off = (path.out[..., :n] @ each[..., None])[..., 0]
         size = np.abs(path.begun).max(axis=1) + 1e-300
         sizes = np.nan_to_num(np.abs(own / size).max(axis=-1), nan=np.inf, posinf=np.inf)
-        cells = np.bincount(layout.cell[whole], sizes, minlength=self.grid.samples - 1).astype(np.float64)
-        return to_rows(plan, off.transpose(2, 0, 1)[None])[0], cells
+        each_step = np.empty(len(whole))
+        each_step[layout.number[whole]] = sizes
+        return to_rows(plan, off.transpose(2, 0, 1)[None])[0], each_step
 
     def _lay(self, fineness: Fineness) -> None:
         ask()
         if int(fineness.counts.sum()) > self._most + len(fineness.counts):
             raise FloatingPointError("the equations ask for more integration steps than are allowed")
         self._fineness, self._last = fineness, None
-        self.layout: StepLayout = lay_steps(self.grid, self.intervals, fineness.counts, self.slope.parts)
+        own = self.slope.parts, fineness.shares
+        self.layout: StepLayout = lay_steps(self.grid, self.intervals, fineness.counts, *own)
         self._sweeps = Sweeps(self.slope, fineness.scheme, self.layout)
 
     @contextmanager
@@ -252,14 +265,14 @@ class RungeKuttaPropagator:
             self._lay(Fineness(RUNGE_KUTTA, np.maximum(wanted, 1).astype(np.intp)))
 
     def _finer(self, factor: float | Array) -> None:
-        """Steps shorter by a factor, or by one for each cell, or implicit ones where explicit steps become too many."""
+        """Steps shorter by a factor, or by one for each, or implicit ones where explicit steps become too many."""
         now = self._fineness
         assert now is not None  # laid by `propagate`
-        counts = np.ceil(now.counts * factor).astype(np.intp)
-        if not now.scheme.implicit and counts.max() > _SOMEWHERE:
+        parts = np.ceil(np.broadcast_to(factor, now.counts.sum())).astype(np.intp)
+        if not now.scheme.implicit and parts.max() * now.most > _SOMEWHERE:
             self._lay(Fineness(RADAU, np.maximum(1, now.counts // 8)))
         else:
-            self._lay(replace(now, counts=counts))
+            self._lay(now.cut(parts))
 
     def drives_at(self, z: Array) -> Array:
         """(m, N) drives of the model on the grid."""
@@ -312,14 +325,14 @@ class RungeKuttaPropagator:
         return self._sensitivities(z, begun, at_stage, by_x, by_z)
 
     def _lost(self, begun: Array) -> Array:
-        """By how much shorter the steps of each cell have to be where Newton's method did not arrive in some."""
+        """By how much shorter each step has to be where Newton's method did not arrive in some; in order of time."""
         layout = self.layout
         fine = np.asarray(np.isfinite(begun).all(axis=0))
         lost = fine[: layout.steps] & ~fine[layout.after]
         if not lost.any():
             raise FloatingPointError("the model's state is not finite here")
-        factor = np.ones(self.grid.samples - 1)
-        factor[layout.cell[lost]] = 4.0
+        factor = np.ones(layout.steps // self.slope.parts)
+        factor[layout.number[lost]] = 4.0
         return factor
 
     @property

@@ -1,6 +1,6 @@
 """The integration steps between the samples of a record, laid out for all shooting intervals side by side.
 
-Each cell of the grid, from one sample to the next, is cut into a number of steps of its own. Row by row stand the first
+Each cell of the grid, from one sample to the next, is cut into a number of steps of its own, of any lengths. Row by row stand the first
 steps of all intervals, then the second ones, and so on: a row holds the intervals that still have a step, so that one
 interval which passes a corner costs its own steps and none of the others'.
 """
@@ -27,7 +27,7 @@ class StepLayout:
 
     rows : (S+1,) where each row of steps begins, K last
     time, length : (K+M,) where the whole step begins and how long it is [s]; low, high : (nu, K+M) the channels at its
-    ends; part : (K+M,) number of the step's part; cell : (K,) number of the grid's cell that it lies in
+    ends; part : (K+M,) number of the step's part; number : (K,) of the whole step in order of time
     at : (L+1, M) number of the step that begins at each sample of the intervals; K + m at the end of interval m
     after : (K,) number of what follows each step in its interval
     """
@@ -38,14 +38,14 @@ class StepLayout:
     low: Array
     high: Array
     part: Index
-    cell: Index
+    number: Index
     at: Index
     after: Index
 
     @property
     def steps(self) -> int:
         """K."""
-        return len(self.cell)
+        return len(self.number)
 
     @property
     def interval(self) -> Index:
@@ -71,8 +71,13 @@ class StepLayout:
         return reversed(list(self))
 
 
-def lay_steps(grid: Grid, plan: Intervals, counts: Index, parts: int = 1) -> StepLayout:
-    """The steps of a record; counts : (N-1,) steps of each of the grid's cells, 1 or more; parts : of each step."""
+def lay_steps(
+    grid: Grid, plan: Intervals, counts: Index, parts: int = 1, shares: Array | None = None
+) -> StepLayout:
+    """The steps of a record; counts : (N-1,) steps of each of the grid's cells, 1 or more; parts : of each step.
+
+    shares : of their cells that steps take, in order of time; None for equal steps in each cell
+    """
     m, length, cells = plan.m, plan.length, grid.samples - 1
     padded = np.zeros(m * length, np.intp)
     padded[:cells] = counts
@@ -103,7 +108,7 @@ def lay_steps(grid: Grid, plan: Intervals, counts: Index, parts: int = 1) -> Ste
         total + np.arange(m)[:, None],
     )
     ends = np.minimum(length * np.arange(1, m + 1), cells)
-    steps = _Steps.of(grid, cell, share, padded)
+    steps = _Steps.of(grid, cell, *_places(cell, share, padded, shares))
     return StepLayout(
         rows=np.concatenate([[0], np.cumsum(np.repeat(active, parts))]).astype(np.intp),
         time=np.concatenate([steps.time[chosen], grid.time[ends]]),
@@ -111,7 +116,7 @@ def lay_steps(grid: Grid, plan: Intervals, counts: Index, parts: int = 1) -> Ste
         low=np.concatenate([steps.low[:, chosen], grid.channels[:, ends]], axis=1),
         high=np.concatenate([steps.high[:, chosen], grid.channels[:, ends]], axis=1),
         part=np.concatenate([part, np.zeros(m, np.intp)]),
-        cell=cell[chosen],
+        number=chosen,
         at=np.ascontiguousarray(at.T),
         after=after,
     )
@@ -127,16 +132,30 @@ class _Steps:
     high: Array
 
     @staticmethod
-    def of(grid: Grid, cell: Index, share: Index, counts: Index) -> _Steps:
-        """The steps with the number ``share`` in their cells, which have so many each."""
-        whole, times, first = counts[cell], grid.time, [[hold == "first"] for hold in grid.holds]
+    def of(grid: Grid, cell: Index, begins: Array, ends: Array) -> _Steps:
+        """The steps between such shares of their cells."""
+        times, first = grid.time, [[hold == "first"] for hold in grid.holds]
         duration = np.diff(times)[cell]
         begin = grid.channels[:, cell]
         linear = np.array(first).reshape(len(grid.channels), 1)
         rise = np.where(linear, grid.channels[:, cell + 1] - begin, 0.0)
         return _Steps(
-            times[cell] + duration * (share / whole),
-            duration / whole,
-            begin + rise * (share / whole),
-            begin + rise * ((share + 1) / whole),
+            times[cell] + duration * begins,
+            duration * (ends - begins),
+            begin + rise * begins,
+            begin + rise * ends,
         )
+
+
+def _places(cell: Index, share: Index, counts: Index, shares: Array | None) -> tuple[Array, Array]:
+    """Where in its cell each step begins and ends, 0 to 1; share : number of the step in its cell."""
+    if shares is None:
+        whole = counts[cell]
+        return share / whole, (share + 1) / whole
+    behind = np.cumsum(shares)
+    begins = behind - shares
+    first = np.arange(len(cell)) - share
+    begins -= begins[first]
+    ends = np.append(begins[1:], 1.0)
+    ends[share + 1 == counts[cell]] = 1.0
+    return begins, ends

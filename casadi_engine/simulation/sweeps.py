@@ -47,6 +47,9 @@ class Sweeps:
         self.known = [made[c] for c in scheme.c.tolist()]
         self._given = np.concatenate(list(made.values()))
         self._bent = False  # too often for the machine
+        self._before: Array | None = (
+            None  # stage values of the last run, from which those of a point near by are not far
+        )
 
     # ---- values
 
@@ -90,14 +93,22 @@ class Sweeps:
 
     def _newton(self, z: Array, begun: Array) -> tuple[Array, Array]:
         n, layout, size = self.slope.n, self.layout, self.scheme.stages
-        stages = np.empty((size, n, layout.steps))
+        stages, near = np.empty((size, n, layout.steps)), self._before
         function = self.slope.newton.bound(z)
         for own, after in layout:
             x = begun[:, own]
             given = np.concatenate([known[:, own] for known in self.known], axis=-1)
-            found = solve_stages(self.scheme, function, x, np.repeat(x[None], size, axis=0), given)
+            still = np.repeat(x[None], size, axis=0)
+            found = solve_stages(self.scheme, function, x, still if near is None else near[:, :, own], given)
+            lost = ~np.isfinite(found[-1]).all(axis=0)
+            if near is not None and lost.any():
+                rest = np.tile(lost, size)
+                found[..., lost] = solve_stages(
+                    self.scheme, function, x[:, lost], still[..., lost], given[:, rest]
+                )
             stages[:, :, own] = found
             begun[:, after] = found[-1]
+        self._before = stages if np.isfinite(stages).all() else None
         return begun, stages
 
     def _in_turn(self, z: Array, begun: Array) -> tuple[Array, Array]:

@@ -369,8 +369,7 @@ def test_an_optimum_above_what_a_run_from_the_start_explains_is_none_to_end_at(s
         "run": Solution("end", nothing, nothing, status, 3, ""),
     }
     search = SimpleNamespace(
-        solver=SimpleNamespace(solve=lambda x, _low, _high, exact=False: ends[x]),
-        lower=None, upper=None,
+        _descended=lambda x, exact=False: ends[x],
         _followed=lambda _: 99.0,
         _simulated=lambda _, resting: "run",
         _lower=lambda one, other: cost[one] < cost[other],

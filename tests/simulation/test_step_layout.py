@@ -25,15 +25,23 @@ def test_steps_follow_each_other(samples, length, seed):
     grid = unequal(samples, seed)
     plan = cut(grid, length)
     counts = np.random.default_rng(seed).integers(1, 5, samples - 1)
+    shares = np.random.default_rng(seed).uniform(0.1, 1.0, counts.sum())
+    cell = np.repeat(np.arange(samples - 1), counts)
+    shares /= np.bincount(cell, shares)[cell]
     for parts in (1, 3):
         check_order(grid, plan, counts, lay_steps(grid, plan, counts, parts), parts)
+        layout = lay_steps(grid, plan, counts, parts, shares)
+        check_order(grid, plan, counts, layout, parts)
+        np.testing.assert_allclose(
+            layout.length[: layout.steps], (np.diff(grid.time)[cell] * shares)[layout.number], rtol=1e-9
+        )
 
 
 def check_order(grid, plan, counts, layout, parts):
     """All steps of every interval, one after the other, and the parts of each."""
     assert layout.steps == layout.rows[-1] == parts * counts.sum()
     assert len(layout.time) == len(layout.length) == len(layout.part) == layout.steps + plan.m
-    np.testing.assert_array_equal(np.bincount(layout.cell), parts * counts)
+    np.testing.assert_array_equal(np.bincount(layout.number), parts)
     assert (np.diff(np.diff(layout.rows)) <= 0).all()
     assert (layout.length[layout.steps :] == 0).all()
     assert (layout.length[: layout.steps] > 0).all()
@@ -75,14 +83,17 @@ def test_an_interval_with_many_steps_costs_its_own_alone():
 
 def test_channels_at_the_ends_of_steps():
     grid = unequal(9)
-    layout = lay_steps(grid, cut(grid, 3), np.array([1, 3, 2, 1, 1, 4, 2, 5]))
+    counts = np.array([1, 3, 2, 1, 1, 4, 2, 5])
+    layout = lay_steps(grid, cut(grid, 3), counts)
     real = slice(layout.steps)
     begin, end = layout.time[real], (layout.time + layout.length)[real]
     for places, found in ((begin, layout.low), (end, layout.high)):
         np.testing.assert_allclose(
             found[0][real], np.interp(places, grid.time, grid.channels[0]), rtol=0, atol=1e-12
         )
-        np.testing.assert_array_equal(found[1][real], grid.channels[1][layout.cell])
+        np.testing.assert_array_equal(
+            found[1][real], grid.channels[1][np.repeat(np.arange(len(counts)), counts)[layout.number]]
+        )
 
 
 def test_fillers_stand_where_the_model_can_be_evaluated():
