@@ -370,11 +370,12 @@ class Answer:
     def _gaps(self, null: Station, last: Station, proof: Confirmation) -> Gaps:
         choice = _quietest(last, proof).screened.choice
         gain: PairedGain | None = proof.judgement.gain if proof.judgement else None
+        first, then = ([(one.fit, one.screened.null)] for one in (null, last))
         return Gaps(
-            side([(null.fit, null.screened.null)], choice),
-            side([(last.fit, last.screened.null)], choice),
-            side(proof.before, choice, source=null.fit) if proof.before else None,
-            side(proof.after, choice, source=last.fit) if proof.after else None,
+            side(first, choice, other=then),
+            side(then, choice, other=first),
+            side(proof.before, choice, source=null.fit, other=proof.after) if proof.before else None,
+            side(proof.after, choice, source=last.fit, other=proof.before) if proof.after else None,
             gain,
             self.portion.source if proof.before else None,
         )

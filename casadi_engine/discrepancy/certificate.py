@@ -12,7 +12,7 @@ from casadi_engine.discrepancy.assumed_pressure import carried_cylinders, is_car
 from casadi_engine.discrepancy.common_noise import BESIDE
 from casadi_engine.discrepancy.confirmation import share_closed
 from casadi_engine.discrepancy.evidence import FACTOR
-from casadi_engine.discrepancy.fresh import gap_of
+from casadi_engine.discrepancy.fresh import gap_of, told_by_both
 from casadi_engine.discrepancy.latent_torque import LatentTorque
 from casadi_engine.discrepancy.linear_algebra import Array, without
 from casadi_engine.discrepancy.localisation import where_in_data
@@ -111,7 +111,8 @@ def _found(stations: Sequence[Station], one: Addition, last: Station) -> FoundEf
         name: here.fit.values[name] - before.fit.values[name] for name in names if name in here.fit.values
     }
     noise = last.screened.noise
-    first, then = (gap_of([one.screened.null], noise) for one in (before, here))
+    both = told_by_both([before.screened.null], [here.screened.null])
+    first, then = (gap_of(nulls, noise) for nulls in both)
     share = share_closed(first, then, noise.sigma, coloured=bool(noise.colour))
     made = one.candidate.source
     return FoundEffect(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from casadi_engine.discrepancy.certificate import unknown_of
 from casadi_engine.discrepancy.confirmation import share_closed
-from casadi_engine.discrepancy.fresh import gap_of
+from casadi_engine.discrepancy.fresh import gap_of, told_by_both
 from casadi_engine.discrepancy.fresh_choice import Confirmation
 from casadi_engine.discrepancy.fresh_misfit import HALF, SEEN, SURE
 from casadi_engine.discrepancy.no_noise import why_no_noise
@@ -108,7 +108,8 @@ def closed_on_fresh(proof: Confirmation, noise: NoiseModel) -> float | None:
 
 def _closed(before: Sequence[NullModel], after: Sequence[NullModel], noise: NoiseModel) -> float:
     """The share of the gap that is closed, what is coloured counted as gap."""
-    return share_closed(gap_of(before, noise), gap_of(after, noise), noise.sigma, coloured=True)
+    first, then = (gap_of(nulls, noise) for nulls in told_by_both(before, after))
+    return share_closed(first, then, noise.sigma, coloured=True)
 
 
 def missing_beside(

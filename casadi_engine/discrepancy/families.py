@@ -28,8 +28,12 @@ def families_of(screened: Screened) -> dict[tuple[str, str], list[int]]:
 def costs_of(
     screened: Screened, step: OneStep, families: dict[tuple[str, str], list[int]]
 ) -> dict[tuple[str, str], float]:
-    """Chi-squared with each effect by one step."""
-    return {key: by_one_step(screened.candidates, step, own).cost for key, own in families.items()}
+    """Chi-squared with each effect by one step; of one with a value that is looked for on a grid the least that it may
+    come to between two of them."""
+    found = {key: by_one_step(screened.candidates, step, own).cost for key, own in families.items()}
+    if step.between is None:
+        return found
+    return {key: min(found[key], float(step.between[own].min())) for key, own in families.items()}
 
 
 def _of_its_size(screened: Screened, step: OneStep, members: Sequence[int], lead: int) -> int:

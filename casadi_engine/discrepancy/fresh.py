@@ -21,6 +21,7 @@ from casadi_engine.discrepancy.confirmation import (
     paired_gain,
 )
 from casadi_engine.discrepancy.fresh_misfit import MEMORY
+from casadi_engine.discrepancy.late_samples import beyond, leaving_out
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.noise_choice import NoiseChoice, scatter_of, white_p
 from casadi_engine.discrepancy.noise_model import NoiseModel, left_over
@@ -165,10 +166,33 @@ def gap_of(nulls: Sequence[NullModel], noise: NoiseModel) -> Gap:
     return gap(residuals(nulls, noise))
 
 
-def side(pairs: Sequence[tuple[Fit, NullModel]], choice: NoiseChoice, *, source: Fit | None = None) -> Side:
+def told_by_both(
+    before: Sequence[NullModel], after: Sequence[NullModel]
+) -> tuple[list[NullModel], list[NullModel]]:
+    """Two models by the samples that both tell of; first states go along, to first order."""
+    lost = [beyond(one) for one in (*before, *after)]
+    if not any(lost):
+        return list(before), list(after)
+    every = {
+        key: np.unique(np.concatenate([own[key] for own in lost if key in own]))
+        for own in lost
+        for key in own
+    }
+    old, new = ([leaving_out(one, every, free=True) for one in models] for models in (before, after))
+    return old, new
+
+
+def side(
+    pairs: Sequence[tuple[Fit, NullModel]],
+    choice: NoiseChoice,
+    *,
+    source: Fit | None = None,
+    other: Sequence[tuple[Fit, NullModel]] = (),
+) -> Side:
     """What one side of the comparison shows: gap, whiteness of the residuals, traces.
 
     source : the fit whose parameters are held, on fresh data: what errors of these explain is no colour
+    other : the other side; the gap is that of the samples that both tell of
     """
     white: dict[str, dict[str, float | None]] = {}
     traces: dict[str, Any] = {}
@@ -200,7 +224,7 @@ def side(pairs: Sequence[tuple[Fit, NullModel]], choice: NoiseChoice, *, source:
                 white[record.name][output] = p
     memory = MEMORY if choice.noise.colour else 1.0
     within, chance = pooled(splits, memory)
-    found = gap_of([null for _, null in pairs], choice.noise)
+    found = gap_of(told_by_both([one for _, one in pairs], [one for _, one in other])[0], choice.noise)
     sums = {output: np.sum(own, axis=0) for output, own in shares.items()}
     still = {output: float(then / first) if first > 0 else 1.0 for output, (then, first) in sums.items()}
     return Side(found, white, traces, within, chance, tuple(fit for fit, _ in pairs), still)
@@ -217,8 +241,8 @@ class Judgement:
 
 
 def judge(before: Sequence[NullModel], after: Sequence[NullModel], noise: NoiseModel) -> Judgement:
-    """Compare two models on fresh data."""
-    old, new = residuals(before, noise), residuals(after, noise)
+    """Compare two models on fresh data, by the samples that both tell of."""
+    old, new = (residuals(one, noise) for one in told_by_both(before, after))
     gain = paired_gain(old, new)
     if gain.confirmed is None or gain.mean is None or gain.se is None:
         return Judgement(gain, None, why=gain.why)

@@ -14,7 +14,7 @@ from casadi_engine.discrepancy.choice import NO_FIT, TIME_UP, Choice
 from casadi_engine.discrepancy.confirmation import CHANCE, share_closed
 from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.families import BEYOND
-from casadi_engine.discrepancy.fresh import Judgement, Portions, gap_of, judge, residuals
+from casadi_engine.discrepancy.fresh import Judgement, Portions, gap_of, judge, residuals, told_by_both
 from casadi_engine.discrepancy.fresh_fits import fresh_sides
 from casadi_engine.discrepancy.fresh_misfit import SEEN, beyond_chance
 from casadi_engine.discrepancy.fresh_weights import WIDER, FreshWeights
@@ -332,7 +332,8 @@ class FreshChoice:
     def _seen(old: Pairs, new: Pairs, here: Station) -> bool:
         """True if a structure closes a part of the gap on fresh data, above the noise, that a person would see."""
         noise = here.screened.noise
-        first, then = (gap_of([null for _, null in pairs], noise) for pairs in (old, new))
+        both = told_by_both([null for _, null in old], [null for _, null in new])
+        first, then = (gap_of(nulls, noise) for nulls in both)
         closed = share_closed(first, then, noise.sigma, coloured=bool(noise.colour))
         return closed >= 1 - (1 - SEEN) ** 2
 
@@ -427,7 +428,8 @@ class FreshChoice:
         judged = judge([n for _, n in old], [n for _, n in new], noise)
         if judged.refused and not all(fit.converged for fit, _ in new):
             return Judgement(None, None, False, _UNSETTLED)
-        first, then = (_rmse(pairs, noise) for pairs in (old, new))
+        both = told_by_both([null for _, null in old], [null for _, null in new])
+        first, then = (_rmse(nulls, noise) for nulls in both)
         if judged.confirmed and then > first:  # errors of parameters may foretell a gap that grows
             why = f"fresh data do not confirm it: the gap there grows by {100 * (then / first - 1):.2g} %"
             return replace(judged, confirmed=False, why=why)
@@ -450,10 +452,11 @@ def _of_parameters(search: Choice) -> bool:
 def _seen_by_itself(base: Station, last: Station) -> bool:
     """True if the last effect closes a part of the whole gap on the data of the search that a person would see."""
     noise = last.screened.noise
-    first, then = (gap_of([one.screened.null], noise).chi2_per_sample for one in (base, last))
+    both = told_by_both([base.screened.null], [last.screened.null])
+    first, then = (gap_of(nulls, noise).chi2_per_sample for nulls in both)
     return then <= (1 - SEEN) ** 2 * first
 
 
-def _rmse(pairs: Pairs, noise: NoiseModel) -> float:
+def _rmse(nulls: Sequence[NullModel], noise: NoiseModel) -> float:
     """The gap of all outputs, in standard deviations of the noise."""
-    return math.sqrt(gap_of([null for _, null in pairs], noise).chi2_per_sample)
+    return math.sqrt(gap_of(nulls, noise).chi2_per_sample)

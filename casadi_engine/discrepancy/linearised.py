@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -15,17 +16,23 @@ from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.refit import Addition
 from casadi_engine.discrepancy.rehomed import at_home
 from casadi_engine.discrepancy.score import scores_of
+from casadi_engine.effects.protocol import moves
 from casadi_engine.errors import CasadiEngineError
 
 
 @dataclass(frozen=True, eq=False)
 class OneStep:
-    """Chi-squared (k,) with each candidate, its amplitude (k,) and the amplitude's error (k,); none : without any."""
+    """Chi-squared (k,) with each candidate, its amplitude (k,) and the amplitude's error (k,); none : without any.
+
+    between : (k,) the least of chi-squared with a candidate and with it and the next value of its grid, which what lies
+    between the two is not far from; None where that was not asked
+    """
 
     cost: Array
     amplitude: Array
     error: Array
     none: float
+    between: Array | None = None
 
 
 def one_step(
@@ -50,9 +57,34 @@ def one_step(
         return None
     reduced = compress(null, candidates, NoiseModel(dict(levels)), columns=columns).reduced()
     scores = scores_of(reduced, candidates, null.turn)
-    left = without(basis(reduced.rows[:, : reduced.parameters]), reduced.rows[:, -1:])
-    none = float((left**2).sum())
-    return OneStep(none - scores.drop, scores.amplitude, scores.error, none)
+    left = without(basis(reduced.rows[:, : reduced.parameters]), reduced.rows[:, reduced.parameters :])
+    none = float((left[:, -1] ** 2).sum())
+    cost = none - scores.drop
+    return OneStep(cost, scores.amplitude, scores.error, none, np.minimum(cost, _between(candidates, left)))
+
+
+def _between(candidates: Sequence[Candidate], left: Array) -> Array:
+    """(k,) Chi-squared with a candidate and the next value of its grid, both to the same side; inf for those that have
+    no such neighbour. left : columns of the candidates and the residual, without what the parameters explain"""
+    found, families = np.full(len(candidates), np.inf), dict[tuple[str, str], list[int]]()
+    for k, one in enumerate(candidates):
+        effect = None if one.source is None else one.source.effect
+        grids = {} if effect is None else effect.nuisance
+        if len(grids) == 1 and not any(grid.whole for grid in grids.values()) and not moves(effect):
+            families.setdefault(one.key, []).append(k)
+    for members in families.values():
+        order = sorted(members, key=lambda k: next(iter(candidates[k].nuisance.values())))
+        for pair in itertools.pairwise(order):
+            both = left[:, pair]
+            size = np.linalg.norm(both, axis=0)
+            if size.min() <= 0:
+                continue
+            step = np.linalg.lstsq(both / size, left[:, -1], rcond=None)[0]
+            if step[0] * step[1] > 0:
+                found[list(pair)] = np.minimum(
+                    found[list(pair)], float(np.sum((left[:, -1] - both @ (step / size)) ** 2))
+                )
+    return found
 
 
 def _step_of_members(
@@ -64,7 +96,9 @@ def _step_of_members(
     cost, amplitude = np.full(len(candidates), own.none), np.zeros(len(candidates))
     error = np.full(len(candidates), np.inf)
     cost[members], amplitude[members], error[members] = own.cost, own.amplitude, own.error
-    return OneStep(cost, amplitude, error, own.none)
+    between = cost.copy()
+    between[members] = own.cost if own.between is None else own.between
+    return OneStep(cost, amplitude, error, own.none, between)
 
 
 def without_effect(null: NullModel, one: Addition, states: int, only: str | None = None) -> NullModel | None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -58,8 +58,9 @@ _WIDER = 3
 _MANY, _AGAIN, _FREE, _AHEAD = 20.0, 3.0, 1e6, 10
 # What a refit with sharper corners may cost more: there are few, and the last ones count.
 _PATIENCE = 5.0
-# Times that the samples of late sensors are read anew, as a delay turns out.
-_LATER = 6
+# Times that the samples of late sensors are read anew, as a delay turns out; chi-squared by which a delay of whole
+# samples has to leave less than where a refit ended.
+_LATER, _LESS = 6, 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -377,9 +378,25 @@ class Path:
                 self._ways.setdefault(way.key, []).append((way.first, found))
             own = nearest_lags(self._model(effects, lags), found.values, data)
             if own == lags:
-                return found
+                return self._on_a_sample(effects, found, patience)
             start, windows, lags = found, False, own
         return found
+
+    def _on_a_sample(self, effects: Sequence[Addition], found: Arrived, patience: float) -> Arrived:
+        """A refit with its delays at whole samples, where that leaves less: over a part of one the law is a series,
+        and where the output bends sharply chi-squared has an optimum beside each other."""
+        model, _, problem = self._problem(effects, found.lags)
+        whole = {
+            name: found.lags.get(out, 0.0) for out, name in delays(model).items() if name in found.values
+        }
+        if not any(whole.values()):
+            return found
+        values, other = {**found.values, **whole}, None
+        with suppress(*FAILURES, TimeUp), np.errstate(all="ignore"):
+            least = found.refit.cost - found.refit.prior_cost - _LESS
+            if problem.glance(values, problem.nodes_of(found.refit)) < least:
+                other = self._ended_with(effects, replace(found, values=values), patience, found.lags, None)
+        return found if other is None or other.cost > found.cost else other
 
     def _in_windows(
         self, effects: Sequence[Addition], start: Start | Arrived | None, lags: Mapping[str, float]

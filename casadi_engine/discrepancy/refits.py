@@ -26,6 +26,7 @@ from casadi_engine.discrepancy.evidence import (
 )
 from casadi_engine.discrepancy.exchanged_units import impossible, more_than_whole
 from casadi_engine.discrepancy.gradual import Gradual, in_place_of_event
+from casadi_engine.discrepancy.late_samples import Samples, beyond, leaving_out
 from casadi_engine.discrepancy.linear_algebra import Array
 from casadi_engine.discrepancy.linearised import OneStep
 from casadi_engine.discrepancy.noise_choice import scatter_of
@@ -59,6 +60,14 @@ _ELSEWHERE = 2.0
 Key = frozenset[tuple[str, str]]
 
 
+@dataclass(frozen=True, eq=False)
+class Counted:
+    """Residuals and slopes of a structure where its refit ended, and what its evidence is counted from."""
+
+    null: NullModel
+    digest: Digest
+
+
 @dataclass(eq=False)
 class Tried:
     """A structure that was refitted: its effects, where that ended, and its evidence with the noise of all.
@@ -69,7 +78,8 @@ class Tried:
     root of what chi-squared rises by where it is put to zero, of those whose slopes say that they are nothing: of an
     overflow that is as fast as it likes the slope is nearly none; courses : what its events are held against;
     is_gradual : one of them is far less probable than something that comes gradually; cancels : effects at one port
-    work against each other
+    work against each other; beside : of a late sensor, what the model without that is by all samples, and by those that
+    this one can tell of
     """
 
     effects: tuple[Addition, ...]
@@ -84,6 +94,7 @@ class Tried:
     courses: tuple[Gradual, ...] = ()
     is_gradual: bool = False
     cancels: bool = False
+    beside: tuple[Counted, Counted] | None = None
 
     @property
     def is_curve(self) -> bool:
@@ -121,9 +132,18 @@ class Tried:
 
     def weigh(self, levels: Levels) -> None:
         """Count the evidence with this noise."""
-        self.evidence = evidence(self.digest, levels)
+        self.evidence = self.cost_by(levels)
         odds = [one.log(levels) - self.evidence.log for one in self.courses if self._is_told(one, levels)]
         self.is_gradual = max(odds, default=-math.inf) > math.log(FACTOR)
+
+    def cost_by(self, levels: Levels) -> Evidence:
+        """The evidence with this noise. What a late sensor cannot tell of it does not explain: it gains as much over a
+        model without it as by the samples that both tell of."""
+        made = evidence(self.digest, levels)
+        if self.beside is None:
+            return made
+        full, part = (evidence(one.digest, levels) for one in self.beside)
+        return replace(made, log=made.log + full.log - part.log, cost=made.cost + full.cost - part.cost)
 
     def _is_told(self, course: Gradual, levels: Levels) -> bool:
         """True if the slopes along a structure say what it is without an event; see ``law_rival.is_told``."""
@@ -264,6 +284,7 @@ class Refits:
                 random, held = self.random(null), arrived.held
                 made = digest(null, priors, random=random, held=held, choices=choices)
                 found = evidence(made, self.levels)
+                beside = self._beside(effects, beyond(null))
         except FAILURES:
             return None
         if not math.isfinite(found.log):
@@ -273,6 +294,7 @@ class Refits:
             work_against_each_other(null, effects),
         )
         tried = Tried(effects, arrived, made, found, lambda: self.pool, courses=courses, cancels=cancels)
+        tried.beside = beside
         tried.weigh(self.levels)
         if more_than_whole(effects, arrived.values):
             self.filters[key_of(effects)] = tried
@@ -280,6 +302,18 @@ class Refits:
         tried.failed = self.named_alone and tried.is_curve
         tried.acts = self._acts(tried)
         return tried
+
+    def _beside(self, effects: tuple[Addition, ...], samples: Samples) -> tuple[Counted, Counted] | None:
+        """The structure without late sensors, or the model without effects, by all samples and without these."""
+        rest = [e for e in effects if not getattr(e.candidate.source.effect, "retards", False)]
+        base = self.pool.get(key_of(rest), self.pool.get(frozenset()))
+        if not samples or base is None:
+            return None
+        null = self.path.residuals(base.effects, base.arrived)
+        priors = priors_of(null, self.path.parameters(base.effects), base.effects)
+        both = null, leaving_out(null, samples)
+        made = [digest(one, priors, random=self.random(one), held=base.arrived.held) for one in both]
+        return Counted(both[0], made[0]), Counted(both[1], made[1])
 
     def _courses(
         self,
@@ -365,7 +399,16 @@ class Refits:
         """The residuals of a structure, and the noise that it leaves."""
         with np.errstate(all="ignore"):
             null = self.path.residuals(tried.effects, tried.arrived)
-            return null, levels_left(null, self.known, self.levels.scatter, self.random(null))
+            return null, self._left(null)
+
+    def _left(self, null: NullModel) -> Levels:
+        return levels_left(null, self.known, self.levels.scatter, self.random(null))
+
+    @staticmethod
+    def _by_itself(null: NullModel, levels: Levels, made: Digest) -> float:
+        """Log evidence in noise of the level and colour that a model leaves."""
+        found = evidence(made, levels)
+        return found.log + 0.5 * found.cost - innovations(null, levels)
 
     def _excused(self, tried: Tried, closer: Tried) -> bool:
         """True if a structure is the more probable one only as its gap counts as coloured noise: each one held against
@@ -379,9 +422,13 @@ class Refits:
         known = self._own.get(id(tried.digest))
         if known is None or known[0] is not tried.digest:
             try:
-                null, levels = self._left_by(tried)
-                made = evidence(tried.digest, levels)
-                known = tried.digest, made.log + 0.5 * made.cost - innovations(null, levels)
+                own = self._by_itself(*self._left_by(tried), tried.digest)
+                if tried.beside is not None:
+                    full, part = (
+                        self._by_itself(one.null, self._left(one.null), one.digest) for one in tried.beside
+                    )
+                    own += full - part
+                known = tried.digest, own
             except FAILURES:
                 known = tried.digest, -math.inf
             self._own[id(tried.digest)] = known
@@ -399,7 +446,7 @@ class Refits:
         self.path.relevel(levels)
         plain = Levels(levels, {}, self.levels.scatter)
         for one in self.pool.values():  # costs compare at the same levels alone
-            one.arrived = replace(one.arrived, cost=evidence(one.digest, plain).cost)
+            one.arrived = replace(one.arrived, cost=one.cost_by(plain).cost)
         near = best.log - 0.5 * PART * max(self.pool[frozenset()].evidence.cost - best.evidence.cost, 0.0)
         for one in sorted(tried, key=lambda one: -one.log):
             if not late() and one.log > near - math.log(FACTOR * len(tried)):

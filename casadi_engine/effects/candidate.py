@@ -166,7 +166,7 @@ def _made(model: Model, term: Term, size: float | None) -> Candidate:
     value = ca.vertcat(*(_per_amplitude(term, part, size) for part in (term.value, term.arrives)))
     if numbers:
         value = ca.substitute(value, ca.vertcat(*term.symbols[1:]), ca.SX(ca.DM(list(numbers.values()))))
-    states = _own_states(term, list(numbers.values()))
+    states, value = _own_states(term, list(numbers.values()), value)
     effect = term.effect
     every = {name: term.constants.get(name, numbers.get(name, math.nan)) for name in effect.nuisance}
     slots, drives, outputs, beyond = responses(model, term.port, value)
@@ -365,11 +365,19 @@ def _per_amplitude(term: Term, value: Any, size: float | None) -> Any:
     return ca.substitute(value, psi, least) / least
 
 
-def _own_states(term: Term, numbers: list[float]) -> tuple[OwnState, ...]:
-    """The own states with their rates at amplitude 0."""
+def _own_states(term: Term, numbers: list[float], value: Any) -> tuple[tuple[OwnState, ...], Any]:
+    """The own states with their rates at amplitude 0, and a value of theirs, in symbols of the candidate's own: another
+    time constant moves another state."""
+    if not term.states:
+        return (), value
     known = ca.vertcat(*term.symbols)
     point = ca.SX(ca.DM([0.0, *numbers]))
-    return tuple(replace(state, rate=ca.substitute(state.rate, known, point)) for state in term.states)
+    old = ca.vertcat(*[state.symbol for state in term.states])
+    new = [ca.SX.sym(state.symbol.name()) for state in term.states]
+    rates = ca.substitute(ca.vertcat(*[state.rate for state in term.states]), known, point)
+    rates, value = ca.substitute([rates, ca.SX(value)], [old], [ca.vertcat(*new)])
+    made = zip(term.states, new, ca.vertsplit(rates), strict=True)
+    return tuple(replace(state, symbol=symbol, rate=rate) for state, symbol, rate in made), value
 
 
 def responses(model: Model, port: Port, value: Any) -> tuple[Any, Any, Any, Any]:

@@ -146,8 +146,8 @@ def null_path(model: Model, grid: Grid, p: Array, start: Array, *, steps: int | 
 
 
 def _astray(model: Model, grid: Grid, p: Array, start: Array, steps: int | None, x: Array) -> bool:
-    """True if states (n, N) are not those of shorter steps: a step that leaps to and fro across a corner looks stable to
-    an integrator that asks for slopes where it lands."""
+    """True if states (n, N) are not those of shorter steps: where a step that leaps across a corner to and fro lands,
+    slopes are zero, and it looks stable."""
     if not model.has_slot_laws and model.linear is not None and not timed_drives(model):
         return False  # exact
     finer = _stepped(model, grid, p, start[None], None, min(2 * (steps or 1), MOST_SUBSTEPS))

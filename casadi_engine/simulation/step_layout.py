@@ -1,8 +1,8 @@
 """The integration steps between the samples of a record, laid out for all shooting intervals side by side.
 
-Each cell of the grid, from one sample to the next, is cut into a number of steps of its own, of any lengths. Row by row stand the first
-steps of all intervals, then the second ones, and so on: a row holds the intervals that still have a step, so that one
-interval which passes a corner costs its own steps and none of the others'.
+Each cell of the grid, from one sample to the next, is cut into a number of steps of its own, of any lengths. Row by
+row stand the first steps of all intervals, then the second ones, and so on: a row holds the intervals that still have a
+step, so that one interval which passes a corner costs its own steps and none of the others'.
 """
 
 from __future__ import annotations

@@ -126,6 +126,7 @@ def claimed(monkeypatch, *, before, after, tests, fresh=None, kind="inertia", st
     sides = {"null": before, "last": after} | dict(zip(("old", "new"), fresh or (before, after), strict=True))
     gaps = {name: Gap(1.0, {"y": size}, {"y": 0.0}, 100) for name, size in sides.items()}
     monkeypatch.setattr(module, "gap_of", lambda nulls, noise: gaps[nulls[0]])
+    monkeypatch.setattr(module, "told_by_both", lambda one, other: (one, other))
     noise = stub(sigma={"y": 1.0}, colour={})
     fit = stub(model=stub(ports={"load": stub(kind=kind)}), noise={"y": (1.0, not stated)})
     null, last = (

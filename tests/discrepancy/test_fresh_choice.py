@@ -350,7 +350,8 @@ def test_effects_that_leave_a_function_of_their_own_signal_come_down_to_the_firs
 def test_a_gap_that_grows_confirms_nothing(monkeypatch, said, then, confirmed, refused):
     """A drag that acts in one record alone was "confirmed" on two others, in which the gap grew."""
     monkeypatch.setattr(module, "judge", lambda old, new, noise: Judgement(None, said))
-    monkeypatch.setattr(module, "_rmse", lambda pairs, noise: {"old": 2.0, "new": then}[pairs[0][1]])
+    monkeypatch.setattr(module, "_rmse", lambda nulls, noise: {"old": 2.0, "new": then}[nulls[0]])
+    monkeypatch.setattr(module, "told_by_both", lambda one, other: (one, other))
     here = stub(effects=(stub(placed=False),), screened=stub(noise=None))
     choice = FreshChoice(None, stub(source="records"), print, [])
     found = choice._judged([("fit", "old")], [(stub(converged=True), "new")], here)

@@ -1,9 +1,13 @@
 """Samples of late sensors that show what was before a record: where they count, and as what."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from casadi_engine.discrepancy.late_samples import completed, with_all_samples
+from casadi_engine.discrepancy.fresh import told_by_both
+from casadi_engine.discrepancy.late_samples import beyond, completed, leaving_out, with_all_samples
+from casadi_engine.discrepancy.null_model import NullModel, RecordNull
 from casadi_engine.effects import SensorDelay
 from casadi_engine.experiment import Channel, Experiment
 from casadi_engine.model import Blueprint
@@ -140,3 +144,42 @@ def test_rows_and_samples_are_in_the_same_order():
         assert rows.shape == own.values.shape
         inside = np.isin(own.index, before.index)
         np.testing.assert_array_equal(rows[inside], own.values[inside])
+
+
+def null_of(residual, slopes, late=()):
+    """One record of an output whose sensor tells nothing of some samples; the last column is a first state's."""
+    measured = SimpleNamespace(beyond=np.array(late, dtype=np.intp))
+    record = RecordNull(
+        name="run", path=SimpleNamespace(grid=SimpleNamespace(measured={"y": measured})), residual={"y": residual},
+        time={}, index={"y": np.arange(len(residual))}, length={}, cycle={}, slopes={"y": slopes}, starts=("x",),
+    )  # fmt: skip
+    return NullModel(None, ("k",), ("1",), np.ones(1), np.eye(1), np.zeros((0, 2)), (record,))
+
+
+def test_a_model_is_held_against_another_by_the_samples_that_both_tell_of():
+    """A delay of 0.48 s left out the time in which a hand still drove the pendulum, and was "confirmed"."""
+    rng = np.random.default_rng(2)
+    noise = rng.normal(size=200)
+    decay = np.exp(-np.arange(200) / 80)  # what a first state does
+    driven = noise + 50.0 * (np.arange(200) < 20) + 3 * decay
+    plain = null_of(driven, np.column_stack([np.ones(200), decay]))
+    late = null_of(noise, np.column_stack([np.ones(200), decay]), late=range(20))
+    assert beyond(plain) == {}
+    assert {key: list(own) for key, own in beyond(late).items()} == {("run", "y"): list(range(20))}
+    (first,), (then,) = told_by_both([plain], [late])
+    rms = [np.sqrt(np.mean(one.records[0].residual["y"] ** 2)) for one in (first, then)]
+    # the first state goes along; a level beside it stays where it is
+    assert rms[0] == pytest.approx(1.0, abs=0.1)
+    assert rms[1] == pytest.approx(1.0, abs=0.1)
+    np.testing.assert_array_equal(first.records[0].slopes["y"][:20], 0.0)
+    assert told_by_both([plain], [plain]) == ([plain], [plain])
+
+
+def test_samples_that_are_left_out_are_those_next_to_them():
+    plain = null_of(np.array([9.0, 9.0, 1.0, 2.0, 3.0]), np.ones((5, 2)))
+    (record,) = leaving_out(plain, {("run", "y"): np.array([0, 1])}).records
+    np.testing.assert_array_equal(record.residual["y"], [2.0, 1.0, 1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(record.slopes["y"][:, 0], [0.0, 0.0, 1.0, 1.0, 1.0])
+    assert leaving_out(plain, {("other", "y"): np.array([0])}).records[0] is plain.records[0]
+    whole = leaving_out(plain, {("run", "y"): np.arange(5)})  # nothing would be left to stand in
+    assert whole.records[0] is plain.records[0]
