@@ -165,7 +165,7 @@ def _simple_first(
         return 99 if found is None else numbers(found.effects)
 
     while left:
-        alike = [m for m in left if kept[m] > kept[left[0]] * math.exp(-_TIE)]
+        alike = [m for m in left if kept[m] >= kept[left[0]] * math.exp(-_TIE)]
         first = min(alike, key=size)  # the most probable of these where sizes are equal
         done.append(first)
         left.remove(first)

@@ -108,14 +108,19 @@ def with_hint(repair: Repair, found: Misread | None) -> Repair:
 def with_other_reading(
     repair: Repair, parameters: Parameters, noise: Noise | None, options: Mapping[str, Any], work: float
 ) -> Repair:
-    """The same, and at the top that the data may be stated wrong, where fresh data have confirmed nothing, and the
-    model without any effect explains them so read: half of what it leaves of every output as they are, or less, and no
-    more than the answer leaves."""
+    """The same, and at the top that the data may be stated wrong, where the model without any effect explains them so
+    read: no more is left of any output than the answer leaves. It is asked where fresh data have confirmed nothing, and
+    half of what is left of every output goes with it; and where they have confirmed an effect without which a good part
+    of an output is left, as fresh data are stated wrong likewise."""
     null = repair.null_fit
-    if repair.verdict in (None, "nothing missing") or HINT in repair.options or repair.confirmed:
+    if repair.verdict in (None, "nothing missing") or HINT in repair.options:
         return repair
     before = followed(null)
-    answer = [(before, _HALF)] + ([(followed(repair.fit), _ALIKE)] if repair.effects else [])
+    ports = [repair.model.ports[one.at].kind for one in repair.effects]
+    if repair.confirmed and (min(before.values(), default=100.0) >= FOLLOWED or {*ports} <= {*_READ}):
+        return repair
+    answer = [(followed(repair.fit), _ALIKE)] if repair.effects else []
+    answer += [] if repair.confirmed else [(before, _HALF)]
 
     def closes(shares: Mapping[str, float]) -> bool:
         return all(
@@ -125,7 +130,10 @@ def with_other_reading(
         )
 
     job = _Readings(null.model, repair.data, parameters, noise, options)
-    found = job.good([one for one in readings(null.model, repair.data) if not one.named], work, closes)
+    # what a search tells by an effect was told, unless another one was found that does as much
+    every = bool(repair.confirmed)
+    ways = [one for one in readings(null.model, repair.data, every=every) if every or not one.named]
+    found = job.good(ways, work, closes)
     if not found:
         return repair
     words = _told(found, "the fit without any effect")
@@ -220,7 +228,10 @@ class _Readings:
         return [(one, shares) for left, one, shares in fits if left <= fits[0][0] + math.log(_ALIKE)]
 
     def _inputs_matter(self, records: Sequence[Experiment], fit: Fit, work: float) -> bool:
-        """True unless the initial states alone make the fit good, as of a model so slow that it hardly moves."""
+        """True unless the initial states alone make the fit good, as of a model so slow that it hardly moves; one
+        without inputs has nothing else."""
+        if not self.model.inputs:
+            return True
         held = self.parameters.copy()
         for name in held.names:
             one = held[name]
