@@ -40,7 +40,7 @@ _UNSETTLED = (
 # cost at least.
 _JUDGED, _EVALUATIONS = 0.6, 5000
 # So many refits they may cost.
-_REFITS = 30
+_REFITS = 100
 # Rivals of a structure that does not stand as a whole, of which it is asked whether they do.
 _RIVALS = 2
 # Structures that are held against fresh data after one that these neither confirm nor refuse.

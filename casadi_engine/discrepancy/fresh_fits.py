@@ -79,7 +79,7 @@ def held_fit(
     method = str(fit.options.get("method", "exact"))
 
     found, fault = None, None
-    near = first_states_on(model, record, held, levels)
+    near = first_states_on(model, record, held, levels, in_places=_in_places(fit))
     starts: list[Start | None] = [near and replace(near, in_places=_in_places(fit))]
     starts += [] if known is None else [_from_known(fit, model, record, known, near)]
     starts.append(None)

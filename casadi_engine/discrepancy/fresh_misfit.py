@@ -165,11 +165,18 @@ def _worst(repair: Repair) -> str | None:
 
 
 def _more_than_noise(repair: Repair) -> float | None:
-    """How often chance would leave the fresh residual as far from white as it is; None where it may be louder noise."""
+    """How often chance would leave the fresh residual as far from white as it is, or as large where no noise is so much
+    louder; None where it may be louder noise."""
     after = None if repair.gaps is None else repair.gaps.validation_after
     every = [] if after is None else [p for own in after.whiteness_p.values() for p in own.values()]
     least = min((p for p in every if p is not None), default=1.0)
-    return least if least < SURE else None
+    if least < SURE:
+        return least
+    if repair.gaps is None or after is None:
+        return None
+    first, _, left = _in_all(repair)
+    samples = repair.gaps.estimation_after.gap.samples, after.gap.samples
+    return f_sf(left / first, samples[1], samples[0]) if left > _LOUDEST * first > 0 else None
 
 
 def is_louder(repair: Repair) -> bool:

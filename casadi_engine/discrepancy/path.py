@@ -23,7 +23,7 @@ from casadi_engine.discrepancy.null_model import (
     NullModel,
     null_at,
 )
-from casadi_engine.discrepancy.refit import Addition, Refitter
+from casadi_engine.discrepancy.refit import Addition, Refitter, short_intervals
 from casadi_engine.discrepancy.refit_null import cost_beyond, null_of_refit
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.errors import CasadiEngineError
@@ -61,6 +61,8 @@ _PATIENCE = 5.0
 # Times that the samples of late sensors are read anew, as a delay turns out; chi-squared by which a delay of whole
 # samples has to leave less than where a refit ended.
 _LATER, _LESS = 6, 1.0
+# Chi-squared per sample at which first states describe a record well enough not to be looked for in windows.
+_FITS = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -576,11 +578,29 @@ def _in_order(times: Mapping[str, Mapping[str, float]]) -> tuple[Any, ...]:
 
 
 def first_states_on(
-    model: Model, record: Experiment, parameters: Parameters, levels: Mapping[str, float]
+    model: Model,
+    record: Experiment,
+    parameters: Parameters,
+    levels: Mapping[str, float],
+    *,
+    in_places: bool = False,
 ) -> Start | None:
-    """Where a refit of a record's first states ends, in windows first; None where the model fails."""
+    """Where a refit of a record's first states ends, in windows first; None where the model fails.
+
+    in_places : laws are so sharp that steps are short in places alone, and intervals short
+    """
+    interval = short_intervals((record,)) if in_places else "auto"
     try:
-        found = RefitProblem(model, (record,), parameters.unconstrained(), levels=levels, felt=_FELT).run()
+        problem = RefitProblem(
+            model, (record,), parameters.unconstrained(), levels=levels, felt=_FELT, interval=interval
+        )
+        if in_places:
+            problem.step_in_places(anyway=True)
+        found = problem.run(horizons=(None,), most=_STEPS) if in_places else problem.run()
+        if in_places and not (found.converged and found.cost < _FITS * problem.count):
+            found = (
+                problem.run()
+            )  # short windows, of which every one finds anew what sticks there, take far longer
     except FAILURES:
         return None
     if not found.initial:

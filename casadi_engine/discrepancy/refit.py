@@ -290,7 +290,7 @@ class Refitter:
         own = self.options.get("interval", "auto")
         if own != "auto" or self.share >= 1 or switches_with_states(self.model):
             return own
-        return max(2, max(map(_samples, self.data)) // _INTERVALS)
+        return short_intervals(self.data)
 
     def _paths(self) -> list[NullPath]:
         """The simulation of the base, or where that does not follow the data, as one that stands still, pieces that do;
@@ -369,6 +369,11 @@ def _narrowed(one: Addition, base: Fit, paths: Sequence[NullPath], share: float)
     model = base.model
     view = PortView(model, model.ports[one.candidate.port], partial(courses, paths), effect=effect.name)
     return effect.narrowed(view, share)
+
+
+def short_intervals(data: Sequence[Experiment]) -> int:
+    """Samples to a shooting interval where corners ask for many steps of the integrator."""
+    return max(2, max(map(_samples, data)) // _INTERVALS)
 
 
 def _samples(record: Experiment) -> int:

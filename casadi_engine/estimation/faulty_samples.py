@@ -26,8 +26,9 @@ _NAMED = 5
 # in 0.73 of all samples, smooth motion in next to none); times the level of the noise by which the simulation moves
 # meanwhile.
 _ROW, _ELSEWHERE, _NOISY, _MEANWHILE = 10, 10, 0.5, 5.0
-# Times that an output comes to its limit, and samples, or share of all, in which it is there then.
-_TIMES, _LIMITED, _PART = 2, 6, 0.005
+# Times that an output comes to its limit, and samples, or share of all, in which it is there then; and how many times
+# as many as it shows any one value again, which a counter does with all of them.
+_TIMES, _LIMITED, _PART, _OFTEN = 2, 6, 0.005, 4
 
 
 def faults(fit: Fit) -> tuple[str, ...]:
@@ -87,11 +88,15 @@ def at_its_limit(fit: Fit) -> str | None:
             y = trace.measured[trace.mask]
             if len(y) < _FEW or step_of(y) is not None:
                 continue
+            usual = len(y) / len(
+                np.unique(y)
+            )  # samples of one value: a counter's steps may be written unevenly
             for limit, side in ((y.max(), "more"), (y.min(), "less")):
                 there = y == limit
                 times = int(there[0]) + int(np.count_nonzero(~there[:-1] & there[1:]))
                 # at rest a sensor reads 0 exactly, which is no limit
-                if limit != 0 and times >= _TIMES and there.sum() >= max(_LIMITED, _PART * len(y)):
+                least = max(_LIMITED, _PART * len(y), _OFTEN * (usual - 1))
+                if limit != 0 and times >= _TIMES and there.sum() >= least:
                     found.append(
                         f"{output} of {record} reads {limit:.6g} in {int(there.sum())} samples and never {side}"
                     )

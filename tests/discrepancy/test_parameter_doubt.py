@@ -56,7 +56,7 @@ def test_first_states_of_another_structure_lead_out_of_a_wrong_optimum(fit, monk
     right = held_fit(fit, fresh, noise=NOISE)
     first = {name: one.value for name, one in right.initial["fresh"].items()}
     wrong = Start(right.values, {"fresh": {name: value + 30 for name, value in first.items()}}, {}, True)
-    monkeypatch.setattr(fresh_fits, "first_states_on", lambda *_: wrong)
+    monkeypatch.setattr(fresh_fits, "first_states_on", lambda *_, **__: wrong)
     asked, real = [], fresh_fits.estimate
 
     def estimate(*arguments, **options):

@@ -21,6 +21,8 @@ T = np.arange(400) * 0.01
             lambda y: np.round(np.minimum(y, 0.8) / 0.1) * 0.1,
             False,
         ),  # it reads in steps, of which one is the largest
+        # a counter's steps of 4/3, written with one decimal
+        (lambda y: np.round(np.round(y / 0.133333) * 0.133333, 2), False),
         (lambda y: np.where(np.arange(len(y)) < 300, 2.0, y), False),  # it rests there once
         (lambda y: np.zeros(len(y)), False),
         (lambda y: np.maximum(y, 0.0), False),  # a machine that stands still now and then
