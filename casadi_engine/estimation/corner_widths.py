@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -48,6 +49,8 @@ _WORTH = 1.4
 _STEPS = 1e6
 # Intervals into which a record is cut then: the integrator takes them side by side.
 _INTERVALS = 400
+# Times that a run is made anew, as its steps become shorter.
+_ANEW = 3
 
 
 def from_wide_corners(
@@ -97,7 +100,12 @@ def follow_motion(fit: Fit, parameters: Parameters, again: Callable[[Parameters,
         with np.errstate(all="ignore"):
             return _followed(fit, parameters, widths, wide, again)
     except (FloatingPointError, np.linalg.LinAlgError):
-        return fit  # nothing can be said of a motion that is not simulated
+        names = ", ".join(f"{name} = {width:.2g}" for name, width in wide.items())
+        words = (
+            f"corners are rounded as they were declared ({names}), and whether the data feel that is not known: the "
+            "simulation that would tell it fails; set a smaller width and compare"
+        )
+        return replace(fit, messages=(words, *fit.messages))
 
 
 def _followed(
@@ -138,11 +146,28 @@ class Motion:
         for name, width in widths.items():
             pars[name].set(width, min=0.0, vary=True)
         levels = {name: sigma for name, (sigma, _) in fit.noise.items()}
-        self._problem = RefitProblem(fit.model, fit.data, pars, levels=levels)
+        in_places = any(one.integrator.startswith("implicit") for one in fit.integration.values())
+        samples = max(fit.n // max(len(fit.data), 1), 1)
+        interval = max(2, samples // _INTERVALS) if in_places else "auto"
+        self._problem = RefitProblem(fit.model, fit.data, pars, levels=levels, interval=interval)
+        if in_places:  # as the fit was made, whose laws are too stiff for the other one
+            self._problem.step_in_places(anyway=True)
         linear = (ExponentialPropagator, ObservedPropagator)
         self.whole = any(isinstance(record.propagator, linear) for record in self._problem.records)
         self._values = dict(zip(fit.free, fit.z.tolist(), strict=True))
-        self._nodes = [] if self.whole else self._problem.simulated(self._values | self.widths, fit.initial)
+        self._nodes = [] if self.whole else self._joined()
+
+    def _joined(self) -> list[Array]:
+        """The run of each record (M, n), made anew where its steps turned out too long; none where they do not settle:
+        then the exponential integrator runs through."""
+        values = self._values | self.widths
+        for _ in range(_ANEW):
+            nodes = self._problem.simulated(values, self.fit.initial)
+            with suppress(FloatingPointError, np.linalg.LinAlgError):
+                self._problem.paths(values, nodes)
+                return nodes
+        self.whole = True
+        return []
 
     @property
     def samples(self) -> list[int]:

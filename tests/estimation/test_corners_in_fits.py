@@ -209,7 +209,7 @@ def test_intervals_side_by_side_simulate_other_widths_as_one_run_does(swung):
     np.testing.assert_allclose(own.x[0], np.interp(own.grid.time, one.grid.time, one.x[0]), atol=1e-4)
 
 
-def test_a_fit_whose_motion_cannot_be_simulated_stays(swung, monkeypatch):
+def test_a_fit_whose_motion_cannot_be_simulated_stays_and_says_so(swung, monkeypatch):
     model, fit = swung
 
     def fails(self):
@@ -218,4 +218,7 @@ def test_a_fit_whose_motion_cannot_be_simulated_stays(swung, monkeypatch):
     pars = model.parameters()
     fit = replace(fit, parameters=pars)
     monkeypatch.setattr(Motion, "paths", fails)
-    assert follow_motion(fit, pars, lambda *_: pytest.fail("a refit")) is fit
+    found = follow_motion(fit, pars, lambda *_: pytest.fail("a refit"))
+    assert found.parameters is fit.parameters and found.messages[1:] == fit.messages
+    assert "corners are rounded as they were declared (" in found.messages[0]
+    assert "whether the data feel that is not known" in found.messages[0]
