@@ -149,3 +149,13 @@ def test_an_effect_of_which_its_refit_left_nothing_is_no_rival():
     pool = pool_of(none=0.0, dry=-1.0, drag=0.5, step=0.2)
     pool[frozenset({DRAG})].beyond = 0.0
     assert names(class_of(pool, frozenset({DRY}), effect(DRY), 20.0, PRICE)) == ["dry", "step"]
+
+
+def test_a_member_of_no_probability_left_is_named_all_the_same():
+    """What remains of it is below the least number there is: "min() arg is an empty sequence" ended the repair."""
+    pool = pool_of(dry=2000.0, offset=0.0, drag=0.0)
+    for key in (OFFSET, DRAG):
+        pool[frozenset({key})].evidence.cost = pool[frozenset({DRY})].evidence.cost
+    found = class_of(pool, frozenset({DRY}), effect(DRY), 20.0, PRICE)
+    assert sorted(names(found)) == ["drag", "dry", "offset"]
+    assert [m.probability for m in found] == [1.0, 0.0, 0.0]

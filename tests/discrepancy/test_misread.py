@@ -307,3 +307,44 @@ def test_a_record_as_it_is_needs_no_other_reading():
     found = ce.repair(oven(), heated(law=0.02), effects=["coulomb_friction"], starts=1, progress=False)
     assert found.verdict != "nothing missing"
     assert HINT not in found.options
+
+
+def thrown(name, *, vx=1.5, vy=4.0, scale=1.0, swapped=False):
+    """A ball of 0.1 kg that is thrown, filmed at 60 Hz."""
+    rng, t = np.random.default_rng(len(name)), np.arange(45) / 60
+    x = vx * t + 1e-3 * rng.standard_normal(45)
+    y = (vy * t - 9.81 * t**2 / 2 + 1e-3 * rng.standard_normal(45)) * scale
+    x, y = (y, x) if swapped else (x, y)
+    return ce.Experiment.from_arrays(name, time=t, units={"x": "m", "y": "m"}, x=x, y=y)
+
+
+def ball():
+    b = ce.Blueprint("ball")
+    m = b.parameter("m", 0.1, unit="kg", vary=False)
+    g = b.parameter("g", 9.81, unit="m/s2", vary=False)
+    for name, fall in (("x", 0.0), ("y", g)):
+        place, speed = b.state(name, unit="m"), b.state(f"v{name}", unit="m/s")
+        b.ode(name, speed)
+        b.ode(f"v{name}", (b.port(f"along_{name}", "inertia", {"speed": speed}) - m * fall) / m)
+        b.output(name, place, unit="m")
+    return b.model()
+
+
+def test_another_reading_is_told_beside_a_confirmed_effect_that_does_as_much():
+    """Heights in cm labelled m: a constant force of 99 times the weight, "confirmed", as fresh data are read alike."""
+    found = ce.repair(
+        ball(), thrown("first", scale=100.0), fresh=thrown("another", vx=1.0, vy=3.5, scale=100.0), starts=1,
+        effects=["constant_torque", "viscous_friction"], progress=False,
+    )  # fmt: skip
+    assert found.confirmed
+    assert [one.key for one in found.effects] == ["along_y.constant_torque"]
+    assert "the output y times 0.01 (numbers in cm labelled m)" in found.options[HINT]
+
+
+def test_a_confirmed_effect_of_data_as_they_are_has_no_other_reading():
+    found = ce.repair(
+        ball(), thrown("first"), fresh=thrown("another", vx=1.0, vy=3.5), starts=1, progress=False,
+        effects=["constant_torque", "viscous_friction"],
+    )  # fmt: skip
+    assert found.verdict == "nothing missing"
+    assert HINT not in found.options

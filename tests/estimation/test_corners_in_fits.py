@@ -219,6 +219,7 @@ def test_a_fit_whose_motion_cannot_be_simulated_stays_and_says_so(swung, monkeyp
     fit = replace(fit, parameters=pars)
     monkeypatch.setattr(Motion, "paths", fails)
     found = follow_motion(fit, pars, lambda *_: pytest.fail("a refit"))
-    assert found.parameters is fit.parameters and found.messages[1:] == fit.messages
+    assert found.parameters is fit.parameters
+    assert found.messages[1:] == fit.messages
     assert "corners are rounded as they were declared (" in found.messages[0]
     assert "whether the data feel that is not known" in found.messages[0]

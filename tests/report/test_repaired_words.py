@@ -205,6 +205,10 @@ def test_fresh_data_that_do_not_fit_are_no_reason_to_go_on(white):
     far = replace(louder, gap=replace(own.gap, chi2_per_sample=100.0))
     lost = replace(white, gaps=replace(gaps, estimation_after=own, validation_after=far))
     assert fresh_misfit(lost).startswith("the fresh data do not fit")
+    # no noise of the same sensors is so much louder: what is so far off is missing, white or not
+    told = held_to_fresh_data(lost)
+    assert (told.verdict, *told.unknown.tests) == ("unnamed", "fresh data")
+    assert held_to_fresh_data(noisier).verdict == "nothing missing"
 
 
 def test_one_output_that_does_not_fit_is_not_made_up_for_by_others(white):
