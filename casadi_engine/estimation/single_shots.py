@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.estimation.chained import chained_slopes
 from casadi_engine.estimation.final_check import residual
+from casadi_engine.estimation.integration import shorten_steps
 from casadi_engine.estimation.loss import read_loss
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.search import Search
@@ -19,12 +20,13 @@ from casadi_engine.experiment import Experiment
 from casadi_engine.model import Model
 from casadi_engine.parameters import Parameters
 from casadi_engine.problem.noise import Noise
+from casadi_engine.simulation.exponential_runge_kutta import TooStiff
 
 Array = NDArray[np.float64]
 Place = tuple[str, str]
 
-# Steps of a search in the frequency domain.
-_STEPS = 100
+# Steps of a search in the frequency domain; times that steps of the integration are made shorter.
+_STEPS, _SHORTENED = 100, 4
 
 
 def evaluator(
@@ -162,7 +164,7 @@ class SingleShots:
         """Residuals (K,), model less measured, in standard deviations; raises as ``evaluate``."""
         found, at = np.zeros(self.count), len(self.free)
         for record in self._search.records:
-            nodes = chained_nodes(record, x[: len(self.free)], x[at : at + record.n])
+            nodes = _chained(record, x[: len(self.free)], x[at : at + record.n])
             self._place(found, record, residual(record, record.outputs_at(x[: len(self.free)], nodes)[0]))
             at += record.n
         return found
@@ -176,7 +178,7 @@ class SingleShots:
         residuals, slopes = np.zeros(self.count), np.zeros((self.count, len(x)))
         at = len(self.free)
         for record in self._search.records:
-            found = record.evaluate(v, chained_nodes(record, v, x[at : at + record.n]))
+            found = record.evaluate(v, _chained(record, v, x[at : at + record.n]))
             whole = chained_slopes(record, found).reshape(-1, record.weight.size)
             nz = len(record.active)
             for rows, here, level in self._place(residuals, record, found.r):
@@ -202,3 +204,17 @@ class SingleShots:
         if not np.isfinite(residuals).all():
             raise FloatingPointError("the sensitivities are not finite here")
         return found
+
+
+def _chained(record: RecordTerm, v: Array, first: Array) -> Array:
+    """The intervals' starts (M, n) of one run from a first state, by steps that can follow its laws."""
+    try:
+        return chained_nodes(record, v, first)
+    except TooStiff:
+        if not record.step_in_places():
+            raise
+    for _ in range(_SHORTENED):
+        nodes = chained_nodes(record, v, first)
+        if not shorten_steps([record], v, [nodes]):
+            break
+    return chained_nodes(record, v, first)
