@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -78,8 +79,8 @@ class Tried:
     root of what chi-squared rises by where it is put to zero, of those whose slopes say that they are nothing: of an
     overflow that is as fast as it likes the slope is nearly none; courses : what its events are held against;
     is_gradual : one of them is far less probable than something that comes gradually; cancels : effects at one port
-    work against each other; beside : of a late sensor, what the model without that is by all samples, and by those that
-    this one can tell of
+    work against each other; lost : the samples that late sensors cannot tell of; beside : what the most probable
+    structure without them is by all samples, and by those that this one can tell of
     """
 
     effects: tuple[Addition, ...]
@@ -94,6 +95,7 @@ class Tried:
     courses: tuple[Gradual, ...] = ()
     is_gradual: bool = False
     cancels: bool = False
+    lost: Samples = field(default_factory=dict)
     beside: tuple[Counted, Counted] | None = None
 
     @property
@@ -137,8 +139,8 @@ class Tried:
         self.is_gradual = max(odds, default=-math.inf) > math.log(FACTOR)
 
     def cost_by(self, levels: Levels) -> Evidence:
-        """The evidence with this noise. What a late sensor cannot tell of it does not explain: it gains as much over a
-        model without it as by the samples that both tell of."""
+        """The evidence with this noise. What a late sensor cannot tell of it does not explain: it gains as much over
+        the best structure without one as by the samples that both tell of."""
         made = evidence(self.digest, levels)
         if self.beside is None:
             return made
@@ -232,6 +234,7 @@ class Refits:
         # structure -> what was asked, and one step of all candidates in the place of one of its effects
         self.steps: dict[Tried, tuple[tuple[object, ...], OneStep | None]] = {}
         self._own: dict[int, tuple[Digest, float]] = {}  # log evidence in their own noise
+        self._pairs: dict[Any, tuple[Counted, Counted]] = {}  # see ``_pair``
         self.filters: dict[
             Key, Tried
         ] = {}  # structures with a lag that no sensor has, see ``more_than_whole``
@@ -284,7 +287,7 @@ class Refits:
                 random, held = self.random(null), arrived.held
                 made = digest(null, priors, random=random, held=held, choices=choices)
                 found = evidence(made, self.levels)
-                beside = self._beside(effects, beyond(null))
+                lost = beyond(null)
         except FAILURES:
             return None
         if not math.isfinite(found.log):
@@ -294,7 +297,8 @@ class Refits:
             work_against_each_other(null, effects),
         )
         tried = Tried(effects, arrived, made, found, lambda: self.pool, courses=courses, cancels=cancels)
-        tried.beside = beside
+        tried.lost = lost
+        self._hold_late([tried])
         tried.weigh(self.levels)
         if more_than_whole(effects, arrived.values):
             self.filters[key_of(effects)] = tried
@@ -303,17 +307,32 @@ class Refits:
         tried.acts = self._acts(tried)
         return tried
 
-    def _beside(self, effects: tuple[Addition, ...], samples: Samples) -> tuple[Counted, Counted] | None:
-        """The structure without late sensors, or the model without effects, by all samples and without these."""
-        rest = [e for e in effects if not getattr(e.candidate.source.effect, "retards", False)]
-        base = self.pool.get(key_of(rest), self.pool.get(frozenset()))
-        if not samples or base is None:
-            return None
-        null = self.path.residuals(base.effects, base.arrived)
-        priors = priors_of(null, self.path.parameters(base.effects), base.effects)
-        both = null, leaving_out(null, samples)
-        made = [digest(one, priors, random=self.random(one), held=base.arrived.held) for one in both]
-        return Counted(both[0], made[0]), Counted(both[1], made[1])
+    def _hold_late(self, every: Iterable[Tried]) -> None:
+        """Say what structures with late sensors are held against: the most probable one without, whose samples they
+        cannot tell of count as noise for both."""
+        plain = [
+            one for one in (*self.pool.values(), *self.filters.values()) if not one.lost and not one.failed
+        ]
+        best = max(plain, key=lambda one: one.log, default=None)
+        for one in every:
+            if one.lost and best is not None:
+                with suppress(*FAILURES), np.errstate(all="ignore"):
+                    one.beside = self._pair(best, one.lost)
+
+    def _pair(self, one: Tried, lost: Samples) -> tuple[Counted, Counted]:
+        """A structure by all samples, and without these."""
+        key = id(one.digest), tuple((place, *own.tolist()) for place, own in lost.items())
+        if key not in self._pairs:
+            null = self.path.residuals(one.effects, one.arrived)
+            priors = priors_of(null, self.path.parameters(one.effects), one.effects)
+            less = leaving_out(null, lost)
+            made = digest(less, priors, random=self.random(less), held=one.arrived.held)
+            # the digest is kept, too, so that no other one takes its identity
+            self._pairs[key] = (
+                Counted(null, one.digest),
+                Counted(less, replace(made, amplitudes=one.digest.amplitudes)),
+            )
+        return self._pairs[key]
 
     def _courses(
         self,
@@ -391,7 +410,11 @@ class Refits:
                 self.levels = self._left_by(best)[1]
             except FAILURES:
                 return
-            for one in self.pool.values():
+            every = [*self.pool.values(), *self.filters.values()]
+            for one in sorted(
+                every, key=lambda one: bool(one.lost)
+            ):  # those that late ones are held against first
+                self._hold_late([one])
                 one.weigh(self.levels)
                 one.own = self._alone(one) if self.levels.memory else None
 
@@ -399,16 +422,7 @@ class Refits:
         """The residuals of a structure, and the noise that it leaves."""
         with np.errstate(all="ignore"):
             null = self.path.residuals(tried.effects, tried.arrived)
-            return null, self._left(null)
-
-    def _left(self, null: NullModel) -> Levels:
-        return levels_left(null, self.known, self.levels.scatter, self.random(null))
-
-    @staticmethod
-    def _by_itself(null: NullModel, levels: Levels, made: Digest) -> float:
-        """Log evidence in noise of the level and colour that a model leaves."""
-        found = evidence(made, levels)
-        return found.log + 0.5 * found.cost - innovations(null, levels)
+            return null, levels_left(null, self.known, self.levels.scatter, self.random(null))
 
     def _excused(self, tried: Tried, closer: Tried) -> bool:
         """True if a structure is the more probable one only as its gap counts as coloured noise: each one held against
@@ -419,19 +433,24 @@ class Refits:
 
     def _alone(self, tried: Tried) -> float:
         """The log evidence with the noise that the structure leaves, of its own level and colour."""
-        known = self._own.get(id(tried.digest))
-        if known is None or known[0] is not tried.digest:
+        log = self._in_own_noise(tried.digest, lambda: self._left_by(tried)[0])
+        if tried.beside is not None:
+            full, part = (self._in_own_noise(b.digest, lambda b=b: b.null) for b in tried.beside)  # type: ignore[misc]
+            log = log + full - part if math.isfinite(full - part) else log
+        return log
+
+    def _in_own_noise(self, made: Digest, null: Callable[[], NullModel]) -> float:
+        """Log evidence in noise of the level and colour that a model leaves; once for each."""
+        known = self._own.get(id(made))
+        if known is None or known[0] is not made:
             try:
-                own = self._by_itself(*self._left_by(tried), tried.digest)
-                if tried.beside is not None:
-                    full, part = (
-                        self._by_itself(one.null, self._left(one.null), one.digest) for one in tried.beside
-                    )
-                    own += full - part
-                known = tried.digest, own
+                left = null()
+                levels = levels_left(left, self.known, self.levels.scatter, self.random(left))
+                found = evidence(made, levels)
+                known = made, found.log + 0.5 * found.cost - innovations(left, levels)
             except FAILURES:
-                known = tried.digest, -math.inf
-            self._own[id(tried.digest)] = known
+                known = made, -math.inf
+            self._own[id(made)] = known
         return known[1]
 
     def relevel(self, tried: Sequence[Tried]) -> None:
