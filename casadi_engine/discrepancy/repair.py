@@ -24,6 +24,7 @@ from casadi_engine.discrepancy.fresh_choice import FreshChoice
 from casadi_engine.discrepancy.fresh_misfit import FRESH
 from casadi_engine.discrepancy.input_hold import other_hold
 from casadi_engine.discrepancy.kept_near import KEPT_NEAR, kept_near
+from casadi_engine.discrepancy.lost_beginning import with_lost_beginning
 from casadi_engine.discrepancy.lost_fit import explained, found_again
 from casadi_engine.discrepancy.lower_rate import at_lower_rate
 from casadi_engine.discrepancy.misread import Misread, misread, with_hint, with_other_reading
@@ -365,7 +366,8 @@ class _Job:
             made = with_free_starts(made, self.parameters, self.noise, options)
         with self.deadline.spared(1.0), suppress(TimeUp):
             made = with_other_reading(made, self.parameters, self.noise, options, work)
-        return made
+        found = frozenset((one.name, one.at) for one in made.effects)
+        return with_lost_beginning(made, search.refits.pool.get(found))
 
     def _null(self, jobs: int | None, scores: Any) -> tuple[Fit, Parameters, float]:
         """The fit without effects, the parameters that later fits start from, and the work of a start."""
