@@ -411,9 +411,8 @@ class Refits:
             except FAILURES:
                 return
             every = [*self.pool.values(), *self.filters.values()]
-            for one in sorted(
-                every, key=lambda one: bool(one.lost)
-            ):  # those that late ones are held against first
+            # those that late ones are held against first
+            for one in sorted(every, key=lambda one: bool(one.lost)):
                 self._hold_late([one])
                 one.weigh(self.levels)
                 one.own = self._alone(one) if self.levels.memory else None

@@ -47,9 +47,8 @@ class Sweeps:
         self.known = [made[c] for c in scheme.c.tolist()]
         self._given = np.concatenate(list(made.values()))
         self._bent = False  # too often for the machine
-        self._before: Array | None = (
-            None  # stage values of the last run, from which those of a point near by are not far
-        )
+        # stage values of the last run, from which those of a point near by are not far
+        self._before: Array | None = None
 
     # ---- values
 
