@@ -1,4 +1,10 @@
-"""Several searches: from drawn starts, and from either side of an optimum along what the data tell least of."""
+"""Several searches: from drawn starts, from either side of an optimum along what the data tell least of, and in the
+frequency domain from all around it.
+
+Where a mode is buried in noise, its frequency is at an optimum on many lines of the noise, and a search ends at the one
+that its start leads to. How far apart these lie, what is told by the frequencies below the mode says: the best optimum
+is left by steps that are drawn from there, and the search goes on from a lower one (basin hopping; Wales & Doye 1997).
+"""
 
 from __future__ import annotations
 
@@ -11,7 +17,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.deadline import TimeUp, best_wanted
 from casadi_engine.errors import EstimationError
-from casadi_engine.estimation.cut_short import Starts, in_time
+from casadi_engine.estimation.cut_short import LOWER, Starts, in_time
 from casadi_engine.estimation.fit import Optimum
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.spectral_start import Begun
@@ -23,13 +29,15 @@ Array = NDArray[np.float64]
 _SAME_COST, _SAME_PLACE = 1e-6, 1e-3
 # So they are when a move from one to the other changes chi-squared by less than this, and their costs by no more.
 _SAME_NOISE = 1e-2
-# Distance of a neighbouring start from the optimum, in standard errors, and in those of the lowest frequencies: the
-# optima along the valley of the crankshaft's likelihood were found 1 to 3 of the latter apart.
-_APART, _LOW = 5.0, 1.0
+# Distance of a neighbouring start from the optimum in standard errors.
+_APART = 5.0
 # A lower cost than this counts as another optimum to go on from; a valley is followed over at most so many.
 _LOWER, _MOST = 1e-3, 8
 # Cosine of the angle within which a direction leads back to where the search came from.
 _BACK = 0.5
+# Searches around an optimum that are enough where all of them came back to it; otherwise so many in a row, where there
+# are fewer parameters; and rows at most.
+_BACK_HOME, _FEWEST, _MOST_ROWS = 3, 8, 4
 
 
 # The outcomes of several starts, the set's own among them or not, each an Attempt or the error that it met; beside an
@@ -48,8 +56,8 @@ def attempts_from(
     """The outcome of every start up to an interruption; starts at which the model fails are passed over, if it does not
     fail at all of them.
 
-    Beside an optimum in the frequency domain, where a look costs little, the data's weakest direction is always
-    followed; what is found there counts as an attempt only if it is another optimum.
+    Around an optimum in the frequency domain, where a look costs little, others are always looked for if low
+    frequencies leave room for some; what is found there counts as an attempt only if it is another optimum.
     outcomes : runs several starts at a time, in their order (see ``workers``); None runs one after the other
     enough : says of the first attempt that no other start is asked for
     """
@@ -63,11 +71,11 @@ def attempts_from(
                 if attempts:
                     starts = [] if enough(search, attempts[0]) else starts[1:]
             if not interrupted(attempts) and _tried(run, attempts, starts):
-                pending, asked = best_of(attempts).pending, len(attempts)
-                if neighbours or pending:
-                    search.quiet = not neighbours
-                    _follow(search, run, attempts, max(neighbours, 1))
-                if not neighbours:
+                if neighbours:
+                    _follow(search, run, attempts, neighbours)
+                if best_of(attempts).pending and not interrupted(attempts):
+                    search.quiet, asked = True, len(attempts)
+                    _hop(search, run, attempts)
                     attempts[asked:] = _others(attempts, asked)
         except TimeUp:
             if not attempts or not best_wanted():
@@ -148,11 +156,37 @@ def _follow(search: Search, run: Outcomes, attempts: list[Attempt], neighbours: 
         before = best.v
 
 
+def _hop(search: Search, run: Outcomes, attempts: list[Attempt]) -> None:
+    """Search in the frequency domain from draws around the best optimum, and on from a lower one, until as many in a
+    row as there are parameters have led to none; a few are enough where all came back."""
+    random, low, high = np.random.default_rng(0), *_ends(search)
+    best, least, fruitless, strayed = best_of(attempts), best_of(attempts).merit, 0, False
+    enough = max(len(best.v), _FEWEST)
+    for _ in range(_MOST_ROWS * enough):
+        if best.begun is None or fruitless == enough:
+            return
+        others = search.spectral.others(best.begun)
+        if not others.ways or (fruitless >= _BACK_HOME and not strayed):
+            return
+        step = others.ways[random.integers(len(others.ways))] @ random.standard_normal(len(best.v))
+        start = search.coordinates.values(np.clip(best.v + step, low, high))
+        if not _tried(run, attempts, [start], best.begun):
+            return
+        best, fruitless, strayed = best_of(attempts), fruitless + 1, strayed or others.strayed
+        if best.merit < least - LOWER:
+            least, fruitless = best.merit, 0
+
+
+def _ends(search: Search) -> tuple[Array, Array]:
+    """The bounds of all coordinates (nv,)."""
+    return search.coordinates.of(search.pmap.lower), search.coordinates.of(search.pmap.upper)
+
+
 def _neighbours(search: Search, best: Attempt, count: int, before: Array | None) -> list[Array]:
     """Points (nz,) on either side of an optimum along the ``count`` directions of the largest errors, but for those
     that lead back to where the search came from (nv,)."""
     steps, information = _steps(search, best, count)
-    low, high = search.coordinates.of(search.pmap.lower), search.coordinates.of(search.pmap.upper)
+    low, high = _ends(search)
     found = []
     for step in steps:
         for side in (-1.0, 1.0):
@@ -166,10 +200,10 @@ def _steps(search: Search, best: Attempt, count: int) -> tuple[list[Array], Arra
     """Steps (nv,) to neighbouring starts, and the information (nv, nv) that they are measured in."""
     nv = len(best.v)
     if best.begun is not None and best.pending:
-        steps = search.spectral.valleys(best.begun, count)
-        return [_LOW * step for step in steps], best.begun.found.information
-    search._weigh(best.sigma)
-    covariance = uncertainty(search, best).covariance.matrix[:nv, :nv]
+        covariance: Array = np.linalg.pinv(best.begun.found.information)
+    else:
+        search._weigh(best.sigma)
+        covariance = uncertainty(search, best).covariance.matrix[:nv, :nv]
     if not np.isfinite(covariance).all():  # no slopes at this optimum: there is no direction to go
         return [], covariance
     values, vectors = np.linalg.eigh(covariance)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,6 @@ from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.spectral import Common, SpectralRecord
 from casadi_engine.estimation.spectral_modes import Room
 from casadi_engine.estimation.spectral_squares import (
-    BLIND,
     Told,
     difference,
     foretold,
@@ -38,22 +36,13 @@ LEFT_OUT = 0.05
 _STEP, _LOWEST = 2**0.5, 1 / 128
 # Fall of half chi-squared that ends the search, that which ends it on the band alone, and that which ends it on a band
 # before this one, which moves the estimates by more anyhow; bands tried.
-_FALL, _COARSE, _BEFORE, _BANDS = 1e-5, 1e-2, 0.1, 4
+_FALL, COARSE, _BEFORE, _BANDS = 1e-5, 1e-2, 0.1, 4
 # Looks at all bins, and the move in squared standard errors after which another is taken.
 _ROUNDS, _MOVED = 3, 0.1
-# Squared standard errors from an optimum within which a search goes there.
-_HOME = 0.5
-# Share of its quadratic by which the rise from an optimum may differ from it for the way back to be known.
-_BENT = 0.2
 # Damping where the search goes on with all bins: it is close to the optimum.
 _NEAR = 1e-5
-# Half chi-squared in the band by which an optimum has to be above another one not to be looked at in all bins.
-_HIGHER = 4.0
 # Shares of the band that are searched before it.
 _BELOW = (0.25, 0.5)
-# Neighbours of an optimum are looked for along what a band tells least of: the lowest one that leaves no direction more
-# uncertain than by this factor.
-_LOW = 5.0
 
 
 @dataclass(frozen=True)
@@ -62,7 +51,6 @@ class Found:
 
     minimum : v (nv,), with the band's squares and those above it by their quadratic; information : (nv, nv) of all bins
     hertz, kept, bins : the band, its number of bins and that of all; share : of the information above it
-    band : the optimum of the band alone that it was found from
     """
 
     minimum: Minimum
@@ -71,20 +59,16 @@ class Found:
     kept: int
     bins: int
     share: float
-    band: Minimum | None = None
 
     def scaled(self, share: float) -> Found:
         """The same with all squares times a share: at another noise level."""
-        band = None if self.band is None else scaled(self.band, share)
-        return replace(
-            self, minimum=scaled(self.minimum, share), information=share * self.information, band=band
-        )
+        return replace(self, minimum=scaled(self.minimum, share), information=share * self.information)
 
     def __str__(self) -> str:
         if self.kept == self.bins:
             return f"all {self.bins} frequency bins"
         return (
-            f"{self.kept} of {self.bins} frequency bins, up to {self.hertz:.4g} Hz; the others by their quadratic "
+            f"{self.kept} of {self.bins} frequency bins up to {self.hertz:.4g} Hz; the others by their quadratic "
             f"({100 * self.share:.2g} % of the information)"
         )
 
@@ -103,9 +87,9 @@ class SpectralSearch:
         """longest : (nv,) longest change of each unknown in one step from v."""
         room = Room()
         self.records = [SpectralRecord(record, room) for record in records]
-        self._top = max(record.hertz[-1] for record in self.records)
+        self.top = max(record.hertz[-1] for record in self.records)
         self._priors = priors
-        self._limits: dict[str, Any] = {"low": low, "high": high, "longest": longest}
+        self.limits: dict[str, Any] = {"low": low, "high": high, "longest": longest}
         self._hertz: float | None = None  # of the band
         self._costs = np.array([np.inf]), np.zeros(1)  # below frequencies, at the first start
         self._first: tuple[Array, Array, Array] | None = None  # products at the point that was asked for last
@@ -150,13 +134,13 @@ class SpectralSearch:
     def _ladder(self, v: Array) -> tuple[Array, Array]:
         """Frequencies (e,), each a band's, and the products in the bins below them at v."""
         if self._first is None or not np.array_equal(self._first[0], v):
-            edges = self._edges()
+            edges = self.edges()
             self._first = (v.copy(), edges, self.grams(v, edges))
         return self._first[1:]
 
-    def _edges(self) -> Array:
+    def edges(self) -> Array:
         """Frequencies (e,), each a band's, the last one beyond all bins."""
-        edges = self._top * _STEP ** np.arange(np.ceil(np.log(_LOWEST) / np.log(_STEP)), 1)
+        edges = self.top * _STEP ** np.arange(np.ceil(np.log(_LOWEST) / np.log(_STEP)), 1)
         edges[-1] = np.inf
         return np.asarray(edges)
 
@@ -184,44 +168,20 @@ class SpectralSearch:
         self._costs = edges, 0.5 * grams[:, 0, 0]
         return float(edges[chosen])
 
-    def valleys(self, found: Found, count: int) -> list[Array]:
-        """Steps (nv,) of a standard error along the ``count`` directions that the lowest frequencies tell least of,
-        beside what the band tells: where a mode is buried in noise, the optima of its frequency lie along these.
-        """
-        with np.errstate(all="ignore"):
-            size = np.sqrt(np.diag(found.information))
-            whole = found.information / np.outer(size, size)
-            try:
-                root = np.linalg.inv(np.linalg.cholesky(whole))
-                edges = self._edges()
-                for gram in self.grams(found.minimum.x, edges[edges <= found.hertz]):
-                    low = root @ (gram[1:, 1:] / np.outer(size, size)) @ root.T
-                    values, vectors = np.linalg.eigh(low)
-                    if values[0] > _LOW**-2:
-                        break
-            except (FloatingPointError, np.linalg.LinAlgError):
-                return []
-        values = np.maximum(values, _LOW**-2)
-        return list((vectors / np.sqrt(values)).T[:count] @ root / size)
-
-    def run(
-        self, v: Array, *, steps: int, stop: Callable[[float], bool], beside: Found | None = None
-    ) -> Found | None:
+    def run(self, v: Array, *, steps: int, stop: Callable[[float], bool]) -> Found | None:
         """The optimum that a search from v leads to, or None where there is nothing to evaluate.
 
         stop : sees the cost before every step, that above the band as it was at first; True ends the search
-        beside : a lower optimum is looked for than this one
         """
         with np.errstate(all="ignore"):
             try:
-                hertz = beside.hertz if beside else self.band(v) if self._hertz is None else self._hertz
+                hertz = self.band(v) if self._hertz is None else self._hertz
             except (FloatingPointError, np.linalg.LinAlgError):
                 return None
-        told, done = Told(stop), 0
-        if beside is None:
-            v, done = self._from_below(v, hertz, steps, told)
+        told = Told(stop)
+        v, done = self._from_below(v, hertz, steps, told)
         for tried in range(_BANDS):
-            found = self._in_band(v, hertz, max(steps - done, bool(tried)), told, None if tried else beside)
+            found = self._in_band(v, hertz, max(steps - done, bool(tried)), told)
             if found is None:
                 return None
             done += found.minimum.steps
@@ -240,10 +200,10 @@ class SpectralSearch:
         """
         done = 0
         for share in _BELOW:
-            edge = share * min(hertz, self._top)
+            edge = share * min(hertz, self.top)
             found = minimise(
-                partial(self.squares, hertz=edge), v, fall=_BEFORE, steps=steps - done,
-                stop=self._shown(told, edge), round_bends=False, **self._limits,
+                Band(self, edge), v, fall=_BEFORE, steps=steps - done,
+                stop=self._shown(told, edge), round_bends=False, **self.limits,
             )  # fmt: skip
             if found is None:
                 break
@@ -259,124 +219,76 @@ class SpectralSearch:
         above = float(costs[-1] - costs[min(int(np.searchsorted(edges, hertz)), len(costs) - 1)])
         return lambda cost: told(cost + above)
 
-    def _in_band(self, v: Array, hertz: float, steps: int, told: Told, beside: Found | None) -> Found | None:
-        band = _Band(self, hertz)
-        shown, way = self._shown(told, hertz), _WayBack(beside, band)
+    def _in_band(self, v: Array, hertz: float, steps: int, told: Told) -> Found | None:
+        band = Band(self, hertz)
         first = minimise(
-            band, v, fall=_COARSE if band.kept < band.bins else _FALL, steps=steps,
-            stop=lambda cost: shown(cost) or way.found_in_band(), **self._limits,
+            band, v, fall=COARSE if band.kept < band.bins else _FALL, steps=steps, stop=self._shown(told, hertz),
+            **self.limits,
         )  # fmt: skip
         if first is None:
             return None
         told.again()
-        if beside is not None:
-            ended = way.against(first)
-            if ended is not None:
-                return ended
         if not first.converged or band.kept == band.bins:
             return Found(first, first.squares.matrix, hertz, band.kept, band.bins, 0.0)
-        return self._in_all_bins(first, band, steps, told, way)
+        return self.in_all_bins(first, band, steps, told)
 
-    def _in_all_bins(
-        self, first: Minimum, band: _Band, steps: int, told: Told, way: _WayBack
+    def in_all_bins(
+        self,
+        first: Minimum,
+        band: Band,
+        steps: int,
+        told: Callable[[float], bool],
+        *,
+        most: float = np.inf,
+        rounds: int = _ROUNDS,
+        there: Callable[[Array], bool] = lambda _: False,
     ) -> Found | None:
-        """From an optimum of the band on, with the bins above it by their quadratic."""
+        """From an optimum of a band on, with the other bins by their quadratic; None where there is nothing to
+        evaluate.
+
+        most : half chi-squared above which nothing is looked for; rounds : looks at all bins, at most
+        there : True at a point at which nothing is looked for
+        """
         last, left, found = first, steps - first.steps, None
-        for _ in range(_ROUNDS):
+        for _ in range(rounds):
             whole, part, at = self.squares(last.x), band(last.x), last.x
             if whole is None or part is None:
                 return None
             ahead = foretold(whole)
-            if ahead.cost > way.least + 0.5 * _HIGHER:
+            share = largest_share(whole.matrix, part.matrix)
+            if ahead.cost > most:
                 high = replace(last, squares=ahead)
-                return Found(high, whole.matrix, band.hertz, band.kept, band.bins, 0.0, first)
+                return Found(high, whole.matrix, band.hertz, band.kept, band.bins, share)
             near = minimise(
                 with_rest(band, difference(whole, part), at), at, fall=_FALL, steps=max(left, 1),
-                damping=_NEAR, stop=lambda cost: told(cost) or way.found(), **self._limits,
+                damping=_NEAR, stop=lambda cost: told(cost) or there(band.at), **self.limits,
             )  # fmt: skip
             if near is None:
                 return None
             left -= near.steps
-            if way.beside is not None and (
-                way.home or _apart(near.x, way.beside.minimum, way.beside) < _HOME
-            ):
-                return replace(way.beside, minimum=replace(way.beside.minimum, steps=steps - left))
-            told.again()
             last = Minimum(near.x, near.squares, steps - left, near.converged)
-            share = largest_share(whole.matrix, part.matrix)
-            found = Found(last, whole.matrix, band.hertz, band.kept, band.bins, share, first)
+            found = Found(last, whole.matrix, band.hertz, band.kept, band.bins, share)
             moved = near.x - at
-            if not near.converged or moved @ whole.matrix @ moved < _MOVED:
+            if not near.converged or there(near.x) or moved @ whole.matrix @ moved < _MOVED:
                 break
         return found
 
 
-class _Band:
-    """The problem on the bins below a frequency; remembers the point that it was asked for last."""
+class Band:
+    """The problem on the bins below a frequency; remembers the point ``at`` that it was asked for last."""
 
     def __init__(self, search: SpectralSearch, hertz: float) -> None:
         self._search, self.hertz = search, hertz
         self.kept = sum(record.below(hertz).stop for record in search.records)
         self.bins = sum(record.size for record in search.records)
-        self.at: tuple[Array, Squares | None] | None = None
+        self._found: tuple[Array, Squares | None] | None = None
+
+    @property
+    def at(self) -> Array:
+        """The point (nv,) that was asked for last; none before."""
+        return np.zeros(0) if self._found is None else self._found[0]
 
     def __call__(self, v: Array) -> Squares | None:
-        if self.at is None or not np.array_equal(self.at[0], v):
-            self.at = (v, self._search.squares(v, self.hertz))
-        return self.at[1]
-
-
-class _WayBack:
-    """Where a search that began beside an optimum comes back to it; home : it did.
-
-    least : half chi-squared there, and what another one is compared with
-    """
-
-    def __init__(self, beside: Found | None, band: _Band) -> None:
-        self.beside, self._band, self.home = beside, band, False
-        self.least = np.inf if beside is None else beside.minimum.squares.cost
-
-    def found_in_band(self) -> bool:
-        """True at the optimum of the band, and where its own quadratic holds and leads there."""
-        beside, at = self.beside, self._band.at
-        if beside is None or beside.band is None or at is None:
-            return False
-        (x, here), goal = at, beside.band
-        self.home = _apart(x, goal, beside) < _HOME
-        if not self.home and here is not None:
-            moved = x - goal.x
-            risen, bent = here.cost - goal.squares.cost, 0.5 * float(moved @ goal.squares.matrix @ moved)
-            step = np.linalg.lstsq(here.matrix, here.gradient, rcond=BLIND)[0]
-            self.home = abs(risen - bent) < _BENT * bent and _apart(x - step, goal, beside) < _HOME
-        return self.home
-
-    def found(self) -> bool:
-        """True at the optimum of all bins."""
-        if self.beside is not None and self._band.at is not None:
-            self.home = _apart(self._band.at[0], self.beside.minimum, self.beside) < _HOME
-        return self.home
-
-    def against(self, first: Minimum) -> Found | None:
-        """What an optimum of the band is beside the known one, if that can be told without the other bins: the same, or
-        higher by more than these could make good."""
-        beside = self.beside
-        if beside is None or beside.band is None:
-            return None
-        higher = first.squares.cost - beside.band.squares.cost
-        minimum = replace(beside.minimum, steps=first.steps)
-        if self.home or _apart(first.x, beside.band, beside) < _HOME:
-            return replace(beside, minimum=minimum)
-        if not first.converged or higher < _HIGHER:
-            return None
-        squares = replace(first.squares, cost=beside.minimum.squares.cost + higher)
-        return replace(
-            beside,
-            minimum=replace(minimum, x=first.x, squares=squares),
-            information=squares.matrix,
-            band=first,
-        )
-
-
-def _apart(x: Array, band: Minimum, beside: Found) -> float:
-    """Squared standard errors between a point and an optimum of the band."""
-    return float((x - band.x) @ beside.information @ (x - band.x))
+        if self._found is None or not np.array_equal(self._found[0], v):
+            self._found = (v, self._search.squares(v, self.hertz))
+        return self._found[1]

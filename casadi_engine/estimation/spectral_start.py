@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from casadi_engine.estimation.other_optima import OtherOptima
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.scales import felt_sizes, size_factors
 from casadi_engine.estimation.spectral_search import Found, Priors, SpectralSearch
@@ -111,6 +112,7 @@ class SpectralStarts:
         """Transforms the records."""
         self._search, self._seen, self._stopped = search, 0, False
         self._spectral = spectral_search(search, search.problem.priors.evaluate)
+        self._beside: OtherOptima | None = None
 
     def sizes(self, z: Array) -> tuple[Array | None, Array | None]:
         """The scales of parameters whose start at z (nz,) says nothing, and factors on those of the states.
@@ -128,9 +130,11 @@ class SpectralStarts:
         felt = felt_sizes(float(gram[0, 0]), np.diag(gram)[1:].copy(), search.coordinates, z)
         return felt, size_factors([one for one in nodes if one is not None])
 
-    def valleys(self, begun: Begun, count: int) -> list[Array]:
-        """Steps (nv,) along which further optima may lie; see ``SpectralSearch.valleys``."""
-        return self._spectral.valleys(begun.found, count)
+    def others(self, begun: Begun) -> OtherOptima:
+        """What looks for others than an optimum; kept for the next time."""
+        if self._beside is None or self._beside.known is not begun.found:
+            self._beside = OtherOptima(self._spectral, begun.found)
+        return self._beside
 
     def search(self, z: Array, *, steps: int, beside: Begun | None = None) -> Begun | None:
         """Search from z : (nz,), in at most so many steps; None where the model has no value or no slope.
@@ -144,12 +148,8 @@ class SpectralStarts:
         self._seen, self._stopped, begun = 0, False, None
         for _ in range(_ROUNDS):
             self._spectral.weigh(search.sigma)
-            found = self._spectral.run(
-                v,
-                steps=max(steps - done, 1),
-                stop=self._stop,
-                beside=None if beside is None else beside.found,
-            )
+            run = self._spectral.run if beside is None else self.others(beside).run
+            found = run(v, steps=max(steps - done, 1), stop=self._stop)
             if found is None:
                 return None
             v, done = found.minimum.x, done + found.minimum.steps
