@@ -89,7 +89,7 @@ def estimate(
         short pieces of the data first, from there and from points around it, and then to longer and longer ones
     starts, seed : number of starts, the first from the set's values, the others drawn within the bounds
     neighbours : number of directions, those the data tell least of, along which to look for a lower optimum beside
-        the best: searches that start to either side of it; in the frequency domain one is looked along in any case
+        the best: searches that start to either side of it; in the frequency domain others are looked for in any case
     enough : "all" starts; or "white": no other start beside the first where that has ended at a residual that is white,
         of the stated level, and is small beside what the simulation follows, as no other optimum can be better
     jobs : processes for the starts and neighbours, by joblib (extra "cluster"): the same answer as in one; None takes

@@ -200,7 +200,7 @@ def _steps(search: Search, best: Attempt, count: int) -> tuple[list[Array], Arra
     """Steps (nv,) to neighbouring starts, and the information (nv, nv) that they are measured in."""
     nv = len(best.v)
     if best.begun is not None and best.pending:
-        covariance: Array = np.linalg.pinv(best.begun.found.information)
+        covariance = np.asarray(np.linalg.pinv(best.begun.found.information), dtype=np.float64)
     else:
         search._weigh(best.sigma)
         covariance = uncertainty(search, best).covariance.matrix[:nv, :nv]

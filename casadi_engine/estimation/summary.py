@@ -368,7 +368,7 @@ def optima_words(fit: Fit) -> str:
     ordered = sorted(fit.optima, key=lambda optimum: (not math.isfinite(optimum.cost), optimum.cost))
     total = sum(optimum.starts for optimum in ordered)
     found = [optimum for optimum in ordered if optimum.status == "converged"] or ordered
-    words = [f"{found[0].starts} of {total} starts reached the lowest cost {number(found[0].cost)}"]
+    words = [f"{found[0].starts} of {total} searches reached the lowest cost {number(found[0].cost)}"]
     for optimum in found[1:4]:
         where = f" ({optimum.apart})" if optimum.apart else ""
         words.append(f"{optimum.starts} ended at {number(optimum.cost)}{where}")
@@ -414,7 +414,7 @@ def next_steps(fit: Fit) -> list[str]:
             "a search that did not converge came lower than this optimum: look at fit.optima, allow max_iterations=1000"
         )
     elif len(converged) > 1 and min(converged, key=lambda optimum: optimum.cost).starts == 1:
-        steps.append("only one start found the lowest cost: repeat with starts=32")
+        steps.append("only one search found the lowest cost: repeat with starts=32")
     if fit.doubted:
         steps.append("the errors that the data do tell: print(ce.posterior(fit))")
     if not steps:

@@ -155,7 +155,7 @@ def test_next_step_of_a_sound_fit(factory):
 def test_optima_are_counted(factory):
     optima = (Optimum(1300.0, {}, 3, "converged"), Optimum(1168.25, {}, 5, "converged"))
     text = summary(factory.fit(optima=optima))
-    assert "Optima: 5 of 8 starts reached the lowest cost 1168.25; 3 ended at 1300" in text
+    assert "Optima: 5 of 8 searches reached the lowest cost 1168.25; 3 ended at 1300" in text
 
 
 def test_no_free_parameter_and_no_numbers(factory):
