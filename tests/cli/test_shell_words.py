@@ -27,8 +27,8 @@ def shown(text, **how):
         ),
         ("Note: 2 more in repair.messages", "Note: 2 more in result.json, messages"),
         (
-            "Next: only one start found the lowest cost: repeat with starts=32",
-            "Next: only one start found the lowest cost: repeat with starts=32 in the problem file",
+            "Next: only one search found the lowest cost: repeat with starts=32",
+            "Next: only one search found the lowest cost: repeat with starts=32 in the problem file",
         ),
         (
             "Next: look at the curve of the unknown torque, ce.report(repair, 'repair.html'), and write an\n"

@@ -143,7 +143,7 @@ def test_next_step_of_a_sound_fit(factory):
     assert next_steps(fit) == ["test it on data it has not seen: print(ce.validate(fit, fresh))"]
     rare = (Optimum(1168.25, {}, 1, "converged"), Optimum(1300.0, {}, 7, "converged"))
     assert next_steps(factory.fit(estimates=estimates, optima=rare)) == [
-        "only one start found the lowest cost: repeat with starts=32"
+        "only one search found the lowest cost: repeat with starts=32"
     ]
     lower = (Optimum(900.0, {}, 3, "not converged"), Optimum(1168.25, {}, 7, "converged"))
     steps = next_steps(factory.fit(estimates=estimates, optima=lower))
