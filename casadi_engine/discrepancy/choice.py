@@ -22,6 +22,7 @@ from casadi_engine.discrepancy.additions import AGAIN, TIME_UP, Additions
 from casadi_engine.discrepancy.assumed_pressure import settle_scatter
 from casadi_engine.discrepancy.exchange import (
     exchanged,
+    is_far,
     known_twins,
     leaves_more,
     special_cases,
@@ -264,6 +265,11 @@ class Choice:
                 continue
             if self.station_of(one) is not None:
                 self.best = one.key
+                if is_far(
+                    self.refits, one
+                ):  # then rivals of each of the two have not arrived beside the other
+                    best = self._timed("exchange", lambda: self._exchanged(one, self.pool[frozenset()]))  # noqa: B023
+                    self.best = one.key if self.station_of(best) is None else best.key
             return
 
     @property

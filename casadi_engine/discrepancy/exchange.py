@@ -13,7 +13,7 @@ import numpy as np
 
 from casadi_engine.deadline import ask, late
 from casadi_engine.discrepancy.coloured_errors import coloured_errors
-from casadi_engine.discrepancy.families import BEYOND, families_of
+from casadi_engine.discrepancy.families import BEYOND, every_family, families_of
 from casadi_engine.discrepancy.in_place import instead, may_go, start_without
 from casadi_engine.discrepancy.no_noise import leaves_no_noise
 from casadi_engine.discrepancy.noise_choice import too_large
@@ -26,6 +26,8 @@ from casadi_engine.discrepancy.screening import Screened
 Tell = Callable[[str], None]
 # Log evidence by which a law's special case may be less probable than its chi-squared beside the law's makes it.
 _TIE = 1.0
+# Ratio of a parameter's values beyond which two refits are far from one another.
+_MOVED = 10.0
 # Share of chi-squared up to which two structures have come to one and the same.
 _SAME = 1e-4
 
@@ -51,6 +53,15 @@ def special_cases(refits: Refits, best: Key, screened: Screened, tell: Tell) -> 
             rest = (other for other in one.effects if other is not member)
             start = start_without(one.arrived, member)
             refits.tried((*rest, addition(candidate, size)), start)
+
+
+def is_far(refits: Refits, best: Tried) -> bool:
+    """True if a parameter of a structure's refit is many times what it is without effects, or a small part of it: from
+    there another effect may have looked like a parameter, so that it was not testable, or its refit found no way back.
+    """
+    before, after = refits.null_fit.values, best.arrived.values
+    ratios = (abs(after[name] / before[name]) for name in before if before[name] and after.get(name))
+    return any(not 1 / _MOVED < ratio < _MOVED for ratio in ratios)
 
 
 def known_twins(refits: Refits, best: Key, tell: Tell) -> None:
@@ -105,9 +116,15 @@ def exchanged(refits: Refits, best: Tried, here: Tried, screened: Screened, tell
     """The structure after its members were exchanged one by one, and each was left out, until none is better.
 
     here : the structure before the last effect was added; screened : along the model without effects
+
+    An only effect has rivals that were refitted from where it began, so that there is nothing to exchange it for,
+    unless its parameters ended far from there.
     """
-    families = families_of(screened)
-    while len(best.effects) > 1 and not late():
+    while not late():
+        far = is_far(refits, best)
+        if len(best.effects) < (1 if far else 2):
+            return best
+        families = every_family(screened) if far else families_of(screened)
         made: list[Tried] = []
         for member in best.effects:
             rest = tuple(one for one in best.effects if one is not member)
@@ -117,7 +134,7 @@ def exchanged(refits: Refits, best: Tried, here: Tried, screened: Screened, tell
                 ask()
                 tell(f"exchange {member.label} for {one.label}")
                 made += refits.tried((*rest, one), start)
-            if may_go(refits, best, member, screened, others):
+            if rest and may_go(refits, best, member, screened, others):
                 made += refits.tried(rest, start)
         refits.weigh()
         ready = [one for one in made if one.beyond > BEYOND or not one.effects]

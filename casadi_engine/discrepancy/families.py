@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from casadi_engine.discrepancy.events import by_one_step
 from casadi_engine.discrepancy.linearised import OneStep
@@ -18,8 +18,17 @@ _SAME = 0.1
 
 def families_of(screened: Screened) -> dict[tuple[str, str], list[int]]:
     """(effect, port) -> its testable candidates; of effects that are the same in the equations the first one."""
+    return _families(screened, screened.order)
+
+
+def every_family(screened: Screened) -> dict[tuple[str, str], list[int]]:
+    """The same of all candidates, whether they are testable or not along the model without effects."""
+    return _families(screened, range(len(screened.candidates)))
+
+
+def _families(screened: Screened, members: Iterable[int]) -> dict[tuple[str, str], list[int]]:
     found: dict[tuple[str, str], list[int]] = {}
-    for k in screened.order:
+    for k in members:
         found.setdefault(screened.candidates[k].key, []).append(k)
     again = {key for own in screened.second_names.values() for key in own}
     return {key: own for key, own in found.items() if key not in again}

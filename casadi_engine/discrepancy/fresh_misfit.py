@@ -256,17 +256,17 @@ def _coloured_doubt(repair: Repair) -> str | None:
 
 
 def _left(repair: Repair) -> float:
-    """The gap on fresh data with the effects, by its root mean square, over that without; with parameters for all
-    records where these were fitted together."""
+    """The gap on fresh data beyond the noise with the effects, by its root mean square, over that without; with
+    parameters for all records where these were fitted together."""
     gaps = repair.gaps
     before = None if gaps is None else gaps.validation_before
     after = None if gaps is None else gaps.validation_after
-    if before is None or after is None or not before.gap.chi2_per_sample > 0:
+    if before is None or after is None or not before.gap.chi2_per_sample > 1:  # of noise alone
         return 1.0
     found = after.gap.chi2_per_sample
     if after.jointly and after.within_errors is not None:
         found = min(found, after.within_errors)
-    return math.sqrt(found / before.gap.chi2_per_sample)
+    return math.sqrt(max(found - 1, 0.0) / (before.gap.chi2_per_sample - 1))
 
 
 def _mostly_left(repair: Repair) -> bool:

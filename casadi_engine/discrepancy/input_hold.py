@@ -36,16 +36,19 @@ _WORDS = {"zero": "held between its samples", "first": "joined by lines between 
 @dataclass(frozen=True)
 class OtherHold:
     """holds : input -> how it goes on between its samples; gain : twice the log of how many times more probable the
-    records are so than with the delay that was found."""
+    records are so than with the delay that was found; stands : that delay is one of the answer's effects."""
 
     holds: Mapping[str, str]
     gain: float
+    stands: bool = True
 
     @property
     def better(self) -> bool:
         """True where the records are more probable so, as a delay of just half a sample would be a coincidence, and
-        nobody said how the inputs go on: lines are what is taken where nothing is said, steps were asked for."""
-        return self.gain > 0 and all(hold == "zero" for hold in self.holds.values())
+        nobody said how the inputs go on: lines are what is taken where nothing is said, steps were asked for. Beside a
+        delay that was withdrawn there is no coincidence, and the records have to tell it alone."""
+        least = 0.0 if self.stands else 2 * math.log(FACTOR)
+        return self.gain > least and all(hold == "zero" for hold in self.holds.values())
 
     def of(self, portion: Portions) -> Portions:
         """The records with this hold."""
@@ -85,7 +88,7 @@ def other_hold(
     for holds in _subsets(_matching(repair, delays)):
         gain = _gain(repair, delays, holds, noise, options, memory)
         if gain is not None and (best is None or gain > best.gain):
-            best = OtherHold(holds, gain)
+            best = OtherHold(holds, gain, any(one.name == _DELAY for one in repair.effects))
     return best if best is not None and best.gain > -2 * math.log(FACTOR) else None
 
 

@@ -145,7 +145,7 @@ def _told_by(one: FoundEffect) -> str:
     with it. A score that says nothing of a large share is that of a law which bends the other way by one step."""
     chance = "p < 1e-300" if one.p_value < 1e-300 else f"p = {one.p_value:.2g}"
     share = f"explains {100 * one.share_explained:.0f} % of the gap"
-    if one.share_explained < 0:
+    if one.share_explained < 0.005:  # it rounds to 0 %
         share = "closes nothing of the gap by itself"
     if one.p_value > _NONE and one.share_explained < _NONE:
         return "beyond chance beside the others, and nothing without them"

@@ -131,6 +131,8 @@ def parameter_words(validation: Validation) -> list[str]:
     if check is not None:
         if check.p_value is not None:
             word = "parameters disagree" if "parameters" in validation.failed else "parameters agree"
+            if word == "parameters agree" and check.p_value < validation.alpha:
+                word = "parameters may disagree"  # it is one of several tests, which share alpha
             said.append(
                 f"{word} with those of the fit within their errors: p {p_text(check)} "
                 f"(chi2 {check.statistic:.3g} in {check.dof} direction{'s' if check.dof != 1 else ''})"

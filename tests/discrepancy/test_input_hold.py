@@ -109,5 +109,13 @@ def test_odds_that_decide_nothing_are_said_beside_the_delay(read_as_lines):
     )
 
 
+@pytest.mark.parametrize(
+    ("gain", "stands", "better"), [(0.7, True, True), (0.7, False, False), (20.0, False, True)]
+)
+def test_beside_a_delay_that_was_withdrawn_the_records_have_to_tell_it_alone(gain, stands, better):
+    """An input that was joined by lines had been taken for held on odds of 1.4."""
+    assert OtherHold({"T": "zero"}, gain, stands).better is better
+
+
 def test_nothing_is_asked_without_a_delay(read_as_lines):
     assert other_hold(read_as_lines, None, {}, 1.0) is None

@@ -101,6 +101,20 @@ def test_parameters_for_all_records_are_asked_for_where_fresh_data_do_not_fit():
     assert not asks_for_one(repair_of(within=1.0), [stub(placed=False)])  # that is within the errors
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "mostly"),
+    [(3.3, 0.92, False), (3.3, 1.0, False), (3.3, 1.5, False), (3.3, 2.0, True), (1.0, 0.9, True)],
+)
+def test_what_is_left_is_counted_beyond_the_noise(before, after, mostly):
+    """A gap of 3.3 that closed to the noise had been called mostly left: 0.92 is more than a quarter of it."""
+
+    def side(chi2):
+        return stub(gap=stub(chi2_per_sample=chi2), jointly=False, within_errors=None)
+
+    gaps = stub(validation_before=side(before), validation_after=side(after))
+    assert _mostly_left(stub(gaps=gaps, noise=stub(is_coloured=False))) is mostly
+
+
 @pytest.mark.parametrize(("jointly", "mostly"), [(True, False), (False, True)])
 def test_what_parameters_for_all_records_leave_is_what_is_left(jointly, mostly):
     """A step of the parameters only promises as much."""
