@@ -282,9 +282,30 @@ def test_two_effects_that_are_no_findings_beside_their_colour_stand_in_no_ones_p
     monkeypatch.setattr(module, "tried_in_two", lambda *_: list(pairs.values()))
     gone = [pairs[name] for name in weak]
     monkeypatch.setattr(module, "weak_beside_colour", lambda refits, other: other in gone)
+    monkeypatch.setattr(module, "is_far", lambda *_: False)
     found._in_two()
     assert found.best == (one if leads == "a" else pairs[leads]).key
     assert [name for name in pairs if pairs[name].failed] == list(weak)
+
+
+@pytest.mark.parametrize(
+    ("far", "fits", "leads"), [(False, True, "b"), (True, True, "c"), (True, False, "b")]
+)
+def test_two_effects_far_from_where_refits_began_are_exchanged_from_there(monkeypatch, far, fits, leads):
+    pair, better = tried("b", "d", log=-50.0), tried("c", "d", log=-40.0)
+    found = choice_of(monkeypatch, tried(log=-500.0), one := tried("a", log=-100.0), pair, best=one.key)
+    found.refits.weigh = lambda: None
+    monkeypatch.setattr(module, "families_of", lambda screened: {})
+    monkeypatch.setattr(module, "tried_in_two", lambda *_: [pair])
+    monkeypatch.setattr(module, "weak_beside_colour", lambda *_: False)
+    monkeypatch.setattr(module, "is_far", lambda *_: far)
+    monkeypatch.setattr(Choice, "_exchanged", lambda *_: better)
+    plain = Choice.station_of
+    monkeypatch.setattr(
+        Choice, "station_of", lambda self, t: (stub() if fits else None) if t is better else plain(self, t)
+    )
+    found._in_two()
+    assert found.best == {"b": pair, "c": better}[leads].key
 
 
 # ---- a round whose effect does nothing on fresh data

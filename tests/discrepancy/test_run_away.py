@@ -54,11 +54,11 @@ def capacitor():
 
 @pytest.mark.slow
 def test_a_twin_that_looks_like_a_parameter_far_off_is_in_the_class():
-    """Without the leak C2 runs away to 1e22 F, where a leak at the first branch does what 1/R2 does: a leak at the
+    """Without the leak C2 runs away to 1e20 F, where a leak at the first branch does what 1/R2 does: a leak at the
     second one had been named alone, confirmed, though chi-squared is the same."""
     model = capacitor()
     found = ce.repair(
-        model, record("search", 3, 1.2), fresh=record("fresh", 6, 1.5), progress=False, budget=120
+        model, record("search", 4, 1.2), fresh=record("fresh", 5, 1.5), progress=False, budget=120
     )
     assert found.null_fit.values["C2"] > 1e4
     (effect,) = found.effects
