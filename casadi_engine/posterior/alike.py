@@ -8,6 +8,7 @@ A record whose drives do not repeat themselves has states as far apart as all it
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
@@ -29,22 +30,37 @@ _STATES, _FEWEST = 500, 10
 _CONSTANT = 1e-9
 
 
-def alike(record: RecordTerm, v: Array, first: Array) -> tuple[Array, Array] | None:
-    """The state (n,) of a linear record, simulated at v (nv,) from ``first`` (n,), at the moment that is most like its
-    beginning, and states (M, n) so long after others less these; all scaled. None where no drive moves, or nothing is
-    finite.
+@dataclass(frozen=True, eq=False)
+class Alike:
+    """The moment of a linear record that is most like its beginning.
 
-    The differences are those of a run that starts in that state: the first state that a fit found holds noise.
+    along : the record with states along it; shift : their number up to the moment
+    first : (n,) scaled, where runs begin
     """
-    drives = cast(LinearPropagator, record.propagator).merged_drives(v[record.active]).value
-    found = _moment(drives)
-    if found is None:
-        return None
-    moment, length = found
-    along, shift = record.again(gain=record.gain, length=length), moment // length
-    state = chained_nodes(along, v, first)[shift]
-    nodes = chained_nodes(along, v, state)
-    return (state, nodes[shift:] - nodes[:-shift]) if np.isfinite(nodes).all() else None
+
+    along: RecordTerm
+    shift: int
+    first: Array
+
+    @classmethod
+    def of(cls, record: RecordTerm, v: Array, first: Array) -> Alike | None:
+        """None where no drive moves at v (nv,)."""
+        drives = cast(LinearPropagator, record.propagator).merged_drives(v[record.active]).value
+        found = _moment(drives)
+        if found is None:
+            return None
+        moment, length = found
+        return cls(record.again(gain=record.gain, length=length), moment // length, first)
+
+    def state(self, v: Array) -> Array:
+        """(n,) scaled, that the drives lead to at that moment at v (nv,)."""
+        return np.asarray(chained_nodes(self.along, v, self.first)[self.shift])
+
+    def apart(self, v: Array, state: Array) -> Array:
+        """States (M, n) so long after others less these, of a run that starts in ``state``: the first state that a fit
+        found holds noise."""
+        nodes = chained_nodes(self.along, v, state)
+        return np.asarray(nodes[self.shift :] - nodes[: -self.shift])
 
 
 def _moment(drives: Array) -> tuple[int, int] | None:

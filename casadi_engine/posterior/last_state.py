@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.starts import chained_nodes
+from casadi_engine.posterior.states import StatePrior
 from casadi_engine.simulation.linear import LinearPropagator
 
 Array = NDArray[np.float64]
@@ -30,7 +31,8 @@ _REACH, _FARTHEST = 1.5, 0.2
 
 @dataclass(frozen=True)
 class LastStates:
-    """The last state x_N of one record, that begins with ``first``, at parameters v about v = ``at``: a quadratic.
+    """How far first and last state of one record go together with the parameters, their sum x_0 + x_N at v about v =
+    ``at``: a quadratic.
 
     at : (nv,); slopes : (n, nv); bends : (n, nv, nv), how the slopes change
     """
@@ -45,19 +47,21 @@ class LastStates:
         return cls(at, np.zeros((states, len(at))), np.zeros((states, len(at), len(at))))
 
     @classmethod
-    def about(cls, record: RecordTerm, first: Array, at: Array, information: Array) -> LastStates:
-        """Of a record in the neighbourhood that ``information`` (nv, nv) leaves about v = ``at`` (nv,)."""
+    def about(cls, record: RecordTerm, first: StatePrior, at: Array, information: Array) -> LastStates:
+        """Of a record that begins as its prior says, in the neighbourhood that ``information`` (nv, nv) leaves about
+        v = ``at`` (nv,)."""
         sizes, axes = np.linalg.eigh(information)
         width = np.minimum(_REACH / np.sqrt(np.maximum(sizes, (_REACH / _FARTHEST) ** 2)), _FARTHEST)
 
         def there(*steps: Array) -> Array:
-            ahead, forced = last_state(record, at + np.sum(steps, axis=0))
-            return np.asarray(ahead @ first + forced)
+            v = at + np.sum(steps, axis=0)
+            (ahead, forced), state = last_state(record, v), first.at(v).mean
+            return np.asarray(state + ahead @ state + forced)
 
         d, sides = len(at), (axes * width).T
         here = there(0 * at)
         ahead, back = (np.array([there(sign * side) for side in sides]) for sign in (1, -1))
-        bends = np.zeros((d, d, len(first)))
+        bends = np.zeros((d, d, len(here)))
         for i in range(d):
             bends[i, i] = ahead[i] + back[i] - 2 * here
             for j in range(i):
@@ -68,7 +72,7 @@ class LastStates:
         return cls(at, slopes.T, np.einsum("ai,bj,ijn->nab", turn, turn, bends))
 
     def moved(self, v: Array) -> Array:
-        """(P, n) how far the last state lies from that at ``at``, at v (P, nv)."""
+        """(P, n) how far the sum lies from that at ``at``, at v (P, nv)."""
         by = v - self.at
         bent = np.einsum("pa,nab,pb->pn", by, self.bends, by)
         return np.asarray(by @ self.slopes.T + 0.5 * bent)

@@ -122,7 +122,7 @@ class SpectralLikelihood:
         if all(np.array_equal(one.at, v) and one.slopes.any() for one in self._last):
             return
         for k, (own, first) in enumerate(zip(self._records, self.first, strict=True)):
-            self._last[k] = LastStates.about(own.record, first.mean, v, information)
+            self._last[k] = LastStates.about(own.record, first, v, information)
             self.states[k] = first.of_sum(*last_state(own.record, v))
 
     def _columns(self, k: int, v: Array, sigma: Array) -> Array:
@@ -216,7 +216,7 @@ class SpectralLikelihood:
         for p in np.flatnonzero(np.isfinite(model.radius)):
             ahead, forced = last_state(record, v[p])
             if np.isfinite(ahead).all() and np.isfinite(forced).all():
-                at, known = slice(p, p + 1), self.first[k].of_sum(ahead, forced)
+                at, known = slice(p, p + 1), self.first[k].at(v[p]).of_sum(ahead, forced)
                 found[p] = known.integral(rows[at], rest[at], model.turn[at])[0][0]
         return found
 

@@ -1,5 +1,7 @@
 """The last state of a record, by simulation and by a quadratic about the fit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -41,7 +43,7 @@ def test_it_follows_the_parameters(two_masses):
     record, v = target.search.records[0], target.start
     first, sigma = np.array([1.2, 1.2, 0.1]), np.array([0.1])
     information = target.likelihood.squares(v, sigma).matrix
-    found = LastStates.about(record, first, v, information)
+    found = LastStates.about(record, StatePrior(first[None], np.eye(3)[None]), v, information)
     spread = np.linalg.cholesky(np.linalg.inv(information))
     random = np.random.default_rng(3)
 
@@ -63,10 +65,25 @@ def test_it_follows_the_parameters(two_masses):
     )
 
 
+def test_a_first_state_that_follows_is_in_the_sum(two_masses):
+    _, target = two_masses
+    record, v = target.search.records[0], target.start
+    first, way = np.array([1.2, 1.2, 0.1]), np.arange(1.0, target.nv + 1)
+    moved = StatePrior(first[None], np.eye(3)[None], follows=lambda at: first * float(way @ (at - v)))
+    still = replace(moved, follows=None)
+    information = 1e4 * np.eye(target.nv)
+    at = v + 0.01
+    more = [LastStates.about(record, one, v, information).moved(at[None])[0] for one in (moved, still)]
+    ahead, _ = last_state(record, at)
+    by = first * float(way @ (at - v))
+    np.testing.assert_allclose(more[0] - more[1], by + ahead @ by, rtol=0.02, atol=1e-3)
+
+
 def test_directions_that_the_data_do_not_tell_are_followed_as_far_as_makes_sense(two_masses):
     _, target = two_masses
     record, v = target.search.records[0], target.start
-    found = LastStates.about(record, np.array([1.2, 1.2, 0.1]), v, np.zeros((target.nv, target.nv)))
+    first = StatePrior(np.array([[1.2, 1.2, 0.1]]), np.eye(3)[None])
+    found = LastStates.about(record, first, v, np.zeros((target.nv, target.nv)))
     assert np.isfinite(found.bends).all()
     assert found.slopes.any()
 
