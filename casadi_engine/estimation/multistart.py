@@ -36,8 +36,8 @@ _LOWER, _MOST = 1e-3, 8
 # Cosine of the angle within which a direction leads back to where the search came from.
 _BACK = 0.5
 # Searches around an optimum that are enough where all of them came back to it; otherwise so many in a row, where there
-# are fewer parameters; and rows at most.
-_BACK_HOME, _FEWEST, _MOST_ROWS = 3, 8, 4
+# are fewer parameters. They may cost as much as those before, or this many steps times bins, some seconds.
+_BACK_HOME, _FEWEST, _WORK = 3, 8, 6e6
 
 
 # The outcomes of several starts, the set's own among them or not, each an Attempt or the error that it met; beside an
@@ -161,20 +161,25 @@ def _hop(search: Search, run: Outcomes, attempts: list[Attempt]) -> None:
     row as there are parameters have led to none; a few are enough where all came back."""
     random, low, high = np.random.default_rng(0), *_ends(search)
     best, least, fruitless, strayed = best_of(attempts), best_of(attempts).merit, 0, False
-    enough = max(len(best.v), _FEWEST)
-    for _ in range(_MOST_ROWS * enough):
-        if best.begun is None or fruitless == enough:
-            return
+    enough, left = max(len(best.v), _FEWEST), max(_work(attempts), _WORK)
+    while best.begun is not None and fruitless < enough and left > 0:
         others = search.spectral.others(best.begun)
         if not others.ways or (fruitless >= _BACK_HOME and not strayed):
             return
         step = others.ways[random.integers(len(others.ways))] @ random.standard_normal(len(best.v))
         start = search.coordinates.values(np.clip(best.v + step, low, high))
+        before = len(attempts)
         if not _tried(run, attempts, [start], best.begun):
             return
+        left -= max(_work(attempts[before:]), 1)
         best, fruitless, strayed = best_of(attempts), fruitless + 1, strayed or others.strayed
         if best.merit < least - LOWER:
             least, fruitless = best.merit, 0
+
+
+def _work(attempts: list[Attempt]) -> float:
+    """The steps of searches in the frequency domain, times the bins that they looked at."""
+    return sum(one.begun.steps * one.begun.found.kept for one in attempts if one.begun is not None)
 
 
 def _ends(search: Search) -> tuple[Array, Array]:
