@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from casadi_engine.discrepancy.assumed_pressure import carried_cylinders, is_carried, scatter_carried
+from casadi_engine.discrepancy.clocks import clock_of
 from casadi_engine.discrepancy.common_noise import BESIDE
 from casadi_engine.discrepancy.confirmation import share_closed
 from casadi_engine.discrepancy.evidence import FACTOR
@@ -202,8 +203,10 @@ def unknown_of(screened: Screened) -> Unknown | None:
     family, course = leftover.family, leftover.course
     if leftover.line is not None:
         record, output, line = leftover.line.rsplit("/", 2)
-        words = f"the spectrum of the residual of {output} in {record} has a {line}"
-        if _swings_at(screened, record, output, float(line.split()[-2])):
+        hertz = float(line.split()[-2])
+        often = clock_of(screened.null.model).period(hertz) if hertz else ""
+        words = f"the spectrum of the residual of {output} in {record} has a {line}{often}"
+        if _swings_at(screened, record, output, hertz):
             return Unknown(
                 f"{words}, at which {output} itself swings: something changes how it is driven or dies out",
                 alarms,

@@ -16,6 +16,8 @@ Times = TypeVar("Times", float, Array)
 # Seconds beyond which hours are said too; share of a unit below which a duration stays in seconds.
 _LONG, _SHORT = 1e4, 0.1
 _HOUR = 3600.0
+# Seconds of the period of a line beyond which it is slow.
+_SLOW = 10.0
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,14 @@ class Clock:
         ('47.3 h', '170280 s (47.3 h)', '17.13 s')
         """
         return self.span(seconds, seconds).removeprefix("at ")
+
+    def period(self, hertz: float) -> str:
+        """How long a slow line takes, in this unit: a frequency in Hz says little of it; "" of a fast one.
+
+        >>> Clock("h").period(3.5e-5), Clock().period(0.05), Clock().period(12.0)
+        (', once in 7.937 h', ', once in 20 s', '')
+        """
+        return "" if hertz * _SLOW > 1 else f", once in {self.instant(1 / hertz)}"
 
     def told(self, one: Estimate, *, always: bool = True) -> tuple[Estimate, str]:
         """An estimate in s in this unit, and what more to say of it: long times in s are said in hours too.

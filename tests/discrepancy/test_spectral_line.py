@@ -113,17 +113,19 @@ def test_a_torque_that_comes_back_is_not_called_noise(hole, options):
     assert "something acts, or is picked up by the sensor, at that frequency" in found.unknown.sentence
 
 
-@pytest.mark.parametrize(("own", "words"), [
-    (0.91, "at which phi itself swings: something changes how it is driven or dies out"),
-    (0.2, "has a line at 0.90 Hz: something acts, or is picked up by the sensor, at that frequency"),
+@pytest.mark.parametrize(("slower", "own", "words"), [
+    (1, 0.91, "at which phi itself swings: something changes how it is driven or dies out"),
+    (1, 0.2, "has a line at 0.90 Hz: something acts, or is picked up by the sensor, at that frequency"),
+    (10, 0.2, "has a line at 0.090 Hz, once in 11.11 s: something acts, or is picked up by the sensor, at that"),
 ])  # fmt: skip
-def test_a_line_where_the_output_itself_swings_is_no_foreign_one(own, words):
+def test_a_line_where_the_output_itself_swings_is_no_foreign_one(slower, own, words):
     """As of a pendulum whose friction is another one: nothing acts at its own frequency."""
     t = np.arange(0, 17, 0.02)
     measured = np.exp(-0.1 * t) * np.cos(2 * np.pi * own * t)
     path = SimpleNamespace(grid=SimpleNamespace(measured={"phi": SimpleNamespace(values=measured)}))
-    record = SimpleNamespace(name="run", time={"phi": t}, path=path)
-    name = "run/phi/line at 0.90 Hz"
+    record = SimpleNamespace(name="run", time={"phi": slower * t}, path=path)
+    name = "run/phi/line at 0.90 Hz" if slower == 1 else "run/phi/line at 0.090 Hz"
     found = SimpleNamespace(alarms={name: 1e-9}, line=name, family=None, course=None)
-    screened = SimpleNamespace(leftover=found, null=SimpleNamespace(records=[record]))
+    null = SimpleNamespace(records=[record], model=SimpleNamespace(time_unit="s"))
+    screened = SimpleNamespace(leftover=found, null=null)
     assert words in unknown_of(screened).sentence
