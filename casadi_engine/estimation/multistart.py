@@ -157,8 +157,9 @@ def _follow(search: Search, run: Outcomes, attempts: list[Attempt], neighbours: 
 
 
 def _hop(search: Search, run: Outcomes, attempts: list[Attempt]) -> None:
-    """Search in the frequency domain from draws around the best optimum, and on from a lower one, until as many in a
-    row as there are parameters have led to none; a few are enough where all came back."""
+    """Search in the frequency domain from where the low frequencies alone lead, and from draws around the best optimum,
+    and on from a lower one, until as many in a row as there are parameters have led to none; a few are enough where all
+    came back."""
     random, low, high = np.random.default_rng(0), *_ends(search)
     best, least, fruitless, strayed = best_of(attempts), best_of(attempts).merit, 0, False
     enough, left = max(len(best.v), _FEWEST), max(_work(attempts), _WORK)
@@ -166,9 +167,11 @@ def _hop(search: Search, run: Outcomes, attempts: list[Attempt]) -> None:
         others = search.spectral.others(best.begun)
         if not others.ways or (fruitless >= _BACK_HOME and not strayed):
             return
-        step = others.ways[random.integers(len(others.ways))] @ random.standard_normal(len(best.v))
-        start = search.coordinates.values(np.clip(best.v + step, low, high))
-        before = len(attempts)
+        if fruitless or strayed:
+            at = best.v + others.ways[random.integers(len(others.ways))] @ random.standard_normal(len(best.v))
+        else:
+            at = search.spectral.from_below(best.start, best.begun)
+        start, before = search.coordinates.values(np.clip(at, low, high)), len(attempts)
         if not _tried(run, attempts, [start], best.begun):
             return
         left -= max(_work(attempts[before:]), 1)

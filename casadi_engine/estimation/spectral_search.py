@@ -178,8 +178,7 @@ class SpectralSearch:
                 hertz = self.band(v) if self._hertz is None else self._hertz
             except (FloatingPointError, np.linalg.LinAlgError):
                 return None
-        told = Told(stop)
-        v, done = self._from_below(v, hertz, steps, told)
+        told, done = Told(stop), 0
         for tried in range(_BANDS):
             found = self._in_band(v, hertz, max(steps - done, bool(tried)), told)
             if found is None:
@@ -192,26 +191,21 @@ class SpectralSearch:
         self._hertz = hertz
         return found
 
-    def _from_below(self, v: Array, hertz: float, steps: int, told: Told) -> tuple[Array, int]:
-        """Where searches in lower bands lead from v, one after the other, and their steps.
+    def from_below(self, v: Array, hertz: float, steps: int) -> Array:
+        """Where searches in bands below one lead from v, one after the other.
 
         Low modes stand out of the noise: the frequency of a high one is close to where they put it, and a search that
-        looks for both at once ends at a line of the noise.
+        looks for both at once may end at a line of the noise. A start that was near is lost on this way.
         """
-        done = 0
         for share in _BELOW:
-            edge = share * min(hertz, self.top)
-            found = minimise(
-                Band(self, edge), v, fall=_BEFORE, steps=steps - done,
-                stop=self._shown(told, edge), round_bends=False, **self.limits,
-            )  # fmt: skip
+            band = Band(self, share * min(hertz, self.top))
+            found = minimise(band, v, fall=_BEFORE, steps=steps, round_bends=False, **self.limits)
             if found is None:
                 break
-            v, done = found.x, done + found.steps
-            told.again()
+            v = found.x
             if not found.converged:
                 break
-        return v, done
+        return v
 
     def _shown(self, told: Callable[[float], bool], hertz: float) -> Callable[[float], bool]:
         """The same for the cost below a frequency, with that above as it was at the first start."""

@@ -130,6 +130,12 @@ class SpectralStarts:
         felt = felt_sizes(float(gram[0, 0]), np.diag(gram)[1:].copy(), search.coordinates, z)
         return felt, size_factors([one for one in nodes if one is not None])
 
+    def from_below(self, z: Array, begun: Begun) -> Array:
+        """Where the low frequencies lead from z (nz,), beside an optimum that was found from there: (nv,)."""
+        v = self._search.coordinates.of(z)
+        with np.errstate(all="ignore"):
+            return self._spectral.from_below(v, begun.found.hertz, self._search.solver.most)
+
     def others(self, begun: Begun) -> OtherOptima:
         """What looks for others than an optimum; kept for the next time."""
         if self._beside is None or self._beside.known is not begun.found:

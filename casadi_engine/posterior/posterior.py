@@ -28,6 +28,8 @@ METHODS = ("auto", "importance", "ensemble")
 LEFT_OUT = (0.1, 0.02, 0.0)
 # Where a quadratic does not foretell what was left out, so many times less is left out of what all draws are seen with.
 NEARER = 5.0
+# Independent draws that have to be left once all data are looked at.
+LEAST = 100.0
 # Searches for other optima that start around the fit's, for each dimension; where an evaluation is a simulation, none.
 WIDE = 4
 # Share of an output below which its estimated noise is that of rounding.
@@ -114,6 +116,8 @@ def posterior(
     tell, said = _teller(progress, target)
     try:
         modes, drawn = _found(target, fit, method, count, seed, most, tell)
+    except FloatingPointError as error:
+        raise _improper(f"the model has no value there: {error}") from None
     except KeyboardInterrupt:
         raise UntrustedPosteriorError(
             "the posterior was stopped before its draws could be trusted",
@@ -132,7 +136,9 @@ def _found(
     first = target.squares(target.start[: target.nv])
     if first is None:
         raise _improper("the slopes at the optimum are not finite")
-    weak = along(target.start[: target.nv], inverse(first.matrix))
+    # what a bound alone holds is as uncertain as there are numbers
+    low, high = target.low[: target.nv], target.high[: target.nv]
+    weak = [np.clip(v, low, high) for v in along(target.start[: target.nv], inverse(first.matrix))]
     for left_out in LEFT_OUT:
         drawing = Drawing(target, method, np.random.default_rng(seed), count, most, tell)
         target.choose([target.start[: target.nv], *weak[:2]], left_out)
@@ -146,8 +152,17 @@ def _found(
 
             drawn, scatter = with_all_data(target, found, drawing.random, nearer)
             modes = modes if target.likelihood.bins == bins else modes.again(target)
-            if scatter <= SCATTER:
+            left = float(min(drawn.bulk.min(), drawn.tail.min()))
+            if scatter <= SCATTER and left >= LEAST:
                 break
+    if left < LEAST:
+        raise UntrustedPosteriorError(
+            "what all data say leaves too few of the draws that were made from a part of them",
+            seen=f"draws worth {left:.0f} independent ones",
+            allowed=f"{LEAST:.0f} or more: two or three beyond each end of an interval of 95 %",
+            cure="fit again from several starts, estimate(..., starts=10), as the fit may be at one optimum of many, "
+            'or by predictions, approach="prediction"',
+        )
     return modes, drawn
 
 

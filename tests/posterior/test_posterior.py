@@ -1,6 +1,7 @@
 """posterior: against quadrature, and what it refuses."""
 
 import json
+from dataclasses import replace
 from importlib import import_module
 
 import numpy as np
@@ -238,6 +239,52 @@ def test_draws_that_cannot_be_trusted_are_no_answer(fit, monkeypatch):
     ):
         ce.posterior(fit, evaluations=1000)
     assert UntrustedPosteriorError.exit_code == 3
+
+
+def test_draws_of_which_all_data_leave_a_few_are_no_answer(fit, monkeypatch):
+    """Worth 5 independent ones they had been given, where a fit was at the poorer of two optima."""
+    module = import_module("casadi_engine.posterior.posterior")
+    plain, tried = module.with_all_data, []
+
+    def few(target, drawn, random, nearer):
+        tried.append(1)
+        drawn, scatter = plain(target, drawn, random, nearer)
+        return replace(drawn, tail=drawn.tail * 90 / drawn.tail.min()), scatter
+
+    monkeypatch.setattr(module, "with_all_data", few)
+    with pytest.raises(UntrustedPosteriorError, match="all data say leaves too few of the draws") as told:
+        ce.posterior(fit)
+    assert "draws worth 90 independent ones" in str(told.value)
+    assert "estimate(..., starts=10)" in str(told.value)
+    assert len(tried) == len(module.LEFT_OUT)  # with less left out, and with nothing
+
+
+def test_where_the_model_has_no_value_is_said(fit, monkeypatch):
+    def broken(*_args, **_kwargs):
+        raise FloatingPointError("the linear core is not finite here")
+
+    monkeypatch.setattr(import_module("casadi_engine.posterior.posterior"), "_met", broken)
+    with pytest.raises(
+        PosteriorError, match="the model has no value there: the linear core is not finite here"
+    ):
+        ce.posterior(fit)
+
+
+def test_a_parameter_that_a_bound_alone_holds_is_looked_at_between_its_bounds():
+    """Its error is as large as numbers go: a look that far away had ended in a bare FloatingPointError."""
+    time = np.arange(40.0)
+    b = ce.Blueprint("pot")
+    c, r = b.parameter("C", 10.0, min=1, max=100), b.parameter("R", 1.0, min=0.01, max=1e3)
+    t, heat = b.state("T"), b.input("P")
+    b.ode("T", (heat - t / r) / c)
+    b.output("y", t)
+    random = np.random.default_rng(0)
+    power = np.where(time < 3, 1.0, 0.0)
+    y = np.minimum(time, 3) / 10 + 0.05 * random.standard_normal(40)
+    data = ce.Experiment.from_arrays("r", time=time, units={"P": "1", "y": "1"}, hold="zero", P=power, y=y)
+    fit = ce.estimate(b.model(), data, noise=ce.Noise(y=0.05), progress=False)
+    post = ce.posterior(fit)
+    assert post.interval("R", 0.95)[1] <= 1e3
 
 
 def test_progress_is_told(fit):
