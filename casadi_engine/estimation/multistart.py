@@ -161,13 +161,13 @@ def _hop(search: Search, run: Outcomes, attempts: list[Attempt]) -> None:
     and on from a lower one, until as many in a row as there are parameters have led to none; a few are enough where all
     came back."""
     random, low, high = np.random.default_rng(0), *_ends(search)
-    best, least, fruitless, strayed = best_of(attempts), best_of(attempts).merit, 0, False
+    best, least, fruitless, strayed, first = best_of(attempts), best_of(attempts).merit, 0, False, True
     enough, left = max(len(best.v), _FEWEST), max(_work(attempts), _WORK)
     while best.begun is not None and fruitless < enough and left > 0:
         others = search.spectral.others(best.begun)
         if not others.ways or (fruitless >= _BACK_HOME and not strayed):
             return
-        if fruitless or strayed:
+        if not first:
             at = best.v + others.ways[random.integers(len(others.ways))] @ random.standard_normal(len(best.v))
         else:
             at = search.spectral.from_below(best.start, best.begun)
@@ -178,6 +178,8 @@ def _hop(search: Search, run: Outcomes, attempts: list[Attempt]) -> None:
         best, fruitless, strayed = best_of(attempts), fruitless + 1, strayed or others.strayed
         if best.merit < least - LOWER:
             least, fruitless = best.merit, 0
+            strayed = strayed and not first  # where low frequencies lead is a start like any other
+        first = False
 
 
 def _work(attempts: list[Attempt]) -> float:
