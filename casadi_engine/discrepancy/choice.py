@@ -265,9 +265,8 @@ class Choice:
                 continue
             if self.station_of(one) is not None:
                 self.best = one.key
-                if is_far(
-                    self.refits, one
-                ):  # then rivals of each of the two have not arrived beside the other
+                # then rivals of each of the two may not have arrived beside the other
+                if is_far(self.refits, one):
                     best = self._timed("exchange", lambda: self._exchanged(one, self.pool[frozenset()]))  # noqa: B023
                     self.best = one.key if self.station_of(best) is None else best.key
             return

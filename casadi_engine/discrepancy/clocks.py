@@ -64,9 +64,10 @@ class Clock:
         """How long a slow line takes, in this unit: a frequency in Hz says little of it; "" of a fast one.
 
         >>> Clock("h").period(3.5e-5), Clock().period(0.05), Clock().period(12.0)
-        (', once in 7.937 h', ', once in 20 s', '')
+        (', once in about 7.9 h', ', once in about 20 s', '')
         """
-        return "" if hertz * _SLOW > 1 else f", once in {self.instant(1 / hertz)}"
+        seconds = seconds_in(self.unit) * float(f"{self.of(1 / hertz):.2g}")  # a record is some periods long
+        return "" if hertz * _SLOW > 1 else f", once in about {self.instant(seconds)}"
 
     def told(self, one: Estimate, *, always: bool = True) -> tuple[Estimate, str]:
         """An estimate in s in this unit, and what more to say of it: long times in s are said in hours too.

@@ -255,28 +255,28 @@ def _coloured_doubt(repair: Repair) -> str | None:
     )
 
 
-def _left(repair: Repair) -> float:
-    """The gap on fresh data beyond the noise with the effects, by its root mean square, over that without; with
-    parameters for all records where these were fitted together."""
+def _left(repair: Repair, noise: float = 0.0) -> float:
+    """The gap on fresh data with the effects, by its root mean square, over that without; with parameters for all
+    records where these were fitted together. noise : chi-squared per sample that is none of the gap"""
     gaps = repair.gaps
     before = None if gaps is None else gaps.validation_before
     after = None if gaps is None else gaps.validation_after
-    if before is None or after is None or not before.gap.chi2_per_sample > 1:  # of noise alone
+    if before is None or after is None or not before.gap.chi2_per_sample > noise:
         return 1.0
     found = after.gap.chi2_per_sample
     if after.jointly and after.within_errors is not None:
         found = min(found, after.within_errors)
-    return math.sqrt(max(found - 1, 0.0) / (before.gap.chi2_per_sample - 1))
+    return math.sqrt(max(found - noise, 0.0) / (before.gap.chi2_per_sample - noise))
 
 
 def _mostly_left(repair: Repair) -> bool:
-    """True if more of the gap on fresh data is left than the effects closed, by its root mean square."""
+    """True if more of the gap on fresh data is left than the effects closed, by its root mean square beyond noise."""
     gaps = repair.gaps
     before = None if gaps is None else gaps.validation_before
     after = None if gaps is None else gaps.validation_after
     if before is None or after is None:
         return True
     if repair.noise is None or not repair.noise.is_coloured:
-        return _left(repair) > HALF
+        return _left(repair, noise=1.0) > HALF
     sigma = {name: level for name, (level, _) in repair.noise.sigma.items()}
     return share_closed(before.gap, after.gap, sigma, coloured=True) < HALF

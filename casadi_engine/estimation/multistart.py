@@ -175,7 +175,10 @@ def _hop(search: Search, run: Outcomes, attempts: list[Attempt]) -> None:
         if not _tried(run, attempts, [start], best.begun):
             return
         left -= max(_work(attempts[before:]), 1)
-        best, fruitless, strayed = best_of(attempts), fruitless + 1, strayed or others.strayed
+        strayed = strayed or any(
+            one.begun.found.strayed for one in attempts[before:] if one.begun is not None
+        )
+        best, fruitless = best_of(attempts), fruitless + 1
         if best.merit < least - LOWER:
             least, fruitless = best.merit, 0
             strayed = strayed and not first  # where low frequencies lead is a start like any other

@@ -37,10 +37,10 @@ _HIGHER = 1.0
 
 
 class OtherOptima:
-    """Looks for other optima than ``known``; strayed : True once a search has not come back to it."""
+    """Looks for other optima than ``known``."""
 
     def __init__(self, search: SpectralSearch, known: Found) -> None:
-        self._search, self.known, self.strayed = search, known, False
+        self._search, self.known = search, known
 
     @cached_property
     def ways(self) -> list[Array]:
@@ -73,8 +73,8 @@ class OtherOptima:
         return minimise(self._band, self.known.minimum.x, fall=COARSE, **self._search.limits)
 
     def run(self, v: Array, *, steps: int, stop: Callable[[float], bool]) -> Found | None:
-        """The optimum that a search from v leads to; the known one where that is it, or none that counts; None where
-        there is nothing to evaluate.
+        """The optimum that a search from v leads to; the known one where that is it, or none that counts (then the
+        search has ``strayed``); None where there is nothing to evaluate.
 
         stop : sees the cost before every step; True ends the search
         """
@@ -90,22 +90,22 @@ class OtherOptima:
         if first is None:
             return None
         told.again()
-        ended = replace(known, minimum=replace(known.minimum, steps=first.steps))
+        ended = replace(known, minimum=replace(known.minimum, steps=first.steps), strayed=False)
         if back.home or self._apart(first.x, goal.x) < _HOME:
             return ended
-        self.strayed = True
         if not first.converged:
-            return ended
+            return replace(ended, strayed=True)
         higher = first.squares.cost - goal.squares.cost
         if higher > _HIGHER:
             squares = replace(first.squares, cost=known.minimum.squares.cost + higher)
-            return replace(known, minimum=replace(first, squares=squares), information=squares.matrix)
+            other = replace(first, squares=squares)
+            return replace(known, minimum=other, information=squares.matrix, strayed=True)
         found = self._search.in_all_bins(
             first, band, steps, told, most=known.minimum.squares.cost + _HIGHER,
             rounds=1, there=lambda x: self._apart(x, known.minimum.x) < _HOME,
         )  # fmt: skip
         if found is None or self._apart(found.minimum.x, known.minimum.x) >= _HOME:
-            return found
+            return None if found is None else replace(found, strayed=True)
         return replace(ended, minimum=replace(known.minimum, steps=found.minimum.steps))
 
     def _apart(self, one: Array, other: Array) -> float:

@@ -51,6 +51,7 @@ class Found:
 
     minimum : v (nv,), with the band's squares and those above it by their quadratic; information : (nv, nv) of all bins
     hertz, kept, bins : the band, its number of bins and that of all; share : of the information above it
+    strayed : of a search beside a known optimum, True if it did not come back to it
     """
 
     minimum: Minimum
@@ -59,6 +60,7 @@ class Found:
     kept: int
     bins: int
     share: float
+    strayed: bool = False
 
     def scaled(self, share: float) -> Found:
         """The same with all squares times a share: at another noise level."""

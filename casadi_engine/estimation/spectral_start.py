@@ -133,11 +133,13 @@ class SpectralStarts:
     def from_below(self, z: Array, begun: Begun) -> Array:
         """Where the low frequencies lead from z (nz,), beside an optimum that was found from there: (nv,)."""
         v = self._search.coordinates.of(z)
+        self._spectral.weigh(begun.sigma)
         with np.errstate(all="ignore"):
             return self._spectral.from_below(v, begun.found.hertz, self._search.solver.most)
 
     def others(self, begun: Begun) -> OtherOptima:
         """What looks for others than an optimum; kept for the next time."""
+        self._spectral.weigh(begun.sigma)
         if self._beside is None or self._beside.known is not begun.found:
             self._beside = OtherOptima(self._spectral, begun.found)
         return self._beside

@@ -116,7 +116,7 @@ def test_a_torque_that_comes_back_is_not_called_noise(hole, options):
 @pytest.mark.parametrize(("slower", "own", "words"), [
     (1, 0.91, "at which phi itself swings: something changes how it is driven or dies out"),
     (1, 0.2, "has a line at 0.90 Hz: something acts, or is picked up by the sensor, at that frequency"),
-    (10, 0.2, "has a line at 0.090 Hz, once in 11.11 s: something acts, or is picked up by the sensor, at that"),
+    (10, 0.2, "has a line at 0.090 Hz, once in about 11 s: something acts, or is picked up by the sensor, at that"),
 ])  # fmt: skip
 def test_a_line_where_the_output_itself_swings_is_no_foreign_one(slower, own, words):
     """As of a pendulum whose friction is another one: nothing acts at its own frequency."""

@@ -204,6 +204,7 @@ def test_a_search_that_was_none_claims_nothing(leaking):
         ),
         (1.0, 0.0, "beyond chance beside the others, and nothing without them"),
         (1e-9, -1.0, "z = 5.0, p = 1e-09, closes nothing of the gap by itself"),
+        (1e-9, 4e-13, "z = 5.0, p = 1e-09, closes nothing of the gap by itself"),
     ],
 )
 def test_a_score_and_a_share_do_not_contradict_each_other(p, share, said):

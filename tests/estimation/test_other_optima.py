@@ -6,6 +6,7 @@ from scipy.linalg import expm
 from scipy.signal import butter, lfilter
 
 import casadi_engine as ce
+from casadi_engine.estimation.spectral_start import SpectralStarts
 
 NOISE = 0.03
 
@@ -37,7 +38,7 @@ def record():
     return ce.Experiment.from_arrays("r", time=np.arange(samples) * step, units=units, T=torque, omega=seen)
 
 
-def fitted(record, load, spring):
+def fitted(record, load, spring, sigma=NOISE, **options):
     b = ce.Blueprint("shaft")
     je = b.parameter("J_eng", 0.4, unit="kg m2", min=0.04, max=4)
     jl = b.parameter("J_load", load, unit="kg m2", min=1e-3, max=10)
@@ -50,7 +51,7 @@ def fitted(record, load, spring):
     b.ode("omega_load", -shaft / jl)
     b.ode("twist", wl - we)
     b.output("omega", we, unit="rad/s", scale=10)
-    return ce.estimate(b.model(), record, noise=ce.Noise(omega=NOISE), progress=False)
+    return ce.estimate(b.model(), record, noise=ce.Noise(omega=sigma), progress=False, **options)
 
 
 def test_a_search_that_ends_at_a_line_of_the_noise_goes_on_to_the_resonance(record):
@@ -67,3 +68,26 @@ def test_optima_that_were_left_are_told_of(record):
     left = [one for one in far.optima[1:] if one.cost > far.cost + 300]
     assert left
     assert all(one.values["K"] > 1.5 * far.values["K"] for one in left)
+
+
+def test_several_processes_find_what_one_finds(record):
+    """That a search has strayed had been known to the process alone in which it did."""
+    one, two = (fitted(record, 0.3, 20000.0, starts=2, jobs=jobs) for jobs in (1, 2))
+    assert two.cost == pytest.approx(one.cost, abs=1e-6)
+    assert len(two.optima) == len(one.optima)
+
+
+def test_what_is_left_open_is_looked_at_by_the_levels_of_the_optimum(record, monkeypatch):
+    """An estimated level scales the optimum; the frequencies beside it had kept the level of the start."""
+    seen, plain = [], SpectralStarts.others
+
+    def others(self, begun):
+        self._spectral.weigh(np.full(1, 7.0))
+        found = plain(self, begun)
+        seen.append((self._spectral.records[0].sigma[0], begun.sigma[0]))
+        return found
+
+    monkeypatch.setattr(SpectralStarts, "others", others)
+    fitted(record, 0.2, 7000.0, "estimate")
+    assert seen
+    assert all(used == wanted == pytest.approx(NOISE, rel=0.2) for used, wanted in seen)

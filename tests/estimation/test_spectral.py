@@ -310,8 +310,8 @@ def test_what_leads_back_to_an_optimum_is_that_optimum(shaft, shaft_model):
         assert np.array_equal(found.minimum.x, known.minimum.x)
         assert found.minimum.squares.cost == known.minimum.squares.cost
         assert found.minimum.converged
+        assert not found.strayed
         assert costs[0] > known.minimum.squares.cost
-    assert not others.strayed
 
 
 def test_a_point_at_which_one_search_ends_and_the_next_begins_is_shown_once(shaft, shaft_model):

@@ -120,6 +120,13 @@ def test_the_gap_is_said_to_come_from_the_errors(first):
     assert all(len(line) <= 100 for line in text.splitlines())
 
 
+def test_a_p_below_alpha_that_passes_among_several_tests_is_no_agreement(first):
+    """It had been said to agree at p 0.0044, beside alpha 0.01."""
+    _, _, check = first
+    doubtful = replace(check, parameters=replace(check.parameters, p_value=0.0044))
+    assert "parameters may disagree with those of the fit within their errors: p 0.0044" in str(doubtful)
+
+
 def test_the_result_file_and_the_page_hold_the_test(first):
     _, _, check = first
     found = to_result(check, command="validate", arguments={}, seconds=0.0, seed=None)
