@@ -2,7 +2,8 @@
 
 The errors of the others are those along the bound, to first order. Where a search ends on a bound in a valley that
 bends, the likelihood is nearly as high elsewhere, and the others are elsewhere too. So the model is fitted once more
-with that parameter held where its search began, and half-way there.
+with that parameter held inside, from where its search began on towards the bound, until chi-squared is within the 95 %
+region.
 """
 
 from __future__ import annotations
@@ -18,8 +19,12 @@ from casadi_engine.parameters import Parameters
 
 # Chi-squared by which a point of the 95 % region lies above the optimum; errors by which another estimate is elsewhere.
 _WITHIN, _ELSEWHERE = 4.0, 2.0
-# Parameters on a bound that are looked behind.
-_MOST = 2
+# Parameters on a bound that are looked behind, and fits for each.
+_MOST, _FITS = 2, 5
+# Power of the distance from the bound with which chi-squared rises, at least.
+_FLATTEST = 0.5
+# Share of a value within which a place is that of the bound.
+_SAME = 1e-6
 NOT_TOLD = "rests on its bound, and"
 
 
@@ -32,17 +37,54 @@ def told_from_their_bounds(fit: Fit, parameters: Parameters, again: Callable[[di
     if not fit.converged or fit.gain is not None:
         return fit
     for name in held[:_MOST]:
-        value, start = fit.estimates[name].value, fit.start[name]
-        for inside in (start, 0.5 * (start + value)):
-            if inside == value:
-                break
-            other = _held_at(name, inside, parameters, again)
-            # what chi-squared counts in white noise is worth less in the noise that there is
-            worth = max((1.0, *fit.own_noise.values())) ** 2
-            rise = math.inf if other is None else _rise(fit, other) / worth
-            if other is not None and rise <= _WITHIN:
-                return _without_errors(fit, other, name, inside, rise)
+        found = _behind(fit, name, parameters, again)
+        if found is not None:
+            return found
     return fit
+
+
+def _behind(
+    fit: Fit, name: str, parameters: Parameters, again: Callable[[dict[str, Any]], Fit]
+) -> Fit | None:
+    """The fit without the errors of what is elsewhere at some place of one parameter that the data allow."""
+    bound, inside = fit.estimates[name].value, _first_inside(fit, name, parameters)
+    # what chi-squared counts in white noise is worth less in the noise that there is
+    worth = max((1.0, *fit.own_noise.values())) ** 2
+    near, far, risen, power = (
+        0.0,
+        0.0,
+        math.inf,
+        2.0,
+    )  # distances from the bound that the data allow, and do not
+    for _ in range(_FITS):
+        if inside is None or inside == bound:
+            return None
+        at, other = inside - bound, _held_at(name, inside, parameters, again)
+        rise = math.inf if other is None else _rise(fit, other) / worth
+        if other is not None and rise <= _WITHIN:
+            found = _without_errors(fit, other, name, inside, rise)
+            if found is not fit or not far:
+                return found
+            near = at
+        else:
+            if rise < risen < math.inf:
+                power = min(max(math.log(risen / rise) / math.log(far / at), _FLATTEST), 2.0)
+            far, risen = at, rise
+        # by the power of the distance with which it fell, a quadratic at first; then half-way, by the logarithm
+        share = min(0.5, (0.5 * _WITHIN / risen) ** (1 / power)) if risen < math.inf else 0.5
+        inside = bound + (math.copysign(math.sqrt(near * far), far) if near else share * far)
+    return None
+
+
+def _first_inside(fit: Fit, name: str, parameters: Parameters) -> float | None:
+    """Where the search began, or the other bound if that is on the first; None where neither is inside."""
+    value, start = fit.estimates[name].value, fit.start[name]
+    if abs(start - value) > _SAME * abs(start):
+        return start
+    own = parameters[name]
+    return next(
+        (at for at in (own.min, own.max) if math.isfinite(at) and abs(at - value) > _SAME * abs(at)), None
+    )
 
 
 def _held_at(

@@ -1,14 +1,15 @@
 """Whether standard errors describe the likelihood: it is looked at two standard errors away from the optimum.
 
 The errors of a fit are those of a quadratic around it. Along a few directions, those that the data tell least of, the
-model is simulated at two standard errors to either side, the initial states at their best. Two numbers tell:
+model is simulated at two standard errors to either side, the initial states at their best. Three numbers tell:
 
 - the rise of chi-squared, which the quadratic says is 4;
 - the intrinsic curvature: how far the outputs leave their tangent, less what parameters and initial states could make
   of it, at the edge of the 95 % region and in units of its radius (Bates & Watts, Nonlinear Regression Analysis, 1988,
   chapter 7, where 1/2 is the limit of what is nearly flat). The noise projects on it too. Where it is large, noise
   decides where the optimum lies and how many there are: below that signal-to-noise ratio no quadratic, and no profile,
-  tells the error.
+  tells the error;
+- how far another parameter's best value lies off the quadratic's (the parameter-effects curvature of the same book).
 """
 
 from __future__ import annotations
@@ -48,6 +49,10 @@ _RISES = 0.75, 1.3
 # Curvature that passes, and up to which a profile still tells the interval; `tests/benchmarks/CALIBRATION.md` has the
 # coverage of intervals on either side.
 _FLAT, _RUGGED = 0.4, 1.5
+# Standard errors by which another parameter may bend: with c of them at two standard errors along a direction, chi-squared
+# d standard errors off, at its lowest z of them along it, is (d - c z^2/4)^2 + z^2, and that is lower than d^2 at the ends
+# of a 95 % interval only where c is above 1.02.
+_BENDS = 1.0
 # Chi-squared above the lowest at which another optimum still counts: it has exp(-5) of the likelihood, and where there
 # is one there may be others that no start has met.
 _RIVAL = 10.0
@@ -207,29 +212,41 @@ class _Around:
             return None
         fars = -sides[0], sides[1]
         there = [self._simulated(move, far, printed=printed) for far in fars]
-        names = _names_along(self.search, move)
         if there[0] is None or there[1] is None:
+            names = _names_along(self.search, move)
             text = f"the errors are not known: within {_FAR:g} standard errors along {names} the model has no value"
             return [Doubt("rugged", f"{text}; {CALL}", move, np.inf)]
         if self._plainly(fars, there[0], there[1]):
             return []
-        (low, bent), (high, other) = (
+        (low, bent, off), (high, other, away) = (
             self._seen(move, far, *one) for far, one in zip(fars, (there[0], there[1]), strict=True)
         )
-        curvature = max(bent, other)
+        return self._told(move, (low, high), max(bent, other), np.maximum(off, away))
+
+    def _told(self, move: Array, rises: tuple[float, float], curvature: float, bends: Array) -> list[Doubt]:
+        """The doubts that follow from what is seen along a line; see ``_seen``."""
+        names = _names_along(self.search, move)
         if curvature > _RUGGED:
             text = (
                 f"the errors are not known: within them the model is far from linear along {names} (curvature "
                 f"{curvature:.2g}, flat below 0.5), so that noise decides which optimum is the lowest; {CALL}"
             )
             return [Doubt("rugged", text, move, curvature)]
-        if curvature > _FLAT or not all(_RISES[0] < rise < _RISES[1] for rise in (low, high)):
+        found, matrix = [], self.errors.kept
+        if curvature > _FLAT or not all(_RISES[0] < rise < _RISES[1] for rise in rises):
+            low, high = (_FAR**2 * rise for rise in rises)
             text = (
                 f"the likelihood is not quadratic along {names}: {_FAR:g} standard errors away chi-squared rises by "
-                f"{_FAR**2 * low:.2g} and {_FAR**2 * high:.2g} (curvature {curvature:.2g})"
+                f"{low:.2g} and {high:.2g} (curvature {curvature:.2g})"
             )
-            return [Doubt("curved", text, move, curvature)]
-        return []
+            found.append(Doubt("curved", text, move, curvature))
+        for k in np.flatnonzero(bends > _BENDS):
+            text = (
+                f"the likelihood is not quadratic: {_FAR:g} standard errors along {names} the best "
+                f"{self.search.pmap.free[k]} lies {bends[k]:.2g} of its own off where the quadratic has it"
+            )
+            found.append(Doubt("curved", text, matrix[:, k] / np.sqrt(matrix[k, k])))
+        return found
 
     def _simulated(self, move: Array, far: float, *, printed: bool) -> tuple[float, list[Array]] | None:
         """Rise of chi-squared and change of each record's residual (K, M); None where the model has no value."""
@@ -258,8 +275,9 @@ class _Around:
         even = sum(float(np.sum((a * q + b * p) ** 2)) for p, q in zip(back[1], forth[1], strict=True))
         return self._radius * 2 * float(np.sqrt(even)) / (a * b * (a + b)) < _FLAT
 
-    def _seen(self, move: Array, far: float, rise: float, change: list[Array]) -> tuple[float, float]:
-        """Rise of chi-squared over the quadratic's, and curvature."""
+    def _seen(self, move: Array, far: float, rise: float, change: list[Array]) -> tuple[float, float, Array]:
+        """Rise of chi-squared over the quadratic's, curvature, and the standard errors (nv,) by which the best values
+        of the parameters lie off the quadratic's, for a whole step."""
         search, nv, step = self.search, self.search.problem.nv, far * move
         gradient = self._along_slopes(change)
         prior = search.problem.priors.evaluate(self.errors.v)[3] @ step[:nv]
@@ -273,7 +291,10 @@ class _Around:
         beside = max(own - float(gradient @ move) ** 2, 0.0)
         # whitened innovations change with the noise levels too, which is no bend of the model
         bent = 0.0 if search.predictor.kind == "process" else float(np.sqrt(outside))
-        return (rise - beside) / far**2, self._radius * 2 * bent / far**2
+        sizes = np.sqrt(np.maximum(np.diag(matrix)[:nv], 0.0))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            off = np.where(sizes > 0, np.abs(moved - step[:nv]) / sizes, 0.0) * (_FAR / far) ** 2
+        return (rise - beside) / far**2, self._radius * 2 * bent / far**2, off
 
     def _residuals(self, v: Array, step: Array) -> list[Array]:
         """The weighted residual (K, M) of each record after a step (N,) to v."""

@@ -46,8 +46,8 @@ class Basis:
             bins.z,
             bins.share,
             _planes(bins.drives * bins.z.conj() / bins.share),
-            _planes(bins.drives).reshape(len(bins.drives), -1),
-            _planes(bins.measured).reshape(len(bins.measured), -1),
+            _planes(bins.drives).reshape(len(bins.drives), 2 * len(bins.z)),  # also without any drive
+            _planes(bins.measured).reshape(len(bins.measured), 2 * len(bins.z)),
         )
 
 

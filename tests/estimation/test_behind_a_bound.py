@@ -49,8 +49,11 @@ class Found:
 class Held:
     """A set in which a parameter can be fixed, and the fit that is made of it."""
 
-    def __init__(self, other):
-        self.other, self.fixed = other, []
+    def __init__(self, other, bounds=(10.0, np.inf)):
+        self.other, self.fixed, self.bounds = other, [], bounds
+
+    def __getitem__(self, name):
+        return SimpleNamespace(min=self.bounds[0], max=self.bounds[1])
 
     def copy(self):
         return self
@@ -101,7 +104,9 @@ def test_chi_squared_counts_in_the_noise_that_there_is(cost, sigma, ratio, doubt
     held = Held(elsewhere(fit, cost=cost, sigma=sigma))
     found = told_from_their_bounds(fit, held, held.again)
     assert (found.estimates["G"].stderr is None) == doubted
-    assert doubted or held.fixed == [("C", 700.0), ("C", 355.0)]
+    # each time half-way to the bound, where chi-squared does not fall
+    halves = [("C", 10 + 690 / 2**k) for k in range(5)]
+    assert held.fixed == (halves[:1] if doubted else halves)
 
 
 @pytest.mark.parametrize("other", [None, "not converged"])
@@ -119,6 +124,40 @@ def test_no_other_fit_where_nothing_rests_on_a_bound():
     held = Held(elsewhere(fit))
     assert told_from_their_bounds(inside, held, held.again) is inside
     assert held.fixed == []
+
+
+class Risen(Held):
+    """Fits that rise with a power of the distance from the bound."""
+
+    def __init__(self, other, power):
+        super().__init__(other)
+        self.power = power
+
+    def again(self, changes):
+        far = self.fixed[-1][1] - 10
+        return replace(elsewhere(self.other), cost=100 + 0.05 * far**self.power)
+
+
+@pytest.mark.parametrize("power", [0.6, 1.0, 2.0])
+def test_a_far_start_is_left_for_a_place_that_the_data_allow(power):
+    """Whatever the power with which chi-squared rises, a few fits lead to a place within the 95 % region."""
+    fit = on_its_bound(start={"C": 1e4, "G": 4.0, "H": 3.0})
+    held = Risen(fit, power)
+    found = told_from_their_bounds(fit, held, held.again)
+    assert found.estimates["G"].stderr is None
+    assert 2 <= len(held.fixed) <= 5
+    far = held.fixed[-1][1] - 10
+    assert 0.05 * far**power <= 4
+
+
+def test_from_a_start_on_the_bound_the_search_behind_it_begins_at_the_other_bound():
+    fit = on_its_bound(start={"C": 10.0, "G": 4.0, "H": 3.0})
+    held = Held(elsewhere(fit, cost=101.5), bounds=(10.0, 800.0))
+    found = told_from_their_bounds(fit, held, held.again)
+    assert held.fixed == [("C", 800.0)]
+    assert found.estimates["G"].stderr is None
+    without = Held(elsewhere(fit, cost=101.5), bounds=(10.0, np.inf))
+    assert told_from_their_bounds(fit, without, without.again) is fit
 
 
 def oven(seed):

@@ -1,11 +1,12 @@
 """What a fit finds out about its own standard errors, against curvatures and rises of chi-squared in closed form."""
 
 import itertools
+import re
 
 import casadi
 import numpy as np
 import pytest
-from scipy.optimize import minimize_scalar
+from scipy.optimize import brentq, minimize_scalar
 from scipy.stats import norm
 
 import casadi_engine as ce
@@ -105,6 +106,42 @@ def test_a_curved_fit_prints_the_interval_of_its_profile():
     assert fit.doubted == ()
     assert f"95 %: {ends[0]:.2f} to {ends[1]:.2f}" in str(fit)
     assert "±" not in "".join(line for line in str(fit).splitlines() if line.startswith("  p "))
+
+
+@pytest.mark.parametrize(("bend", "seen"), [(0.7, False), (4.0, True)])
+def test_a_parameter_that_bends_with_another_is_profiled(bend, seen):
+    """Outputs q + c p**2 and p: along p alone nothing is curved, for q takes up all of it, and the profile of q reaches
+    lower by what p**2 makes up for, once c is above 1 where p goes 2 standard errors."""
+    b = ce.Blueprint("bending")
+    p, q = b.parameter("p", 0.0), b.parameter("q", 1.0)
+    v, w = b.state("v"), b.state("w")
+    b.ode("v", q + bend / 4 * p**2)
+    b.ode("w", p)
+    b.output("y1", v)
+    b.output("y2", w)
+    units = {"y1": "1", "y2": "1"}
+    data = ce.Experiment.from_arrays("r", time=TIME, units=units, y1=TIME, y2=0.1 * TIME)
+    size = np.sqrt((TIME**2).sum())
+    fit = ce.estimate(
+        b.model(), data, noise=ce.Noise(y1=size, y2=size), initial={"v": 0.0, "w": 0.0}, progress=False
+    )
+    assert fit.estimates["p"].stderr == pytest.approx(1.0)
+    if not seen:
+        assert fit.estimates["q"].stderr == pytest.approx(1.0, rel=0.01)
+        assert fit.messages == ()
+        return
+    (said,) = fit.messages
+    assert re.search(
+        r"standard errors along .*p.* the best q lies 3.\d of its own off where the quadratic has it", said
+    )
+    p = np.linspace(-4, 4, 4001)
+
+    def above(q):
+        return ((q - 1 + bend / 4 * p**2) ** 2 + (p - 0.1) ** 2).min() - EDGE**2
+
+    ends = brentq(above, -10, 0), brentq(above, 1, 10)
+    assert fit.estimates["q"].interval == pytest.approx(ends, rel=0.02)
+    assert ends[0] < 1 - 1.5 * EDGE
 
 
 @pytest.mark.parametrize("by_logarithm", [False, True])
