@@ -19,6 +19,9 @@ LogDensity = Callable[[Array], Array]
 # worth so many independent ones for each thousand that is wanted, between two and six rounds of them; a second trial,
 # where these are not to be trusted, has twelve.
 ROUNDS, EACH, WORTH, LAST = 6, 100, 1200.0, (2, 6, 12)
+# Share of the draws from where the proposal started, if that has several parts: one that no draw happened to meet is lost
+# in what is learnt, and no weight tells of it.
+_KEPT = 0.15
 # Share of its draws that a proposal is worth when it has learnt enough.
 ENOUGH = 0.55
 # What weights have to be for their means to be trusted: the tail's shape, and the draws they are worth, those of the
@@ -71,7 +74,7 @@ def sample(density: LogDensity, start: Mixture, random: np.random.Generator, wan
     d = start.centre.shape[1]
     each, learnt, proposal = EACH * max(d, 3), _Learnt(), start
     for _ in range(ROUNDS):
-        wide = proposal.guarded()
+        wide = _beside(start, proposal)
         x = wide.draw(each, random)
         share, shape = learnt.add(x, density(x), wide)
         if shape <= 0.5 and share > ENOUGH:
@@ -80,7 +83,7 @@ def sample(density: LogDensity, start: Mixture, random: np.random.Generator, wan
     more = max(wanted / 1000, 1.0)
     first = int(more * np.clip(WORTH / max(share, 1e-9), LAST[0] * each, LAST[1] * each))
     for count in (first, int(more * LAST[2] * each)):
-        wide = proposal.guarded()
+        wide = _beside(start, proposal)
         x = wide.draw(count, random)
         found = _weigh(x, density(x), wide)
         if found.trusted or found.size < FEWEST / 4:
@@ -88,6 +91,11 @@ def sample(density: LogDensity, start: Mixture, random: np.random.Generator, wan
         learnt.add(x, found.density, wide)
         proposal = learnt.refitted(proposal)
     return found
+
+
+def _beside(start: Mixture, proposal: Mixture) -> Mixture:
+    """What draws come from: the proposal, guarded, and where it started."""
+    return proposal.guarded().beside(start, _KEPT) if len(start.share) > 1 else proposal.guarded()
 
 
 class _Learnt:

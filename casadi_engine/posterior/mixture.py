@@ -66,10 +66,10 @@ class Mixture:
             np.concatenate([self.factor, np.sqrt(_WIDER) * self.factor]),
         )
 
-    def beside(self, other: Mixture) -> Mixture:
-        """Half of the draws from this one, half from the other."""
+    def beside(self, other: Mixture, share: float = 0.5) -> Mixture:
+        """This one, and a share of the draws from another."""
         return Mixture(
-            np.concatenate([self.share, other.share]) / 2,
+            np.concatenate([(1 - share) * self.share, share * other.share]),
             np.concatenate([self.centre, other.centre]),
             np.concatenate([self.factor, other.factor]),
         )
@@ -91,9 +91,11 @@ class Mixture:
         spring = _SPRING * np.diag(np.maximum(weight @ np.square(x - mean), 1e-300))
         share, centre, scale = [], [], []
         for k in np.flatnonzero(mass > _LEAST):
-            if effective[k] < 4 * d:  # too few draws to say its shape: it keeps the one it has, wider
+            if (
+                effective[k] < 4 * d
+            ):  # too few draws to say its shape: it goes to them with the one it has, wider
                 share.append(mass[k])
-                centre.append(self.centre[k])
+                centre.append(owned[k] @ x / mass[k])
                 scale.append(_UNSURE * self.factor[k] @ self.factor[k].T)
                 continue
             away = np.linalg.solve(self.factor[k], (x - self.centre[k]).T)

@@ -19,9 +19,11 @@ from casadi_engine.posterior.target import Target
 
 Array = NDArray[np.float64]
 
-# Where is looked, and how far one goes on from there at a time [standard errors]; share of the fall that the quadratic
-# foretells from which it holds.
-LOOKED, STEP, HOLDS = (2.0, 4.0), 1.5, 0.75
+# Where is looked at first [standard errors]; share of the fall that the quadratic foretells from which it holds.
+LOOKED, HOLDS = (2.0, 4.0), 0.75
+# How far one goes on from there at a time [standard errors, of the optimum or of the last point where these are smaller];
+# fall of the log density from one point to the next beyond which half of that is gone, so often at most.
+STEP, STEEP, _HALVINGS = 1.5, 3.0, 4
 # A valley ends where the log density is so far below its optimum, or after so many steps.
 DEPTH, MOST = 12.0, 40
 # A rise by this after a fall leads to another optimum.
@@ -41,49 +43,89 @@ class Valley:
 
 def valleys(target: Target, centre: Array, information: Array, directions: int) -> Valley:
     """From an optimum of v (nv,), both ways along each of the directions that the data tell least of."""
-    values, vectors = np.linalg.eigh(np.linalg.inv(information))
+    values, vectors = np.linalg.eigh(np.linalg.inv(information + between(target)))
     order = np.argsort(values)[::-1]
     axes = (vectors * np.sqrt(values))[:, order]  # (nv, nv), one standard error long
     found = Valley([], [], [])
-    top = _height(target, centre)
     for k in range(min(directions, len(order))):
         for side in (-1.0, 1.0):
-            _follow(target, centre, axes, k, side, top, found)
+            _Side(target, centre, axes, k, side).follow(found)
     return found
 
 
-def _follow(
-    target: Target, centre: Array, axes: Array, k: int, side: float, top: float, found: Valley
-) -> None:
-    """One side of one direction."""
-    rest, near = np.delete(axes, k, axis=1), np.zeros(axes.shape[1] - 1)
-    before, far, lowest = near, 0.0, 0.0
-    points: list[tuple[Array, Array]] = []
-    for count in range(len(LOOKED) + MOST):
-        last, far = far, LOOKED[count] if count < len(LOOKED) else far + STEP
-        guess = near if count < 2 else near + (near - before) * (far - last) / STEP
-        start = centre + side * far * axes[:, k]
+def between(target: Target) -> Array:
+    """(nv, nv) of the information that the bounds hold: that of a uniform density between them."""
+    width = target.high[: target.nv] - target.low[: target.nv]
+    return np.diag(12.0 / np.square(np.where(np.isfinite(width), np.maximum(width, 1e-300), np.inf)))
+
+
+@dataclass
+class _Point:
+    """A point of a valley: ``far`` along its direction, ``near`` (nv - 1,) across, ``drop`` below the optimum."""
+
+    far: float
+    near: Array
+    at: Array
+    drop: float
+    information: Array
+
+
+class _Side:
+    """One side of one direction from an optimum."""
+
+    def __init__(self, target: Target, centre: Array, axes: Array, k: int, side: float) -> None:
+        self._target, self._centre, self._axes, self._k = target, centre, axes, k
+        self._way, self._rest = side * axes[:, k], np.delete(axes, k, axis=1)
+        self._top, self._prior = _height(target, centre), between(target)
+
+    def follow(self, found: Valley) -> None:
+        """Add the points of the valley on this side."""
+        centre = _Point(0.0, np.zeros(self._rest.shape[1]), self._centre, 0.0, np.zeros(0))
+        looked = [self._point(far, centre.near) for far in LOOKED]
+        if looked[-1] is not None and looked[-1].drop > HOLDS * 0.5 * LOOKED[-1] ** 2:
+            return
+        before, last, lowest, step = centre, centre, 0.0, STEP
+        for _ in range(MOST):
+            there = self._onwards(before, last, step)
+            if there is None or there.drop > DEPTH:
+                break
+            if there.drop < lowest - _RISE:
+                found.onwards.append(there.at)
+            lowest = max(lowest, there.drop)
+            found.at.append(there.at)
+            found.information.append(there.information)
+            before, last, step = last, there, STEP * min(self._error(there), 1.0)
+
+    def _onwards(self, before: _Point, last: _Point, step: float) -> _Point | None:
+        """The next point from the last one; None at a bound, and where there is no valley."""
+        slope = (last.near - before.near) / (last.far - before.far) if last.far else np.zeros_like(last.near)
+        for _ in range(_HALVINGS):
+            there = self._point(last.far + step, last.near + slope * step)
+            if there is None and slope.any():
+                there = self._point(last.far + step, last.near)
+            if there is not None and there.drop < last.drop + STEEP:
+                return there
+            step *= 0.5
+        return there
+
+    def _point(self, far: float, guess: Array) -> _Point | None:
+        """The best point at a distance along the direction, from a guess (nv - 1,) across it."""
+        start = self._centre + far * self._way
         end = minimise(
-            _across(target, start, rest), guess, np.full(len(near), -np.inf), np.full(len(near), np.inf),
+            _across(self._target, start, self._rest), guess,
+            np.full(len(guess), -np.inf), np.full(len(guess), np.inf),
             fall=_FALL, steps=_STEPS, longest=lambda y: np.full_like(y, _LONGEST),
         )  # fmt: skip
-        if end is None:
-            break
-        before, near = near, end.x
-        at = start + rest @ near
-        squares = target.squares(at) if _inside(target, at) else None
-        drop = top - _height(target, at)
-        if squares is None or not drop < DEPTH:
-            break
-        if drop < lowest - _RISE:
-            found.onwards.append(at)
-        lowest = max(lowest, drop)
-        points.append((at, squares.matrix))
-        if count == len(LOOKED) - 1 and drop > HOLDS * 0.5 * far**2:
-            return
-    if len(points) >= len(LOOKED):
-        found.at.extend(at for at, _ in points)
-        found.information.extend(matrix for _, matrix in points)
+        at = None if end is None else start + self._rest @ end.x
+        squares = self._target.squares(at) if at is not None and _inside(self._target, at) else None
+        if end is None or at is None or squares is None:
+            return None
+        return _Point(far, end.x, at, self._top - _height(self._target, at), squares.matrix + self._prior)
+
+    def _error(self, point: _Point) -> float:
+        """The standard error along the direction at a point, in units of the optimum's."""
+        matrix = self._axes.T @ point.information @ self._axes
+        return float(np.sqrt(np.linalg.pinv(matrix, hermitian=True)[self._k, self._k]))
 
 
 def _across(target: Target, start: Array, rest: Array) -> Callable[[Array], Squares | None]:

@@ -59,7 +59,7 @@ from casadi_engine.posterior.result import Posterior  # noqa: E402
 from casadi_engine.posterior.target import Target  # noqa: E402
 
 Rows = list[dict[str, Any]]
-SETTING = {"version": 6, "draws": 999}
+SETTING = {"version": 7, "draws": 999}
 LEVELS = (50, 80, 95)
 # Draws whose log densities the truth's is compared with.
 COMPARED = 99

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 from casadi_engine.posterior.importance import sample
 from casadi_engine.posterior.mixture import Mixture
@@ -53,3 +54,24 @@ def test_nothing_within_reach_is_no_evidence():
     )
     assert not found.trusted
     assert found.log_evidence == -np.inf
+
+
+def test_a_part_of_the_start_that_no_draw_has_met_is_kept():
+    """A tail with 3 % of the mass, which one of nine parts of the start leads to: what is learnt may lose it, the start
+    stays beside it."""
+
+    def density(x):
+        return np.logaddexp(
+            np.log(0.97) + multivariate_normal(np.zeros(2)).logpdf(x),
+            np.log(0.03) + multivariate_normal(np.full(2, 30.0), 9.0).logpdf(x),
+        )
+
+    centres = np.concatenate([np.zeros((8, 2)), np.full((1, 2), 30.0)])
+    share = np.array([0.12] * 8 + [0.04])
+    start = Mixture.of(
+        share, centres, np.tile(np.eye(2), (9, 1, 1)) * np.array([1.0] * 8 + [16.0])[:, None, None]
+    )
+    for seed in range(10):
+        found = sample(density, start, np.random.default_rng(seed))
+        assert found.trusted
+        assert found.weight[found.x[:, 0] > 15].sum() == pytest.approx(0.03, rel=0.35)

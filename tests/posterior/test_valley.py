@@ -6,7 +6,7 @@ import pytest
 from casadi_engine.estimation.levenberg_marquardt import Squares
 from casadi_engine.posterior.importance import sample
 from casadi_engine.posterior.mixture import Mixture
-from casadi_engine.posterior.valley import DEPTH, valleys
+from casadi_engine.posterior.valley import DEPTH, between, valleys
 
 THIN = 0.1
 
@@ -97,3 +97,48 @@ def test_a_bound_ends_it():
     target = Known(bent, width=5.0)
     found = valleys(target, np.zeros(2), target.squares(np.zeros(2)).matrix, 2)
     assert np.abs(found.at).max() <= 5.0
+
+
+class Saturated(Known):
+    """y = 1 / (1 + exp(x)) of the logarithm x of a constant, beside a slope that goes with it: on the lower bound of x
+    all is flat, and the tail beyond x = 0 is thin and bends."""
+
+    def __init__(self):
+        super().__init__(self._residuals_of)
+        self.low, self.high = np.array([-7.0, -3.0]), np.array([4.6, 5.0])
+
+    @staticmethod
+    def _residuals_of(v):
+        x, y = v
+        grown = np.logaddexp(0, x)
+        share = 1 / (1 + np.exp(-x))
+        return (
+            np.array([0.8 * grown, (y - grown) / THIN]),
+            np.array([[0.8 * share, 0.0], [-share / THIN, 1 / THIN]]),
+        )
+
+    def log_density(self, u):
+        inside = ((u >= self.low) & (u <= self.high)).all(axis=1)
+        return np.where(inside, super().log_density(u), -np.inf)
+
+
+def test_from_a_bound_a_flat_arm_is_followed_into_a_tail_that_bends():
+    """1.8 % of the mass lies in the tail, of some thousand draws that come from four seeds."""
+    target, at = Saturated(), np.array([-7.0, 0.0])
+    information = target.squares(at).matrix
+    found = valleys(target, at, information, 2)
+    x = np.array(found.at)[:, 0]
+    assert x.max() > 4
+    points = np.array([at, *found.at])
+    scale = np.linalg.inv(np.array([information + between(target), *found.information]))
+    share = np.exp(target.log_density(points)) + 0.3 / len(points)
+    start = Mixture.of(share, points, scale)
+    met = []
+    for seed in range(4):
+        drawn = sample(target.log_density, start, np.random.default_rng(seed))
+        assert drawn.trusted
+        met.append(drawn.weight[drawn.x[:, 0] > 2].sum())
+    x = np.linspace(-7, 4.6, 4001)
+    density = np.exp(-0.32 * np.logaddexp(0, x) ** 2)
+    beyond = np.trapezoid(density[x > 2], x[x > 2]) / np.trapezoid(density, x)
+    assert np.mean(met) == pytest.approx(beyond, rel=0.2)
