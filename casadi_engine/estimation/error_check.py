@@ -23,13 +23,13 @@ from numpy.typing import NDArray
 from casadi_engine.distributions import chi2_isf
 from casadi_engine.errors import ModelError
 from casadi_engine.estimation.dichotomy import grows
+from casadi_engine.estimation.exchanged import linear_residual, twins
 from casadi_engine.estimation.final_check import printed_cost, residual, response
 from casadi_engine.estimation.fit import Optimum
 from casadi_engine.estimation.growth import log_growth
 from casadi_engine.estimation.record import RecordPoint, RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty
-from casadi_engine.estimation.starts import nodes_by_first
 from casadi_engine.estimation.uncertainty import chained_gradient
 
 Array = NDArray[np.float64]
@@ -39,8 +39,8 @@ _DIRECTIONS, _FAR = 3, 2.0
 # Relative error from which a parameter that is searched by its logarithm has no symmetric interval: the ends of what is
 # symmetric in the logarithm are then off by that share.
 _WIDE = 0.15
-# Nearest place to look from [standard errors]; share of the information below which a state shows nothing.
-_NEAR, _BLIND = 0.2, 1e-12
+# Nearest place to look from [standard errors].
+_NEAR = 0.2
 # Squared residuals that closing the gaps between shooting intervals may change, and how often they are closed.
 _CLOSED, _CLOSINGS = 1e-3, 6
 # Rises of chi-squared over the quadratic's 4 that pass: the ends of an interval are then within 15 % of where ± has
@@ -49,9 +49,9 @@ _RISES = 0.75, 1.3
 # Curvature that passes, and up to which a profile still tells the interval; `tests/benchmarks/CALIBRATION.md` has the
 # coverage of intervals on either side.
 _FLAT, _RUGGED = 0.4, 1.5
-# Standard errors by which another parameter may bend: with c of them at two standard errors along a direction, chi-squared
-# d standard errors off, at its lowest z of them along it, is (d - c z^2/4)^2 + z^2, and that is lower than d^2 at the ends
-# of a 95 % interval only where c is above 1.02.
+# Standard errors by which another parameter may bend: with c of them at two standard errors along a direction,
+# chi-squared d standard errors off, at its lowest z of them along it, is (d - c z^2/4)^2 + z^2, and that is lower than
+# d^2 at the ends of a 95 % interval only where c is above 1.02.
 _BENDS = 1.0
 # Chi-squared above the lowest at which another optimum still counts: it has exp(-5) of the likelihood, and where there
 # is one there may be others that no start has met.
@@ -112,6 +112,7 @@ def doubts_of(
     if not errors.optimal or not search.problem.nv or not np.isfinite(errors.covariance.matrix).all():
         return ()
     found = _rivals(search, best, errors, optima)
+    found += [] if found else _exchanged(search, errors, residuals)
     if growing(search, best) is None:
         around = _Around(search, best, errors, residuals)
         for move in _moves(errors, search.problem.nv, 1 if around.long else _DIRECTIONS):
@@ -307,9 +308,8 @@ class _Around:
                     residual(record, response(record, v, lay.take(self.errors.x)[0] + own[-record.n :])[0])
                 )
             elif record.linear:
-                found.append(
-                    _linear(record, v, None if self._free else lay.take(self.errors.x)[0] + own[-record.n :])
-                )
+                start = lay.take(self.errors.x)[0] + own[-record.n :]
+                found.append(linear_residual(record, v, start, np.full(record.n, self._free)))
             else:
                 found.append(_followed(record, point, lay.take(self.best.solution.x), v, own))
             at += record.n
@@ -327,20 +327,6 @@ class _Around:
             found[at : at + record.n] += own[len(record.active) :]
             at += record.n
         return found
-
-
-def _linear(record: RecordTerm, v: Array, start: Array | None) -> Array:
-    """The weighted residual (K, M) of a linear model from its first state (n,), None for the one that serves best."""
-    point = record.evaluate(v, np.zeros((record.plan.m, record.n)), order=0)
-    js, n, free = point.js, record.n, nodes_by_first(point)
-    powers, left = free[..., :n], point.r + (js @ free[..., n].T) * record.weight
-    if start is None:
-        turned = powers.swapaxes(1, 2)
-        gradient = (turned @ ((left * record.weight).T @ js)[..., None]).sum(axis=0)[:, 0]
-        matrix = (turned @ record.gauss_newton(point).ss @ powers).sum(axis=0)
-        size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-        start = -np.linalg.lstsq(matrix / np.outer(size, size), gradient / size, rcond=_BLIND)[0] / size
-    return np.asarray(left + (js @ (powers @ np.asarray(start)).T) * record.weight)
 
 
 def _followed(record: RecordTerm, point: RecordPoint, nodes: Array, v: Array, step: Array) -> Array:
@@ -406,7 +392,7 @@ def _rivals(search: Search, best: Attempt, errors: Uncertainty, optima: Sequence
     """Other optima that the starts found and that the data hardly tell from the best."""
     limit = best.cost + max(_RIVAL, chi2_isf(0.05, search.problem.nv))
     others = [one for one in optima if one.status == "converged" and one.apart and one.cost <= limit]
-    matrix, nv, found = errors.covariance.matrix, search.problem.nv, []
+    found = []
     ways = "; ".join(f"{one.apart} at a cost {one.cost - best.cost:.2g} higher" for one in others[:3])
     text = (
         f"{len(others)} other optim{'a explain' if len(others) > 1 else 'um explains'} the data as well: {ways}; "
@@ -414,9 +400,28 @@ def _rivals(search: Search, best: Attempt, errors: Uncertainty, optima: Sequence
     )
     for one in others:
         there = search.coordinates.of(np.array([one.values[name] for name in search.pmap.free]))
-        states = matrix[nv:, :nv] @ np.linalg.pinv(matrix[:nv, :nv]) @ (there - errors.v)
-        found.append(Doubt("rival", text, np.concatenate([there - errors.v, states])))
+        found.append(Doubt("rival", text, _with_states(errors, there)))
     return found
+
+
+def _exchanged(search: Search, errors: Uncertainty, residuals: Sequence[Array]) -> list[Doubt]:
+    """Parameters of one unit that explain the data as well with their values exchanged."""
+    found = []
+    for twin in twins(search, errors, residuals, _RIVAL):
+        one, other = twin.names
+        text = (
+            f"the data are explained as well with {one} and {other} exchanged (chi-squared {max(twin.higher, 0.0):.2g} "
+            f"higher): their errors are not known; tell them apart by bounds, or by "
+            f'pars.constrain("{one} - {other}", min=0) or max=0, or {CALL}'
+        )
+        found.append(Doubt("rival", text, _with_states(errors, twin.v)))
+    return found
+
+
+def _with_states(errors: Uncertainty, v: Array) -> Array:
+    """The move (N,) from an optimum to a point v (nv,), the initial states going with it."""
+    matrix, nv, moved = errors.covariance.matrix, len(v), v - errors.v
+    return np.concatenate([moved, matrix[nv:, :nv] @ np.linalg.pinv(matrix[:nv, :nv]) @ moved])
 
 
 def _bounds(search: Search, errors: Uncertainty) -> list[Doubt]:

@@ -19,8 +19,8 @@ LogDensity = Callable[[Array], Array]
 # worth so many independent ones for each thousand that is wanted, between two and six rounds of them; a second trial,
 # where these are not to be trusted, has twelve.
 ROUNDS, EACH, WORTH, LAST = 6, 100, 1200.0, (2, 6, 12)
-# Share of the draws from where the proposal started, if that has several parts: one that no draw happened to meet is lost
-# in what is learnt, and no weight tells of it.
+# Share of the draws from where the proposal started, if that has several parts: one that no draw happened to meet is
+# lost in what is learnt, and no weight tells of it.
 _KEPT = 0.15
 # Share of its draws that a proposal is worth when it has learnt enough.
 ENOUGH = 0.55

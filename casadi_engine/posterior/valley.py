@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 
 # Where is looked at first [standard errors]; share of the fall that the quadratic foretells from which it holds.
 LOOKED, HOLDS = (2.0, 4.0), 0.75
-# How far one goes on from there at a time [standard errors, of the optimum or of the last point where these are smaller];
-# fall of the log density from one point to the next beyond which half of that is gone, so often at most.
+# How far one goes on at a time [standard errors, of the optimum or of the last point where these are smaller]; fall of
+# the log density from one point to the next beyond which half of that is gone, so often at most.
 STEP, STEEP, _HALVINGS = 1.5, 3.0, 4
 # A valley ends where the log density is so far below its optimum, or after so many steps.
 DEPTH, MOST = 12.0, 40

@@ -1,0 +1,98 @@
+"""Parameters that may be exchanged, on models whose twins are known in closed form."""
+
+import casadi
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import casadi_engine as ce
+
+TIME = np.linspace(0, 8, 33)
+SIGMA = 0.02
+
+
+def chain(unit="1/s"):
+    """A -> B -> C, of which B is measured: with A at the start free, the rates may be exchanged; the second one has
+    this unit."""
+    b = ce.Blueprint("chain")
+    k1 = b.parameter("k1", 1.0, unit="1/s", min=0.01, max=50)
+    k2 = b.parameter("k2", 0.4, unit=unit, min=0.01, max=50)
+    amount, made = b.state("A"), b.state("B")
+    b.ode("A", -k1 * amount)
+    b.ode("B", k1 * amount - k2 * made)
+    b.output("y", made)
+    return b.model()
+
+
+def measured(seed=0):
+    """From A = 1: the closed form, with noise."""
+    y = (np.exp(-0.4 * TIME) - np.exp(-TIME)) / 0.6
+    noise = SIGMA * np.random.default_rng(seed).standard_normal(len(TIME))
+    return ce.Experiment.from_arrays("r", time=TIME, units={"y": "1"}, y=y + noise)
+
+
+def fitted(model, data, parameters=None, **options):
+    options = {"noise": ce.Noise(y=SIGMA), "progress": False, "initial": {"B": 0.0}, **options}
+    return ce.estimate(model, data, parameters=parameters, **options)
+
+
+@pytest.mark.parametrize("start", [(1.0, 0.4), (0.05, 10.0)])
+def test_rates_of_a_chain_lose_their_errors_whichever_optimum_is_met(start):
+    pars = chain().parameters()
+    for name, value in zip(("k1", "k2"), start, strict=True):
+        pars[name].set(value)
+    fit = fitted(chain(), measured(), pars)
+    assert sorted(fit.values.values()) == pytest.approx([0.4, 1.0], rel=0.2)
+    assert fit.doubted == ("k1", "k2")
+    (said,) = fit.messages
+    assert said.startswith("the data are explained as well with k1 and k2 exchanged (chi-squared 0 higher): ")
+    assert said.endswith(
+        'by bounds, or by pars.constrain("k1 - k2", min=0) or max=0, or call ce.posterior(fit)'
+    )
+
+
+def test_where_the_first_amount_is_known_there_is_one_optimum():
+    fit = fitted(chain(), measured(), initial={"A": 1.0, "B": 0.0})
+    assert not any("exchanged" in text for text in fit.messages)
+    assert fit.stderr["k1"]
+    assert fit.stderr["k2"]
+
+
+@pytest.mark.parametrize("by", ["bounds", "constraint"])
+def test_what_tells_them_apart_gives_the_errors_back(by):
+    pars = chain().parameters()
+    if by == "bounds":
+        pars["k1"].set(1.0, min=0.65)
+        pars["k2"].set(0.4, max=0.65)
+    else:
+        pars.constrain("k1 - k2", min=0.0)
+    fit = fitted(chain(), measured(), pars)
+    assert not any("exchanged" in text for text in fit.messages)
+    assert fit.stderr["k1"] or fit.estimates["k1"].interval
+
+
+def test_other_units_are_not_exchanged():
+    fit = fitted(chain("m/s"), measured())
+    assert not any("exchanged" in text for text in fit.messages)
+
+
+def test_a_model_that_is_not_linear():
+    """Two springs in a row under a pendulum."""
+    b = ce.Blueprint("springs")
+    p, q = (
+        b.parameter(name, value, unit="1/s2", min=0.1, max=20) for name, value in (("p", 2.0), ("q", 5.0))
+    )
+    x, v = b.state("x"), b.state("v", unit="1/s")
+    b.ode("x", v)
+    b.ode("v", -p * q / (p + q) * casadi.sin(x) - 0.1 * (p + q) * v)
+    b.output("y", x)
+    t = np.linspace(0, 6, 61)
+    y = solve_ivp(
+        lambda _, s: [s[1], -10 / 7 * np.sin(s[0]) - 0.7 * s[1]], (0, 6), [2.0, 0.0], t_eval=t, rtol=1e-9
+    ).y[0]
+    data = ce.Experiment.from_arrays(
+        "r", time=t, units={"y": "1"}, y=y + 0.01 * np.random.default_rng(0).standard_normal(61)
+    )
+    fit = ce.estimate(b.model(), data, noise=ce.Noise(y=0.01), initial={"x": 2.0, "v": 0.0}, progress=False)
+    assert set(fit.doubted) == {"p", "q"}
+    assert any("p and q exchanged" in text for text in fit.messages)
