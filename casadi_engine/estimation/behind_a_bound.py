@@ -48,18 +48,16 @@ def _behind(
 ) -> Fit | None:
     """The fit without the errors of what is elsewhere at some place of one parameter that the data allow."""
     bound, inside = fit.estimates[name].value, _first_inside(fit, name, parameters)
+    if inside is None:
+        return None
+    by_logarithm = bound > 0 and inside > 0
+    begin = math.log(inside / bound) if by_logarithm else inside - bound
     # what chi-squared counts in white noise is worth less in the noise that there is
     worth = max((1.0, *fit.own_noise.values())) ** 2
-    near, far, risen, power = (
-        0.0,
-        0.0,
-        math.inf,
-        2.0,
-    )  # distances from the bound that the data allow, and do not
+    near, far, risen, power, at = 0.0, 0.0, math.inf, 2.0, begin  # distances that the data allow, and do not
     for _ in range(_FITS):
-        if inside is None or inside == bound:
-            return None
-        at, other = inside - bound, _held_at(name, inside, parameters, again)
+        inside = bound * math.exp(at) if by_logarithm else bound + at
+        other = _held_at(name, inside, parameters, again)
         rise = math.inf if other is None else _rise(fit, other) / worth
         if other is not None and rise <= _WITHIN:
             found = _without_errors(fit, other, name, inside, rise)
@@ -72,7 +70,7 @@ def _behind(
             far, risen = at, rise
         # by the power of the distance with which it fell, a quadratic at first; then half-way, by the logarithm
         share = min(0.5, (0.5 * _WITHIN / risen) ** (1 / power)) if risen < math.inf else 0.5
-        inside = bound + (math.copysign(math.sqrt(near * far), far) if near else share * far)
+        at = math.copysign(math.sqrt(near * far), far) if near else share * far
     return None
 
 
@@ -131,4 +129,13 @@ def _without_errors(fit: Fit, other: Fit, name: str, inside: float, rise: float)
         f"{name} {NOT_TOLD} with {name} = {inside:.4g} chi-squared is {max(rise, 0.0):.2g} higher and {there}: these "
         f"data do not tell {name} from {' and '.join(moved)}; fix {name} where it is known, or call ce.posterior(fit)"
     )
-    return replace(fit, estimates={**estimates, **gone}, messages=(words, *fit.messages))
+    initial = {
+        record: {
+            state: replace(one, stderr=None, interval=None, quadratic=one.stderr)
+            if one.stderr and abs(other.initial[record][state].value - one.value) > _ELSEWHERE * one.stderr
+            else one
+            for state, one in states.items()
+        }
+        for record, states in fit.initial.items()
+    }
+    return replace(fit, estimates={**estimates, **gone}, initial=initial, messages=(words, *fit.messages))

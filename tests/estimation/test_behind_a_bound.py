@@ -27,6 +27,9 @@ class Found:
     own_noise: dict[str, float] = field(default_factory=dict)
     messages: tuple[str, ...] = ()
     gain: Any = None
+    initial: dict[str, dict[str, Estimate]] = field(
+        default_factory=lambda: {"a": {"T": Estimate(20.0, 0.5, "degC"), "U": Estimate(21.0, 0.5, "degC")}}
+    )
     start: dict[str, float] = field(default_factory=lambda: {"C": 700.0, "G": 4.0, "H": 3.0})
 
     @property
@@ -80,16 +83,19 @@ def on_its_bound(**changed):
 def elsewhere(fit, **changed):
     moved = {"C": 700.0, "G": 3.4, "H": 3.05}
     estimates = {name: replace(one, value=moved[name]) for name, one in fit.estimates.items()}
-    return replace(fit, estimates=estimates, **changed)
+    states = {**fit.initial["a"], "U": Estimate(23.0, 0.5, "degC")}
+    return replace(fit, estimates=estimates, initial={"a": states}, **changed)
 
 
 def test_what_is_elsewhere_has_no_error():
     fit = on_its_bound()
     held = Held(elsewhere(fit, cost=101.5))
     found = told_from_their_bounds(fit, held, held.again)
-    assert held.fixed == [("C", 700.0)]
+    assert held.fixed == [("C", pytest.approx(700.0))]
     assert (found.estimates["G"].stderr, found.estimates["G"].quadratic) == (None, 0.001)
     assert found.estimates["H"].stderr == 0.1
+    states = found.initial["a"]
+    assert (states["U"].stderr, states["U"].quadratic, states["T"].stderr) == (None, 0.5, 0.5)
     assert found.messages[0].startswith(f"C {NOT_TOLD} with C = 700 chi-squared is 1.5 higher and G = 3.4: ")
     assert "do not tell C from G; fix C where it is known" in found.messages[0]
 
@@ -104,9 +110,9 @@ def test_chi_squared_counts_in_the_noise_that_there_is(cost, sigma, ratio, doubt
     held = Held(elsewhere(fit, cost=cost, sigma=sigma))
     found = told_from_their_bounds(fit, held, held.again)
     assert (found.estimates["G"].stderr is None) == doubted
-    # each time half-way to the bound, where chi-squared does not fall
-    halves = [("C", 10 + 690 / 2**k) for k in range(5)]
-    assert held.fixed == (halves[:1] if doubted else halves)
+    # each time half-way to the bound, by the logarithm, where chi-squared does not fall
+    halves = [10 * 70 ** (1 / 2**k) for k in range(1 if doubted else 5)]
+    assert [value for _, value in held.fixed] == pytest.approx(halves)
 
 
 @pytest.mark.parametrize("other", [None, "not converged"])
@@ -154,7 +160,7 @@ def test_from_a_start_on_the_bound_the_search_behind_it_begins_at_the_other_boun
     fit = on_its_bound(start={"C": 10.0, "G": 4.0, "H": 3.0})
     held = Held(elsewhere(fit, cost=101.5), bounds=(10.0, 800.0))
     found = told_from_their_bounds(fit, held, held.again)
-    assert held.fixed == [("C", 800.0)]
+    assert held.fixed == [("C", pytest.approx(800.0))]
     assert found.estimates["G"].stderr is None
     without = Held(elsewhere(fit, cost=101.5), bounds=(10.0, np.inf))
     assert told_from_their_bounds(fit, without, without.again) is fit
