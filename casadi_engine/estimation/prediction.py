@@ -19,6 +19,7 @@ from casadi_engine.errors import SimulationError
 from casadi_engine.estimation.chained import chained_slopes
 from casadi_engine.estimation.coordinates import Coordinates
 from casadi_engine.estimation.fit import Estimate, Fit
+from casadi_engine.estimation.integration import SHIFT, shorten_steps
 from casadi_engine.estimation.options import interval_length
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.starts import chained_nodes
@@ -34,6 +35,8 @@ Array = NDArray[np.float64]
 LEVEL = 0.95
 # Draws of a posterior that are simulated, evenly taken from all.
 _DRAWS = 200
+# How often steps are shortened for one draw, until the outputs are those of the equations within a share of the noise.
+_SHORTENED = 8
 # Share of the largest singular value below which a record says nothing of a combination of initial states.
 _BLIND = 1e-9
 
@@ -205,6 +208,7 @@ class _Record:
         )
         self.record.set_sigma(np.ones(len(self.outputs)))
         self.sigma = np.array([fit.noise.get(name, (np.nan, False))[0] for name in self.outputs])
+        self._least = float(np.nanmin(self.sigma, initial=np.inf))  # outputs are integrated to a share of this
         free = [isinstance(initial[s.name], Estimate) and not initial[s.name].fixed for s in model.states]
         self.free = np.flatnonzero(free)
         first = [getattr(initial[s.name], "value", initial[s.name]) for s in model.states]
@@ -239,7 +243,11 @@ class _Record:
     def at(self, v: Array, first: Array) -> tuple[Array, Array]:
         """Outputs (ny, N) from parameters v and first state, and their slopes (nz + n, ny, N) in both."""
         record = self.record
-        point = record.evaluate(v, chained_nodes(record, v, first))
+        for _ in range(_SHORTENED):
+            nodes = chained_nodes(record, v, first)
+            if not shorten_steps([record], v, [nodes], shift=SHIFT * self._least):
+                break
+        point = record.evaluate(v, nodes)
         slopes = chained_slopes(record, point)
         whole = np.zeros((len(self.z) + record.n, len(self.outputs), record.grid.samples))
         entries = np.concatenate([record.active, len(self.z) + np.arange(record.n)])
