@@ -21,12 +21,11 @@ if TYPE_CHECKING:
         ViscousFriction,
     )
     from casadi_engine.effects.functions import Sharp, Smooth
+    from casadi_engine.effects.inputs import InputDelay, InputGain, InputLag, InputOffset
     from casadi_engine.effects.library import library
     from casadi_engine.effects.parameter import WrongValue
     from casadi_engine.effects.protocol import Amplitude, Effect, Grid, Law
     from casadi_engine.effects.sensor import (
-        InputGain,
-        InputOffset,
         SensorDelay,
         SensorGain,
         SensorLag,
@@ -52,7 +51,9 @@ __all__ = [
     "Effect",
     "Grid",
     "Impulse",
+    "InputDelay",
     "InputGain",
+    "InputLag",
     "InputOffset",
     "Law",
     "LoadStep",
@@ -96,9 +97,8 @@ import_at_first_use(
         ),
         "casadi_engine.effects.library": ("library",),
         "casadi_engine.effects.parameter": ("WrongValue",),
+        "casadi_engine.effects.inputs": ("InputDelay", "InputGain", "InputLag", "InputOffset"),
         "casadi_engine.effects.sensor": (
-            "InputGain",
-            "InputOffset",
             "SensorDelay",
             "SensorGain",
             "SensorLag",

@@ -10,11 +10,10 @@ from casadi_engine.effects.friction import (
     StribeckFriction,
     ViscousFriction,
 )
+from casadi_engine.effects.inputs import InputDelay, InputGain, InputLag, InputOffset
 from casadi_engine.effects.parameter import WrongValue
 from casadi_engine.effects.protocol import Effect
 from casadi_engine.effects.sensor import (
-    InputGain,
-    InputOffset,
     SensorDelay,
     SensorGain,
     SensorLag,
@@ -55,6 +54,8 @@ def library(*names: str) -> tuple[Effect, ...]:
         SensorGain(),
         InputGain(),
         InputOffset(),
+        InputLag(),
+        InputDelay(),
         Transfer(),
         Overflow(),
         WrongValue(),

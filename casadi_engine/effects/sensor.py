@@ -1,4 +1,4 @@
-"""Sensors that do not show what is there, by an offset, a delay or a gain, and inputs that act as more or less."""
+"""Sensors that do not show what is there, by an offset, a delay, a lag or a gain."""
 
 from __future__ import annotations
 
@@ -13,9 +13,19 @@ from casadi_engine.effects.protocol import Amplitude, Effect, Grid, Law
 # Share of its mean by which an output varies at least, that a gain acts otherwise than an offset: one of a tenth moves
 # what varies by a ten-thousandth of the mean then, which is below what sensors resolve. Whether the data tell one from
 # the other where it varies more, their likelihood says.
-_VARIES = 1e-3
+VARIES = 1e-3
 # Least time constant of a lag, in samples, and the largest one, as a share of a record.
-_SHORTEST, _LONGEST = 0.5, 0.25
+SHORTEST, _LONGEST = 0.5, 0.25
+
+
+def time_constants(time: Any, shortest: float = SHORTEST) -> tuple[float, float] | None:
+    """The least and the largest one [s] that a record of these times (N,) can show; None of too few samples.
+
+    shortest : in samples
+    """
+    step, length = float(np.median(np.diff(time))), float(time[-1] - time[0])
+    low, high = float(f"{shortest * step:.2g}"), float(f"{_LONGEST * length:.2g}")
+    return (low, high) if low < high else None
 
 
 @dataclass(frozen=True)
@@ -91,10 +101,8 @@ class SensorLag(Effect):
         name = port.name.partition("_")[2]
         if self.span is not None or name not in record:
             return self
-        time = record[name].time
-        step, length = float(np.median(np.diff(time))), float(time[-1] - time[0])
-        low, high = float(f"{_SHORTEST * step:.2g}"), float(f"{_LONGEST * length:.2g}")
-        return replace(self, span=(low, high)) if low < high else self
+        span = time_constants(record[name].time)
+        return self if span is None else replace(self, span=span)
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
         """share e."""
@@ -130,44 +138,4 @@ class SensorGain(Effect):
         if not courses:
             return ""
         values = np.concatenate(courses)
-        return "an offset does the same here" if values.std() < _VARIES * abs(values.mean()) else ""
-
-
-@dataclass(frozen=True)
-class InputOffset(SensorOffset):
-    """An input that acts as u + offset (in its unit): by its calibration, the dead time or the rest of its actuator.
-
-    It is not looked for where a constant at a port does the same, which has that name, nor at the pressures of
-    cylinders, whose zero is found on their compression (``Experiment.peg_pressures``).
-
-    >>> InputOffset().describe("input_duty")
-    'an offset of input_duty'
-    """
-
-    name = "input_offset"
-    attaches = ("input",)
-    kin = ("constant_torque", "sensor_offset", "input_gain")
-
-    def idle(self, port: Any) -> str:
-        """Where a constant does the same."""
-        if port.in_engine:
-            return "the zero of a pressure is found on its compression, Experiment.peg_pressures"
-        place = port.same_constant
-        return f"constant_torque at {place} does the same" if place else ""
-
-
-@dataclass(frozen=True)
-class InputGain(SensorGain):
-    """An input that acts more or less than its channel says, u (1 + gain): by its calibration or its actuator's.
-
-    >>> InputGain().describe("input_valve")
-    'a wrong gain of input_valve'
-    """
-
-    name = "input_gain"
-    attaches = ("input",)
-    kin = ("sensor_gain", "wrong_value", "cylinder_imbalance")
-
-    def idle(self, port: Any) -> str:
-        """As of a sensor; a crank angle is counted in turns."""
-        return "a crank angle is counted in turns" if port.name == "input_theta" else super().idle(port)
+        return "an offset does the same here" if values.std() < VARIES * abs(values.mean()) else ""

@@ -16,7 +16,7 @@ import casadi as ca
 from casadi_engine.effects.protocol import Attachment
 from casadi_engine.model.declarations import Port, Ports, Variable
 from casadi_engine.model.lags import with_delays
-from casadi_engine.model.linearity import is_affine
+from casadi_engine.model.linearity import affine_parts, is_affine
 from casadi_engine.model.rates import with_rates
 from casadi_engine.model.term import Term, check_side, read_term, takes_torque
 
@@ -40,6 +40,8 @@ def attach(
         effects=(*model.effects, made),
     )
     term = _with_named_states(term)
+    if term.port.kind in ("input", "parameter"):  # its own states see what is recorded
+        return with_rates(with_delays(_with_shift(wider, term)))
     wider = _with_states(wider, term)
     if takes_torque(term.port):
         wider = _with_torque(wider, term)
@@ -47,10 +49,8 @@ def attach(
         first, second = term.port.ends
         wider = _with_torque(wider, replace(term, port=wider.ports[first], value=-term.value))
         wider = _with_torque(wider, replace(term, port=wider.ports[second], value=term.arrives))
-    elif term.port.kind == "sensor":
-        wider = _with_output(wider, term)
     else:
-        wider = _with_shift(wider, term)
+        wider = _with_output(wider, term)
     return with_rates(with_delays(wider))
 
 
@@ -81,16 +81,39 @@ def _with_states(model: Model, term: Term) -> Model:
         if _is_affine(model, state.rate):
             model = replace(model, ode=ca.vertcat(model.ode, state.rate))
             continue
-        slot = ca.SX.sym(f"w_{state.name}")
-        port = Port(state.name, "internal", f"rate of {state.name}", {}, slot)
-        model = replace(
-            model,
-            ode=ca.vertcat(model.ode, slot),
-            w=ca.vertcat(model.w, slot),
-            laws=ca.vertcat(model.laws, state.rate),
-            ports=Ports((*model.ports, port)),
-        )
+        inside = ca.vertcat(model.x, model.d, model.w)
+        parts = affine_parts(state.rate, inside, ca.vertcat(model.u, model.t))
+        if parts is not None:
+            drive, words = ca.SX.sym(f"d_{state.name}"), f"what moves {state.name} from outside"
+            rate = ca.mtimes(parts[0], inside) + drive
+            model = _with_drive(replace(model, ode=ca.vertcat(model.ode, rate)), drive, parts[1], words)
+            continue
+        model, slot = _with_slot(model, state.name, f"rate of {state.name}", state.rate)
+        model = replace(model, ode=ca.vertcat(model.ode, slot))
     return model
+
+
+def _with_drive(model: Model, drive: Any, expression: Any, words: str, unit: str = "-") -> Model:
+    """One more drive, made of channels and time."""
+    return replace(
+        model,
+        drives=(*model.drives, Variable(drive.name(), unit, words)),
+        d=ca.vertcat(model.d, drive),
+        drive_expressions=ca.vertcat(model.drive_expressions, expression),
+    )
+
+
+def _with_slot(model: Model, name: str, words: str, law: Any) -> tuple[Model, Any]:
+    """One more slot inside the model with a law of its own, and its symbol."""
+    slot = ca.SX.sym(f"w_{name}")
+    port = Port(name, "internal", words, {}, slot)
+    wider = replace(
+        model,
+        w=ca.vertcat(model.w, slot),
+        laws=ca.vertcat(model.laws, law),
+        ports=Ports((*model.ports, port)),
+    )
+    return wider, slot
 
 
 def _with_torque(model: Model, term: Term) -> Model:
@@ -103,13 +126,7 @@ def _with_torque(model: Model, term: Term) -> Model:
         name = f"T_{term.port.name}_{term.effect.name}"
         drive = ca.SX.sym(name)
         words = f"{term.effect.name} at {term.port.name}"
-        made = replaced(model, slot, slot + drive)
-        return replace(
-            made,
-            drives=(*made.drives, Variable(name, term.port.unit, words)),
-            d=ca.vertcat(made.d, drive),
-            drive_expressions=ca.vertcat(made.drive_expressions, term.value),
-        )
+        return _with_drive(replaced(model, slot, slot + drive), drive, term.value, words, term.port.unit)
     laws = ca.SX(model.laws)
     laws[row] = laws[row] + term.value
     return replace(model, laws=laws)
@@ -129,13 +146,36 @@ def _with_output(model: Model, term: Term) -> Model:
 
 
 def _with_shift(model: Model, term: Term) -> Model:
-    """A changed channel or parameter: the symbol is replaced wherever it stands."""
+    """A changed channel or parameter: the symbol is replaced wherever it stands, but for the rates of the effect's own
+    states."""
     if term.port.kind == "input":
         name = term.port.name.partition("_")[2]
         symbol = model.u[[variable.name for variable in model.inputs].index(name)]
     else:
         symbol = model.p[model.parameter_names.index(term.port.parameter)]
-    return replaced(model, symbol, symbol + term.value)
+    if not term.states:
+        return replaced(model, symbol, symbol + term.value)
+    return _with_states(_with_moved_drives(model, symbol, term), term)
+
+
+def _with_moved_drives(model: Model, symbol: Any, term: Term) -> Model:
+    """A changed channel that depends on states of the effect's own. Drives are made of channels and time alone: what
+    such a state adds to one goes into the equations, by a slot where it is not affine."""
+    own = ca.vertcat(*[state.symbol for state in term.states])
+    drives = ca.SX(model.drive_expressions)
+    for k, expression in enumerate(ca.vertsplit(model.drive_expressions)):
+        if not ca.depends_on(expression, symbol):
+            continue
+        moved, drive = ca.substitute(expression, symbol, symbol + term.value), model.d[k]
+        parts = affine_parts(moved, own, ca.vertcat(model.u, model.t))
+        if parts is None:
+            words = f"{term.effect.name} in {drive.name()}"
+            model, slot = _with_slot(model, f"{term.port.name}_{drive.name()}", words, moved - expression)
+            model = replaced(model, drive, drive + slot)
+            continue
+        drives[k] = parts[1]
+        model = replaced(model, drive, drive + ca.mtimes(parts[0], own))
+    return replace(replaced(model, symbol, symbol + term.value), drive_expressions=drives)
 
 
 def replaced(model: Model, symbol: Any, expression: Any) -> Model:

@@ -62,9 +62,10 @@ def test_the_closed_forms_are_slopes_of_the_extended_model(name):
             wide = one.extended()
             f = ca.Function("f", [wide.x, wide.u, wide.t, wide.p], [wide.closed_ode, wide.closed_outputs])
             key = f"{port.name}.{effect.name}.{effect.amplitude.name}"
-            step = {"backlash": 1e-7, "sensor_delay": 1e-6, "drift": 1e-5, "input_gain": 1e-5}.get(
-                effect.name, 1e-3
-            )
+            bent = dict.fromkeys(
+                ("drift", "input_gain", "input_lag", "input_delay"), 1e-5
+            )  # in the crank's angle
+            step = {"backlash": 1e-7, "sensor_delay": 1e-6, **bent}.get(effect.name, 1e-3)
             own = ca.vertcat(ca.SX(0, 1), *[state.symbol for state in one.states])
             behind = 0.3 * np.ones(own.numel())
             every = np.concatenate([x, behind])
