@@ -135,13 +135,15 @@ def products(a: Array, b: Array) -> Array:
 
 def growth(by_x: Array) -> float:
     """The largest |eigenvalue| of h df/dx at the steps' starts (..., n, n), from those with the largest norms; where
-    all norms are small the largest of these."""
+    all norms are small the largest of these. Matrices that are not finite have none."""
     norms = np.abs(by_x).sum(axis=-1).max(axis=-1).ravel()
-    norms = np.where(np.isfinite(norms), norms, 0.0)
+    finite = np.isfinite(norms)
+    norms = np.where(finite, norms, 0.0)
     largest = float(norms.max(initial=0.0))
     if largest <= _SMALL:
         return largest
     worst = np.argsort(norms)[-_WORST:]
+    worst = worst[finite[worst]]
     return float(np.abs(np.linalg.eigvals(by_x.reshape(-1, *by_x.shape[-2:])[worst])).max())
 
 

@@ -290,7 +290,7 @@ def test_the_library_by_name():
         "sensor_lag",
             "sensor_gain",
         "input_gain",
-        "input_offset",
+        "input_offset", "input_lag", "input_delay",
         "transfer",
         "overflow",
         "wrong_value",

@@ -107,6 +107,12 @@ def test_multipliers_are_the_transpose(scheme):
     np.testing.assert_allclose((nu * added[..., 0]).sum(axis=(0, 2)), (mu * moved).sum(axis=1), atol=1e-11)
 
 
+def test_growth_leaves_out_what_is_not_finite():
+    by_x = np.array([np.diag([3.0, 1.0]), np.full((2, 2), np.nan), np.diag([np.inf, 1.0])])
+    assert growth(by_x) == pytest.approx(3.0)
+    assert growth(by_x[1:]) == 0.0
+
+
 def test_growth_is_the_largest_eigenvalue_or_a_norm_that_is_small_enough():
     rng = np.random.default_rng(3)
     by_x = rng.normal(size=(40, 2, 3, 3))
