@@ -361,9 +361,7 @@ class Path:
         for _ in range(_LATER):
             try:
                 way = self._in_windows(effects, start, lags) if windows else None
-                if (
-                    way is not None and way.end is None and not way.wider
-                ):  # what wide corners leave is no bound
+                if way is not None and way.end is None and not way.wider:  # wide corners leave no bound
                     form = form_of(effects)
                     self.bounds[form] = min(way.there.cost, self.bounds.get(form, math.inf))
                     if way.there.cost > most:
@@ -371,7 +369,11 @@ class Path:
                 found = way.end if way is not None and way.end is not None else None
                 if found is None and way is not None:
                     found = self._after_windows(effects, way, patience, lags)
-                found = found or self._ended_with(effects, start, patience, lags, None)
+                if found is None or (way is not None and self._astray(effects, start, lags, found)):
+                    there = self._ended_with(effects, start, patience, lags, None)
+                    found = min(
+                        (one for one in (found, there) if one), key=lambda one: one.cost, default=None
+                    )
             except (*FAILURES, TimeUp):
                 return None
             if found is None:
@@ -383,6 +385,21 @@ class Path:
                 return self._on_a_sample(effects, found, patience)
             start, windows, lags = found, False, own
         return found
+
+    def _astray(
+        self,
+        effects: Sequence[Addition],
+        start: Start | Arrived | None,
+        lags: Mapping[str, float],
+        found: Arrived,
+    ) -> bool:
+        """True if windows led to an end that explains less than the start, whose first states are known, did."""
+        with suppress(*FAILURES), np.errstate(all="ignore"):
+            _, _, problem = self._problem(effects, lags)
+            if start is not None and start.initial:
+                values = _begun(problem, effects, start.values)
+                return problem.glance_from(values, start.initial) < found.cost - _LESS
+        return False
 
     def _on_a_sample(self, effects: Sequence[Addition], found: Arrived, patience: float) -> Arrived:
         """A refit with its delays at whole samples, where that leaves less: over a part of one the law is a series,

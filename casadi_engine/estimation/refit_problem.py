@@ -310,6 +310,12 @@ class RefitProblem:
         v = self.coordinates.of(np.array([values[name] for name in self.pmap.free]))
         return float(sum(np.sum(r**2) for r in simulated(self.records, v, nodes)[0]))
 
+    def glance_from(self, values: Mapping[str, float], initial: Mapping[str, Any]) -> float:
+        """The same of a simulation from values, those of the set where they are left out, and initial states."""
+        z = self._values(values, None)
+        nodes = self.simulated(values, initial)
+        return self.glance(dict(zip(self.pmap.free, z.tolist(), strict=True)), nodes)
+
     def paths(self, values: Mapping[str, float], nodes: Sequence[Array]) -> list[NullPath]:
         """The records' simulations at these values, likewise."""
         z = np.array([values[name] for name in self.pmap.free])

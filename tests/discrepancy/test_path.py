@@ -1,5 +1,6 @@
 """The path of refits: the optimum of ``estimate``, from points and from windows, and what comes with it."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -49,6 +50,16 @@ def path(rubbing, pendulum):
 @pytest.fixture(scope="module")
 def arrived(path, rubbing):
     return path.from_point([rubbing.one], Start.of(rubbing.fit))
+
+
+def test_windows_that_lead_astray_are_left_for_the_start(rubbing, pendulum, arrived, monkeypatch):
+    """From where the refit is at its optimum already, however poor the end that windows lead to."""
+    own = Path(rubbing.refitter, {"y": pendulum.level}, felt=EXACT)
+    monkeypatch.setattr(own, "_after_windows", lambda *_: replace(arrived, cost=100 * arrived.cost))
+    at = Start(arrived.values, arrived.initial)
+    assert own.from_windows([rubbing.one], at).cost == pytest.approx(arrived.cost, rel=1e-3)
+    unknown = Start(arrived.values)  # without first states there is nothing to hold against it
+    assert own.from_windows([rubbing.one], unknown).cost == pytest.approx(100 * arrived.cost)
 
 
 def test_a_refit_arrives_where_estimate_does(rubbing, arrived):
