@@ -447,9 +447,8 @@ class Path:
             for level in levels:
                 refitter.share = own * SHARPER_BY**level
                 _, _, problem = self._problem(effects, lags)
-                values = (
-                    _begun(problem, effects, {} if start is None else start.values) if there is None else None
-                )
+                begun = {} if start is None else start.values
+                values = _begun(problem, effects, begun) if there is None else None
                 with Deadline(work=self.allowed(problem)):
                     found = problem.windowed(values, there, most=_STEPS)
                 if first is None or there is None:
@@ -462,8 +461,7 @@ class Path:
                 there = found
         finally:
             refitter.share = own
-        assert first is not None  # of one level at least
-        assert there is not None
+        assert first and there  # of one level at least
         return _Way(key, first, there, None)
 
     def _after_windows(
