@@ -366,9 +366,7 @@ class Path:
                     self.bounds[form] = min(way.there.cost, self.bounds.get(form, math.inf))
                     if way.there.cost > most:
                         return None
-                found = way.end if way is not None and way.end is not None else None
-                if found is None and way is not None:
-                    found = self._after_windows(effects, way, patience, lags)
+                found = way and (way.end or self._after_windows(effects, way, patience, lags))
                 if found is None or (way is not None and self._astray(effects, start, lags, found)):
                     there = self._ended_with(effects, start, patience, lags, None)
                     found = min(
@@ -461,7 +459,8 @@ class Path:
                 there = found
         finally:
             refitter.share = own
-        assert first and there  # of one level at least
+        assert first is not None  # of one level at least
+        assert there is not None
         return _Way(key, first, there, None)
 
     def _after_windows(
