@@ -1,4 +1,4 @@
-"""Delays, or lags, of all sensors by one and the same time: what an input that acts late, or through a lag, does."""
+"""What an input may do as well: delays, or lags, of all sensors by one and the same time, and a constant at a port."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from casadi_engine.discrepancy.repaired import Repair
 
 _DELAY, _LAG = "sensor_delay", "sensor_lag"
+_CONSTANT, _SAME = "constant_torque", " does the same"
 # Standard errors within which times are one.
 _ALIKE = 3.0
 
@@ -37,6 +38,8 @@ def common_delay(repair: Repair) -> str:
     late = {one.at: one.amplitude for one in repair.effects if one.name == _DELAY}
     if set(late) == sensors and (time := _one_time(late.values(), clock)):
         return _said(len(sensors), "late", f"{which} {time} later than recorded (an actuator, another clock)")
+    if any(m.name == "input_lag" for one in repair.effects for m in one.members):
+        return ""  # it is in the class
     behind = {one.at: one for one in repair.effects if one.name == _LAG}
     whole = all(_is_whole(one.amplitude) for one in behind.values())
     if set(behind) != sensors or not whole or repair.null_fit.model.linear is None:
@@ -45,6 +48,22 @@ def common_delay(repair: Repair) -> str:
     if time := _one_time(times, clock):
         return _said(len(sensors), "behind", f"{which} through a lag of {time} (an actuator)")
     return ""
+
+
+def as_an_input(repair: Repair) -> list[str]:
+    """What to say where a constant stands for an offset of an input that does the same, and was not looked for."""
+    said = []
+    for why in repair.not_applicable:
+        place = why.why.removeprefix(f"{_CONSTANT} at ").removesuffix(_SAME)
+        named = [
+            one for one in repair.effects if any((m.name, m.at) == (_CONSTANT, place) for m in one.members)
+        ]
+        if why.effect == "input_offset" and why.why.endswith(_SAME) and named:
+            name = why.at.partition("_")[2]
+            said.append(
+                f"A constant at {place} is what an offset of the input {name} does: no data tell them apart"
+            )
+    return said
 
 
 def _said(count: int, what: str, where: str) -> str:

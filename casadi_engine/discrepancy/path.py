@@ -146,9 +146,8 @@ class Path:
     ) -> Arrived | None:
         """The end of a refit that begins in short windows, at the values of a start or the parameters' own.
 
-        Where a law has corners they are wide at first, as wide as its motion, and then sharper from one refit over
-        windows to the next: a wide corner shows the way, a sharp one is felt only where it is passed; over whole
-        records it is as sharp as it is, as nothing that is rounded follows these.
+        Corners of a law are as wide as its motion at first, and sharper from one refit over windows to the next: a wide
+        one shows the way, a sharp one is felt only where it is passed; over whole records they are not rounded so.
         most : chi-squared beyond which nobody asks for the end: what windows leave is the least that it can be
         """
         return self._ended(effects, start, windows=True, most=most)
@@ -366,7 +365,9 @@ class Path:
                     self.bounds[form] = min(way.there.cost, self.bounds.get(form, math.inf))
                     if way.there.cost > most:
                         return None
-                found = way and (way.end or self._after_windows(effects, way, patience, lags))
+                found = (
+                    way.end or self._after_windows(effects, way, patience, lags) if way is not None else None
+                )
                 if found is None or (way is not None and self._astray(effects, start, lags, found)):
                     there = self._ended_with(effects, start, patience, lags, None)
                     found = min(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 
-from casadi_engine.discrepancy.common_delay import common_delay
+from casadi_engine.discrepancy.common_delay import as_an_input, common_delay
 from casadi_engine.discrepancy.constant_inputs import constant_inputs
 from casadi_engine.discrepancy.exchanged_units import exchanges
 from casadi_engine.estimation.summary import BOUND_WORDS, count, number, with_error
@@ -48,6 +48,7 @@ def first_words(repair: Repair) -> list[str]:
         if key in repair.options
     ]
     said += [late] if (late := common_delay(repair)) else []
+    said += as_an_input(repair)
     said += constant_inputs(repair)
     said += _of_internal_ports(repair.null_fit.model)
     if is_blind(repair) and _only_internal(repair.null_fit.model):

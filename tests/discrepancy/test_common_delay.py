@@ -5,7 +5,8 @@ from types import SimpleNamespace
 import casadi as ca
 import pytest
 
-from casadi_engine.discrepancy.common_delay import common_delay
+from casadi_engine.discrepancy.common_delay import as_an_input, common_delay
+from casadi_engine.model.term import NotApplicable
 
 
 def late(*delays, inputs=("u",), outputs=2, timed=False):
@@ -20,6 +21,7 @@ def late(*delays, inputs=("u",), outputs=2, timed=False):
         SimpleNamespace(
             name="sensor_delay", at=f"sensor_y{k}",
             amplitude=SimpleNamespace(value=value, stderr=error, quadratic=None),
+            members=(SimpleNamespace(name="sensor_delay", at=f"sensor_y{k}"),),
         )
         for k, (value, error) in enumerate(delays)
     ]  # fmt: skip
@@ -55,3 +57,19 @@ def test_a_delay_of_the_only_sensor_may_be_that_of_the_input():
 )
 def test_nothing_is_said_of_other_delays(other):
     assert common_delay(other) == ""
+
+
+@pytest.mark.parametrize(("at", "said"), [("air", True), ("food", False)])
+def test_a_constant_may_be_an_offset_of_an_input(at, said):
+    """Where it stands at the place at which the input acts, in the class of what was found."""
+    why = [
+        NotApplicable("input_offset", "input_Tamb", (), (), "constant_torque at air does the same"),
+        NotApplicable("asymmetric_friction", "air", (), (), "the records move in one direction alone"),
+    ]
+    members = [
+        SimpleNamespace(name="coulomb_friction", at="air"),
+        SimpleNamespace(name="constant_torque", at=at),
+    ]
+    repair = SimpleNamespace(not_applicable=why, effects=[SimpleNamespace(members=members)])
+    words = "A constant at air is what an offset of the input Tamb does: no data tell them apart"
+    assert as_an_input(repair) == ([words] if said else [])
