@@ -332,7 +332,13 @@ def _noise_words(
     found = []
     for one in noises:
         key = f"{search.records[one.at].experiment.name}/{one.output}"
-        if one.level is not None:
+        if one.level is not None and one.others is not None and one.level > one.others:
+            found.append(
+                f"the residual of {key} is {one.level / one.others:.2g} times as large as that of {one.output} in the "
+                "other records, and one noise level is estimated for all: quieter records count for less than they are "
+                f"worth, and {then.replace('white noise', 'one level')}"
+            )
+        elif one.level is not None and one.others is None:
             sigma = float(search.sigma[search.levels.outputs.index(one.output)])
             found.append(
                 f"the residual of {one.output} is {one.level:.3g} times the stated noise level of {sigma:.3g}: the "

@@ -3,9 +3,9 @@
 A fit weighs all samples alike. With J the weighted slopes of the outputs and V the covariance of the weighted noise,
 its estimates scatter by A^-1 B A^-1, A = J'J and B = J'VJ, priors in both; A^-1 is right for V = 1 alone. V is that of
 an autoregression of the residual where neighbours go together, and the mean square of the residual where this is
-larger than stated. Estimates take part of the noise out of the residual, the more the slower it is; what they took is
-known from their errors, so that both are found in turn. No error becomes smaller than that of white noise of the fit's
-levels.
+larger than stated, or in one record larger than in the others. Estimates take part of the noise out of the residual,
+the more the slower it is; what they took is known from their errors, so that both are found in turn. No error becomes
+smaller than that of white noise of the fit's levels.
 
 Source: White, Econometrica 48 (1980) 817; with autoregressions, den Haan & Levin (1997).
 """
@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_engine.distributions import chi2_sf
+from casadi_engine.distributions import chi2_sf, f_sf
 from casadi_engine.estimation.autoregression import autoregression
 from casadi_engine.estimation.dichotomy import grows
 from casadi_engine.estimation.loss import Loss
@@ -35,6 +35,8 @@ Array = NDArray[np.float64]
 _COLOUR, _FEW = 3.0, 30
 # A sum of squares that chance makes so rarely is not of the stated noise level.
 _IMPOSSIBLE = 1e-9
+# So rarely chance makes the residual of a record that much larger than that of the others, whose level is one.
+_UNEVEN = 1e-2
 # Errors and colour are found in turn until no error moves by this share, or so often: of a residual that is one slow
 # arc, as that of a model that is far off, each round adds as much again.
 _SETTLED, _ROUNDS = 0.01, 5
@@ -51,7 +53,8 @@ class OwnNoise:
     """The residual of one output of a record, in its levels, where it is not white noise of the level 1.
 
     at : number of the record; residual : (n,) along its channel, 0 where not valid (n,); neighbours : their
-    correlation, None where it is white; level : root mean square where the output is louder than stated, else None
+    correlation, None where it is white; level : root mean square where the output is louder than stated, or where
+    records differ, else None; others : root mean square in the other records, None where the level was stated
     """
 
     at: int
@@ -60,12 +63,13 @@ class OwnNoise:
     valid: NDArray[np.bool_]
     neighbours: float | None
     level: float | None
+    others: float | None = None
 
 
 def own_noise(search: Search, best: Attempt) -> tuple[OwnNoise, ...]:
     """The outputs of all records whose residuals are coloured or larger than stated."""
     points = search.problem.at(best.solution.x).records
-    louder = _louder(search, points)
+    louder, uneven = _louder(search, points), _uneven(search, points)
     found = []
     for at, (record, point) in enumerate(zip(search.records, points, strict=True)):
         for name in record.observation.where:
@@ -74,10 +78,39 @@ def own_noise(search: Search, best: Attempt) -> tuple[OwnNoise, ...]:
             if len(r) >= _FEW and not search.levels.rounding(name, r, search.sigma):
                 share = float(r[1:] @ r[:-1] / (r @ r))
                 neighbours = share if share * np.sqrt(len(r)) > _COLOUR else None
-            if neighbours is not None or name in louder:
+            level, others = uneven.get((at, name), (louder.get(name), None))
+            if neighbours is not None or level is not None:
                 residual, valid = _along(record, point, name, search.loss)
-                found.append(OwnNoise(at, name, residual, valid, neighbours, louder.get(name)))
+                found.append(OwnNoise(at, name, residual, valid, neighbours, level, others))
     return tuple(found)
+
+
+def _uneven(search: Search, points: Sequence[RecordPoint]) -> dict[tuple[int, str], tuple[float, float]]:
+    """Number of a record and output -> the residual's size there and in the other records, in the one level that was
+    estimated for all, where it is larger in one of them than chance makes it."""
+    found: dict[tuple[int, str], tuple[float, float]] = {}
+    for name, estimated in zip(search.records[0].outputs, search.levels.estimated, strict=True):
+        rows = {
+            at: _counted(record, point.r, name)
+            for at, (record, point) in enumerate(zip(search.records, points, strict=True))
+            if name in record.observation.where
+        }
+        count = sum(map(len, rows.values()))
+        left = 1 - search.free_count / count if count else 0.0
+        if not estimated or search.loss.robust or len(rows) < 2 or left <= 0:
+            continue
+        total = float(sum(r @ r for r in rows.values()))
+        sizes = {}
+        for at, r in rows.items():
+            own, rest = left * len(r), left * (count - len(r))
+            if own >= 1 and rest >= 1:
+                sizes[at] = own, rest, float(r @ r) / own, (total - float(r @ r)) / rest
+        least = _UNEVEN / len(rows)
+        if any(
+            below > 0 and f_sf(size / below, own, rest) < least for own, rest, size, below in sizes.values()
+        ):
+            found |= {(at, name): (math.sqrt(one[2]), math.sqrt(one[3])) for at, one in sizes.items()}
+    return found
 
 
 def _louder(search: Search, points: Sequence[RecordPoint]) -> dict[str, float]:
@@ -135,10 +168,16 @@ def with_own_noise(
     matrix, more = errors.told, np.zeros_like(white)
     for _ in range(_ROUNDS):
         before, more, few = matrix, np.zeros_like(white), math.inf
+        uneven, even = np.zeros_like(white), np.zeros_like(white)
         for one, own, at in zip(noises, slopes, places, strict=True):
             scatter, samples = _scatter(one, own, matrix[np.ix_(at, at)])
-            more[np.ix_(at, at)] += _beyond(scatter, own.T @ own)
             few = min(few, samples)
+            if one.others is None or one.neighbours is not None:
+                more[np.ix_(at, at)] += _beyond(scatter, own.T @ own)
+            else:  # of louder records and quieter ones together
+                uneven[np.ix_(at, at)] += scatter
+                even[np.ix_(at, at)] += own.T @ own
+        more += _beyond(uneven, even)
         matrix = errors.told + errors.scattered(more)
         then, now = (np.sqrt(np.maximum(np.diag(a), 0.0)) for a in (before, matrix))
         if (np.abs(now - then) <= _SETTLED * size).all():

@@ -69,6 +69,46 @@ def test_a_level_stated_too_small_is_made_up_for():
     assert any("they are up to 4.6 times those of that level" in words for words in small.messages)
 
 
+def two_records(seed, louder, *, shorter=1):
+    """The same motion twice, with noise of 0.02 and of ``louder`` times that; the first in a part of its length."""
+    random = np.random.default_rng(seed)
+    quiet = record(0.02 * random.standard_normal(400))
+    quiet = quiet.between(0.0, TIME[-1] / shorter) if shorter > 1 else quiet
+    return quiet, record(louder * 0.02 * random.standard_normal(400), "other")
+
+
+def test_where_records_tell_the_same_one_level_for_both_makes_right_errors():
+    fit = fitted(two_records(0, 5.0))
+    (said,) = (text for text in fit.messages if "other records" in text)
+    assert said.startswith(
+        "the residual of other/omega is 5.1 times as large as that of omega in the other records"
+    )
+    assert "quieter records count for less than they are worth" in said
+    assert fit.own_noise["C_eng"] == pytest.approx(1.0, abs=0.02)
+
+
+def test_where_the_louder_record_tells_the_most_errors_count_with_its_noise():
+    """400 samples of 5 beside 80 of 1: the level of all is 4.6, that of the louder one is 1.09 times it."""
+    fit = fitted(two_records(0, 5.0, shorter=5))
+    assert 1.04 < fit.own_noise["C_eng"] < 1.13
+    few = fitted(
+        two_records(0, 1 / 5, shorter=5)
+    )  # the short record is the louder one, the long one tells more
+    assert any("the residual of run/omega is" in text for text in few.messages)
+    assert few.own_noise["C_eng"] == 1.0
+
+
+@pytest.mark.slow
+def test_estimates_of_uneven_records_scatter_as_their_errors_say():
+    own = off([fitted(two_records(seed, 5.0, shorter=5)) for seed in range(40)])
+    assert ((own > 0.78) & (own < 1.25)).all()  # a ninth by chance
+
+
+def test_records_of_one_noise_are_hardly_ever_called_uneven():
+    told = sum("other records" in " ".join(fitted(two_records(seed, 1.0)).messages) for seed in range(20))
+    assert told <= 1
+
+
 def test_noise_that_is_smaller_than_stated_makes_no_error_smaller():
     data = record(coloured(2, 0.9, 0.001))
     own, curvature = (
