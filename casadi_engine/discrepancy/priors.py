@@ -1,8 +1,8 @@
 """What is known of a model's free numbers before the data: weak and physical, in the scales of the records.
 
 An amplitude is scaled by what it does: at one prior standard deviation it moves an output by the output's own
-variation (an error of a sensor, by a twentieth of it; a stated number that may be wrong, by a tenth of itself). That
-holds in any units and any way of writing the model.
+variation (an error of a sensor, and an input that comes late, by a twentieth of it, as the two may be one; a stated
+number that may be wrong, by a tenth of itself). That holds in any units and any way of writing the model.
 """
 
 from __future__ import annotations
@@ -54,7 +54,8 @@ def _amplitude(null: NullModel, k: int, one: Addition) -> float:
     if kind in ("sensor", "input") and one.bounds.name == "gain" and value > WRONG:
         # no calibration, but units that were exchanged or edges counted twice, at either end alike
         return value
-    share = SENSOR if kind == "sensor" else PHYSICAL
+    late = kind == "input" and one.bounds.name == "share"
+    share = SENSOR if kind == "sensor" or late else PHYSICAL
     step = float(np.linalg.norm(null.turn[k]))
     direction = int(np.argmax(np.abs(null.turn[k])))
     sizes = []
