@@ -278,11 +278,22 @@ def _error(estimate: Estimate) -> float | None:
     return None if estimate.at_bound or estimate.fixed else estimate.stderr
 
 
+def _open_to(interval: tuple[float, float], parameter: Parameter | None) -> str:
+    """Which ends of an interval the bounds set, not the data."""
+    bounds = (None, None) if parameter is None else (parameter.min, parameter.max)
+    sides = [
+        words
+        for end, bound, words in zip(interval, bounds, ("lower", "upper"), strict=True)
+        if bound is not None and math.isclose(end, bound, rel_tol=1e-9, abs_tol=1e-300)
+    ]
+    return f" (open to its {' and its '.join(sides)} bound)" if sides else ""
+
+
 def _notes(fit: Fit, name: str, estimate: Estimate) -> list[str]:
     parameter = parameter_of(fit, name)
     notes = []
     if estimate.interval is not None:
-        notes.append(with_interval(*estimate.interval))
+        notes.append(with_interval(*estimate.interval) + _open_to(estimate.interval, parameter))
     if estimate.at_bound:
         notes.append(f"at its {BOUND_WORDS[estimate.at_bound]} bound: no symmetric error")
     if name in fit.start:

@@ -1,5 +1,7 @@
 """Intervals by a few refits of the problem that a fit has set up, against the profiles that are drawn in full."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -70,3 +72,24 @@ def test_progress_shows_the_search_and_not_the_refits():
     )  # fmt: skip
     assert any(one.interval for one in fit.estimates.values())
     assert seen.count(0) == 1
+
+
+@pytest.mark.parametrize(
+    ("ends", "words"),
+    [
+        ((1e-3, 2.0), " (open to its lower bound)"),
+        ((0.1, 1e3), " (open to its upper bound)"),
+        ((1e-3, 1e3), " (open to its lower and its upper bound)"),
+        ((0.1, 2.0), ""),
+    ],
+)
+def test_an_end_that_is_a_bound_says_so(ends, words):
+    fit = ce.estimate(
+        ce.one_inertia(), run_up(), parameters=parameters(), noise=ce.Noise(omega=0.6),
+        initial={"omega_eng": 0.0}, progress=False,
+    )  # fmt: skip
+    own = replace(fit.estimates["J_eng"], interval=ends, stderr=None)
+    text = str(replace(fit, estimates={**fit.estimates, "J_eng": own}))
+    (line,) = (line for line in text.splitlines() if line.startswith("  J_eng"))
+    assert ("open to" in line) == bool(words)
+    assert words in line
