@@ -21,6 +21,8 @@ _MISREAD = (-1.0, 2.0, 4.0)
 # Share of its signal with which a sensor may lag: with all of it, but for errors; where these are larger, a delay does
 # as well.
 LAG, _WHOLE = "sensor_lag", 1.1
+# Effects by which an input is late, with all of it but for errors and for what else is missing.
+BEHIND = ("input_lag", "input_delay")
 # Share of a record by which a sensor may be late: with a longer delay most of what it shows is of no time that was
 # simulated.
 _LATE = 0.5
@@ -43,15 +45,18 @@ def exchanges(unit: str) -> Iterator[tuple[str, str, float]]:
 def impossible(
     effects: Sequence[Addition], values: Mapping[str, float], model: Model, data: Sequence[Experiment]
 ) -> bool:
-    """True if an effect would be what none is: see ``impossible_gain``; or a delay of a sensor by more than half of a
-    record."""
+    """True if an effect would be what none is: see ``impossible_gain``; a delay of a sensor by more than half of a
+    record; or a small share of an input that is late, or far more than all of it."""
     shortest = min(record.duration for record in data)
     late = (
         abs(values.get(one.amplitude, 0.0)) > _LATE * shortest
         for one in effects
         if getattr(one.candidate.source.effect, "retards", False)
     )
-    return any(late) or impossible_gain(effects, values, model)
+    partly = (
+        abs(values.get(one.amplitude, 1.0) - 1) > WRONG for one in effects if one.candidate.effect in BEHIND
+    )
+    return any(late) or any(partly) or impossible_gain(effects, values, model)
 
 
 def more_than_whole(effects: Sequence[Addition], values: Mapping[str, float]) -> bool:

@@ -118,3 +118,16 @@ def test_no_sensor_is_late_by_most_of_a_record(delay, too_late):
     candidate = SimpleNamespace(effect="sensor_delay", port="sensor_w", source=SimpleNamespace(effect=effect))
     one = SimpleNamespace(candidate=candidate, amplitude="sensor_w.sensor_delay.delay")
     assert impossible([one], {one.amplitude: delay}, None, data) is too_late
+
+
+@pytest.mark.parametrize("effect", ["input_lag", "input_delay"])
+@pytest.mark.parametrize(
+    ("share", "told"), [(0.06, True), (0.6, False), (1.0, False), (1.4, False), (1.8, True)]
+)
+def test_an_input_is_late_with_all_of_it(effect, share, told):
+    one = SimpleNamespace(
+        candidate=SimpleNamespace(effect=effect, port="input_u", source=SimpleNamespace(effect=None)),
+        amplitude="input_u.share",
+    )
+    data = [SimpleNamespace(duration=10.0)]
+    assert impossible([one], {one.amplitude: share}, None, data) is told
