@@ -80,7 +80,8 @@ class _Behind(Effect):
         name = port.name.partition("_")[2]
         if name not in record:
             return self
-        first = float(record[name].values[0])
+        known = record[name].values[record[name].mask]
+        first = float(known[0]) if len(known) else 0.0
         return replace(self, first=first, span=self.span or time_constants(record[name].time, self.shortest))
 
     def idle(self, port: Any) -> str:

@@ -58,7 +58,8 @@ def twins(search: Search, errors: Uncertainty, residuals: Sequence[Array], limit
         if moved @ metric @ moved < _ALIKE or search.constraints.violated(v):
             continue
         try:
-            left = [_best(search, record, v, errors.x, k) for k, record in enumerate(search.records)]
+            with np.errstate(all="ignore"):  # a model may have no value there
+                left = [_best(search, record, v, errors.x, k) for k, record in enumerate(search.records)]
         except (FloatingPointError, np.linalg.LinAlgError, ModelError):
             continue
         higher = printed_cost(search, v, left) - here

@@ -208,9 +208,8 @@ class _Record:
         )
         self.record.set_sigma(np.ones(len(self.outputs)))
         self.sigma = np.array([fit.noise.get(name, (np.nan, False))[0] for name in self.outputs])
-        self._least = float(
-            np.nanmin(self.sigma, initial=np.inf)
-        )  # outputs are integrated to a share of this
+        # outputs are integrated to a share of this
+        self._least = float(np.nanmin(self.sigma, initial=np.inf))
         free = [isinstance(initial[s.name], Estimate) and not initial[s.name].fixed for s in model.states]
         self.free = np.flatnonzero(free)
         first = [getattr(initial[s.name], "value", initial[s.name]) for s in model.states]

@@ -94,6 +94,13 @@ def test_times_are_those_that_a_record_can_show():
     assert InputLag(span=(1.0, 2.0)).fitted(view, record(), {}).span == (1.0, 2.0)
 
 
+def test_an_input_that_lacks_its_first_samples_begins_at_the_first_that_is_known():
+    view = PortView(tank(), tank().ports["input_u"])
+    late = record(np.where(TIME < 0.35, np.nan, STEPS + TIME))
+    found = InputLag().fitted(view, late, {}).first
+    assert found == pytest.approx(STEPS[4] + TIME[4])
+
+
 def test_a_constant_input_is_not_looked_at():
     model = tank()
     candidates = ce.effects.candidates(
