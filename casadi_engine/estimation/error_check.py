@@ -56,6 +56,8 @@ _BENDS = 1.0
 # Chi-squared above the lowest at which another optimum still counts: it has exp(-5) of the likelihood, and where there
 # is one there may be others that no start has met.
 _RIVAL = 10.0
+# Chi-squared below which a place is no lower.
+_LOWER = 0.1
 # Share of a quantity's variance along a doubted direction from which its error is doubted: where optima may be twelve
 # standard errors apart, that is a tenth of one; where an interval changes its shape, or to another optimum, a third.
 _SHARE = {"rugged": 1e-4, "curved": 0.1, "rival": 0.1}
@@ -409,11 +411,17 @@ def _exchanged(search: Search, errors: Uncertainty, residuals: Sequence[Array]) 
     found = []
     for twin in twins(search, errors, residuals, _RIVAL):
         one, other = twin.names
-        text = (
-            f"the data are explained as well with {one} and {other} exchanged (chi-squared {max(twin.higher, 0.0):.2g} "
-            f"higher): their errors are not known; tell them apart by bounds, or by "
-            f'pars.constrain("{one} - {other}", min=0) or max=0, or {CALL}'
-        )
+        if twin.higher < -_LOWER:
+            text = (
+                f"the data are explained better with {one} and {other} exchanged (chi-squared {-twin.higher:.2g} "
+                "lower): this is not the lowest optimum; start from there, or search with starts=10"
+            )
+        else:
+            text = (
+                f"the data are explained as well with {one} and {other} exchanged (chi-squared "
+                f"{max(twin.higher, 0.0):.2g} higher): their errors are not known; tell them apart by bounds, or by "
+                f'pars.constrain("{one} - {other}", min=0) or max=0, or {CALL}'
+            )
         found.append(Doubt("rival", text, _with_states(errors, twin.v)))
     return found
 

@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.errors import ModelError
+from casadi_engine.estimation.chained import chained_slopes
 from casadi_engine.estimation.final_check import printed_cost, residual, response
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.search import Search
 from casadi_engine.estimation.standard_errors import Uncertainty
-from casadi_engine.estimation.starts import nodes_by_first
+from casadi_engine.estimation.starts import chained_nodes, nodes_by_first
 
 Array = NDArray[np.float64]
 
@@ -24,6 +25,8 @@ Array = NDArray[np.float64]
 _ALIKE, _WORK = 25.0, 3e6
 # Share of the information below which a state shows nothing.
 _BLIND = 1e-12
+# Steps of the others at an exchange; chi-squared that one leaves, as a share, for another to be worth its time.
+_STEPS, _FALLS = 4, 0.5
 
 
 @dataclass(frozen=True)
@@ -37,8 +40,8 @@ class Twin:
 
 
 def twins(search: Search, errors: Uncertainty, residuals: Sequence[Array], limit: float) -> list[Twin]:
-    """The pairs of one unit whose exchange raises chi-squared by less than ``limit``, all else as it is but for the
-    first states of linear models, which are at their best.
+    """The pairs of one unit whose exchange raises chi-squared by less than ``limit``, the others and the first states
+    at their best.
 
     residuals : (K, M) of each record at the optimum
     """
@@ -46,8 +49,8 @@ def twins(search: Search, errors: Uncertainty, residuals: Sequence[Array], limit
     nv = search.problem.nv
     metric = np.linalg.pinv(errors.covariance.matrix[:nv, :nv], hermitian=True)
     most = int(_WORK // max(search.problem.samples, 1))
-    for count, (i, j) in enumerate(_pairs(search)):
-        if count == most:
+    for i, j in _pairs(search):
+        if most <= 0:
             break
         z = search.coordinates.values(errors.v)
         z[[i, j]] = z[[j, i]]
@@ -55,17 +58,97 @@ def twins(search: Search, errors: Uncertainty, residuals: Sequence[Array], limit
             continue
         v = search.coordinates.of(z)
         moved = v - errors.v
-        if moved @ metric @ moved < _ALIKE or search.constraints.violated(v):
+        if moved @ metric @ moved < _ALIKE:
             continue
+        exchange = _Exchange(search, errors, (i, j), here + limit)
         try:
             with np.errstate(all="ignore"):  # a model may have no value there
-                left = [_best(search, record, v, errors.x, k) for k, record in enumerate(search.records)]
+                higher = exchange.settled(v) - here
         except (FloatingPointError, np.linalg.LinAlgError, ModelError):
-            continue
-        higher = printed_cost(search, v, left) - here
-        if higher < limit:
-            found.append(Twin((search.pmap.free[i], search.pmap.free[j]), v, higher))
+            higher = np.inf
+        most -= exchange.work
+        if higher < limit and not search.constraints.violated(exchange.v):
+            found.append(Twin((search.pmap.free[i], search.pmap.free[j]), exchange.v, higher))
     return found
+
+
+class _Exchange:
+    """Two parameters exchanged, and what the others make of it.
+
+    work : simulations so far; v : (nv,) where the exchange ended
+    """
+
+    def __init__(self, search: Search, errors: Uncertainty, held: tuple[int, int], limit: float) -> None:
+        self._search, self._held, self._limit, self.work = search, list(held), limit, 0
+        self.v = errors.v
+        self._starts = [lay.take(errors.x)[0] for lay in search.problem.layouts]
+
+    def settled(self, v: Array) -> float:
+        """Chi-squared with the exchange at v (nv,), the others going on from there where that serves."""
+        cost = self._cost(v)
+        for _ in range(_STEPS):
+            before = cost
+            if cost < self._limit or self._search.predictor.kind != "none":
+                break
+            v = self._stepped(v)
+            cost = self._cost(v)
+            if not cost < _FALLS * before:
+                break
+        self.v = v
+        return cost
+
+    def _cost(self, v: Array) -> float:
+        self.work += 1
+        search = self._search
+        left = [
+            _best(search, record, v, start, k)
+            for k, (record, start) in enumerate(zip(search.records, self._starts, strict=True))
+        ]
+        return printed_cost(search, v, left)
+
+    def _stepped(self, v: Array) -> Array:
+        """The point (nv,) after a Gauss-Newton step of all but the two, straight in the parameters as they are printed:
+        a gain is met in one, however far it is."""
+        search, nv, at = self._search, len(v), len(v)
+        sizes = [record.n for record in search.records]
+        gradient, matrix = np.zeros(nv + sum(sizes)), np.zeros((nv + sum(sizes), nv + sum(sizes)))
+        _, gradient[:nv], _, matrix[:nv, :nv] = search.problem.priors.evaluate(v)
+        for record, start in zip(search.records, self._starts, strict=True):
+            self.work += 1 + len(record.active) + record.n
+            point = record.evaluate(v, chained_nodes(record, v, start))
+            slopes = chained_slopes(record, point)
+            slopes = slopes.reshape(len(slopes), -1)
+            own = np.concatenate([record.active, np.arange(at, at + record.n)])
+            gradient[own] += slopes @ point.r.ravel()
+            matrix[np.ix_(own, own)] += slopes @ slopes.T
+            at += record.n
+        unit = np.concatenate([search.coordinates.slope(v), np.ones(sum(sizes))])
+        now = np.concatenate([search.coordinates.values(v), *self._starts])
+        low, high = self._limits()
+        free = low < high
+        free[self._held] = False
+        moved = _least_squares(gradient / unit, matrix / np.outer(unit, unit), free)
+        after = np.clip(now + moved, low, high)
+        self._starts = np.split(after[nv:], np.cumsum(sizes)[:-1])
+        return search.coordinates.of(after[:nv])
+
+    def _limits(self) -> tuple[Array, Array]:
+        """Bounds (N,) of parameters, as they are printed, and of first states."""
+        search = self._search
+        low, high = (
+            np.concatenate([values, *(ends[lay.at : lay.at + lay.n] for lay in search.problem.layouts)])
+            for values, ends in ((search.pmap.lower, search.lower), (search.pmap.upper, search.upper))
+        )
+        return low, high
+
+
+def _least_squares(gradient: Array, matrix: Array, free: NDArray[np.bool_]) -> Array:
+    """The step (N,) to the minimum of a quadratic, of what is free alone; none along what it does not know."""
+    moved = np.zeros(len(gradient))
+    size = np.sqrt(np.maximum(np.diag(matrix)[free], 1e-300))
+    whole = matrix[np.ix_(free, free)] / np.outer(size, size)
+    moved[free] = -np.linalg.lstsq(whole, gradient[free] / size, rcond=_BLIND)[0] / size
+    return moved
 
 
 def _pairs(search: Search) -> Iterator[tuple[int, int]]:
@@ -75,10 +158,10 @@ def _pairs(search: Search) -> Iterator[tuple[int, int]]:
         yield from ((i, j) for j in range(i + 1, len(units)) if units[j] == unit)
 
 
-def _best(search: Search, record: RecordTerm, v: Array, x: Array, k: int) -> Array:
-    """The weighted residual (K, M) of a record with parameters v, its first state as it serves best."""
+def _best(search: Search, record: RecordTerm, v: Array, start: Array, k: int) -> Array:
+    """The weighted residual (K, M) of a record with parameters v from a first state; linear models as it serves
+    best."""
     lay = search.problem.layouts[k]
-    start = lay.take(x)[0]
     if not record.linear:
         return residual(record, response(record, v, start)[0])
     own = slice(lay.at, lay.at + lay.n)

@@ -29,6 +29,9 @@ _NODE_STEPS, _SMALL, _DAMPING, _HINDER, _BLIND = 10, 1e-2, 1e-2, 6.0, 1e-6
 _CLOSINGS, _CLOSED = 10, 1e-11
 # A start is drawn within this factor of the given one where the bounds leave more room.
 _REACH = 3.0
+# Starts that are drawn near, before every other one is drawn from all that the bounds allow, or this power of the reach
+# where there are none.
+_NEAR, _FARTHER = 3, 3
 
 
 def nodes_from_measurement(record: RecordTerm, physical: Array) -> Array:
@@ -244,26 +247,36 @@ def _joined(record: RecordTerm, v: Array, nodes: Array) -> Array | None:
 
 
 def drawn_starts(
-    pmap: ParameterMap, count: int, seed: int, reach: float = _REACH, scale: Array | None = None
+    pmap: ParameterMap, count: int, seed: int, reach: float | None = None, scale: Array | None = None
 ) -> list[Array]:
-    """``count`` starts of z: the given one, then points drawn within the bounds and a factor ``reach`` of it.
+    """``count`` starts of z: the given one, then points drawn within the bounds and a factor ``reach`` of it; without
+    a reach every other one beyond the first few is drawn from all that the bounds allow.
 
     scale : (nz,) sizes in place of those of the set, for entries that are 0 or negative
     """
     scale = pmap.scale if scale is None else scale
+    random = np.random.default_rng(seed)
     starts = [pmap.start.copy()]
-    rng = np.random.default_rng(seed)
-    for _ in range(count - 1):
-        share = rng.random(len(pmap.start))
-        point = np.empty(len(share))
-        for i, part in enumerate(share):
-            low, high, at = pmap.lower[i], pmap.upper[i], pmap.start[i]
-            if low >= 0 and at > 0:
-                low, high = max(low, at / reach), min(high, at * reach)
-                point[i] = low * (high / low) ** part
-            else:
-                width = reach * scale[i]
-                low, high = max(low, at - width), min(high, at + width)
-                point[i] = low + (high - low) * part
-        starts.append(point)
+    for k in range(1, count):
+        share = random.random(len(pmap.start))
+        far = reach is None and k > _NEAR and k % 2 == 0
+        within = reach or _REACH ** (_FARTHER if far else 1)
+        starts.append(_drawn(pmap, share, within, scale, far=far))
     return starts
+
+
+def _drawn(pmap: ParameterMap, share: Array, reach: float, scale: Array, *, far: bool) -> Array:
+    """The point z at these shares (nz,) of the ways between the ends; far : bounds are the ends where there are both."""
+    point = np.empty(len(share))
+    for i, part in enumerate(share):
+        low, high, at = pmap.lower[i], pmap.upper[i], pmap.start[i]
+        both = far and np.isfinite(high) and np.isfinite(low)
+        if low >= 0 and at > 0:
+            low = max(low, at / reach) if not both or low == 0 else low
+            high = high if both else min(high, at * reach)
+            point[i] = low * (high / low) ** part
+        else:
+            width = reach * scale[i]
+            low, high = (low, high) if both else (max(low, at - width), min(high, at + width))
+            point[i] = low + (high - low) * part
+    return point

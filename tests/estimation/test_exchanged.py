@@ -96,3 +96,38 @@ def test_a_model_that_is_not_linear():
     fit = ce.estimate(b.model(), data, noise=ce.Noise(y=0.01), initial={"x": 2.0, "v": 0.0}, progress=False)
     assert set(fit.doubted) == {"p", "q"}
     assert any("p and q exchanged" in text for text in fit.messages)
+
+
+def driven(*, fed):
+    """u -> A -> B, of which B is measured, u fed with a gain: where that is free the rates may be exchanged."""
+    b = ce.Blueprint("driven")
+    k1, k2 = (b.parameter(name, value, unit="1/s", min=0.01, max=50) for name, value in (("k1", 3), ("k2", 0.3)))
+    gain = b.parameter("g", 2.0, min=1e-3, max=1e3) if fed else 2.0
+    u, amount, made = b.input("u"), b.state("A"), b.state("B")
+    b.ode("A", gain * u - k1 * amount)
+    b.ode("B", k1 * amount - k2 * made - (0.05 * made**2 if fed == "and bent" else 0.0))
+    b.output("y", made)
+    return b.model()
+
+
+@pytest.mark.parametrize("start", [(3.0, 0.3, 2.0), (0.05, 10.0, 1.0)])
+def test_another_parameter_may_have_to_follow_an_exchange(start):
+    """The exchanged one has the gain of k1 / k2 times the first; twice a step it is met at once."""
+    t = np.linspace(0, 10, 81)
+    u = np.floor(t / 2) % 2
+    y = solve_ivp(
+        lambda s, x: [2 * np.interp(s, t, u) - 3 * x[0], 3 * x[0] - 0.3 * x[1]], (0, 10), [0.0, 0.0], t_eval=t,
+        rtol=1e-9, atol=1e-10, max_step=0.05,
+    ).y[1]  # fmt: skip
+    noise = SIGMA * np.random.default_rng(1).standard_normal(81)
+    data = ce.Experiment.from_arrays("r", time=t, units={"y": "1", "u": "1"}, u=u, y=y + noise)
+    pars = driven(fed="by a gain").parameters()
+    for name, value in zip(("k1", "k2", "g"), start, strict=True):
+        pars[name].set(value)
+    fit = fitted(driven(fed="by a gain"), data, pars, initial={"A": 0.0, "B": 0.0})
+    assert set(fit.doubted) == {"k1", "k2", "g"}
+    assert any("k1 and k2 exchanged (chi-squared" in text for text in fit.messages)
+    told = fitted(driven(fed=None), data, initial={"A": 0.0, "B": 0.0})
+    assert not told.doubted
+    bent = fitted(driven(fed="and bent"), data, initial={"A": 0.0, "B": 0.0})
+    assert not any("exchanged" in text for text in bent.messages)

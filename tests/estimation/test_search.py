@@ -94,7 +94,7 @@ def test_starts_lie_within_the_bounds_and_reach(shaft_model):
     pars.constrain("offset + J_eng", -100.0, 100.0)
     pmap = compile(pars, model.parameter_names)
     sizes = np.where(np.array(pmap.free) == "C_el", 3.2, pmap.scale)  # as the data feel it: 0 is no size
-    starts = np.array(drawn_starts(pmap, 200, 0, scale=sizes))
+    starts = np.array(drawn_starts(pmap, 200, 0, reach=3.0, scale=sizes))
     np.testing.assert_array_equal(starts[0], pmap.start)
     assert (starts >= pmap.lower).all()
     assert (starts <= pmap.upper).all()
@@ -105,6 +105,23 @@ def test_starts_lie_within_the_bounds_and_reach(shaft_model):
     assert column["K_el"].min() >= 90
     assert 9 < column["C_el"].max() <= 10
     assert -8 <= column["offset"].min() < column["offset"].max() <= 4
+
+
+def test_some_of_many_starts_are_drawn_from_all_that_the_bounds_allow(shaft_model):
+    pars = shaft_model().parameters()
+    pars["K_el"].set(100, min=1e-2, max=1e6)
+    pars["C_el"].set(1.0, min=0.0, max=1e3)
+    pmap = compile(pars, shaft_model().parameter_names)
+    starts = np.array(drawn_starts(pmap, 400, 0))
+    column = dict(zip(pmap.free, starts.T, strict=True))
+    assert column["K_el"][1:4] == pytest.approx(100, rel=2.1)  # the first ones are near
+    assert column["K_el"][4::2].min() < 0.03
+    assert column["K_el"][4::2].max() > 3e5
+    assert np.abs(np.log(column["K_el"][5::2] / 100)).max() < np.log(3.001)
+    assert column["C_el"][4::2].min() < 0.1  # from 0 on the logarithm has no end: a power of the reach
+    assert column["C_el"].max() > 300
+    assert (starts >= pmap.lower).all()
+    assert (starts <= pmap.upper).all()
 
 
 def test_a_start_at_which_the_model_fails_is_passed_over(line_data):
