@@ -41,6 +41,9 @@ _DIRECTIONS, _FAR = 3, 2.0
 _WIDE = 0.15
 # Nearest place to look from [standard errors].
 _NEAR = 0.2
+# Step at which the curvature is the surface's own: over a whole one a straight line leaves a valley that bends, which
+# noise does not make rugged, and what is seen falls with the step; where noise decides it is the same at any.
+_SHORT = 0.25
 # Squared residuals that closing the gaps between shooting intervals may change, and how often they are closed.
 _CLOSED, _CLOSINGS = 1e-3, 6
 # Rises of chi-squared over the quadratic's 4 that pass: the ends of an interval are then within 15 % of where ± has
@@ -224,7 +227,21 @@ class _Around:
         (low, bent, off), (high, other, away) = (
             self._seen(move, far, *one) for far, one in zip(fars, (there[0], there[1]), strict=True)
         )
-        return self._told(move, (low, high), max(bent, other), np.maximum(off, away))
+        curvature = max(bent, other)
+        if curvature > _RUGGED:
+            near = max(fars[0], -_SHORT), min(fars[1], _SHORT)
+            curvature = min(curvature, self._own_curvature(move, near, printed=printed))
+        return self._told(move, (low, high), curvature, np.maximum(off, away))
+
+    def _own_curvature(self, move: Array, fars: tuple[float, float], *, printed: bool) -> float:
+        """The intrinsic curvature over steps so short that a straight line is the surface's own way."""
+        found = 0.0
+        for far in fars:
+            there = self._simulated(move, far, printed=printed)
+            if there is None:
+                return np.inf
+            found = max(found, self._seen(move, far, *there)[1])
+        return found
 
     def _told(self, move: Array, rises: tuple[float, float], curvature: float, bends: Array) -> list[Doubt]:
         """The doubts that follow from what is seen along a line; see ``_seen``."""

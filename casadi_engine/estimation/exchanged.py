@@ -26,7 +26,7 @@ _ALIKE, _WORK = 25.0, 3e6
 # Share of the information below which a state shows nothing.
 _BLIND = 1e-12
 # Steps of the others at an exchange; chi-squared that one leaves, as a share, for another to be worth its time.
-_STEPS, _FALLS = 4, 0.5
+_STEPS, _FALLS = 8, 0.5
 
 
 @dataclass(frozen=True)

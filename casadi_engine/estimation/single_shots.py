@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from casadi_engine.estimation.chained import chained_slopes
 from casadi_engine.estimation.final_check import residual
-from casadi_engine.estimation.integration import shorten_steps
+from casadi_engine.estimation.integration import shift_of, shorten_steps, signed_errors
 from casadi_engine.estimation.loss import read_loss
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.search import Search
@@ -27,6 +27,8 @@ Place = tuple[str, str]
 
 # Steps of a search in the frequency domain; times that steps of the integration are made shorter.
 _STEPS, _SHORTENED = 100, 4
+# Standard errors from an optimum beyond which nothing counts.
+_COUNTS = 6.0
 
 
 def evaluator(
@@ -189,6 +191,20 @@ class SingleShots:
         if not np.isfinite(slopes).all():
             raise FloatingPointError("the sensitivities are not finite here")
         return residuals, slopes
+
+    def integrate_finely(self, x: Array, lowest: float) -> bool:
+        """Shorter steps for records whose integration is felt at x (nx,), where that may be within ``_COUNTS`` standard
+        errors of the lowest chi-squared; True if any has them now."""
+        v, at, changed = x[: len(self.free)], len(self.free), False
+        higher = float(np.square(self.residuals(x)).sum()) - lowest
+        misfit = lowest / max(self.count, 1)
+        for record in self._search.records:
+            nodes = _chained(record, v, x[at : at + record.n])
+            at += record.n
+            (error,) = signed_errors([record], v, [nodes])
+            if error is not None and np.sqrt(max(higher, 0.0)) - shift_of(record, error) < _COUNTS:
+                changed |= shorten_steps([record], v, [nodes], misfit)
+        return changed
 
     def _place(
         self, residuals: Array, record: RecordTerm, own: Array

@@ -43,6 +43,7 @@ class LaplaceLikelihood:
         self._shots, self._size = shots, len(v)
         self._outputs = tuple(dict.fromkeys(output for _, output in shots.places))
         self._best, self._at = np.concatenate([v, *first.values()]), v
+        self._last = self._best  # where the model was looked at last
         residual, slopes = shots.evaluate(self._best)
         # of each record: the places of its unknown initial states in x, and their prior; those that are known are
         # held, and take no part in the others' prior
@@ -69,6 +70,20 @@ class LaplaceLikelihood:
 
     def choose(self, points: object, sigma: Array, left_out: float = 0.0) -> None:
         """Nothing is left out here; see ``SpectralLikelihood``."""
+
+    def integrate_finely(self, v: Array, sigma: Array) -> bool:
+        """Shorter steps where those there are are too long for points v (P, nv), an optimum first; True if any are
+        shorter now."""
+        changed, lowest = False, np.inf
+        for one in v:
+            self._settled(one, sigma)
+            with np.errstate(all="ignore"):
+                try:
+                    lowest = min(lowest, float(np.square(self._shots.residuals(self._last)).sum()))
+                    changed |= self._shots.integrate_finely(self._last, lowest)
+                except (FloatingPointError, np.linalg.LinAlgError):
+                    continue
+        return changed
 
     def value(self, v: Array, sigma: Array) -> Array:
         """Log likelihood (P,) at v (P, nv) and noise levels (P, ny); -inf where the model cannot be evaluated."""
@@ -144,4 +159,5 @@ class LaplaceLikelihood:
                     return None
                 if not fall > _FALL:
                     break
+        self._last = x
         return (total, left, slopes) if np.isfinite(total) else None

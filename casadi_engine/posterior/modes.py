@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,8 @@ ALONG, WEAK, WIDE = (3.0, 6.0, 12.0), 2, (4.0, 16.0, np.inf)
 _AGAIN, _NEAR = 3, 10.0
 # Searches one after another that meet no new optimum so near the best: those from around, and those from rivals, end.
 IDLE = 12
+# Pairs of parameters that are exchanged for a start.
+_PAIRS = 6
 # Directions along which valleys are looked for.
 _DIRECTIONS = 6
 # Two optima are one within this distance, in squared standard errors; those so far below the best are left out.
@@ -41,7 +44,7 @@ class Modes:
 
     ended : (k,) searches that ended at each; searches : all of them
     valley : points (m, d) along the valleys that lead away from the best ones, with the information (m, d, d) there
-        and log densities (m,)
+        and log densities (m,); looked : points v (l, nv) where valleys were looked for
     """
 
     at: Array
@@ -50,6 +53,11 @@ class Modes:
     ended: NDArray[np.intp]
     searches: int
     valley: tuple[Array, Array, Array]
+    looked: Array
+
+    def places(self, nv: int) -> Array:
+        """The optima, the points along their valleys and those where one was looked for, as v (k, nv)."""
+        return np.concatenate([self.at[:, :nv], self.valley[0][:, :nv], self.looked])
 
     def again(self, target: Target) -> Modes:
         """The same with the heights of a target that has other bins by now."""
@@ -86,7 +94,7 @@ def find_modes(
         return None
     starts, around = _starts(target, fit, inverse(first.matrix), random, wide)
     searches = _Searches(target)
-    for start in [*starts, *met]:
+    for start in [*starts, *_exchanged(target), *met]:
         searches.one(start)
     searches.until_idle(around)
     found = searches.found
@@ -108,7 +116,7 @@ def find_modes(
     ]
     return Modes(
         at[order], information[order], height[order], np.array(searches.ended)[order], searches.tried,
-        _dense(target, along_valleys),
+        _dense(target, along_valleys), np.array([one for path in paths for one in path.looked]).reshape(-1, target.nv),
     )  # fmt: skip
 
 
@@ -210,6 +218,20 @@ def _starts(
     factor = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
     around = [_drawn(target, centre, factor, WIDE[k % len(WIDE)], random) for k in range(wide)]
     return [centre, *known, *lines], around
+
+
+def _exchanged(target: Target) -> list[Array]:
+    """The fit's own point with two parameters of one unit exchanged: rates in a row often have another optimum there,
+    which no direction from here leads to."""
+    z, found = target.coordinates.values(target.start[: target.nv]), []
+    for i, j in combinations(range(target.nv), 2):
+        if target.units[i] == target.units[j] and len(found) < _PAIRS:
+            other = z.copy()
+            other[[i, j]] = z[[j, i]]
+            at = target.coordinates.of(other)
+            if (at >= target.low[: target.nv]).all() and (at <= target.high[: target.nv]).all():
+                found.append(at)
+    return found
 
 
 def _drawn(target: Target, centre: Array, factor: Array, wide: float, random: np.random.Generator) -> Array:

@@ -13,6 +13,7 @@ from casadi_engine.blas_threads import one_blas_thread
 from casadi_engine.errors import PosteriorError, UntrustedPosteriorError
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.options import check_likelihood, chosen, whole
+from casadi_engine.posterior.box import Box
 from casadi_engine.posterior.drawing import OPTIMA, Drawing, Met
 from casadi_engine.posterior.drawn import Drawn
 from casadi_engine.posterior.left_out import SCATTER, with_all_data
@@ -36,6 +37,10 @@ WIDE = 4
 ROUNDING = 1e-9
 # How often optima are looked for at most: again where a draw lies higher than all of them.
 TRIALS = 4
+# So often at most after the integration has been made finer.
+REFINED = 4
+# Draws about optima and valleys at which the integration is looked at, for each parameter.
+LOOKED = 8
 
 
 @one_blas_thread
@@ -176,6 +181,11 @@ def _met(drawing: Drawing, fit: Fit, weak: list[Array], left_out: float) -> tupl
     for trial in range(TRIALS):
         drawing.tell("looking for optima")
         modes = find_modes(target, fit, drawing.random, wide=wide, met=found.higher)
+        for _ in range(REFINED):
+            if modes is None or not target.integrate_finely(_places(target, modes)):
+                break  # what the steps at the optimum make of a place far off may hide that it is likely
+            drawing.tell("integrating more finely, and looking for optima again")
+            modes = find_modes(target, fit, drawing.random, wide=wide, met=found.higher)
         if modes is None:
             raise _improper("the optimum's information matrix is singular")
         target.choose([*modes.at[:OPTIMA, : target.nv], *weak], left_out)
@@ -185,6 +195,13 @@ def _met(drawing: Drawing, fit: Fit, weak: list[Array], left_out: float) -> tupl
             break
         found = drawn
     return best, drawn
+
+
+def _places(target: Target, modes: Modes) -> Array:
+    """The optima, their valleys and draws about both, as v (k, nv): where what is integrated has to be right."""
+    drawn = modes.mixture(Box.none(target.low)).draw(LOOKED * target.nv, np.random.default_rng(0))
+    drawn = np.clip(drawn, target.low, target.high)[:, : target.nv]
+    return np.concatenate([modes.places(target.nv), drawn])
 
 
 def _teller(

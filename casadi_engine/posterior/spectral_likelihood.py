@@ -145,6 +145,10 @@ class SpectralLikelihood:
 
     # ---- the likelihood
 
+    def integrate_finely(self, v: Array, sigma: Array) -> bool:  # noqa: ARG002
+        """A linear model is not integrated by steps."""
+        return False
+
     def value(self, v: Array, sigma: Array) -> Array:
         """Log likelihood (P,) in the chosen bins, that of the others as at the first point, at v (P, nv) and noise
         levels (P, ny); -inf where there is none."""

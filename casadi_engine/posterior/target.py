@@ -50,6 +50,10 @@ class Likelihood(Protocol):
         """The same with nothing left out."""
         ...
 
+    def integrate_finely(self, v: Array, sigma: Array) -> bool:
+        """Integrate as finely as points v (k, nv) ask for; True if that is finer than before."""
+        ...
+
     def squares(self, v: Array, sigma: Array) -> Squares | None:
         """Half the sum of squares with slopes, at one point v (nv,), sigma (ny,)."""
         ...
@@ -133,6 +137,10 @@ class Target:
             return None
         cost, gradient, _, matrix = self.search.problem.priors.evaluate(v)
         return Squares(found.cost + cost, found.gradient + gradient, found.matrix + matrix)
+
+    def integrate_finely(self, v: Array) -> bool:
+        """Integrate as finely as points v (k, nv) ask for; True if that is finer than before."""
+        return self.likelihood.integrate_finely(v, self._sigma)
 
     def choose(self, points: list[Array], left_out: float) -> None:
         """Leave out data that hold less than this share of the information at any of the points v."""

@@ -34,11 +34,13 @@ _FALL, _STEPS, _LONGEST = 1e-2, 20, 100.0
 
 @dataclass(frozen=True)
 class Valley:
-    """Points at (k, nv) of a valley with the information (k, nv, nv) there, and those from which the density rises."""
+    """Points at (k, nv) of a valley with the information (k, nv, nv) there, those from which the density rises, and
+    those where it was looked at first."""
 
     at: list[Array]
     information: list[Array]
     onwards: list[Array]
+    looked: list[Array]
 
 
 def valleys(target: Target, centre: Array, information: Array, directions: int) -> Valley:
@@ -46,7 +48,7 @@ def valleys(target: Target, centre: Array, information: Array, directions: int) 
     values, vectors = np.linalg.eigh(np.linalg.inv(information + between(target)))
     order = np.argsort(values)[::-1]
     axes = (vectors * np.sqrt(values))[:, order]  # (nv, nv), one standard error long
-    found = Valley([], [], [])
+    found = Valley([], [], [], [])
     for k in range(min(directions, len(order))):
         for side in (-1.0, 1.0):
             _Side(target, centre, axes, k, side).follow(found)
@@ -82,6 +84,7 @@ class _Side:
         """Add the points of the valley on this side."""
         centre = _Point(0.0, np.zeros(self._rest.shape[1]), self._centre, 0.0, np.zeros(0))
         looked = [self._point(far, centre.near) for far in LOOKED]
+        found.looked.extend(one.at for one in looked if one is not None)
         if looked[-1] is not None and looked[-1].drop > HOLDS * 0.5 * LOOKED[-1] ** 2:
             return
         before, last, lowest, step = centre, centre, 0.0, STEP
