@@ -105,7 +105,9 @@ class Choice:
             self._grown(here)
             self._from_others()
             self._timed("exchange", lambda: self._special_cases_of(self.pool[self.best]))
-            self._timed("exchange", lambda: known_twins(self.refits, self.best, self.tell))
+            self._timed(
+                "exchange", lambda: known_twins(self.refits, self.best, self.null.screened, self.tell)
+            )
             least = self.pool[self.best].log - math.log(FACTOR)
             near = [t for t in self.pool.values() if len(t.key) == len(self.best) > 0 and t.log > least]
             self._timed("refit", lambda: self.refits.exactly(near if len(near) > 1 else ()))
@@ -226,7 +228,7 @@ class Choice:
         for one in self.pool.values():
             one.failed |= len(one.key) > len(key) and not one.key.isdisjoint(without)
         if TIME_UP not in self.failed.values():
-            known_twins(self.refits, key, self.tell)
+            known_twins(self.refits, key, self.null.screened, self.tell)
         self.refits.weigh()
         ready = self._alike(self.pool[key])
         top = max(ready, key=lambda one: one.log, default=self.pool[key])

@@ -24,12 +24,14 @@ from scipy import special
 from casadi_engine.discrepancy.linear_algebra import Array, svd, triangle
 from casadi_engine.discrepancy.noise_choice import is_white
 from casadi_engine.discrepancy.noise_model import NoiseModel, estimated_noise, left_over
-from casadi_engine.discrepancy.null_model import NullModel
+from casadi_engine.discrepancy.null_model import NullModel, RecordNull
 from casadi_engine.discrepancy.selection import effective_samples
 from casadi_engine.estimation.autoregression import autoregression
 
 # Prior standard deviation of a first state, in the state's scale.
 _STATE = 10.0
+# What an effect's own state may start from where it never moves.
+_STILL = 1e-9
 _TINY = 1e-300
 # Samples below which nothing can be said of colour.
 _SHORT = 20
@@ -44,11 +46,12 @@ Columns = Mapping[str, Mapping[str, Array]]
 @dataclass(frozen=True)
 class Prior:
     """What is known of a free parameter before the data: its standard deviation, and for an amplitude that it is near
-    zero (heavy tails) and on one side."""
+    a centre (heavy tails), and on one side of it."""
 
     deviation: float
     amplitude: bool = False
     one_sided: bool = False
+    centre: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -278,13 +281,19 @@ def _prior_rows(null: NullModel, priors: Mapping[str, Prior], random: Array) -> 
     weak[:, : turn.shape[1]] = turn / deviation[:, None]
     states = [k for k in range(turn.shape[1], width) if not random[k]]
     start = np.zeros((len(states), width + 1))
-    start[np.arange(len(states)), states] = 1 / _STATE
+    start[np.arange(len(states)), states] = 1 / np.concatenate([_first_states(r) for r in null.records])
     blocks: Sequence[Array] = [weak, start]
     if len(null.prior):
         given = np.zeros((len(null.prior), width + 1))
         given[:, : turn.shape[1]], given[:, -1] = null.prior[:, :-1], null.prior[:, -1]
         blocks = [*blocks, given]
     return np.concatenate(blocks)
+
+
+def _first_states(record: RecordNull) -> Array:
+    """Prior standard deviations (n_start,) of the free first states of a record, in their scales. An effect's own state
+    has no scale that a user gave: it may start anywhere that it goes in the record."""
+    return np.array([max(record.goes.get(name, _STATE), _STILL) for name in record.starts])
 
 
 def _log_determinant(rows: Array) -> float:
@@ -319,6 +328,6 @@ def _amplitudes(null: NullModel, priors: Mapping[str, Prior]) -> float:
     for name, value in zip(null.parameters, null.values, strict=True):
         own = priors[name]
         if own.amplitude:
-            found -= math.log1p((value / own.deviation) ** 2) + _HEAVY
+            found -= math.log1p(((value - own.centre) / own.deviation) ** 2) + _HEAVY
             found += math.log(2) if own.one_sided else 0.0
     return found

@@ -13,6 +13,7 @@ import numpy as np
 
 from casadi_engine.deadline import ask, late
 from casadi_engine.discrepancy.coloured_errors import coloured_errors
+from casadi_engine.discrepancy.exchanged_units import BEHIND, LAG, LATE
 from casadi_engine.discrepancy.families import BEYOND, every_family, families_of
 from casadi_engine.discrepancy.in_place import instead, may_go, start_without
 from casadi_engine.discrepancy.no_noise import leaves_no_noise
@@ -64,17 +65,18 @@ def is_far(refits: Refits, best: Tried) -> bool:
     return any(not 1 / _MOVED < ratio < _MOVED for ratio in ratios)
 
 
-def known_twins(refits: Refits, best: Key, tell: Tell) -> None:
+def known_twins(refits: Refits, best: Key, screened: Screened, tell: Tell) -> None:
     """Refit a structure with what is known to do the same as one of its effects in its place.
 
     A wrong conductance, power and gain of the input come to one chi-squared where a capacity is free; the slopes along
-    a structure with one of them do not say so of the others, which are far from it.
+    a structure with one of them do not say so of the others, which are far from it. Nor is there a slope along a
+    structure without what has states of its own: any channel may be what is late.
     """
     now = refits.pool[best]
     if len(best) < 2:
         return
     for member in now.effects:
-        for key, other in _did_the_same(refits, member).items():
+        for key, other in (_late_as_well(member, screened) | _did_the_same(refits, member)).items():
             target = best - {member.candidate.key} | {key}
             if key in best or target in refits.pool or len(target) < len(best):
                 continue
@@ -82,6 +84,20 @@ def known_twins(refits: Refits, best: Key, tell: Tell) -> None:
             tell(f"{other.label} in place of {member.label}, in {now.label}")
             rest = (one for one in now.effects if one is not member)
             refits.tried((*rest, other), start_without(now.arrived, member))
+
+
+def _late_as_well(member: Addition, screened: Screened) -> dict[tuple[str, str], Addition]:
+    """What else may be late where one effect of a structure is."""
+    if member.candidate.effect not in LATE:
+        return {}
+    found = {}
+    for key, own in every_family(screened).items():
+        if key[0] in LATE and key != member.candidate.key:
+            candidate = screened.candidates[own[len(own) // 2]]
+            found[key] = addition(
+                candidate, 1.0 if candidate.effect in BEHIND or candidate.effect == LAG else 0.0
+            )
+    return found
 
 
 def _did_the_same(refits: Refits, member: Addition) -> dict[tuple[str, str], Addition]:

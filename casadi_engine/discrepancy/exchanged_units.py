@@ -23,6 +23,8 @@ _MISREAD = (-1.0, 2.0, 4.0)
 LAG, _WHOLE = "sensor_lag", 1.1
 # Effects by which an input is late, with all of it but for errors and for what else is missing.
 BEHIND = ("input_lag", "input_delay")
+# All by which a channel is late.
+LATE = (LAG, "sensor_delay", *BEHIND)
 # Share of a record by which a sensor may be late: with a longer delay most of what it shows is of no time that was
 # simulated.
 _LATE = 0.5

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from weakref import WeakKeyDictionary
 
@@ -41,6 +41,8 @@ FOUR_STROKE = 4 * np.pi
 _PIECES = 10
 # A constraint this close to its limit (in its own units) is taken to hold.
 _AT_LIMIT = 1e-6
+# Places along a record from which where a state goes is told.
+_PLACES = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +53,7 @@ class RecordNull:
     index : output -> (N,) their numbers in the channel, of ``length[output]`` samples
     cycle : output -> (N,) number of the engine cycle, 0 from theta = 0 on, or of a piece of the record
     slopes : output -> (N, n_theta + n_start) in the free directions of the parameters, then the free initial states
-    starts : the free initial states, and their scale (n_start,)
+    starts : the free initial states; goes : state of an effect's own -> standard deviation along the record
     """
 
     name: str
@@ -63,6 +65,7 @@ class RecordNull:
     cycle: Mapping[str, Index]
     slopes: Mapping[str, Array]
     starts: tuple[str, ...]
+    goes: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -161,15 +164,22 @@ def steps_of(fit: Fit) -> dict[str, int]:
 
 
 @lru_cache(maxsize=64)
-def _jumps(model: Model) -> bool:
-    return jumps_in(model.closed_ode, model.x)
+def _jumps(model: Model) -> tuple[int, ...]:
+    """Numbers of the states whose equations jump, but for what sensors were given: those act on no other state, and
+    jump where an output has a corner, by its rate."""
+    given = tuple(f"{one.at}_{one.effect.name}_" for one in model.effects if one.at.startswith("sensor_"))
+    return tuple(
+        k
+        for k, state in enumerate(model.states)
+        if not (given and state.name.startswith(given)) and jumps_in(model.closed_ode[k], model.x)
+    )
 
 
 def refuse_jumps(model: Model) -> None:
     """Raise EstimationError for equations that jump with their states: a score is a slope along a smooth simulation."""
     if not _jumps(model):
         return
-    row = next(k for k in range(len(model.states)) if jumps_in(model.closed_ode[k], model.x))
+    row = _jumps(model)[0]
     switch = next(s for s in jumps(model.closed_ode[row], model.x) if s.kind != "kink")
     raise EstimationError(
         "effects are scored along a simulation without jumps, and the equations jump with the states",
@@ -292,6 +302,7 @@ def _record(
         cycle={name: cycle_numbers(model, grid, grid.measured[name].time) for name in residual},
         slopes={},
         starts=tuple(model.states[k].name for k in starts),
+        goes=own_states(model, path.x.T),
     )
     if switches_in_time(
         model
@@ -303,6 +314,19 @@ def _record(
     else:
         slopes = base.columns(directions)
     return RecordNull(**{**vars(base), "slopes": slopes})
+
+
+def own_states(model: Model, x: Array) -> dict[str, float]:
+    """State of an effect's own -> its standard deviation along states (M, n), if they are more than a place or two."""
+    own = tuple(f"{one.at}_{one.effect.name}_" for one in model.effects)
+    if not own or len(x) < _PLACES:
+        return {}
+    spread = np.std(x, axis=0).tolist()
+    return {
+        state.name: size
+        for state, size in zip(model.states, spread, strict=True)
+        if state.name.startswith(own)
+    }
 
 
 def _propagated_slopes(

@@ -1,8 +1,8 @@
 """What is known of a model's free numbers before the data: weak and physical, in the scales of the records.
 
 An amplitude is scaled by what it does: at one prior standard deviation it moves an output by the output's own
-variation (an error of a sensor, and an input that comes late, by a twentieth of it, as the two may be one; a stated
-number that may be wrong, by a tenth of itself). That holds in any units and any way of writing the model.
+variation (an error of a sensor by a twentieth of it; a stated number that may be wrong, by a tenth of itself; a channel
+that lags or is late is so with all of it, but for a tenth). That holds in any units and any way of writing the model.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from casadi_engine.discrepancy.beside_starts import moved_by
 from casadi_engine.discrepancy.evidence import Prior
-from casadi_engine.discrepancy.exchanged_units import WRONG
+from casadi_engine.discrepancy.exchanged_units import BEHIND, LAG, WRONG
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.refit import Addition
 from casadi_engine.parameters import Parameters
@@ -22,6 +22,8 @@ from casadi_engine.parameters import Parameters
 # Share of an output's variation that a physical effect, and that an error of a sensor, may well make; share of itself
 # by which a stated number may well be wrong.
 PHYSICAL, SENSOR, STATED = 1.0, 0.05, 0.1
+# A channel that is behind is so with all of it, but for this share.
+WHOLE = 0.1
 # A law that bends has no slope where it does nothing: its amplitude is not taken to be larger than so many times.
 _BENT = 30.0
 # Standard deviation of a parameter without bounds, in its own size.
@@ -37,7 +39,10 @@ def priors_of(null: NullModel, parameters: Parameters, effects: Sequence[Additio
         stem = name.partition("@")[0]
         if stem in amplitudes:
             one = amplitudes[stem]
-            found[name] = Prior(_amplitude(null, k, one), True, one.bounds.one_sided != 0)
+            if one.candidate.effect in (LAG, *BEHIND):
+                found[name] = Prior(WHOLE, True, centre=1.0)
+            else:
+                found[name] = Prior(_amplitude(null, k, one), True, one.bounds.one_sided != 0)
         elif stem in nuisance:
             one, own = nuisance[stem]
             found[name] = Prior(_range_of(one, own, null, parameters, stem))
@@ -54,8 +59,7 @@ def _amplitude(null: NullModel, k: int, one: Addition) -> float:
     if kind in ("sensor", "input") and one.bounds.name == "gain" and value > WRONG:
         # no calibration, but units that were exchanged or edges counted twice, at either end alike
         return value
-    late = kind == "input" and one.bounds.name == "share"
-    share = SENSOR if kind == "sensor" or late else PHYSICAL
+    share = SENSOR if kind == "sensor" else PHYSICAL
     step = float(np.linalg.norm(null.turn[k]))
     direction = int(np.argmax(np.abs(null.turn[k])))
     sizes = []

@@ -13,6 +13,7 @@ from casadi_engine.discrepancy.null_model import (
     RecordNull,
     cycle_numbers,
     free_directions,
+    own_states,
     prior_rows,
     unit_of,
 )
@@ -30,7 +31,8 @@ def null_of_refit(
     turn = free_directions(model, pmap, z, ())
     scale = np.array([state.scale for state in model.states])
     records = []
-    for term in problem.records:
+    nodes = found.nodes or (np.zeros((0, len(scale))),) * len(problem.records)
+    for term, at in zip(problem.records, nodes, strict=True):
         grid, own = term.grid, found.records[term.experiment.name]
         residual, slopes = {}, {}
         for output, e in own.residual.items():
@@ -51,6 +53,7 @@ def null_of_refit(
                 cycle={name: cycle_numbers(model, grid, measured[name].time) for name in residual},
                 slopes=slopes,
                 starts=tuple(state.name for state in model.states),
+                goes=own_states(model, at * scale),
             )
         )
     units = tuple(unit_of(parameters, name) for name in pmap.free)

@@ -8,7 +8,9 @@ from casadi_engine.discrepancy import exchange as module
 
 
 def effect(name):
-    return stub(label=name, amplitude=f"{name}.size", candidate=stub(key=(name, "port")), key=name)
+    return stub(
+        label=name, amplitude=f"{name}.size", candidate=stub(key=(name, "port"), effect=name), key=name
+    )
 
 
 class Pool:
@@ -43,6 +45,25 @@ def test_a_name_that_came_to_the_same_is_tried_beside_the_other_effects(monkeypa
     monkeypatch.setattr(module, "start_without", lambda arrived, member: f"without {member.label}")
     refits = Pool(**costs)
     best = list(refits.pool)[2] if len(costs) > 2 else next(iter(refits.pool))
-    module.known_twins(refits, best, lambda words: None)
+    module.known_twins(refits, best, stub(candidates=[]), lambda words: None)
     assert [names for names, _ in refits.asked] == asked
     assert all(start == "without gain" for _, start in refits.asked)
+
+
+def test_any_channel_may_be_what_is_late(monkeypatch):
+    """Along a structure with states of an effect's own no slope tells what does as well in its place."""
+    monkeypatch.setattr(module, "addition", lambda candidate, size: effect(candidate.effect))
+    monkeypatch.setattr(module, "start_without", lambda arrived, member: f"without {member.label}")
+    families = {
+        (name, "port"): [k] for k, name in enumerate(("sensor_lag", "input_delay", "drag", "sensor_delay"))
+    }
+    monkeypatch.setattr(module, "every_family", lambda screened: families)
+    screened = stub(candidates=[stub(effect=name) for name, _ in families])
+    refits = Pool()
+    members = tuple(effect(name) for name in ("input_delay", "drag"))
+    key = frozenset(one.candidate.key for one in members)
+    arrived = stub(cost=80.0, values={one.amplitude: 1.0 for one in members})
+    refits.pool = {key: stub(key=key, effects=members, arrived=arrived, label="both")}
+    module.known_twins(refits, key, screened, lambda words: None)
+    assert [names for names, _ in refits.asked] == [["drag", "sensor_lag"], ["drag", "sensor_delay"]]
+    assert all(start == "without input_delay" for _, start in refits.asked)

@@ -101,7 +101,9 @@ def test_a_model_that_is_not_linear():
 def driven(*, fed):
     """u -> A -> B, of which B is measured, u fed with a gain: where that is free the rates may be exchanged."""
     b = ce.Blueprint("driven")
-    k1, k2 = (b.parameter(name, value, unit="1/s", min=0.01, max=50) for name, value in (("k1", 3), ("k2", 0.3)))
+    k1, k2 = (
+        b.parameter(name, value, unit="1/s", min=0.01, max=50) for name, value in (("k1", 3), ("k2", 0.3))
+    )
     gain = b.parameter("g", 2.0, min=1e-3, max=1e3) if fed else 2.0
     u, amount, made = b.input("u"), b.state("A"), b.state("B")
     b.ode("A", gain * u - k1 * amount)

@@ -19,7 +19,15 @@ def modes_at(target, at):
     squares = target.squares(target.start[: target.nv])
     at, none = at[None], np.zeros((0, len(at)))
     valley = none, np.zeros((0, *2 * at.shape[1:])), np.zeros(0)
-    return Modes(at, target.information(squares.matrix)[None], target.log_density(at), np.ones(1), 1, valley, np.zeros((0, target.nv)))
+    return Modes(
+        at,
+        target.information(squares.matrix)[None],
+        target.log_density(at),
+        np.ones(1),
+        1,
+        valley,
+        np.zeros((0, target.nv)),
+    )
 
 
 def drawing_of(target, evaluations=20_000):
