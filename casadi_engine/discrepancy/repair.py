@@ -74,6 +74,7 @@ _SPARE, _LEAST_SPARE, _FIRST = 0.1, 2.0, 0.5
 # Iterations of the fit without effects by default, and how many times as many it takes where these run out: a valley
 # may be nearly flat.
 _ITERATIONS, _FURTHER = 200, 5
+_NO_VALUE = "the model without effects comes to where its equations have no value"
 _JUMPED = (
     JUMPED + "; here tanh stands in place of their jumps, as sharp as the motion asks for "
     "({}): the parameters of repair.fit belong to these equations"
@@ -319,7 +320,10 @@ class _Job:
             self.search = search = Choice(refitter, scores, most, self.tell, self.deadline, scatter)
             fresh = FreshChoice(search, searched, self.tell, [], work)
             search.idle_on_fresh = fresh.idle
-            self._searched(search, null_fit if lower is None else lower.fit)
+            fault = self._searched(search, null_fit if lower is None else lower.fit)
+            if fault is not None:
+                self.search = None
+                return self._no_answer(null_fit, alpha, fault, of=_NO_VALUE)
         self.timing |= search.timing
         if not null_fit.converged and not search.best:
             return self._no_answer(null_fit, alpha)
@@ -426,15 +430,24 @@ class _Job:
         """Who ended the search, where anyone did."""
         return USER if self.interrupts is not None and self.interrupts.stopped else BUDGET
 
-    def _searched(self, search: Choice, null_fit: Fit) -> None:
-        """Run the search; one that is ended has what it had kept before."""
+    def _searched(self, search: Choice, null_fit: Fit) -> str | None:
+        """Run the search; one that is ended has what it had kept before. What to say where the fit without effects
+        cannot be simulated, None otherwise."""
         try:
             search.run(null_fit)
+        except FloatingPointError as error:
+            if search.scored:
+                raise
+            return (
+                f"along the simulation of that fit the equations have no finite value ({error}): give bounds to states "
+                "and parameters that keep roots, logarithms and quotients away from it, as fmax(x, 0) under a root does"
+            )
         except TimeUp:
             if not search.scored:
                 raise
             beside = f" beside {search.pool[search.best].label}" if search.best else ""
             search.failed[f"{ANY}{beside}"] = TIME_UP
+        return None
 
     def interrupted(self, alpha: float) -> Repair:
         """What there is where the user would not wait for the rest."""

@@ -284,6 +284,7 @@ def _messages(
     violated = search.constraints.violated(errors.v)
     if violated:
         found.append(f"not met: {', '.join(violated)}")
+    found += _walls(search)
     found += _rates(search)
     found += noise_words
     if stopped:
@@ -291,6 +292,22 @@ def _messages(
         what = f"the best of {done} optima so far" if done else "the best point so far, not an optimum"
         found.append(f"stopped by {stopped}: this is {what}")
     return tuple(found)
+
+
+def _walls(search: Search) -> list[str]:
+    """First states that rest where the equations cease to have a value."""
+    names = [
+        f"{state.name} of {record.experiment.name}"
+        for record, lay in zip(search.records, search.problem.layouts, strict=True)
+        for k, state in enumerate(search.model.states)
+        if lay.at + k in search.walls
+    ]
+    if not names:
+        return []
+    return [
+        f"{', '.join(names)}: the first value rests where the equations cease to have one (a root or logarithm of what "
+        "would be negative): the estimates count on it; write fmax(x, 0) there, or give initial={...} bounds"
+    ]
 
 
 def _rates(search: Search) -> list[str]:

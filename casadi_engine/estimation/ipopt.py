@@ -70,7 +70,7 @@ _NEAR = {
     "bound_mult_init_method": "mu-based",
 }
 
-_WALL = "the model could not be evaluated at most of the points tried"
+WALL = "the model could not be evaluated at most of the points tried"
 
 _WORDS = {
     "Infeasible_Problem_Detected": "the constraints cannot be met together",
@@ -281,7 +281,7 @@ class Solver:
         elif stats["success"] or self._flat:
             status = "converged"
         elif self._tried.wall:
-            status = f"not converged: {_WALL}"
+            status = f"not converged: {WALL}"
         else:
             status = f"not converged: {_WORDS.get(words, words.replace('_', ' ').lower())}"
         lam_g, lam_x = (np.asarray(answer[key], dtype=float).ravel() for key in ("lam_g", "lam_x"))

@@ -16,7 +16,7 @@ from casadi_engine.estimation.first_points import FirstPoints
 from casadi_engine.estimation.followed import FOLLOWED
 from casadi_engine.estimation.growth import length_for
 from casadi_engine.estimation.integration import alike, shorten_steps
-from casadi_engine.estimation.ipopt import OUT_OF_ITERATIONS, Solution, Solver
+from casadi_engine.estimation.ipopt import OUT_OF_ITERATIONS, WALL, Solution, Solver
 from casadi_engine.estimation.scales import felt_scale, state_factors
 from casadi_engine.estimation.spectral_start import Begun, SpectralStarts, in_full
 from casadi_engine.estimation.unreachable import unreachable
@@ -28,6 +28,8 @@ _ROUNDS, _LEVEL = 12, 1e-6
 # Rounds of shorter integration steps, each with a refit that begins at the optimum.
 _SHORTENED = 6
 _NOWHERE = "the frequency domain led nowhere"
+# Walls that a search is led along, and how near one is, as a share of a state's scale or size.
+_WALLS, _BESIDE = 3, 1e-2
 # Points from which values that meet all constraints are looked for, where a search has ended without.
 _TRIED = 5
 
@@ -73,6 +75,9 @@ class Search(FirstPoints):
         """Sets the problem up; the other arguments are those of ``FirstPoints``."""
         self._progress, self.quiet = progress, False  # quiet : show nothing of what is searched now
         self._spectral: SpectralStarts | None = None  # set up once it is wanted
+        self.walls: set[int] = (
+            set()
+        )  # entries of first states that are at the edge of where the model has a value
         self._before = 0  # iterations in the frequency domain, before those on all samples
         # objective, point (size,) and levels (ny,) of the last solution of a run
         self.reached: tuple[float, Array, Array] | None = None
@@ -217,10 +222,36 @@ class Search(FirstPoints):
         """The solver's solution from ``x``; where it came upon laws too stiff for the steps that there are, it goes on
         with others."""
         solution = self.solver.solve(x, self.lower, self.upper, exact=exact)
-        if solution.status in ("converged", "interrupted") or not self._in_places():
-            return solution
-        other = self.solver.solve(solution.x, self.lower, self.upper, exact=exact)
-        return replace(other, iterations=solution.iterations + other.iterations)
+        for _ in range(_WALLS):
+            if solution.status in ("converged", "interrupted"):
+                break
+            if (
+                not (solution.status.endswith(WALL) and self._bounded_by_walls(solution.x))
+                and not self._in_places()
+            ):
+                break
+            other = self.solver.solve(solution.x, self.lower, self.upper, exact=exact)
+            if not np.isfinite(self._objective(other.x)):
+                break
+            solution = replace(other, iterations=solution.iterations + other.iterations)
+        return solution
+
+    def _bounded_by_walls(self, x: Array) -> bool:
+        """Make bounds of first states beside which the model has no value; True if there are any such."""
+        found = False
+        for lay in self.problem.layouts:
+            for k in range(lay.at, lay.at + lay.n):
+                for side, bound in ((-1.0, self.lower), (1.0, self.upper)):
+                    there = x.copy()
+                    there[k] += side * _BESIDE * max(1.0, abs(x[k]))
+                    if (
+                        bound[k] != x[k]
+                        and self.lower[k] < self.upper[k]
+                        and not np.isfinite(self._objective(there))
+                    ):
+                        bound[k], found = x[k], True
+                        self.walls.add(k)
+        return found
 
     def _levelled(self, solution: Solution) -> tuple[Solution, int]:
         """The solution with the noise levels settled, and the iterations that it took in all."""

@@ -266,7 +266,7 @@ def drawn_starts(
 
 
 def _drawn(pmap: ParameterMap, share: Array, reach: float, scale: Array, *, far: bool) -> Array:
-    """The point z at these shares (nz,) of the ways between the ends; far : bounds are the ends where there are both."""
+    """The point z at these shares (nz,) of the ways between the ends; far : those are bounds, where there are both."""
     point = np.empty(len(share))
     for i, part in enumerate(share):
         low, high, at = pmap.lower[i], pmap.upper[i], pmap.start[i]

@@ -223,7 +223,8 @@ def _starts(
 def _exchanged(target: Target) -> list[Array]:
     """The fit's own point with two parameters of one unit exchanged: rates in a row often have another optimum there,
     which no direction from here leads to."""
-    z, found = target.coordinates.values(target.start[: target.nv]), []
+    z = target.coordinates.values(target.start[: target.nv])
+    found: list[Array] = []
     for i, j in combinations(range(target.nv), 2):
         if target.units[i] == target.units[j] and len(found) < _PAIRS:
             other = z.copy()
