@@ -439,3 +439,31 @@ def test_slopes_that_run_off_make_a_model_improbable_and_no_error():
     found = evidence(replace(made, parts=parts), Levels(SIGMA))
     assert (found.log, found.cost) == (-np.inf, np.inf)
     assert found.error.get("p0", np.inf) == np.inf
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e5])
+def test_an_effects_own_state_may_start_anywhere_that_it_goes(scale):
+    """No user gave it a scale: in other units, where it goes so much farther, the evidence is the same."""
+    null = linear(1, states=1)
+    x, e = stacked(null)
+    records = [
+        replace(
+            one,
+            goes={"x0": 0.7 * scale},
+            slopes={out: rows / np.array([1.0, scale]) for out, rows in one.slopes.items()},
+        )
+        for one in null.records
+    ]
+    wanted = dense(x, e, np.array([9.0, 0.49, 0.49]))
+    assert log_of(replace(null, records=tuple(records))) == pytest.approx(wanted, abs=1e-7)
+
+
+def test_an_amplitude_may_be_expected_elsewhere_than_at_zero():
+    """A channel that is late is so with all of it: nothing is paid at 1, for less by the tails of the law."""
+    null = linear(1, states=0)
+
+    def log(value):
+        return log_of(replace(null, values=np.array([value])), {"p0": Prior(0.1, True, centre=1.0)})
+
+    assert log(1.0) - log(0.6) == pytest.approx(np.log(1 + 4.0**2))
+    assert log(1.3) == pytest.approx(log(0.7))

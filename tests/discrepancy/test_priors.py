@@ -1,5 +1,6 @@
 """Priors: physical, in the scales of the records, whatever the units."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +12,7 @@ import casadi_engine as ce
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.null_model import NullModel, RecordNull
 from casadi_engine.discrepancy.path import Path
-from casadi_engine.discrepancy.priors import PHYSICAL, SENSOR, STATED, priors_of
+from casadi_engine.discrepancy.priors import PHYSICAL, SENSOR, STATED, WHOLE, priors_of
 from casadi_engine.discrepancy.refit import addition
 from casadi_engine.discrepancy.screening import screen
 from casadi_engine.discrepancy.start import Start
@@ -69,6 +70,15 @@ def test_an_amplitude_moves_the_output_as_much_as_it_varies_or_a_sensor_a_share_
     assert moved == pytest.approx(share * np.std(MEASURED))
     assert found.amplitude
     assert not found.one_sided
+
+
+@pytest.mark.parametrize("name", ["sensor_lag", "input_lag", "input_delay"])
+def test_what_is_late_is_so_with_all_of_it_but_for_a_tenth(name):
+    late = effect("input", unit="1", low=0.0)
+    late = replace(late, candidate=replace(late.candidate, effect=name))
+    null = null_of((late.amplitude,), [0.4], [record(SLOPE[:, None], MEASURED)])
+    found = priors_of(null, None, [late])[late.amplitude]
+    assert (found.deviation, found.centre, found.amplitude) == (WHOLE, 1.0, True)
 
 
 def test_an_amplitude_on_one_side_says_so():

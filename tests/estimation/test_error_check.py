@@ -6,6 +6,7 @@ import re
 import casadi
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, minimize_scalar
 from scipy.stats import norm
 
@@ -309,3 +310,30 @@ def test_of_two_ways_the_milder_one_counts():
     ]
     for mild, grave in itertools.pairwise(order):
         assert min(grave, mild, key=error_check._gravity) is mild
+
+
+def test_a_valley_that_bends_is_no_rugged_one():
+    """Van der Pol: mu and w0 go together by 0.999 along a bend, which a straight line leaves within two errors. Its
+    curvature falls with the step, where noise decides on optima it does not."""
+    time = np.linspace(0, 12, 61)
+
+    def motion(mu, w0):
+        return solve_ivp(
+            lambda _, s: [s[1], mu * (1 - s[0] ** 2) * s[1] - w0**2 * s[0]], (0, 12), [0.5, 0.0], t_eval=time,
+            rtol=1e-9, atol=1e-9,
+        ).y[0]  # fmt: skip
+
+    b = ce.Blueprint("van_der_pol")
+    mu, w0 = b.parameter("mu", 1.5, min=0.01, max=20), b.parameter("w0", 2.5, min=0.1, max=50)
+    x, v = b.state("x"), b.state("v")
+    b.ode("x", v)
+    b.ode("v", mu * (1 - x**2) * v - w0**2 * x)
+    b.output("y", x)
+    y = motion(1.5, 2.5) + 0.3 * np.random.default_rng(3).standard_normal(len(time))
+    data = ce.Experiment.from_arrays("r", time=time, units={"y": "1"}, y=y)
+    fit = ce.estimate(b.model(), data, noise=ce.Noise(y=0.3), progress=False, errors=20)
+    assert not any("far from linear" in text for text in fit.messages)
+    for name, truth in (("mu", 1.5), ("w0", 2.5)):
+        one = fit.estimates[name]
+        low, high = one.interval or (one.value - 1.96 * one.stderr, one.value + 1.96 * one.stderr)
+        assert low < truth < high
