@@ -427,15 +427,15 @@ def _exchanged(search: Search, errors: Uncertainty, residuals: Sequence[Array]) 
     """Parameters of one unit that explain the data as well with their values exchanged."""
     found = []
     for twin in twins(search, errors, residuals, _RIVAL):
-        one, other = twin.names
+        one, other = twin.pairs[0]
         if twin.higher < -_LOWER:
             text = (
-                f"the data are explained better with {one} and {other} exchanged (chi-squared {-twin.higher:.2g} "
+                f"the data are explained better with {twin} exchanged (chi-squared {-twin.higher:.2g} "
                 "lower): this is not the lowest optimum; start from there, or search with starts=10"
             )
         else:
             text = (
-                f"the data are explained as well with {one} and {other} exchanged (chi-squared "
+                f"the data are explained as well with {twin} exchanged (chi-squared "
                 f"{max(twin.higher, 0.0):.2g} higher): their errors are not known; tell them apart by bounds, or by "
                 f'pars.constrain("{one} - {other}", min=0) or max=0, or {CALL}'
             )

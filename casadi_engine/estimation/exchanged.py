@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,59 +28,69 @@ _ALIKE, _WORK = 25.0, 3e6
 _BLIND = 1e-12
 # Steps of the others at an exchange; chi-squared that one leaves, as a share, for another to be worth its time.
 _STEPS, _FALLS = 8, 0.5
+# Coordinates within which two ends are one.
+_SAME = 1e-2
 
 
 @dataclass(frozen=True)
 class Twin:
-    """Two parameters that may be exchanged: their names, the point v (nv,) where they are, and its chi-squared above
-    the optimum's."""
+    """Parameters that may be exchanged: their names by pairs, the point v (nv,) where they are, and its chi-squared
+    above the optimum's."""
 
-    names: tuple[str, str]
+    pairs: tuple[tuple[str, str], ...]
     v: Array
     higher: float
 
+    def __str__(self) -> str:
+        """"k1 and k2", or "R1 and R2, and C1 and C2"."""
+        return ", and ".join(" and ".join(pair) for pair in self.pairs)
+
 
 def twins(search: Search, errors: Uncertainty, residuals: Sequence[Array], limit: float) -> list[Twin]:
-    """The pairs of one unit whose exchange raises chi-squared by less than ``limit``, the others and the first states
-    at their best.
+    """The pairs of one unit, and two of them at once, whose exchange raises chi-squared by less than ``limit``, the
+    others and the first states at their best.
 
     residuals : (K, M) of each record at the optimum
     """
-    here, found = printed_cost(search, errors.v, residuals), []
+    here = printed_cost(search, errors.v, residuals)
+    found: list[Twin] = []
     nv = search.problem.nv
     metric = np.linalg.pinv(errors.covariance.matrix[:nv, :nv], hermitian=True)
     most = int(_WORK // max(search.problem.samples, 1))
-    for i, j in _pairs(search):
+    free = search.pmap.free
+    for pairs in _exchanges(search):
         if most <= 0:
             break
-        z = search.coordinates.values(errors.v)
-        z[[i, j]] = z[[j, i]]
+        z, ways = search.coordinates.values(errors.v), {k for pair in pairs for k in pair}
+        for i, j in pairs:
+            z[[i, j]] = z[[j, i]]
         if not (search.pmap.lower <= z).all() or not (z <= search.pmap.upper).all():
             continue
         v = search.coordinates.of(z)
         moved = v - errors.v
         if moved @ metric @ moved < _ALIKE:
             continue
-        exchange = _Exchange(search, errors, (i, j), here + limit)
+        exchange = _Exchange(search, errors, sorted(ways), here + limit)
         try:
             with np.errstate(all="ignore"):  # a model may have no value there
                 higher = exchange.settled(v) - here
         except (FloatingPointError, np.linalg.LinAlgError, ModelError):
             higher = np.inf
         most -= exchange.work
-        if higher < limit and not search.constraints.violated(exchange.v):
-            found.append(Twin((search.pmap.free[i], search.pmap.free[j]), exchange.v, higher))
+        new = not any(np.allclose(exchange.v, one.v, rtol=0, atol=_SAME) for one in found)
+        if higher < limit and new and not search.constraints.violated(exchange.v):
+            found.append(Twin(tuple((free[i], free[j]) for i, j in pairs), exchange.v, higher))
     return found
 
 
 class _Exchange:
-    """Two parameters exchanged, and what the others make of it.
+    """Parameters exchanged, and what the others make of it.
 
     work : simulations so far; v : (nv,) where the exchange ended
     """
 
-    def __init__(self, search: Search, errors: Uncertainty, held: tuple[int, int], limit: float) -> None:
-        self._search, self._held, self._limit, self.work = search, list(held), limit, 0
+    def __init__(self, search: Search, errors: Uncertainty, held: list[int], limit: float) -> None:
+        self._search, self._held, self._limit, self.work = search, held, limit, 0
         self.v = errors.v
         self._starts = [lay.take(errors.x)[0] for lay in search.problem.layouts]
 
@@ -107,7 +118,7 @@ class _Exchange:
         return printed_cost(search, v, left)
 
     def _stepped(self, v: Array) -> Array:
-        """The point (nv,) after a Gauss-Newton step of all but the two, straight in the parameters as they are printed:
+        """The point (nv,) after a Gauss-Newton step of all the others, straight in the parameters as they are printed:
         a gain is met in one, however far it is."""
         search, nv, at = self._search, len(v), len(v)
         sizes = [record.n for record in search.records]
@@ -151,11 +162,13 @@ def _least_squares(gradient: Array, matrix: Array, free: NDArray[np.bool_]) -> A
     return moved
 
 
-def _pairs(search: Search) -> Iterator[tuple[int, int]]:
-    """Numbers of free parameters that have one unit."""
+def _exchanges(search: Search) -> Iterator[tuple[tuple[int, int], ...]]:
+    """Pairs of free parameters, by their numbers, that have one unit; then two pairs at once, as a resistance and a
+    capacity of one branch are exchanged with those of another."""
     units = [search.parameters[name.split("@")[0]].unit for name in search.pmap.free]
-    for i, unit in enumerate(units):
-        yield from ((i, j) for j in range(i + 1, len(units)) if units[j] == unit)
+    pairs = [(i, j) for i, j in combinations(range(len(units)), 2) if units[i] == units[j]]
+    yield from ((pair,) for pair in pairs)
+    yield from (both for both in combinations(pairs, 2) if len({*both[0], *both[1]}) == 4)
 
 
 def _best(search: Search, record: RecordTerm, v: Array, start: Array, k: int) -> Array:

@@ -44,6 +44,13 @@ def summary(found: Identifiability, *, remedies: bool = True) -> str:
     )
 
 
+# A rank is that of slopes, and slopes know nothing of what lies far off.
+_LOCAL = (
+    "local              around these values: others far off, as two rates exchanged, are not",
+    "                   excluded; a fit looks for exchanges of parameters of one unit",
+)
+
+
 def verdict(found: Identifiability) -> str:
     """The verdict in one sentence."""
     count = len(found.free)
@@ -99,6 +106,7 @@ def numbers(found: Identifiability) -> list[str]:
         f"derivatives        {'' if found.question.arbitrary else came}{held}",
         f"chance of an error < {found.error_probability:.0e} in each of {found.seeds} drawings "
         f"({found.seconds:.2g} s of CPU time)",
+        *(_LOCAL if found.passed and len(found.free) > 1 else ()),
     ]
 
 

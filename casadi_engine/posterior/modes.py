@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,8 @@ ALONG, WEAK, WIDE = (3.0, 6.0, 12.0), 2, (4.0, 16.0, np.inf)
 _AGAIN, _NEAR = 3, 10.0
 # Searches one after another that meet no new optimum so near the best: those from around, and those from rivals, end.
 IDLE = 12
-# Pairs of parameters that are exchanged for a start.
-_PAIRS = 6
+# Exchanges of parameters that are starts.
+_PAIRS = 8
 # Directions along which valleys are looked for.
 _DIRECTIONS = 6
 # Two optima are one within this distance, in squared standard errors; those so far below the best are left out.
@@ -221,17 +221,20 @@ def _starts(
 
 
 def _exchanged(target: Target) -> list[Array]:
-    """The fit's own point with two parameters of one unit exchanged: rates in a row often have another optimum there,
-    which no direction from here leads to."""
+    """The fit's own point with two parameters of one unit exchanged, or two such pairs: rates in a row and branches
+    side by side often have another optimum there, which no direction from here leads to."""
     z = target.coordinates.values(target.start[: target.nv])
+    low, high = target.low[: target.nv], target.high[: target.nv]
+    pairs = [(i, j) for i, j in combinations(range(target.nv), 2) if target.units[i] == target.units[j]]
+    twice = [both for both in combinations(pairs, 2) if len({*both[0], *both[1]}) == 4]
     found: list[Array] = []
-    for i, j in combinations(range(target.nv), 2):
-        if target.units[i] == target.units[j] and len(found) < _PAIRS:
-            other = z.copy()
-            other[[i, j]] = z[[j, i]]
-            at = target.coordinates.of(other)
-            if (at >= target.low[: target.nv]).all() and (at <= target.high[: target.nv]).all():
-                found.append(at)
+    for exchange in islice([*((pair,) for pair in pairs), *twice], _PAIRS):
+        other = z.copy()
+        for i, j in exchange:
+            other[[i, j]] = other[[j, i]]
+        at = target.coordinates.of(other)
+        if (at >= low).all() and (at <= high).all():
+            found.append(at)
     return found
 
 

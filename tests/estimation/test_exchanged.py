@@ -133,3 +133,33 @@ def test_another_parameter_may_have_to_follow_an_exchange(start):
     assert not told.doubted
     bent = fitted(driven(fed="and bent"), data, initial={"A": 0.0, "B": 0.0})
     assert not any("exchanged" in text for text in bent.messages)
+
+
+def test_two_pairs_are_exchanged_at_once():
+    """Two branches in series, each of a resistance and a capacity: which is which is not told."""
+    b = ce.Blueprint("battery")
+    ohmic = b.parameter("R0", 0.01, unit="ohm", min=1e-4, max=1)
+    branches, current = [], b.input("i", unit="A")
+    for k, (r, c) in enumerate(((0.01, 1000.0), (0.015, 2000.0)), start=1):
+        resistance = b.parameter(f"R{k}", r, unit="ohm", min=1e-4, max=1)
+        capacity = b.parameter(f"C{k}", c, unit="F", min=1, max=1e6)
+        voltage = b.state(f"V{k}", unit="V")
+        b.ode(f"V{k}", current / capacity - voltage / (resistance * capacity))
+        branches.append(voltage)
+    b.output("u", ohmic * current + branches[0] + branches[1], unit="V")
+    t = np.arange(301.0)
+    i = 5.0 * (np.floor(t / 60) % 2)
+
+    def rates(s, v):
+        at = 5.0 * (np.floor(s / 60) % 2)
+        return [at / 1000 - v[0] / 10, at / 2000 - v[1] / 30]
+
+    v = solve_ivp(rates, (0, 300), [0.0, 0.0], t_eval=t, rtol=1e-9, atol=1e-12, max_step=1.0).y
+    u = 0.01 * i + v[0] + v[1] + 1e-3 * np.random.default_rng(0).standard_normal(len(t))
+    data = ce.Experiment.from_arrays("r", time=t, units={"i": "A", "u": "V"}, hold="zero", i=i, u=u)
+    fit = ce.estimate(
+        b.model(), data, noise=ce.Noise(u=1e-3), initial={"V1": 0.0, "V2": 0.0}, progress=False
+    )
+    assert set(fit.doubted) == {"R1", "R2", "C1", "C2"}
+    assert fit.stderr["R0"]
+    assert any("R1 and R2, and C1 and C2 exchanged" in text for text in fit.messages)
