@@ -16,6 +16,7 @@ from casadi_engine.discrepancy.answer_words import (
     open_units,
     so_far,
     undetermined,
+    untold,
     without_answer,
 )
 from casadi_engine.discrepancy.by_chance import held_to_chance
@@ -66,7 +67,6 @@ from casadi_engine.discrepancy.repaired import (
     REFUSED,
     TOO_LITTLE,
     UNCONFIRMED,
-    UNTOLD,
     FoundEffect,
     Gaps,
     NextExperiment,
@@ -170,11 +170,11 @@ class Answer:
         null = self.search.null
         found, withdrawn = self._timed("certificate", lambda: _effects(proof))
         cut = TIME_UP in self.search.failed.values()
-        unknown = None if found else Unknown(UNTOLD, {})
+        unknown = None if found else Unknown(untold(self.search), {})
         if self._in_time("leftover", lambda: last.screened.leftover, _TESTS) is not None:
             unknown = missing_beside(last, null, found, withdrawn, cut=cut, least=self._rare)
             if unknown is None and not found and cut:
-                words = so_far(self.search) or ([UNTOLD] if ANY in self.search.failed else [])
+                words = so_far(self.search) or ([untold(self.search)] if ANY in self.search.failed else [])
                 unknown = Unknown(words[0], {}) if words else None
         elif found:
             unknown = no_noise(last)

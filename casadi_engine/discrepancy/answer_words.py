@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from casadi_engine.discrepancy.choice import TIME_UP, Choice
+from casadi_engine.discrepancy.exchange import leaves_more
 from casadi_engine.discrepancy.families import BEYOND
+from casadi_engine.discrepancy.repaired import MORE_THAN_NOISE, UNTOLD
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.standard_errors import UNDETERMINED
@@ -27,6 +29,12 @@ def so_far(search: Choice) -> list[str]:
         return []
     gone = f"chi-squared {top.evidence.cost:.4g} in place of {now.evidence.cost:.4g}"
     return [f"the most probable so far is {top.name} ({gone}), which was not fitted to its end"]
+
+
+def untold(search: Choice) -> str:
+    """What is known where the time was up before anything was found: that more is left than noise, if it is more than
+    was stated."""
+    return MORE_THAN_NOISE if leaves_more(search.refits, search.pool[search.best]) else UNTOLD
 
 
 def without_answer(search: Choice) -> list[str]:
