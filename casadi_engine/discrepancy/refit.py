@@ -280,8 +280,11 @@ class Refitter:
 
     @property
     def in_places(self) -> bool:
-        """True if corners are so sharp that steps are to be short in places alone."""
-        return self.share <= self.sharpest
+        """True if corners are so sharp that steps are to be short in places alone, as those of the base were."""
+        stiff = self.base is not None and any(
+            one.integrator.startswith("implicit") for one in self.base.integration.values()
+        )
+        return stiff or self.share <= self.sharpest
 
     @property
     def interval(self) -> Any:

@@ -31,7 +31,9 @@ BEHIND_OTHERS = "far less probable than what could not be fitted to its end"
 
 # What an answer says that was made before it was looked for anything.
 UNTOLD = "the time was up before it could be told whether anything is missing"
-MORE_THAN_NOISE = "the residual is larger than the noise that was stated; the time was up before it was told by what"
+MORE_THAN_NOISE = (
+    "the residual is larger than the noise that was stated; the time was up before it was told by what"
+)
 
 
 @dataclass(frozen=True)

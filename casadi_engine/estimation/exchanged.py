@@ -42,7 +42,7 @@ class Twin:
     higher: float
 
     def __str__(self) -> str:
-        """"k1 and k2", or "R1 and R2, and C1 and C2"."""
+        """ "k1 and k2", or "R1 and R2, and C1 and C2"."""
         return ", and ".join(" and ".join(pair) for pair in self.pairs)
 
 

@@ -249,6 +249,8 @@ class RecordTerm:
             length=length, gain=gain, method=self.method, grid=self.grid, scale=self.scale,
             steps=fineness_of(self.propagator),
         )  # fmt: skip
+        if isinstance(self.propagator, RungeKuttaPropagator) and other.step_in_places(anyway=True):
+            other.as_fine_as(fineness_of(self.propagator))
         if self._most is not None:
             other.limit_steps(self._most)
         return other

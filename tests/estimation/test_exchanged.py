@@ -157,9 +157,7 @@ def test_two_pairs_are_exchanged_at_once():
     v = solve_ivp(rates, (0, 300), [0.0, 0.0], t_eval=t, rtol=1e-9, atol=1e-12, max_step=1.0).y
     u = 0.01 * i + v[0] + v[1] + 1e-3 * np.random.default_rng(0).standard_normal(len(t))
     data = ce.Experiment.from_arrays("r", time=t, units={"i": "A", "u": "V"}, hold="zero", i=i, u=u)
-    fit = ce.estimate(
-        b.model(), data, noise=ce.Noise(u=1e-3), initial={"V1": 0.0, "V2": 0.0}, progress=False
-    )
+    fit = ce.estimate(b.model(), data, noise=ce.Noise(u=1e-3), initial={"V1": 0.0, "V2": 0.0}, progress=False)
     assert set(fit.doubted) == {"R1", "R2", "C1", "C2"}
     assert fit.stderr["R0"]
     assert any("R1 and R2, and C1 and C2 exchanged" in text for text in fit.messages)
