@@ -155,6 +155,8 @@ class _Exchange:
 
 def _least_squares(gradient: Array, matrix: Array, free: NDArray[np.bool_]) -> Array:
     """The step (N,) to the minimum of a quadratic, of what is free alone; none along what it does not know."""
+    if not (np.isfinite(matrix).all() and np.isfinite(gradient).all()):
+        raise FloatingPointError("the slopes are not finite here")
     moved = np.zeros(len(gradient))
     size = np.sqrt(np.maximum(np.diag(matrix)[free], 1e-300))
     whole = matrix[np.ix_(free, free)] / np.outer(size, size)
@@ -194,6 +196,8 @@ def linear_residual(record: RecordTerm, v: Array, start: Array, free: NDArray[np
     turned = powers.swapaxes(1, 2)
     gradient = (turned @ ((left * record.weight).T @ js)[..., None]).sum(axis=0)[:, 0]
     matrix = (turned @ record.gauss_newton(point).ss @ powers).sum(axis=0)
+    if not (np.isfinite(matrix).all() and np.isfinite(gradient).all()):
+        raise FloatingPointError("the slopes of the first states are not finite here")
     size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     moved = -np.linalg.lstsq(matrix / np.outer(size, size), gradient / size, rcond=_BLIND)[0] / size
     return np.asarray(left + (js @ (powers @ moved).T) * record.weight)
