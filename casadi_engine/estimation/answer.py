@@ -34,6 +34,8 @@ _SEEN = 1.05
 _EFFECTIVE = 20
 # An integration error that may move an estimate by this share of its standard error is said.
 _FELT = 0.1
+# Share of a state's scale or size within which it rests at a bound.
+_AT_WALL = 1e-3
 
 
 def make_fit(
@@ -284,7 +286,7 @@ def _messages(
     violated = search.constraints.violated(errors.v)
     if violated:
         found.append(f"not met: {', '.join(violated)}")
-    found += _walls(search)
+    found += _walls(search, best)
     found += _rates(search)
     found += noise_words
     if stopped:
@@ -294,13 +296,15 @@ def _messages(
     return tuple(found)
 
 
-def _walls(search: Search) -> list[str]:
-    """First states that rest where the equations cease to have a value."""
+def _walls(search: Search, best: Attempt) -> list[str]:
+    """First states that rest where the equations cease to have a value; not those of a start that ended elsewhere."""
+    x, low, high = best.solution.x, search.lower, search.upper
     names = [
         f"{state.name} of {record.experiment.name}"
         for record, lay in zip(search.records, search.problem.layouts, strict=True)
         for k, state in enumerate(search.model.states)
-        if lay.at + k in search.walls
+        if (at := lay.at + k) in search.walls
+        and min(x[at] - low[at], high[at] - x[at]) < _AT_WALL * max(1.0, abs(x[at]))
     ]
     if not names:
         return []
