@@ -21,7 +21,7 @@ from casadi_engine.estimation.integration import integration_of
 from casadi_engine.estimation.predictor import output_stride
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.residual_noise import OwnNoise, own_noise, with_own_noise
-from casadi_engine.estimation.search import Attempt, Search
+from casadi_engine.estimation.search import AT_WALL, Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty, uncertainty
 from casadi_engine.simulation.error_estimate import ErrorEstimate
 from casadi_engine.simulation.propagator import fineness_of
@@ -34,8 +34,6 @@ _SEEN = 1.05
 _EFFECTIVE = 20
 # An integration error that may move an estimate by this share of its standard error is said.
 _FELT = 0.1
-# Share of a state's scale or size within which it rests at a bound.
-_AT_WALL = 1e-3
 
 
 def make_fit(
@@ -304,7 +302,7 @@ def _walls(search: Search, best: Attempt) -> list[str]:
         for record, lay in zip(search.records, search.problem.layouts, strict=True)
         for k, state in enumerate(search.model.states)
         if (at := lay.at + k) in search.walls
-        and min(x[at] - low[at], high[at] - x[at]) < _AT_WALL * max(1.0, abs(x[at]))
+        and min(x[at] - low[at], high[at] - x[at]) < AT_WALL * max(1.0, abs(x[at]))
     ]
     if not names:
         return []

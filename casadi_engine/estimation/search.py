@@ -29,7 +29,9 @@ _ROUNDS, _LEVEL = 12, 1e-6
 _SHORTENED = 6
 _NOWHERE = "the frequency domain led nowhere"
 # Walls that a search is led along, and how near one is, as a share of a state's scale or size.
-_WALLS, _BESIDE = 3, 1e-2
+_WALLS, _BESIDE = 6, 1e-2
+# Share of a state's scale or size within which it rests at a bound.
+AT_WALL = 1e-3
 # Points from which values that meet all constraints are looked for, where a search has ended without.
 _TRIED = 5
 
@@ -75,9 +77,8 @@ class Search(FirstPoints):
         """Sets the problem up; the other arguments are those of ``FirstPoints``."""
         self._progress, self.quiet = progress, False  # quiet : show nothing of what is searched now
         self._spectral: SpectralStarts | None = None  # set up once it is wanted
-        self.walls: set[int] = (
-            set()
-        )  # entries of first states that are at the edge of where the model has a value
+        # entries of first states at the edge of where the model has a value: to which side, and the bound before
+        self.walls: dict[int, tuple[float, float]] = {}
         self._before = 0  # iterations in the frequency domain, before those on all samples
         # objective, point (size,) and levels (ny,) of the last solution of a run
         self.reached: tuple[float, Array, Array] | None = None
@@ -223,35 +224,53 @@ class Search(FirstPoints):
         with others."""
         solution = self.solver.solve(x, self.lower, self.upper, exact=exact)
         for _ in range(_WALLS):
-            if solution.status in ("converged", "interrupted"):
+            if solution.status == "interrupted":
                 break
-            if (
-                not (solution.status.endswith(WALL) and self._bounded_by_walls(solution.x))
-                and not self._in_places()
-            ):
+            if solution.status == "converged":
+                again = self._freed(solution.x)
+            else:
+                again = solution.status.endswith(WALL) and self._bounded_by_walls(solution.x)
+                again = again or self._in_places()
+            if not again:
                 break
             other = self.solver.solve(solution.x, self.lower, self.upper, exact=exact)
             if not np.isfinite(self._objective(other.x)):
                 break
             solution = replace(other, iterations=solution.iterations + other.iterations)
+        if solution.status == "converged" and self._freed(solution.x):  # it rests on what is no edge
+            return replace(solution, status=f"not converged: {WALL}")
         return solution
 
     def _bounded_by_walls(self, x: Array) -> bool:
         """Make bounds of first states beside which the model has no value; True if there are any such."""
-        found = False
+        before = len(self.walls)
         for lay in self.problem.layouts:
             for k in range(lay.at, lay.at + lay.n):
                 for side, bound in ((-1.0, self.lower), (1.0, self.upper)):
-                    there = x.copy()
-                    there[k] += side * _BESIDE * max(1.0, abs(x[k]))
-                    if (
-                        bound[k] != x[k]
-                        and self.lower[k] < self.upper[k]
-                        and not np.isfinite(self._objective(there))
-                    ):
-                        bound[k], found = x[k], True
-                        self.walls.add(k)
-        return found
+                    if k not in self.walls and self.lower[k] < self.upper[k] and self._beyond(x, k, side):
+                        self.walls[k] = side, float(bound[k])
+                        bound[k] = x[k]
+        return len(self.walls) > before
+
+    def _beyond(self, x: Array, k: int, side: float) -> bool:
+        """True if the model has no value a little to this side of one entry."""
+        there = x.copy()
+        there[k] += side * _BESIDE * max(1.0, abs(x[k]))
+        return not np.isfinite(self._objective(there))
+
+    def _freed(self, x: Array) -> bool:
+        """Take away bounds at which first states rest where the model has a value beyond after all, as another state
+        has moved; True if there were any."""
+        found = [
+            k
+            for k, (side, _) in self.walls.items()
+            if abs(x[k] - (self.lower if side < 0 else self.upper)[k]) < AT_WALL * max(1.0, abs(x[k]))
+            and not self._beyond(x, k, side)
+        ]
+        for k in found:
+            side, bound = self.walls.pop(k)
+            (self.lower if side < 0 else self.upper)[k] = bound
+        return bool(found)
 
     def _levelled(self, solution: Solution) -> tuple[Solution, int]:
         """The solution with the noise levels settled, and the iterations that it took in all."""

@@ -76,7 +76,8 @@ class LaplaceLikelihood:
         shorter now."""
         changed, lowest = False, np.inf
         for one in v:
-            self._settled(one, sigma)
+            if self._settled(one, sigma) is None:
+                continue
             with np.errstate(all="ignore"):
                 try:
                     lowest = min(lowest, float(np.square(self._shots.residuals(self._last)).sum()))
