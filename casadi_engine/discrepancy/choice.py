@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Collection, Sequence
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -54,8 +54,6 @@ ANY = "any effect"
 # Other structures that are gone on from where nothing helps beside the best one, and how much larger their chi-squared
 # may be.
 _OTHERS, _NEARLY = 2, 2.0
-# Structures that leave less, where likelihoods do not agree, of which fresh data are asked.
-_LESS = 3
 NO_FIT = "its fit of all data does not converge"
 _NOTHING_LEFT = "its fit of all data leaves nothing of it"
 # Share of where its search started at which an amplitude is none.
@@ -81,6 +79,8 @@ class Choice:
     idle_on_fresh: Callable[[Key], Key] = field(default=lambda _: frozenset(), repr=False)
     stations: dict[Key, Station] = field(default_factory=dict, repr=False)
     _fits: dict[Key, tuple[Arrived, Fit | None]] = field(default_factory=dict, repr=False)
+    # of stations that were made before their corners were sharpened: where their refits had arrived
+    _wide: dict[Key, Arrived] = field(default_factory=dict, repr=False)
     _asked: set[tuple[Key, Key]] = field(default_factory=set, repr=False)
     _left_out: tuple[tuple[str, float], ...] = ()
     _beside: str = ""
@@ -400,24 +400,29 @@ class Choice:
             if renewed is not None:
                 return self._round(self.pool[here.key], renewed, (best.key,) if best.effects else ())
             if self._timed("refit", lambda: self._sharpened(best)):  # noqa: B023
-                here, tried = self.pool[here.key], [self.pool[one.key] for one in tried]
+                here, tried = self._as_they_are(here, tried)
                 tried += [one for one in self._alike(best) if one not in tried]
                 continue
             if weak_beside_colour(self.refits, best):
                 best.failed = True
                 continue
             arrived = self.station_of(best)
+            best = self.pool.get(best.key, best)  # with wide corners, where the time was up before
             if arrived is not None and not vanished(best.effects, arrived.fit):
                 self.refits.settled()
                 break
             if self.refits.blunted():
-                here, tried = self.pool[here.key], [self.pool[one.key] for one in tried]
+                here, tried = self._as_they_are(here, tried)
                 continue
             self.failed.setdefault(best.label, NO_FIT if arrived is None else _NOTHING_LEFT)
             best.failed = True
             ask()
         self._told(here, tried, best)
         return best
+
+    def _as_they_are(self, here: Tried, tried: Sequence[Tried]) -> tuple[Tried, list[Tried]]:
+        """Structures as they are refitted now, after corners have changed."""
+        return self.pool[here.key], [self.pool[one.key] for one in tried if one.key in self.pool]
 
     def _special_cases_of(self, best: Tried) -> None:
         """See ``special_cases``."""
@@ -500,6 +505,7 @@ class Choice:
         """See ``Refits.sharpened``; False once their share of the time is over, corners as they were then."""
         try:
             ask()
+            self._kept_wide(best)
             with Deadline(_SHARP * self.deadline.left) as own:
                 sharper = self.refits.sharpened(best)
                 if sharper and own.over:
@@ -508,6 +514,19 @@ class Choice:
         except TimeUp:
             self.refits.blunted()
             return False
+
+    def _wide_again(self, key: Key) -> bool:
+        """True if corners were taken back to those of the station that a structure has."""
+        while key in self._wide and self.pool[key].arrived is not self._wide[key]:
+            if not self.refits.blunted():
+                return False
+        return key in self._wide
+
+    def _kept_wide(self, best: Tried) -> None:
+        """Fit a structure whose corners may become sharper as it is, where time is limited: so much is an answer."""
+        limited = math.isfinite(self.deadline.left) and best.key not in self.stations
+        if limited and self.refits.may_sharpen(best) and self.station_of(best) is not None:
+            self._wide[best.key] = best.arrived
 
     def _told(self, here: Tried, tried: Sequence[Tried], kept: Tried | None) -> None:
         order = sorted(tried, key=lambda one: -one.log)
@@ -542,20 +561,26 @@ class Choice:
     def station_of(self, tried: Tried) -> Station | None:
         """The structure fitted as the null model is, and screened; None where that does not converge, or in time."""
         try:
-            with self.deadline.spared(_FIT):
+            # with an answer at hand, the time that is kept for fresh data stays theirs
+            with nullcontext() if tried.key in self._wide else self.deadline.spared(_FIT):
                 return self._fitted(tried)
         except TimeUp:
+            if self._wide_again(tried.key):
+                self.failed[f"sharper corners of {tried.name}"] = TIME_UP
+                return self.stations[tried.key]
             self.failed[tried.label] = TIME_UP
             return None
 
     def _fitted(self, tried: Tried) -> Station | None:
-        if tried.key not in self.stations:
+        wide = self._wide.get(tried.key, tried.arrived)
+        if tried.key not in self.stations or wide is not tried.arrived:
             fit = self._whole(tried)
             if fit is None:
                 return None
             screened = self._timed("score", lambda: self._screened(fit))
             self.refits.rounded.update(screened.choice.rounded)
             self.stations[tried.key] = Station(fit, tried.effects, screened)
+            self._wide.pop(tried.key, None)
         return self.stations[tried.key]
 
     def _whole(self, tried: Tried) -> Fit | None:
@@ -591,27 +616,6 @@ class Choice:
         except TimeUp:
             self.failed[tried.label] = TIME_UP
             return None
-
-    def ranked(self) -> Iterator[Key]:
-        """The structures in the order in which fresh data are asked: the chosen one, its rivals, its parts, those that
-        leave less where the two likelihoods beside coloured noise do not agree, none."""
-        chosen = self.pool[self.best]
-        yield self.best
-        every = [t for t in self.pool.values() if t.effects and t.beyond > BEYOND and t.key != self.best]
-
-        def gain(one: Tried, log: float) -> float:
-            return log - self.price * (len(one.key) - len(self.best)) + math.log(FACTOR)
-
-        near = [t for t in every if gain(t, t.log - chosen.log) > 0 or t.key < self.best]
-        less = [
-            t for t in every
-            if self.refits.levels.memory and self.best and t not in near and math.isfinite(t.log)
-            and gain(t, t.evidence.log - chosen.evidence.log) > 0
-        ]  # fmt: skip
-        yield from (one.key for one in sorted(near, key=lambda t: -t.log))
-        yield from (one.key for one in sorted(less, key=lambda t: -t.evidence.log)[:_LESS])
-        if self.best:
-            yield frozenset()
 
     def way(self, key: Key) -> list[Station] | None:
         """See ``ways.way``."""

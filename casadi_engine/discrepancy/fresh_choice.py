@@ -27,7 +27,7 @@ from casadi_engine.discrepancy.refits import Key, key_of
 from casadi_engine.discrepancy.repaired import Unknown
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.discrepancy.unknown_law import does_more
-from casadi_engine.discrepancy.ways import way_so_far
+from casadi_engine.discrepancy.ways import ranked, way_so_far
 from casadi_engine.estimation import Fit
 
 NO_RUN = "the repaired model cannot be simulated on the fresh data, which neither confirms nor refuses it"
@@ -119,7 +119,7 @@ class FreshChoice:
         blind: list[Station] | None = None  # the first one of which fresh data can say nothing
         open_one: tuple[Key, list[Station], Judgement, Pairs] | None = None  # neither confirmed nor refused
         asked, time_left = 0, left()
-        for key in search.ranked():
+        for key in ranked(search):
             if open_one is not None:
                 if asked == _FURTHER or late() or left() < _HALF * time_left:
                     break

@@ -222,9 +222,8 @@ class Refits:
         self.path = Path(refitter, dict(noise.sigma))
         self.levels = Levels(dict(noise.sigma), {}, max(noise.scatter.values(), default=0.0))
         self.pool: dict[Key, Tried] = {}
-        self._wide: tuple[float, dict[Key, Tried]] | None = (
-            None  # share and pool before corners were sharpened
-        )
+        # shares and pools before corners were sharpened, the last at the end
+        self._wide: list[tuple[float, dict[Key, Tried]]] = []
         self._blunt = False
         self.blur = 0.0  # chi-squared that corners as sharp as they are may be off by, as far as it is known
         self.rounded: dict[str, float] = {}  # see ``rounding``
@@ -497,7 +496,7 @@ class Refits:
             lead, found = self._sharp_rival(best)
         if found is None:
             return False
-        self._wide = self.refitter.share, dict(self.pool)
+        self._wide.append((self.refitter.share, dict(self.pool)))
         self.refitter.share = found[0]
         sharp = self._counted(lead.effects, found[1])
         if sharp is None:
@@ -515,6 +514,10 @@ class Refits:
                 self._again_sharp(one)
         self.weigh()
         return True
+
+    def may_sharpen(self, one: Tried) -> bool:
+        """True for a structure of whose corners it is not known whether sharper ones are felt."""
+        return not self._blunt and one.key not in self._fine and self.path.cornered(one.effects)
 
     def _sharpest(self, one: Tried) -> tuple[float, Arrived] | None:
         """The share of corners that a structure's data feel, and where its refit with them arrived; None where they
@@ -554,8 +557,7 @@ class Refits:
         """Refit with the corners as they are now; what a wide one gained is no evidence, so that the end counts even
         where it is less probable."""
         self._tell(f"sharper corners: {tried.label}")
-        assert self._wide is not None
-        again = self.path.sharper(tried.effects, tried.arrived, self._wide[0])
+        again = self.path.sharper(tried.effects, tried.arrived, self._wide[-1][0])
         made = None if again is None else self._counted(tried.effects, again)
         if made is not None:
             self.pool[tried.key] = made
@@ -564,16 +566,16 @@ class Refits:
     def blunted(self) -> bool:
         """Take corners back to the widths before, for good: fits do not settle with sharper ones; False where there
         were none."""
-        if self._wide is None:
+        if not self._wide:
             return False
-        (self.refitter.share, self.pool), self._wide, self._blunt = self._wide, None, True
+        (self.refitter.share, self.pool), self._blunt = self._wide.pop(), True
         self.path.felt = math.nan
         self.weigh()
         return True
 
     def settled(self) -> None:
         """A fit with corners as sharp as they are was reached: they are not taken back for what is added later."""
-        self._wide = None
+        self._wide.clear()
 
     def rounding_felt(self, effects: Sequence[Addition]) -> float:
         """Chi-squared by which sharper corners of these effects may change it, nan where that is not known; 0 where the

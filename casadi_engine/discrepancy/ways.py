@@ -1,21 +1,48 @@
-"""The way to a structure of several effects: the models in between, one effect more each, fitted and scored."""
+"""The way to a structure of several effects: the models in between, one effect more each, fitted and scored; and the
+order in which structures are put to the test of fresh data."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.families import BEYOND
 from casadi_engine.discrepancy.membership import class_of, ordered, reached
 from casadi_engine.discrepancy.refit import Addition
-from casadi_engine.discrepancy.refits import Key, key_of
+from casadi_engine.discrepancy.refits import Key, Tried, key_of
 from casadi_engine.discrepancy.start import Start
 from casadi_engine.discrepancy.station import Station
 
 if TYPE_CHECKING:
     from casadi_engine.discrepancy.choice import Choice
 
+# Structures that leave less, where likelihoods do not agree, of which fresh data are asked.
+_LESS = 3
 _IDLE = "one of its effects does nothing of its own beside the others"
+
+
+def ranked(search: Choice) -> Iterator[Key]:
+    """The structures in the order in which fresh data are asked: the chosen one, its rivals, its parts, those that
+    leave less where the two likelihoods beside coloured noise do not agree, none."""
+    chosen = search.pool[search.best]
+    yield search.best
+    every = [t for t in search.pool.values() if t.effects and t.beyond > BEYOND and t.key != search.best]
+
+    def gain(one: Tried, log: float) -> float:
+        return log - search.price * (len(one.key) - len(search.best)) + math.log(FACTOR)
+
+    near = [t for t in every if gain(t, t.log - chosen.log) > 0 or t.key < search.best]
+    less = [
+        t for t in every
+        if search.refits.levels.memory and search.best and t not in near and math.isfinite(t.log)
+        and gain(t, t.evidence.log - chosen.evidence.log) > 0
+    ]  # fmt: skip
+    yield from (one.key for one in sorted(near, key=lambda t: -t.log))
+    yield from (one.key for one in sorted(less, key=lambda t: -t.evidence.log)[:_LESS])
+    if search.best:
+        yield frozenset()
 
 
 def way(search: Choice, key: Key) -> list[Station] | None:

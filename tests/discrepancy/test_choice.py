@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import casadi_engine as ce
-from casadi_engine.deadline import Deadline
+from casadi_engine.deadline import Deadline, TimeUp
 from casadi_engine.discrepancy import choice as module
 from casadi_engine.discrepancy import path, refits
 from casadi_engine.discrepancy.additions import Additions
@@ -19,6 +19,7 @@ from casadi_engine.discrepancy.refit import Refitter, addition
 from casadi_engine.discrepancy.refits import PART, key_of
 from casadi_engine.discrepancy.screening import screen
 from casadi_engine.discrepancy.start import Start
+from casadi_engine.discrepancy.ways import ranked
 from casadi_engine.effects import Amplitude, Effect
 from casadi_engine.errors import EstimationError
 
@@ -131,7 +132,7 @@ def test_the_way_to_a_structure_has_its_class(named):
 
 
 def test_structures_are_asked_in_the_order_of_their_evidence(named):
-    assert list(named.choice.ranked()) == [named.choice.best, frozenset()]
+    assert list(ranked(named.choice)) == [named.choice.best, frozenset()]
 
 
 def test_two_effects_are_added_one_after_the_other(prepared):
@@ -144,7 +145,7 @@ def test_two_effects_are_added_one_after_the_other(prepared):
     stations = made.choice.way(made.choice.best)
     assert [len(one.effects) for one in stations] == [0, 1, 2]
     # the parts come after what is chosen, and the model without effects last
-    order = list(made.choice.ranked())
+    order = list(ranked(made.choice))
     assert order[0] == made.choice.best
     assert order[-1] == frozenset()
 
@@ -348,6 +349,30 @@ def test_where_whole_fits_fail_with_sharp_corners_the_wider_ones_count_again(pre
     assert made.choice.failed == {}
     assert made.choice.best
     assert made.choice.refitter.share == 1
+
+
+def test_where_time_ends_with_sharp_corners_the_fit_with_wide_ones_is_the_answer(prepared, monkeypatch):
+    """More time than it takes to name an effect leaves it named."""
+    deadline = Deadline(1e6, spare=600.0)
+    made = prepared(rubbing, ["coulomb_friction"], most=1, deadline=deadline)
+    real, shares = Choice._whole, []
+
+    def whole(self, tried):
+        shares.append(self.refitter.share)
+        if shares[-1] < 1:
+            deadline.stop()
+            raise TimeUp
+        return real(self, tried)
+
+    monkeypatch.setattr(Choice, "_whole", whole)
+    monkeypatch.setattr("casadi_engine.discrepancy.path.FELT", 1e-9)  # whatever the data say
+    with deadline:
+        made.choice.run(made.fit)
+    assert shares[0] == 1 > shares[1]
+    assert made.choice.best == {DRY}
+    assert made.choice.failed == {"sharper corners of coulomb_friction at pivot": "the time was up"}
+    assert made.choice.refitter.share == 1
+    assert made.choice.pool[made.choice.best].arrived is made.choice._wide[made.choice.best]
 
 
 @pytest.mark.slow
