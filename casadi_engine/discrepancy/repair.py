@@ -50,7 +50,7 @@ from casadi_engine.estimation.estimate import _own, _records
 from casadi_engine.estimation.faulty_samples import at_its_limit, stands_still, wild_samples
 from casadi_engine.estimation.followed import not_followed
 from casadi_engine.estimation.interrupts import Interrupts
-from casadi_engine.estimation.ipopt import OUT_OF_ITERATIONS
+from casadi_engine.estimation.ipopt import ONE_STEP, OUT_OF_ITERATIONS
 from casadi_engine.estimation.options import as_number, whole
 from casadi_engine.estimation.parallel import checked_jobs
 from casadi_engine.experiment import Experiment
@@ -387,7 +387,7 @@ class _Job:
         with Deadline(share, best=True) as own:
             fit = estimate(**given)
             # as its message tells a person to, who may have wanted no more than so many
-            if "one more step" in fit.status or (fit.status == OUT_OF_ITERATIONS and self.patient):
+            if ONE_STEP in fit.status or (fit.status == OUT_OF_ITERATIONS and self.patient):
                 more = options | {"max_iterations": _FURTHER * options["max_iterations"]}
                 with suppress(CasadiEngineError):  # there is a fit
                     again = estimate(

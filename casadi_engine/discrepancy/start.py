@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from casadi_engine.estimation import Fit
+from casadi_engine.estimation.search import is_near
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,4 +28,4 @@ class Start:
     @classmethod
     def of(cls, fit: Fit, *, near: bool = True) -> Start:
         """A fit as a start; near : an optimum is to be near."""
-        return cls(fit.values, fit.initial, fit.noise, near and fit.converged, fineness=fit.fineness)
+        return cls(fit.values, fit.initial, fit.noise, near and is_near(fit), fineness=fit.fineness)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from casadi_engine.errors import ModelError
 from casadi_engine.estimation.fit import Optimum
 from casadi_engine.estimation.integration import SHARE, alike
+from casadi_engine.estimation.ipopt import ONE_STEP
 from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty, uncertainty
@@ -95,7 +96,7 @@ def verdict(
             "its shooting intervals joined within its tolerance only"
         )
     elif not decrement <= _STATIONARY and not _corner(search, errors, residuals):
-        reason = f"one more step would still lower chi-squared by {decrement:.3g}, more than {_STATIONARY:g}"
+        reason = f"{ONE_STEP} would still lower chi-squared by {decrement:.3g}, more than {_STATIONARY:g}"
     else:
         return status, None
     return f"not converged: {reason}", reason
@@ -186,7 +187,7 @@ def _in_one_piece(search: Search, record: RecordTerm) -> RecordTerm:
 
 def cure(reason: str, length: float | None = None) -> str:
     """What to do about such a doubt; length : [s] of records that can be simulated in one piece, if these cannot."""
-    if reason.startswith("one more step"):
+    if reason.startswith(ONE_STEP):
         return f"{reason}: go on from here (warm=fit), start elsewhere, or fix what the data do not determine"
     if reason.startswith("the equations have no finite slope"):
         return f"{reason}: take data from before it, or make the equations smooth there"

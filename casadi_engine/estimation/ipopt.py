@@ -83,6 +83,8 @@ _WORDS = {
     "NonIpopt_Exception_Thrown": "the model could not be evaluated",
 }
 
+# How the reason begins why a point is no optimum that is a step short of one.
+ONE_STEP = "one more step"
 OUT_OF_ITERATIONS = f"not converged: {_WORDS['Maximum_Iterations_Exceeded']}"
 
 

@@ -16,7 +16,7 @@ from casadi_engine.estimation.first_points import FirstPoints
 from casadi_engine.estimation.followed import FOLLOWED
 from casadi_engine.estimation.growth import length_for
 from casadi_engine.estimation.integration import alike, shorten_steps
-from casadi_engine.estimation.ipopt import OUT_OF_ITERATIONS, WALL, Solution, Solver
+from casadi_engine.estimation.ipopt import ONE_STEP, OUT_OF_ITERATIONS, WALL, Solution, Solver
 from casadi_engine.estimation.scales import felt_scale, state_factors
 from casadi_engine.estimation.spectral_start import Begun, SpectralStarts, in_full
 from casadi_engine.estimation.unreachable import unreachable
@@ -59,6 +59,11 @@ class Attempt:
     pending: bool = False
     cut: bool = False
     run: bool = True
+
+
+def is_near(warm: Any) -> bool:
+    """True for a fit that is an optimum, or a step short of one."""
+    return bool(getattr(warm, "converged", False)) or ONE_STEP in getattr(warm, "status", "")
 
 
 class Search(FirstPoints):
@@ -119,7 +124,7 @@ class Search(FirstPoints):
         given, z = z, self._approached(z) if first else z
         self._weigh(beside.sigma if beside else self.levels.first(self.warm if first else None))
         known = {record.experiment.name for record in self.records} <= set(getattr(self.warm, "initial", ()))
-        near = first and known and bool(getattr(self.warm, "converged", False))
+        near = first and known and is_near(self.warm)
         why = "it starts at an optimum" if near else in_full(self)
         self._before, begun = 0, None
         if why is None:

@@ -14,7 +14,7 @@ import pytest
 
 import casadi_engine as ce
 from casadi_engine.estimation.ipopt import Solution
-from casadi_engine.estimation.search import Search
+from casadi_engine.estimation.search import Search, is_near
 from casadi_engine.estimation.starts import drawn_starts
 from casadi_engine.parameters import compile
 
@@ -393,3 +393,16 @@ def test_an_optimum_above_what_a_run_from_the_start_explains_is_none_to_end_at(s
     )  # fmt: skip
     found = Search._solved(search, "nodes", exact=False)
     assert (found.x, found.status, found.iterations) == ("end", status, 7)
+
+
+@pytest.mark.parametrize(
+    ("converged", "status", "near"),
+    [
+        (True, "converged", True),
+        (False, "not converged: one more step would still lower chi-squared by 0.003, more than 0.001", True),
+        (False, "not converged: the iterations ran out; allow more with max_iterations", False),
+    ],
+)
+def test_a_fit_that_is_a_step_short_of_its_optimum_is_gone_on_with_from_there(converged, status, near):
+    """From far off the search would leave it first."""
+    assert is_near(SimpleNamespace(converged=converged, status=status)) is near
