@@ -66,6 +66,8 @@ class Additions:
     done: list[Family] = field(default_factory=list)
     left_out: dict[Family, float] = field(default_factory=dict)
     forms: dict[Family, list[Addition]] = field(default_factory=dict)
+    # what was refitted and led nowhere, though it explained most
+    refused: set[Family] = field(default_factory=set)
 
     def run(self) -> list[Tried]:
         """The structures with one effect more, as far as the time allows."""
@@ -101,6 +103,28 @@ class Additions:
             names = [f"{key[0]} at {key[1]}" for key in left if key not in self.done]
             self.failed |= dict.fromkeys(names or [_OTHER_STARTS], TIME_UP)
         return self._tried()
+
+    def rest(self) -> list[Tried]:
+        """The structures of those effects that were left out as one that was refitted explained more, where that is no
+        answer after all."""
+        left = sorted(self.left_out, key=lambda key: self.left_out[key])
+        self.refused, self.left_out, first = set(self.done), {}, len(self.done)
+        self.lead, self.start = self.at_here, Start(self.here.arrived.values, self.here.arrived.initial)
+        best: Tried | None = None
+        try:
+            while left:
+                ask()
+                key = left.pop(0)
+                self.tell(f"refit of what was left out: {key[0]} at {key[1]}")
+                self.done.append(key)
+                self._try(self._in_time(chosen_of(self.screened, self.lead, self.families[key])), self.start)
+                found = self._best()
+                if found is not None and (best is None or found.arrived.cost < best.arrived.cost - _NESTED):
+                    best = found
+                    left = self._left(best, left) if left else []
+        except TimeUp:
+            self.failed |= dict.fromkeys((f"{key[0]} at {key[1]}" for key in left), TIME_UP)
+        return [one for one in map(self._known, self.done[first:]) if one is not None]
 
     # ---- what is refitted
 
@@ -338,7 +362,10 @@ class Additions:
 
     def _best(self) -> Tried | None:
         """The structure that was refitted here which leaves least."""
-        return min(self._tried(), key=lambda one: one.arrived.cost, default=None)
+        ready = (
+            one for key in self.done if key not in self.refused and (one := self._known(key)) is not None
+        )
+        return min(ready, key=lambda one: one.arrived.cost, default=None)
 
     def _tried(self) -> list[Tried]:
         """The structures of the effects that were refitted here, in the order of their refits."""

@@ -34,7 +34,7 @@ from casadi_engine.discrepancy.fresh_misfit import SEEN
 from casadi_engine.discrepancy.membership import simpler
 from casadi_engine.discrepancy.pairs import price_of, tried_in_two, with_one_more
 from casadi_engine.discrepancy.path import Arrived
-from casadi_engine.discrepancy.refit import Addition, Refitter
+from casadi_engine.discrepancy.refit import Refitter, vanished
 from casadi_engine.discrepancy.refits import FACTOR, Key, Refits, Tried
 from casadi_engine.discrepancy.repaired import Round
 from casadi_engine.discrepancy.screening import Screened, coloured
@@ -56,8 +56,6 @@ ANY = "any effect"
 _OTHERS, _NEARLY = 2, 2.0
 NO_FIT = "its fit of all data does not converge"
 _NOTHING_LEFT = "its fit of all data leaves nothing of it"
-# Share of where its search started at which an amplitude is none.
-_GONE = 1e-6
 
 
 @dataclass
@@ -166,8 +164,9 @@ class Choice:
             self.best = here.key
 
     def _from_others(self) -> None:
-        """Go on from structures of as many effects that explain nearly as much, where the chosen one leaves more than
-        noise and nothing beside it helps: effects that bend to one another's place leave none for a third."""
+        """Go on from structures of as many effects that explain nearly as much, and from other effects alone, where the
+        chosen one leaves more than noise and nothing beside it helps: effects that bend to one another's place leave
+        none for a third."""
         best = self.pool[self.best]
         if not 2 <= len(best.effects) < self.most or not leaves_more(self.refits, best):
             return
@@ -177,14 +176,19 @@ class Choice:
             for one in self.pool.values()
             if len(one.effects) == len(best.effects) and one is not best and one.arrived.cost < most
         ]
-        for one in sorted(near, key=lambda t: t.arrived.cost)[:_OTHERS]:
+        # or it was begun with what is none of them
+        alone = [one for one in self.pool.values() if len(one.effects) == 1 and not one.key <= best.key]
+        near, alone = (sorted(own, key=lambda t: t.arrived.cost)[:_OTHERS] for own in (near, alone))
+        for one in [*near, *alone]:
             ask()
             station = None if one.failed else self.station_of(one)
             if station is None:
                 continue
             kept, self.best = self.best, one.key
             self._grown(one)
-            if self.pool[self.best].arrived.cost < best.arrived.cost:
+            found = self.pool[self.best]
+            dearer = self.price * (len(found.effects) - len(best.effects))
+            if found.arrived.cost + 2 * dearer < best.arrived.cost:
                 return
             self.best = kept
 
@@ -355,7 +359,13 @@ class Choice:
         tried += [self.pool[key] for key in known if self.pool[key] not in tried]
         self._timed("evidence", self.refits.weigh)
         tried += self._timed("exchange", lambda: self._without_idle(tried))
-        return self._chosen_of(here, station, tried)
+        chosen = self._chosen_of(here, station, tried)
+        if chosen is not None or self.refits.path.linear or not self._left_out or late():
+            return chosen
+        # one step is no word on them where what it was made from is no answer
+        rest = self._timed("refit", lambda: self._added(here, station, again=True))
+        self._timed("evidence", self.refits.weigh)
+        return self._chosen_of(here, station, rest) if rest else None
 
     def _another(self, here: Tried) -> Tried | None:
         """The structure that takes the place of ``here`` where what fresh data would leave out is no choice: one that
@@ -480,12 +490,13 @@ class Choice:
         best = max(ready, key=lambda t: t.log, default=None)
         return None if best is None or weak_beside_colour(self.refits, best) else best
 
-    def _added(self, here: Tried, station: Station) -> list[Tried]:
-        made = Additions(self.refits, here, station, self.failed, self.tell)
-        tried = made.run()
-        self._left_out = tuple(
-            (f"{effect} at {port}", cost) for (effect, port), cost in made.left_out.items()
-        )
+    def _added(self, here: Tried, station: Station, *, again: bool = False) -> list[Tried]:
+        """What was refitted with one effect more; again : those that were left out before."""
+        if not again:
+            self._additions = Additions(self.refits, here, station, self.failed, self.tell)
+        tried = self._additions.rest() if again else self._additions.run()
+        left = self._additions.left_out.items()
+        self._left_out = tuple((f"{effect} at {port}", cost) for (effect, port), cost in left)
         return tried
 
     def _without_idle(self, tried: Sequence[Tried]) -> list[Tried]:
@@ -633,13 +644,3 @@ def _together(best: Tried, tried: Sequence[Tried]) -> float:
     than each alone."""
     rivals = [t.log for t in tried if t is not best and t.beyond > BEYOND and len(t.key) == len(best.key)]
     return float(np.logaddexp.reduce([best.log, *rivals]))
-
-
-def vanished(effects: Sequence[Addition], fit: Fit) -> bool:
-    """True if a fit leaves nothing of one of its effects: on the bound where it is none, or made smaller and smaller
-    while the data were content."""
-    for one in effects:
-        own = [e for name, e in fit.estimates.items() if name.partition("@")[0] == one.amplitude]
-        if own and all(abs(e.value) <= _GONE * abs(one.start) for e in own):
-            return True
-    return False

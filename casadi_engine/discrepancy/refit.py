@@ -36,6 +36,8 @@ from casadi_engine.simulation.propagator import switches_with_states
 
 # Iterations of one try; of one that holds an amplitude; and of one that is to show that it cannot be held.
 _ITERATIONS, _FEWER, _GLANCE = 60, 30, 10
+# Share of where its search started at which an amplitude is none.
+_GONE = 1e-6
 # Intervals into which a record is cut for laws with sharp corners.
 _INTERVALS = 400
 
@@ -414,3 +416,13 @@ def whitened_cost(fit: Fit, choice: NoiseChoice) -> float:
 def freedom(fit: Fit) -> int:
     """How many numbers a fit estimated."""
     return len(fit.free) + sum(not e.fixed for states in fit.initial.values() for e in states.values())
+
+
+def vanished(effects: Sequence[Addition], fit: Fit) -> bool:
+    """True if a fit leaves nothing of one of its effects: on the bound where it is none, or made smaller and smaller
+    while the data were content."""
+    for one in effects:
+        own = [e for name, e in fit.estimates.items() if name.partition("@")[0] == one.amplitude]
+        if own and all(abs(e.value) <= _GONE * abs(one.start) for e in own):
+            return True
+    return False

@@ -117,7 +117,7 @@ def doubts_of(
     if not errors.optimal or not search.problem.nv or not np.isfinite(errors.covariance.matrix).all():
         return ()
     found = _rivals(search, best, errors, optima)
-    found += [] if found else _exchanged(search, errors, residuals)
+    found += [] if found else _exchanged(search, errors)
     if growing(search, best) is None:
         around = _Around(search, best, errors, residuals)
         for move in _moves(errors, search.problem.nv, 1 if around.long else _DIRECTIONS):
@@ -423,23 +423,28 @@ def _rivals(search: Search, best: Attempt, errors: Uncertainty, optima: Sequence
     return found
 
 
-def _exchanged(search: Search, errors: Uncertainty, residuals: Sequence[Array]) -> list[Doubt]:
-    """Parameters of one unit that explain the data as well with their values exchanged."""
+def _exchanged(search: Search, errors: Uncertainty) -> list[Doubt]:
+    """What explains the data as well: parameters of one unit with their values exchanged, or other signs."""
     found = []
-    for twin in twins(search, errors, residuals, _RIVAL):
-        one, other = twin.pairs[0]
+    for twin in twins(search, errors, _RIVAL):
         if twin.higher < -_LOWER:
             text = (
-                f"the data are explained better with {twin} exchanged (chi-squared {-twin.higher:.2g} "
+                f"the data are explained better with {twin} (chi-squared {-twin.higher:.2g} "
                 "lower): this is not the lowest optimum; start from there, or search with starts=10"
             )
         else:
+            apart = "bounds or known first states"
+            if twin.pairs:
+                one, other = twin.pairs[0]
+                apart = f'bounds, or by pars.constrain("{one} - {other}", min=0) or max=0'
             text = (
-                f"the data are explained as well with {twin} exchanged (chi-squared "
-                f"{max(twin.higher, 0.0):.2g} higher): their errors are not known; tell them apart by bounds, or by "
-                f'pars.constrain("{one} - {other}", min=0) or max=0, or {CALL}'
+                f"the data are explained as well with {twin} (chi-squared {max(twin.higher, 0.0):.2g} higher): the "
+                f"errors of what differs there are not known; tell them apart by {apart}, or {CALL}"
             )
-        found.append(Doubt("rival", text, _with_states(errors, twin.v)))
+        there = np.concatenate([twin.v, *twin.starts])
+        here = np.concatenate([errors.v, *(lay.take(errors.x)[0] for lay in search.problem.layouts)])
+        moved = _with_states(errors, twin.v) if twin.pairs else there - here
+        found.append(Doubt("rival", text, moved))
     return found
 
 

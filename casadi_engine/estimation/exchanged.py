@@ -1,11 +1,12 @@
-"""Parameters that explain the data as well with their values exchanged: the rates of a chain of which the last member
-alone is measured, the two exponentials of a sum. No search from one start meets the other optimum, and all that is
-looked at around one says nothing of it.
+"""Other points that explain the data as well, which no search from one start meets: values exchanged, as the rates of a
+chain of which the last member alone is measured or two exponentials of a sum, or of the other sign, as a detuning that
+is seen through a cosine. All that is looked at around one of them says nothing of the other.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -19,102 +20,175 @@ from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.search import Search
 from casadi_engine.estimation.standard_errors import Uncertainty
 from casadi_engine.estimation.starts import chained_nodes, nodes_by_first
+from casadi_engine.simulation.propagator import steps_kept
 
 Array = NDArray[np.float64]
 
 # Squared standard errors within which values that are exchanged are the same ones; samples that are simulated at most.
 _ALIKE, _WORK = 25.0, 3e6
+# Times as many integration steps as at the optimum that are taken elsewhere.
+_SLOWER = 4
 # Share of the information below which a state shows nothing.
 _BLIND = 1e-12
 # Steps of the others at an exchange; chi-squared that one leaves, as a share, for another to be worth its time.
 _STEPS, _FALLS = 8, 0.5
-# Coordinates within which two ends are one.
-_SAME = 1e-2
+# Standard deviations by which first samples deny a first state.
+_SEEN = 5.0
+# Coordinates within which two ends are one; and the information on a first state, on its scale, that says so.
+_SAME, _TOLD = 1e-2, _ALIKE / 1e-4
+
+
+@dataclass(frozen=True)
+class Move:
+    """What is done to an optimum: numbers of parameters that are exchanged, by pairs, of those that take the other
+    sign, and of states that begin with the other sign, in all records."""
+
+    pairs: tuple[tuple[int, int], ...] = ()
+    signs: tuple[int, ...] = ()
+    states: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
 class Twin:
-    """Parameters that may be exchanged: their names by pairs, the point v (nv,) where they are, and its chi-squared
-    above the optimum's."""
+    """Another point that explains the data: what leads there, parameters by pairs and what takes the other sign, in
+    words; the point v (nv,), first states (n,) of each record there, and its chi-squared above the optimum's."""
 
     pairs: tuple[tuple[str, str], ...]
+    signs: tuple[str, ...]
     v: Array
+    starts: tuple[Array, ...]
     higher: float
 
     def __str__(self) -> str:
-        """ "k1 and k2", or "R1 and R2, and C1 and C2"."""
-        return ", and ".join(" and ".join(pair) for pair in self.pairs)
+        """ "k1 and k2 exchanged", or "the other sign of dw and of the first phi"."""
+        if self.signs:
+            return f"the other sign of {' and of '.join(self.signs)}"
+        return ", and ".join(" and ".join(pair) for pair in self.pairs) + " exchanged"
 
 
-def twins(search: Search, errors: Uncertainty, residuals: Sequence[Array], limit: float) -> list[Twin]:
-    """The pairs of one unit, and two of them at once, whose exchange raises chi-squared by less than ``limit``, the
-    others and the first states at their best.
+def twins(search: Search, errors: Uncertainty, limit: float) -> list[Twin]:
+    """Pairs of parameters of one unit, and two of them at once, whose exchange raises chi-squared by less than
+    ``limit``, the others and the first states at their best; and likewise what may have the other sign."""
+    starts = [lay.take(errors.x)[0] for lay in search.problem.layouts]
+    metric = np.asarray(np.linalg.pinv(errors.covariance.matrix, hermitian=True), dtype=np.float64)
+    return list(_twins(search, errors.v, starts, metric, limit))
 
-    residuals : (K, M) of each record at the optimum
-    """
-    here = printed_cost(search, errors.v, residuals)
-    found: list[Twin] = []
-    nv = search.problem.nv
-    metric = np.linalg.pinv(errors.covariance.matrix[:nv, :nv], hermitian=True)
+
+def mirrored_starts(search: Search, v: Array, starts: Sequence[Array], limit: float) -> list[Twin]:
+    """Other points beside v (nv,) and first states (n,) of each record to which first states of the other sign lead,
+    and which raise chi-squared by less than ``limit``."""
+    metric = np.diag(np.concatenate([np.zeros(len(v)), *(np.full(len(one), _TOLD) for one in starts)]))
+    return list(_twins(search, v, starts, metric, limit, states=True))
+
+
+def _twins(
+    search: Search,
+    v: Array,
+    starts: Sequence[Array],
+    metric: Array,
+    limit: float,
+    *,
+    states: bool = False,
+) -> Iterator[Twin]:
+    """See ``twins``; metric (N, N) of distances from [v; first states], states : those that move first states alone."""
     most = int(_WORK // max(search.problem.samples, 1))
-    free = search.pmap.free
-    for pairs in _exchanges(search):
+    names, known = search.pmap.free, [np.concatenate([v, *starts]) if states else v]
+    optimum = _Exchange(search, list(starts), Move(), 0.0)
+    here = optimum.cost(v)
+    for move in _moves(search, v, starts):
         if most <= 0:
-            break
-        z, ways = search.coordinates.values(errors.v), {k for pair in pairs for k in pair}
-        for i, j in pairs:
-            z[[i, j]] = z[[j, i]]
-        if not (search.pmap.lower <= z).all() or not (z <= search.pmap.upper).all():
+            return
+        at = _moved(search, v, starts, move)
+        if at is None or (states and not move.states):
             continue
-        v = search.coordinates.of(z)
-        moved = v - errors.v
-        if moved @ metric @ moved < _ALIKE:
+        away = np.concatenate([at[0] - v, *(a - b for a, b in zip(at[1], starts, strict=True))])
+        if away @ metric @ away < _ALIKE:
             continue
-        exchange = _Exchange(search, errors, sorted(ways), here + limit)
+        exchange = _Exchange(search, at[1], move, here + limit)
         try:
-            with np.errstate(all="ignore"):  # a model may have no value there
-                higher = exchange.settled(v) - here
+            with np.errstate(all="ignore"), ExitStack() as kept:  # a model may have no value there
+                for record in search.records:
+                    kept.enter_context(steps_kept(record.propagator, _SLOWER))
+                higher = exchange.settled(at[0], optimum.first) - here
         except (FloatingPointError, np.linalg.LinAlgError, ModelError):
             higher = np.inf
         most -= exchange.work
-        new = not any(np.allclose(exchange.v, one.v, rtol=0, atol=_SAME) for one in found)
+        point = np.concatenate([exchange.v, *exchange.starts])
+        new = not any(np.allclose(point[: len(one)], one, rtol=0, atol=_SAME) for one in known)
         if higher < limit and new and not search.constraints.violated(exchange.v):
-            found.append(Twin(tuple((free[i], free[j]) for i, j in pairs), exchange.v, higher))
-    return found
+            known.append(point)
+            own = [search.model.states[i].name for i in move.states]
+            signs = (*(names[k] for k in move.signs), *(f"the first {name}" for name in own))
+            pairs = tuple((names[i], names[j]) for i, j in move.pairs)
+            yield Twin(pairs, signs, exchange.v, tuple(exchange.starts), higher)
+
+
+def _moved(search: Search, v: Array, starts: Sequence[Array], move: Move) -> tuple[Array, list[Array]] | None:
+    """The point v (nv,) and first states (n,) of each record that a move leads to; None beyond bounds."""
+    z, lays = search.coordinates.values(v), search.problem.layouts
+    for i, j in move.pairs:
+        z[[i, j]] = z[[j, i]]
+    z[list(move.signs)] *= -1
+    own = [one.copy() for one in starts]
+    for start in own:
+        start[list(move.states)] *= -1
+    inside = (search.pmap.lower <= z).all() and (z <= search.pmap.upper).all()
+    for start, lay in zip(own, lays, strict=True):
+        ends = slice(lay.at, lay.at + lay.n)
+        inside &= bool((search.lower[ends] <= start).all() and (start <= search.upper[ends]).all())
+    return (search.coordinates.of(z), own) if inside else None
 
 
 class _Exchange:
-    """Parameters exchanged, and what the others make of it.
+    """Where a move led, and what the others make of it.
 
-    work : simulations so far; v : (nv,) where the exchange ended
+    work : simulations so far; v : (nv,) where it ended; starts : first states (n,) of each record there; first : the
+    residuals of the first samples of all outputs where it was last
     """
 
-    def __init__(self, search: Search, errors: Uncertainty, held: list[int], limit: float) -> None:
-        self._search, self._held, self._limit, self.work = search, held, limit, 0
-        self.v = errors.v
-        self._starts = [lay.take(errors.x)[0] for lay in search.problem.layouts]
+    def __init__(self, search: Search, starts: list[Array], move: Move, limit: float) -> None:
+        self._search, self._limit, self.work = search, limit, 0
+        self.v, self.starts, self.first = np.zeros(0), starts, np.zeros(0)
+        self._begins = bool(move.states)
+        at = len(search.pmap.free)
+        self._held = [*move.signs, *(k for pair in move.pairs for k in pair)]
+        for start in starts:
+            self._held += [at + i for i in move.states]
+            at += len(start)
 
-    def settled(self, v: Array) -> float:
-        """Chi-squared with the exchange at v (nv,), the others going on from there where that serves."""
-        cost = self._cost(v)
-        for _ in range(_STEPS):
-            before = cost
+    def settled(self, v: Array, before: Array) -> float:
+        """Chi-squared with the exchange at v (nv,), the others going on from there where that serves.
+
+        before : the residuals of the first samples at the optimum; a first state that these deny leads nowhere
+        """
+        cost = self.cost(v)
+        denied = self._begins and bool((np.abs(self.first - before) > _SEEN).any())
+        for _ in range(0 if denied else _STEPS):
+            last = cost
             if cost < self._limit or self._search.predictor.kind != "none":
                 break
             v = self._stepped(v)
-            cost = self._cost(v)
-            if not cost < _FALLS * before:
+            cost = self.cost(v)
+            if not cost < _FALLS * last:
                 break
         self.v = v
         return cost
 
-    def _cost(self, v: Array) -> float:
+    def cost(self, v: Array) -> float:
+        """Chi-squared at v (nv,)."""
         self.work += 1
         search = self._search
         left = [
             _best(search, record, v, start, k)
-            for k, (record, start) in enumerate(zip(search.records, self._starts, strict=True))
+            for k, (record, start) in enumerate(zip(search.records, self.starts, strict=True))
         ]
+        self.first = np.array(
+            [
+                own.ravel()[where[0]]
+                for own, record in zip(left, search.records, strict=True)
+                for where in record.observation.where.values()
+            ]
+        )
         return printed_cost(search, v, left)
 
     def _stepped(self, v: Array) -> Array:
@@ -124,7 +198,7 @@ class _Exchange:
         sizes = [record.n for record in search.records]
         gradient, matrix = np.zeros(nv + sum(sizes)), np.zeros((nv + sum(sizes), nv + sum(sizes)))
         _, gradient[:nv], _, matrix[:nv, :nv] = search.problem.priors.evaluate(v)
-        for record, start in zip(search.records, self._starts, strict=True):
+        for record, start in zip(search.records, self.starts, strict=True):
             self.work += 1 + len(record.active) + record.n
             point = record.evaluate(v, chained_nodes(record, v, start))
             slopes = chained_slopes(record, point)
@@ -134,13 +208,13 @@ class _Exchange:
             matrix[np.ix_(own, own)] += slopes @ slopes.T
             at += record.n
         unit = np.concatenate([search.coordinates.slope(v), np.ones(sum(sizes))])
-        now = np.concatenate([search.coordinates.values(v), *self._starts])
+        now = np.concatenate([search.coordinates.values(v), *self.starts])
         low, high = self._limits()
         free = low < high
         free[self._held] = False
         moved = _least_squares(gradient / unit, matrix / np.outer(unit, unit), free)
         after = np.clip(now + moved, low, high)
-        self._starts = np.split(after[nv:], np.cumsum(sizes)[:-1])
+        self.starts = np.split(after[nv:], np.cumsum(sizes)[:-1])
         return search.coordinates.of(after[:nv])
 
     def _limits(self) -> tuple[Array, Array]:
@@ -164,13 +238,23 @@ def _least_squares(gradient: Array, matrix: Array, free: NDArray[np.bool_]) -> A
     return moved
 
 
-def _exchanges(search: Search) -> Iterator[tuple[tuple[int, int], ...]]:
-    """Pairs of free parameters, by their numbers, that have one unit; then two pairs at once, as a resistance and a
-    capacity of one branch are exchanged with those of another."""
+def _moves(search: Search, v: Array, starts: Sequence[Array]) -> Iterator[Move]:
+    """Pairs of free parameters, by their numbers, that have one unit; what may have the other sign: parameters, and of
+    models in which they do not enter in lines first states, each alone and all together, beside a parameter too; then
+    two pairs at once, as a resistance and a capacity of one branch are exchanged with those of another."""
     units = [search.parameters[name.split("@")[0]].unit for name in search.pmap.free]
     pairs = [(i, j) for i, j in combinations(range(len(units)), 2) if units[i] == units[j]]
-    yield from ((pair,) for pair in pairs)
-    yield from (both for both in combinations(pairs, 2) if len({*both[0], *both[1]}) == 4)
+    yield from (Move((pair,)) for pair in pairs)
+    z, states = search.coordinates.values(v), list[tuple[int, ...]]()
+    if not all(record.linear for record in search.records):
+        begun = np.flatnonzero(np.any([start != 0 for start in starts], axis=0)).tolist()
+        states = [(i,) for i in begun] + ([tuple(begun)] if len(begun) > 1 else [])
+    either = (search.pmap.lower <= -z) & (-z <= search.pmap.upper) & (z != 0)
+    signs = [(k,) for k in np.flatnonzero(either).tolist()]
+    yield from (Move(signs=own) for own in signs)
+    yield from (Move(states=own) for own in states)
+    yield from (Move(signs=own, states=other) for own in signs for other in states)
+    yield from (Move(both) for both in combinations(pairs, 2) if len({*both[0], *both[1]}) == 4)
 
 
 def _best(search: Search, record: RecordTerm, v: Array, start: Array, k: int) -> Array:

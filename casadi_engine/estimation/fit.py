@@ -102,6 +102,7 @@ class Optimum:
     """One local optimum of a multi-start: its cost, the free parameters, how many starts ended there.
 
     apart : the direction in which it differs from the best one, in words; empty for the best one itself
+    initial : record -> state -> first value, where the search had come to any
     """
 
     cost: float
@@ -109,6 +110,7 @@ class Optimum:
     starts: int
     status: str
     apart: str = ""
+    initial: Mapping[str, Mapping[str, float]] = field(default_factory=dict, repr=False)
 
 
 @dataclass(frozen=True, eq=False)

@@ -273,9 +273,23 @@ def distinct_optima(search: Search, attempts: list[Attempt], best: Attempt) -> t
             len(group),
             one.solution.status,
             _apart(names, reference, z),
+            _begun(search, one),
         )
         for one, group in zip(shown, groups, strict=True)
     )
+
+
+def _begun(search: Search, one: Attempt) -> dict[str, dict[str, float]]:
+    """The first states of an attempt, record -> state -> value; none before it has looked at all samples."""
+    if len(one.solution.x) != search.problem.size:
+        return {}
+    states = [state.name for state in search.model.states]
+    return {
+        record.experiment.name: dict(
+            zip(states, (lay.take(one.solution.x)[0] * record.scale).tolist(), strict=True)
+        )
+        for record, lay in zip(search.records, search.problem.layouts, strict=True)
+    }
 
 
 def _apart(names: tuple[str, ...], best: Array, z: Array) -> str:

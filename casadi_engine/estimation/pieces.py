@@ -11,7 +11,6 @@ projected out of every step as by Golub & Pereyra 1973).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +21,7 @@ from casadi_engine.estimation.coordinates import Coordinates
 from casadi_engine.estimation.levenberg_marquardt import Squares, minimise
 from casadi_engine.estimation.options import interval_length
 from casadi_engine.estimation.record import RecordPoint, RecordTerm
-from casadi_engine.simulation.runge_kutta import RungeKuttaPropagator
+from casadi_engine.simulation.propagator import steps_kept
 
 Array = NDArray[np.float64]
 
@@ -81,7 +80,7 @@ class Pieces:
         cost, gradient, matrix, changes = 0.0, np.zeros(size), np.zeros((size, size)), []
         for record, at in zip(self.records, nodes, strict=True):
             try:
-                with _steps_kept(record):
+                with steps_kept(record.propagator, _SLOWER):
                     point = record.evaluate(v, at, order=order)
             except (FloatingPointError, np.linalg.LinAlgError, ModelError):
                 return None
@@ -155,12 +154,6 @@ class Pieces:
                 evaluate, best[0], low, high, fall=fall, steps=steps, longest=longest, stop=lambda _: stop()
             )
         return best[0], best[2].cost
-
-
-def _steps_kept(record: RecordTerm) -> AbstractContextManager[None]:
-    """What a candidate far off asks of the integration is not asked of the others."""
-    propagator = record.propagator
-    return propagator.unchanged(_SLOWER) if isinstance(propagator, RungeKuttaPropagator) else nullcontext()
 
 
 def _without_states(record: RecordTerm, point: RecordPoint) -> tuple[Array, Array]:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_engine.distributions import chi2_isf
+from casadi_engine.distributions import chi2_isf, f_isf
 from casadi_engine.errors import SimulationError
 from casadi_engine.estimation.chained import chained_slopes
 from casadi_engine.estimation.coordinates import Coordinates
@@ -157,7 +157,8 @@ def with_band(
         if any(one.quadratic for one in fit.estimates.values()):
             messages.append("the errors of the fit are not symmetric, those of the band are taken to be")
         value, spread = around.delta()
-        root = float(np.sqrt(chi2_isf(1 - LEVEL, 1)))
+        estimated = any(free for _, free in fit.noise.values()) and fit.dof > 0
+        root = float(np.sqrt(f_isf(1 - LEVEL, 1, fit.dof) if estimated else chi2_isf(1 - LEVEL, 1)))
         parts = {
             "value": value,
             "stderr": spread,

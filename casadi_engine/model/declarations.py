@@ -14,6 +14,8 @@ from numbers import Real
 from types import MappingProxyType
 from typing import Any, overload
 
+import casadi as ca
+
 from casadi_engine.effects.protocol import PORT_KINDS
 from casadi_engine.errors import ModelError, UnitError
 from casadi_engine.experiment.units import NOT_STATED, read_unit, unit_product, unit_words
@@ -261,6 +263,19 @@ class Port:
         return f"{self.name} ({self.kind}): {', '.join(self.signals)}"
 
 
+def _above_zero(port: Port, name: str) -> Any:
+    """A signal; of a temperature above others, such as T - T_out, the one that is counted from them."""
+    signal, unit = port.signals[name], port.units.get(name)
+    if unit is None or read_unit(unit).dimension != "K":
+        return signal
+    symbols = ca.symvar(signal)
+    slopes = [ca.jacobian(signal, one) for one in symbols]
+    if not all(slope.is_constant() for slope in slopes):
+        return signal
+    own = [one for one, slope in zip(symbols, slopes, strict=True) if float(slope) == 1.0]
+    return own[0] if len(own) == 1 else signal
+
+
 class Ports(Sequence[Port]):
     """The ports of a model, by position or by name; printing lists them."""
 
@@ -288,7 +303,9 @@ class Ports(Sequence[Port]):
         """A link ``a_and_b`` for every two inertias whose slots have the same known unit and that have a signal of one
         name; a pipe, where that unit is neither of a torque nor of a force.
 
-        Its signals ``first`` and ``second`` are the first such signal of a and of b, ``difference`` is a's less b's.
+        Its signals ``first`` and ``second`` are the first such signal of a and of b, ``difference`` is a's less b's. A
+        temperature less that of what is around the body is there the body's own: two bodies need not have one
+        surrounding.
         Links are found by name, ``ports["a_and_b"]``, and are not listed among the ports.
         """
         able = [port for port in self.with_slot if port.kind == "inertia" and port.unit != "-"]
@@ -297,7 +314,7 @@ class Ports(Sequence[Port]):
         for a, b in pairs:
             shared = [name for name in a.signals if name in b.signals and name != "angle"]
             if shared:
-                first, second = a.signals[shared[0]], b.signals[shared[0]]
+                first, second = (_above_zero(port, shared[0]) for port in (a, b))
                 signals = {"difference": first - second, "first": first, "second": second}
                 words = f"{shared[0]} of {a.name} less that of {b.name}"
                 ends = (a.name, b.name)

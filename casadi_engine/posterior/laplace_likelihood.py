@@ -7,6 +7,7 @@ parameters, with their prior (``states``). For a linear model it is exact.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,108 @@ Array = NDArray[np.float64]
 
 # Gauss-Newton steps in the initial states at a point, and the fall of chi-squared that ends them.
 _STEPS, _FALL = 5, 0.02
+# Squared standard errors within which two ends are one.
+_ONE = 1.0
+# Standard errors of an optimum within which its initial states are looked for.
+_NEARBY = 30.0
+
+
+class Branch:
+    """First states that are best about one optimum, and their prior; other ones may explain the records as well, as
+    those of the other sign where a state is seen by its square."""
+
+    def __init__(
+        self,
+        shots: SingleShots,
+        first: Mapping[str, Array],
+        v: Array,
+        held: Mapping[str, NDArray[np.bool_]],
+        states: Sequence[StatePrior],
+    ) -> None:
+        """See ``LaplaceLikelihood``; slopes are those at the noise levels that ``shots`` has."""
+        self.best, self.at, self.size = np.concatenate([v, *first.values()]), v, len(v)
+        residual, slopes = shots.evaluate(self.best)
+        # of each record: the places of its unknown initial states in x, and their prior; those that are known are
+        # held, and take no part in the others' prior
+        self.parts: list[tuple[NDArray[np.intp], StatePrior]] = []
+        at = self.size
+        for known, state in zip(held.values(), states, strict=True):
+            moving = np.flatnonzero(~known)
+            if len(moving):
+                rows = slopes[:, at + moving].T
+                rest = residual - self.best[at + moving] @ rows
+                self.parts.append((at + moving, state.part(moving).settled(rows, rest)))
+            at += len(known)
+        # how the best initial states follow v
+        self._turn = [
+            own.best(slopes[:, where].T, one) - own.mean
+            for one in slopes[:, : self.size].T
+            for where, own in self.parts
+        ]
+
+    def begun(self, v: Array) -> Array:
+        """x where the best initial states are expected."""
+        x = np.concatenate([v, self.best[self.size :]])
+        for i, (where, _) in enumerate(self.parts):
+            for k, step in enumerate(v - self.at):
+                x[where] += step * self._turn[k * len(self.parts) + i]
+        return x
+
+    def settled(self, shots: SingleShots, v: Array) -> Settled | None:
+        """The integral over the initial states at v (nv,), about the best that are met from where they are expected."""
+        x = self.begun(v)
+        with np.errstate(all="ignore"):
+            for _ in range(_STEPS):
+                try:
+                    residual, slopes = shots.evaluate(x)
+                    left = residual.copy()
+                    for where, own in self.parts:
+                        left -= slopes[:, where] @ (x[where] - own.mean)
+                    total, fall = -0.5 * float(left @ left), 0.0
+                    for where, own in self.parts:
+                        rows = np.ascontiguousarray(slopes[:, where].T)
+                        alone = left - own.mean @ rows
+                        (log,), (best,) = own.integral(rows[None], alone[None])
+                        total, step = total + float(log) + 0.5 * float(left @ left), best - x[where]
+                        fall += _length(rows, own, step)
+                        x[where] = best
+                except (FloatingPointError, np.linalg.LinAlgError):
+                    return None
+                if not fall > _FALL:
+                    break
+        return Settled(total, left, slopes, x, self.parts) if np.isfinite(total) else None
+
+
+@dataclass(frozen=True, eq=False)
+class Settled:
+    """Log likelihood but for the noise levels' share, the residual (K,) that a line leads to from the best initial
+    states at the prior's mean of them, the slopes (K, nx), x there, and the priors of its branch."""
+
+    log: float
+    left: Array
+    slopes: Array
+    x: Array
+    parts: list[tuple[NDArray[np.intp], StatePrior]]
+
+    def squares(self, size: int) -> Squares:
+        """Half the sum of squares with slopes in v (size,), the initial states at their best."""
+        rows = np.concatenate([self.left[None], self.slopes[:, :size].T])
+        gram = rows @ rows.T
+        for where, own in self.parts:
+            gram -= own.without(self.slopes[:, where].T, rows)
+        return Squares(0.5 * float(gram[0, 0]), gram[1:, 0], gram[1:, 1:])
+
+    def is_at(self, x: Array) -> bool:
+        """True if other best initial states are these."""
+        return (
+            sum(_length(self.slopes[:, where].T, own, x[where] - self.x[where]) for where, own in self.parts)
+            < _ONE
+        )
+
+
+def _length(rows: Array, own: StatePrior, step: Array) -> float:
+    """A step of initial states, in squared standard errors."""
+    return float(np.sum((step @ rows) ** 2) + np.sum(np.linalg.solve(own.factor, step) ** 2))
 
 
 class LaplaceLikelihood:
@@ -40,33 +143,27 @@ class LaplaceLikelihood:
     ) -> None:
         """first : record -> (n,) initial states of the optimum v, scaled; held : record -> (n,) those that are known;
         states : the prior of those of each record"""
-        self._shots, self._size = shots, len(v)
+        self._shots, self._size, self._held = shots, len(v), held
         self._outputs = tuple(dict.fromkeys(output for _, output in shots.places))
-        self._best, self._at = np.concatenate([v, *first.values()]), v
-        self._last = self._best  # where the model was looked at last
-        residual, slopes = shots.evaluate(self._best)
-        # of each record: the places of its unknown initial states in x, and their prior; those that are known are
-        # held, and take no part in the others' prior
-        self._parts: list[tuple[NDArray[np.intp], StatePrior]] = []
-        at = self._size
-        for known, state in zip(held.values(), states, strict=True):
-            moving = np.flatnonzero(~known)
-            if len(moving):
-                rows = slopes[:, at + moving].T
-                rest = residual - self._best[at + moving] @ rows
-                self._parts.append((at + moving, state.part(moving).settled(rows, rest)))
-            at += len(known)
-        # how the best initial states follow v
-        self._turn = [
-            own.best(slopes[:, where].T, one) - own.mean
-            for one in slopes[:, : self._size].T
-            for where, own in self._parts
-        ]
+        self.branches = [Branch(shots, first, v, held, states)]
+        self._reach: list[Array] = []  # the information at each branch, where there are several
+        self._last = self.branches[0].best  # where the model was looked at last
+
+    def leads_to(self, first: Mapping[str, Array], v: Array, sigma: Array) -> bool:
+        """True if these initial states of another optimum, scaled, are met at its v (nv,), or none can be."""
+        found = self._settled(v, sigma)
+        x = np.concatenate([v, *first.values()])
+        return not self.branches[0].parts or any(one.is_at(x) for one in found)
+
+    def add(self, first: Mapping[str, Array], v: Array, states: Sequence[StatePrior]) -> None:
+        """Look for the best initial states from where they are at another optimum too, arguments as at first."""
+        self._shots.weigh(dict.fromkeys(self._outputs, 1.0))
+        self.branches.append(Branch(self._shots, first, v, self._held, states))
 
     @property
     def states(self) -> list[StatePrior]:
         """Of each record with unknown initial states, their prior."""
-        return [own for _, own in self._parts]
+        return [own for _, own in self.branches[0].parts]
 
     def choose(self, points: object, sigma: Array, left_out: float = 0.0) -> None:
         """Nothing is left out here; see ``SpectralLikelihood``."""
@@ -76,7 +173,7 @@ class LaplaceLikelihood:
         shorter now."""
         changed, lowest = False, np.inf
         for one in v:
-            if self._settled(one, sigma) is None:
+            if not self._settled(one, sigma):
                 continue
             with np.errstate(all="ignore"):
                 try:
@@ -91,9 +188,11 @@ class LaplaceLikelihood:
         return np.array([self._value(*one) for one in zip(v, sigma, strict=True)])
 
     def _value(self, v: Array, sigma: Array) -> float:
-        total = (
-            self._without_slopes(v, sigma) if not self._parts else (self._settled(v, sigma) or [-np.inf])[0]
-        )
+        if self.branches[0].parts:
+            found = self._settled(v, sigma)
+            total = float(np.logaddexp.reduce([one.log for one in found])) if found else -np.inf
+        else:
+            total = self._without_slopes(v, sigma)
         for (_, name), at in self._shots.places.items():
             total -= (at.stop - at.start) * float(np.log(self._level(sigma, name)))
         return total if np.isfinite(total) else -np.inf
@@ -103,13 +202,9 @@ class LaplaceLikelihood:
         self._shots.weigh({name: self._level(sigma, name) for name in self._outputs})
         with np.errstate(all="ignore"):
             try:
-                return -0.5 * float(np.square(self._shots.residuals(self._from(v))).sum())
+                return -0.5 * float(np.square(self._shots.residuals(self.branches[0].begun(v))).sum())
             except (FloatingPointError, np.linalg.LinAlgError):
                 return -np.inf
-
-    def _from(self, v: Array) -> Array:
-        """x where the best initial states are expected."""
-        return np.concatenate([v, self._best[self._size :]])
 
     def full(self, v: Array, sigma: Array) -> Array:
         """The same: all samples are looked at anyway."""
@@ -118,47 +213,40 @@ class LaplaceLikelihood:
     def squares(self, v: Array, sigma: Array) -> Squares | None:
         """Half the sum of squares with slopes, the initial states at their best; None where there is none."""
         found = self._settled(v, sigma)
-        if found is None:
+        if not found:
             return None
-        _, left, slopes = found
-        rows = np.concatenate([left[None], slopes[:, : self._size].T])
-        gram = rows @ rows.T
-        for where, own in self._parts:
-            gram -= own.without(slopes[:, where].T, rows)
-        if not np.isfinite(gram).all():
-            return None
-        return Squares(0.5 * float(gram[0, 0]), gram[1:, 0], gram[1:, 1:])
+        best = max(found, key=lambda own: own.log).squares(self._size)
+        finite = (
+            np.isfinite(best.cost) and np.isfinite(best.matrix).all() and np.isfinite(best.gradient).all()
+        )
+        return best if finite else None
 
     def _level(self, sigma: Array, name: str) -> float:
         return float(sigma[self._outputs.index(name)])
 
-    def _settled(self, v: Array, sigma: Array) -> tuple[float, Array, Array] | None:
-        """Log likelihood but for the noise levels' share, the residual (K,) that a line leads to from the best initial
-        states at the prior's mean of them, and the slopes (K, nx)."""
+    def _settled(self, v: Array, sigma: Array) -> list[Settled]:
+        """Where the branches lead at a point, each end once."""
         self._shots.weigh({name: self._level(sigma, name) for name in self._outputs})
-        x = self._from(v)
-        for i, (where, _) in enumerate(self._parts):
-            for k, step in enumerate(v - self._at):
-                x[where] += step * self._turn[k * len(self._parts) + i]
-        with np.errstate(all="ignore"):
-            for _ in range(_STEPS):
-                try:
-                    residual, slopes = self._shots.evaluate(x)
-                    left = residual.copy()
-                    for where, own in self._parts:
-                        left -= slopes[:, where] @ (x[where] - own.mean)
-                    total, fall = -0.5 * float(left @ left), 0.0
-                    for where, own in self._parts:
-                        rows = np.ascontiguousarray(slopes[:, where].T)
-                        alone = left - own.mean @ rows
-                        (log,), (best,) = own.integral(rows[None], alone[None])
-                        total, step = total + float(log) + 0.5 * float(left @ left), best - x[where]
-                        fall += float(np.sum((step @ rows) ** 2))
-                        fall += float(np.sum(np.linalg.solve(own.factor, step) ** 2))
-                        x[where] = best
-                except (FloatingPointError, np.linalg.LinAlgError):
-                    return None
-                if not fall > _FALL:
-                    break
-        self._last = x
-        return (total, left, slopes) if np.isfinite(total) else None
+        found: list[Settled] = []
+        for branch in self._near(v):
+            one = branch.settled(self._shots, v)
+            if one is not None and not any(other.is_at(one.x) for other in found):
+                found.append(one)
+        if found:
+            self._last = max(found, key=lambda one: one.log).x
+        return found
+
+    def _near(self, v: Array) -> list[Branch]:
+        """The branches that are expected to lead anywhere at v (nv,): those nearby, and the nearest one."""
+        if len(self.branches) == 1:
+            return self.branches
+        if len(self._reach) < len(self.branches):
+            ends = [one.settled(self._shots, one.at) for one in self.branches]
+            self._reach = [np.zeros((len(v),) * 2) if e is None else e.squares(len(v)).matrix for e in ends]
+        away = [
+            float((v - one.at) @ matrix @ (v - one.at))
+            for one, matrix in zip(self.branches, self._reach, strict=True)
+        ]
+        return [
+            one for one, far in zip(self.branches, away, strict=True) if far <= max(_NEARBY**2, min(away))
+        ]

@@ -211,7 +211,7 @@ def _starts(
     """Where searches start: the fit's optima and points along what the data tell least of, and ``wide`` from around."""
     centre = target.start[: target.nv]
     known = []
-    for optimum in fit.optima[1:]:
+    for optimum in fit.optima:
         if optimum.status == "converged" and all(name in optimum.values for name in target.free):
             known.append(target.coordinates.of(np.array([optimum.values[name] for name in target.free])))
     lines = along(centre, covariance) if wide else along(centre, covariance)[:2]
@@ -221,21 +221,20 @@ def _starts(
 
 
 def _exchanged(target: Target) -> list[Array]:
-    """The fit's own point with two parameters of one unit exchanged, or two such pairs: rates in a row and branches
-    side by side often have another optimum there, which no direction from here leads to."""
+    """The fit's own point with a parameter of the other sign, with two of one unit exchanged, or two such pairs: rates
+    in a row and branches side by side often have another optimum there, which no direction from here leads to."""
     z = target.coordinates.values(target.start[: target.nv])
     low, high = target.low[: target.nv], target.high[: target.nv]
     pairs = [(i, j) for i, j in combinations(range(target.nv), 2) if target.units[i] == target.units[j]]
     twice = [both for both in combinations(pairs, 2) if len({*both[0], *both[1]}) == 4]
-    found: list[Array] = []
+    others = [np.where(np.arange(target.nv) == k, -z, z) for k in np.flatnonzero(z)]
     for exchange in islice([*((pair,) for pair in pairs), *twice], _PAIRS):
-        other = z.copy()
+        others.append(z.copy())
         for i, j in exchange:
-            other[[i, j]] = other[[j, i]]
-        at = target.coordinates.of(other)
-        if (at >= low).all() and (at <= high).all():
-            found.append(at)
-    return found
+            others[-1][[i, j]] = others[-1][[j, i]]
+    with np.errstate(invalid="ignore"):  # a logarithm has one sign
+        found = [target.coordinates.of(one) for one in others]
+    return [at for at in found if (at >= low).all() and (at <= high).all()]
 
 
 def _drawn(target: Target, centre: Array, factor: Array, wide: float, random: np.random.Generator) -> Array:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.estimation.coordinates import Coordinates
+from casadi_engine.estimation.exchanged import mirrored_starts
 from casadi_engine.estimation.fit import Fit
 from casadi_engine.estimation.levenberg_marquardt import Squares
 from casadi_engine.estimation.search import Search
@@ -17,13 +20,15 @@ from casadi_engine.posterior.laplace_likelihood import LaplaceLikelihood
 from casadi_engine.posterior.open_ends import with_ends
 from casadi_engine.posterior.prior import Prior
 from casadi_engine.posterior.spectral_likelihood import SpectralLikelihood
-from casadi_engine.posterior.states import state_prior
+from casadi_engine.posterior.states import StatePrior, state_prior
 from casadi_engine.problem.noise import Noise
 
 Array = NDArray[np.float64]
 
 # A noise level that is not known is flat in its logarithm, this factor to either side of what the fit found.
 LEVELS = 1000.0
+# Chi-squared above the best within which first states that lead there are looked from too.
+_FAR = 30.0
 
 
 class Likelihood(Protocol):
@@ -164,15 +169,46 @@ class Target:
 
 
 def _likelihood(fit: Fit, search: Search, v: Array) -> Likelihood:
-    first, states = {}, []
-    for record in search.records:
-        name = record.experiment.name
-        first[name] = np.array([one.value for one in fit.initial[name].values()]) / record.scale
-        states.append(state_prior(record, v, first[name]))
+    first = {
+        record.experiment.name: np.array([one.value for one in fit.initial[record.experiment.name].values()])
+        / record.scale
+        for record in search.records
+    }
     if no_spectrum(search) is None and not _held(fit).any():
-        return SpectralLikelihood(search.records, v, states)
+        return SpectralLikelihood(search.records, v, _priors(search, v, first))
     held = {name: np.array([one.fixed for one in fit.initial[name].values()]) for name in first}
-    return LaplaceLikelihood(SingleShots.over(search), first, v, held, states)
+    found = LaplaceLikelihood(SingleShots.over(search), first, v, held, _priors(search, v, first))
+    if not all(record.linear for record in search.records):
+        _add_branches(found, fit, search, v, first)
+    return found
+
+
+def _priors(search: Search, v: Array, first: Mapping[str, Array]) -> list[StatePrior]:
+    """The prior of each record's first states (n,), scaled, by its motion at v (nv,)."""
+    return [state_prior(record, v, first[record.experiment.name]) for record in search.records]
+
+
+def _add_branches(
+    likelihood: LaplaceLikelihood, fit: Fit, search: Search, v: Array, first: Mapping[str, Array]
+) -> None:
+    """Other first states that explain the records as well: those of the fit's other optima, and of the other sign."""
+    sigma = np.array([fit.noise[name][0] for name in search.records[0].outputs])
+    places = []
+    for one in fit.optima:
+        known = one.status == "converged" and all(name in one.values for name in search.pmap.free)
+        if known and set(one.initial) == set(first) and one.cost < fit.cost + _FAR:
+            begun = {
+                r.experiment.name: np.array(list(one.initial[r.experiment.name].values())) / r.scale
+                for r in search.records
+            }
+            z = np.array([one.values[name] for name in search.pmap.free])
+            places.append((search.coordinates.of(z), begun))
+    for twin in mirrored_starts(search, v, list(first.values()), _FAR):
+        places.append((twin.v, dict(zip(first, twin.starts, strict=True))))
+    for at, begun in places:
+        if not likelihood.leads_to(begun, at, sigma):
+            with suppress(FloatingPointError, np.linalg.LinAlgError):
+                likelihood.add(begun, at, _priors(search, at, begun))
 
 
 def _held(fit: Fit) -> NDArray[np.bool_]:

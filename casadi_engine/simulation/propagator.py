@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from functools import lru_cache
 from typing import Protocol
 
@@ -58,6 +59,11 @@ def fineness_of(propagator: object) -> int | float | Fineness | None:
     if isinstance(propagator, (ExponentialPropagator, ObservedPropagator)):
         return propagator.substeps
     return None
+
+
+def steps_kept(propagator: object, most: int) -> AbstractContextManager[None]:
+    """What a point far off asks of the integration is not asked of the others; see ``RungeKuttaPropagator``."""
+    return propagator.unchanged(most) if isinstance(propagator, RungeKuttaPropagator) else nullcontext()
 
 
 class Trajectory(Protocol):

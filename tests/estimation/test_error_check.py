@@ -20,10 +20,10 @@ TIME = np.linspace(0, 1, 50)
 EDGE = norm.ppf(0.975)
 
 
-def bent(start=1.0, low=-5.0):
+def bent(start=1.0, low=-5.0, high=5.0):
     """Two outputs p**2 t and p t: the answers of all p lie on a parabola."""
     b = ce.Blueprint("bent")
-    p = b.parameter("p", start, min=low, max=5)
+    p = b.parameter("p", start, min=low, max=high)
     x, w = b.state("x"), b.state("w")
     b.ode("x", p**2)
     b.ode("w", p)
@@ -197,11 +197,12 @@ def test_where_the_model_has_no_value_within_the_errors_nothing_is_known():
 
 
 def test_a_profile_that_meets_a_lower_optimum_takes_the_errors_back():
-    """Two valleys and a low pass between: chi-squared is A (p^2 - 1)^2 + B (p - 0.3)^2."""
+    """Two valleys and a low pass between: chi-squared is A (p^2 - 1)^2 + B (p - 0.3)^2. The point of the other
+    sign is beyond the bounds."""
     size = np.sqrt((TIME**2).sum())
     data = ce.Experiment.from_arrays("r", time=TIME, units={"y1": "1", "y2": "1"}, y1=TIME, y2=0.3 * TIME)
     fit = ce.estimate(
-        bent(-1.0), data, noise=ce.Noise(y1=size / np.sqrt(3.0), y2=size / np.sqrt(0.25)), **REST
+        bent(-1.0, high=0.9), data, noise=ce.Noise(y1=size / np.sqrt(3.0), y2=size / np.sqrt(0.25)), **REST
     )
     assert fit.values["p"] < 0
     assert fit.stderr["p"] is None

@@ -45,7 +45,7 @@ def test_rates_of_a_chain_lose_their_errors_whichever_optimum_is_met(start):
     assert sorted(fit.values.values()) == pytest.approx([0.4, 1.0], rel=0.2)
     assert fit.doubted == ("k1", "k2")
     (said,) = fit.messages
-    assert said.startswith("the data are explained as well with k1 and k2 exchanged (chi-squared 0 higher): ")
+    assert said.startswith("the data are explained as well with k1 and k2 exchanged (chi-squared ")
     assert said.endswith(
         'by bounds, or by pars.constrain("k1 - k2", min=0) or max=0, or call ce.posterior(fit)'
     )
@@ -161,3 +161,37 @@ def test_two_pairs_are_exchanged_at_once():
     assert set(fit.doubted) == {"R1", "R2", "C1", "C2"}
     assert fit.stderr["R0"]
     assert any("R1 and R2, and C1 and C2 exchanged" in text for text in fit.messages)
+
+
+def locked_loop(*, known):
+    """A phase seen through its cosine: with the other sign of detuning and phase the output is the same."""
+    b = ce.Blueprint("loop")
+    detuning = b.parameter("detuning", 1.0, unit="rad/s", min=-20, max=20)
+    gain = b.parameter("gain", 2.0, unit="rad/s", min=0.1, max=50)
+    phase = b.state("phase", unit="rad")
+    b.ode("phase", detuning - gain * casadi.sin(phase))
+    b.output("x", casadi.cos(phase), unit="1")
+    begun = 0.0 if known else 0.4
+    time = np.arange(0, 2.01, 0.05)
+    truth = solve_ivp(
+        lambda _, x: 3.0 - 4.0 * np.sin(x), (0, 2), [begun], t_eval=time, rtol=1e-10, atol=1e-12
+    )
+    noise = 0.05 * np.random.default_rng(1).standard_normal(len(time))
+    data = ce.Experiment.from_arrays("r", time=time, units={"x": "1"}, x=np.cos(truth.y[0]) + noise)
+    initial = {"phase": 0.0} if known else None
+    return ce.estimate(b.model(), data, noise=ce.Noise(x=0.05), initial=initial, progress=False)
+
+
+@pytest.mark.parametrize(("known", "names"), [(True, "detuning"), (False, "detuning and of the first phase")])
+def test_a_detuning_that_is_seen_through_a_cosine_has_two_signs(known, names):
+    fit = locked_loop(known=known)
+    assert abs(fit.values["detuning"]) == pytest.approx(3.0, rel=0.2)
+    assert fit.estimates["detuning"].stderr is None
+    assert any(
+        f"explained as well with the other sign of {names} (chi-squared" in text for text in fit.messages
+    )
+
+
+def test_signs_that_bounds_tell_are_not_looked_for():
+    fit = fitted(chain(), measured(), initial={"A": 1.0, "B": 0.0})
+    assert not any("other sign" in text for text in fit.messages)

@@ -98,6 +98,25 @@ def test_links_of_what_turns_and_pipes_of_the_rest():
     assert both("m/s2").kind == "link"
 
 
+@pytest.mark.parametrize("written", ["T - outside", "T", "T * T - outside"])
+def test_heat_flows_by_the_difference_of_two_temperatures_whatever_is_around_each(written):
+    b = ce.Blueprint("collector_and_tank")
+    collector, tank = b.state("T_c", unit="K"), b.state("T_t", unit="K")
+    outside, room = b.input("T_out", unit="K"), b.parameter("T_room", 293.0, unit="K")
+    size = b.parameter("C", 2e5, unit="J/K")
+    above = {"T - outside": collector - outside, "T": collector, "T * T - outside": collector**2 - outside}[
+        written
+    ]
+    for name, temperature, signal in (("collector", collector, above), ("tank", tank, tank - room)):
+        b.ode(temperature.name(), b.port(name, "inertia", {"speed": signal}) / size)
+        b.output(f"{name}_temperature", temperature, unit="K")
+    link = b.model().ports["collector_and_tank"]
+    value = ca.Function("f", [collector, tank, outside, room], [link.signals["difference"]])(
+        350, 310, 280, 293
+    )
+    assert float(value) == pytest.approx(40.0 if written != "T * T - outside" else 350**2 - 280 - 310)
+
+
 def test_a_drive_that_an_effect_adds_has_the_unit_of_its_port():
     b = ce.Blueprint("room")
     temperature = b.state("T", unit="K")
