@@ -164,9 +164,8 @@ class Choice:
             self.best = here.key
 
     def _from_others(self) -> None:
-        """Go on from structures of as many effects that explain nearly as much, and from other effects alone, where the
-        chosen one leaves more than noise and nothing beside it helps: effects that bend to one another's place leave
-        none for a third."""
+        """Go on from structures of as many effects that explain nearly as much, where the chosen one leaves more than
+        noise and nothing beside it helps: effects that bend to one another's place leave none for a third."""
         best = self.pool[self.best]
         if not 2 <= len(best.effects) < self.most or not leaves_more(self.refits, best):
             return
@@ -176,19 +175,14 @@ class Choice:
             for one in self.pool.values()
             if len(one.effects) == len(best.effects) and one is not best and one.arrived.cost < most
         ]
-        # or it was begun with what is none of them
-        alone = [one for one in self.pool.values() if len(one.effects) == 1 and not one.key <= best.key]
-        near, alone = (sorted(own, key=lambda t: t.arrived.cost)[:_OTHERS] for own in (near, alone))
-        for one in [*near, *alone]:
+        for one in sorted(near, key=lambda t: t.arrived.cost)[:_OTHERS]:
             ask()
             station = None if one.failed else self.station_of(one)
             if station is None:
                 continue
             kept, self.best = self.best, one.key
             self._grown(one)
-            found = self.pool[self.best]
-            dearer = self.price * (len(found.effects) - len(best.effects))
-            if found.arrived.cost + 2 * dearer < best.arrived.cost:
+            if self.pool[self.best].arrived.cost < best.arrived.cost:
                 return
             self.best = kept
 

@@ -32,6 +32,8 @@ _SLOWER = 4
 _BLIND = 1e-12
 # Steps of the others at an exchange; chi-squared that one leaves, as a share, for another to be worth its time.
 _STEPS, _FALLS = 8, 0.5
+# Chi-squared that rises between two optima.
+_RISES = 1.0
 # Standard deviations by which first samples deny a first state.
 _SEEN = 5.0
 # Coordinates within which two ends are one; and the information on a first state, on its scale, that says so.
@@ -102,7 +104,7 @@ def _twins(
         if at is None or (states and not move.states):
             continue
         away = np.concatenate([at[0] - v, *(a - b for a, b in zip(at[1], starts, strict=True))])
-        if away @ metric @ away < _ALIKE:
+        if away @ metric @ away < _ALIKE or np.abs(away).max() < _SAME:
             continue
         exchange = _Exchange(search, at[1], move, here + limit)
         try:
@@ -113,14 +115,29 @@ def _twins(
         except (FloatingPointError, np.linalg.LinAlgError, ModelError):
             higher = np.inf
         most -= exchange.work
+        if not higher < limit or search.constraints.violated(exchange.v):
+            continue
+        if not move.pairs and not _apart(search, v, starts, exchange, here + max(higher, 0.0)):
+            continue
         point = np.concatenate([exchange.v, *exchange.starts])
-        new = not any(np.allclose(point[: len(one)], one, rtol=0, atol=_SAME) for one in known)
-        if higher < limit and new and not search.constraints.violated(exchange.v):
+        if not any(np.allclose(point[: len(one)], one, rtol=0, atol=_SAME) for one in known):
             known.append(point)
             own = [search.model.states[i].name for i in move.states]
             signs = (*(names[k] for k in move.signs), *(f"the first {name}" for name in own))
             pairs = tuple((names[i], names[j]) for i, j in move.pairs)
             yield Twin(pairs, signs, exchange.v, tuple(exchange.starts), higher)
+
+
+def _apart(search: Search, v: Array, starts: Sequence[Array], end: _Exchange, cost: float) -> bool:
+    """True if chi-squared rises between an optimum and where a change of sign led; of what is small it is flat."""
+    middle = _Exchange(search, [0.5 * (a + b) for a, b in zip(starts, end.starts, strict=True)], Move(), 0.0)
+    values = 0.5 * (search.coordinates.values(v) + search.coordinates.values(end.v))
+    try:
+        with np.errstate(all="ignore"):
+            between = middle.cost(search.coordinates.of(values))
+    except (FloatingPointError, np.linalg.LinAlgError, ModelError):
+        return True
+    return not between < cost + _RISES
 
 
 def _moved(search: Search, v: Array, starts: Sequence[Array], move: Move) -> tuple[Array, list[Array]] | None:

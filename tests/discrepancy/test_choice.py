@@ -577,3 +577,15 @@ def test_friction_that_differs_by_direction_is_none_beside_a_constant_torque():
     all_of_them.pool = {one.key: one for one in every}
     all_of_them.weigh()
     assert [one.failed for one in every] == [False, True, False]
+
+
+def test_what_was_left_out_can_be_refitted_without_its_leader(prepared):
+    made = prepared(rubbing)
+    made.choice.run(made.fit)
+    choice = made.choice
+    additions = Additions(choice.refits, choice.pool[frozenset()], choice.null, {}, lambda words: None)
+    additions.run()
+    assert set(additions.left_out) == {DRAG, CONSTANT}
+    assert additions.rest()
+    assert additions.refused == {DRY}
+    assert {DRAG, CONSTANT} >= set(additions.done) - {DRY} != set()

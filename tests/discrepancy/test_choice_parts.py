@@ -413,3 +413,22 @@ def test_only_what_closes_a_tenth_of_the_gap_is_another(monkeypatch, cost, chose
     found.stations[here.key] = stub(screened=stub())
     monkeypatch.setattr(Choice, "_chosen_of", lambda self, own, station, made: made[0])
     assert found._another(here) is (other if chosen else None)
+
+
+@pytest.mark.parametrize("linear", [False, True])
+def test_what_a_step_left_out_is_refitted_where_the_leader_is_refused(monkeypatch, linear):
+    """A step in the place of a load step said that friction comes to nothing, and the load step was no answer."""
+    here, lead, other = tried(log=-100.0), tried("step", log=-120.0), tried("dry", log=-10.0)
+    found = choice_of(monkeypatch, here, lead, other, best=here.key)
+    found.refits.path, found.refits.weigh = stub(linear=linear), lambda *_: None
+
+    def added(self, here, station, *, again=False):
+        self._left_out = () if again else (("dry at pivot", 200.0),)
+        return [other] if again else [lead]
+
+    monkeypatch.setattr(Choice, "_added", added)
+    monkeypatch.setattr(Choice, "_without_idle", lambda *_: [])
+    monkeypatch.setattr(
+        Choice, "_chosen_of", lambda self, here, station, ready: other if other in ready else None
+    )
+    assert found._round(here, stub()) is (None if linear else other)

@@ -253,9 +253,9 @@ def test_weights_that_were_not_all_asked_weigh_nothing(monkeypatch):
         null=null,
         best="none",
         pool={"asked": asked, "unasked": unasked},
-        ranked=lambda: iter(["none"]),
         way=lambda key: [null],
     )
+    monkeypatch.setattr(module, "ranked", lambda _: iter(["none"]))
 
     def run(self, *, sure):
         raise TimeUp
@@ -370,7 +370,8 @@ def in_order(monkeypatch, says, costs, *, late=False):
     pool[frozenset()] = stub(evidence=stub(cost=1000.0))
     ways = {frozenset({n}): stations_of([n]) for n in names}
     null = stub(screened=stub(request=stub(blind=False), choice=stub(scatter=True)))
-    search = stub(null=null, ranked=lambda: list(ways), way=ways.get, pool=pool, best=frozenset({names[0]}))
+    search = stub(null=null, way=ways.get, pool=pool, best=frozenset({names[0]}))
+    monkeypatch.setattr(module, "ranked", lambda _: list(ways))
     monkeypatch.setattr(FreshChoice, "_on_fresh", lambda self, one: "pairs")
     monkeypatch.setattr(FreshChoice, "_shortened", lambda self, before: None)
     monkeypatch.setattr(FreshChoice, "_each_confirmed", lambda self, stations: stations)

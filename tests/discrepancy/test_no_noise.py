@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from casadi_engine.discrepancy import exchange
-from casadi_engine.discrepancy.choice import Choice
 from casadi_engine.discrepancy.no_noise import leaves_no_noise, why_no_noise
+from casadi_engine.discrepancy.ways import ranked
 
 WAVE = np.sqrt(2) * np.sin(2 * np.pi * 20 * np.arange(2000) / 2000)
 WHITE = np.random.default_rng(0).standard_normal(2000)
@@ -99,6 +99,6 @@ def test_fresh_data_are_asked_where_the_likelihoods_do_not_agree(memory):
     ]
     pool = {one.key: one for one in every}
     search = stub(pool=pool, best=frozenset(["drag"]), price=1.1, refits=stub(levels=stub(memory=memory)))
-    asked = [set(key) for key in Choice.ranked(search)]
+    asked = [set(key) for key in ranked(search)]
     more = [{"drag", "dry"}] if memory else []
     assert asked == [{"drag"}, {"offset"}, *more, set()]

@@ -324,6 +324,19 @@ def test_an_output_that_is_a_state_in_another_unit_is_refused(unit, cure):
         b.model()
 
 
+def test_the_cure_of_a_temperature_in_another_unit_can_be_followed():
+    def room(output):
+        b = ce.Blueprint("room")
+        temperature = b.state("T", unit="degC")
+        b.ode("T", -temperature)
+        b.output("seen", output(temperature), unit="K")
+        return b.model()
+
+    with pytest.raises(ModelError, match=r"write T \+ 273\.15, or declare the output in degC"):
+        room(lambda T: T)
+    assert room(lambda T: T + 273.15).outputs[0].unit == "K"
+
+
 def test_an_output_that_is_a_state_may_name_its_unit_otherwise():
     b = ce.Blueprint("slide")
     v = b.state("v", unit="m/s")
