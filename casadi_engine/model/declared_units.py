@@ -63,13 +63,13 @@ def check_output_units(
         if there.dimension != here.dimension or here.steps_to(there) == (1.0, 1.0, 0.0):
             continue
         times, over, plus = here.steps_to(there)
-        own = state.name if times == over else f"{times / over:.12g}*{state.name}"
-        own += f" {'-' if plus < 0 else '+'} {abs(plus):.12g}" if plus else ""
+        written = state.name if times == over else f"{times / over:.12g}*{state.name}"
+        written += f" {'-' if plus < 0 else '+'} {abs(plus):.12g}" if plus else ""
         raise ModelError(
             f"the output {out.name} is the state {state.name} as it stands, in another unit",
             seen=f"{out.name} in {out.unit}, {state.name} in {state.unit}",
             allowed="an expression that is in the unit of the output",
-            cure=f"write {own}, or declare the output in {state.unit}",
+            cure=f"write {written}, or declare the output in {state.unit}",
         )
 
 
