@@ -223,3 +223,40 @@ def test_unknown_errors_ask_for_the_posterior(refused):
     band = ce.simulate(drawn, data, band=True)["y1"]
     ends = np.quantile(np.linspace(-0.5, 0.5, 11) ** 2, [0.025, 0.975])
     assert (band.low[-1], band.high[-1]) == pytest.approx(ends)
+
+
+def sparse(seed):
+    """Eight samples of that record, and the speed without noise at all times."""
+    whole = record(seed)
+    speed = whole["omega"].values
+    quiet = speed - SIGMA * np.random.default_rng(seed).standard_normal(len(speed))
+    speed = np.where(np.arange(len(speed)) % 15 == 0, speed, np.nan)
+    units = {"T": "N m", "omega": "rad/s"}
+    time, torque = whole["T"].time, whole["T"].values
+    return ce.Experiment.from_arrays("r", time=time, units=units, hold="zero", T=torque, omega=speed), quiet
+
+
+def test_a_band_is_as_much_wider_as_estimated_noise_asks_for():
+    """Few samples tell their own noise badly: the quantile is that of Student's distribution."""
+    few, _ = sparse(3)
+    for noise, quantile in (
+        (ce.Noise(omega=SIGMA), 1.95996),
+        (None, 2.57058),
+    ):  # the latter of 5 degrees of freedom
+        fit = fit_of(few, noise=noise, errors="quadratic")
+        band = ce.simulate(fit, few, band=True)["omega"]
+        assert fit.dof == 5
+        assert (band.high - band.value) / band.stderr == pytest.approx(quantile, rel=1e-4)
+        wide = np.hypot(band.stderr, band.sigma)
+        assert (band.high_noise - band.value) / wide == pytest.approx(quantile, rel=1e-4)
+
+
+@pytest.mark.slow
+def test_a_band_of_few_samples_holds_what_it_says():
+    held = []
+    for seed in range(300):
+        data, quiet = sparse(seed)
+        band = ce.simulate(fit_of(data, noise=None, errors="quadratic"), data, band=True)["omega"]
+        quiet = quiet[: len(band.value)]  # up to the last sample
+        held.append(np.mean((band.low <= quiet) & (quiet <= band.high)))
+    assert np.mean(held) == pytest.approx(0.95, abs=0.03)
