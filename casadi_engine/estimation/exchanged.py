@@ -117,7 +117,7 @@ def _twins(
         most -= exchange.work
         if not higher < limit or search.constraints.violated(exchange.v):
             continue
-        if not move.pairs and not _apart(search, v, starts, exchange, here + max(higher, 0.0)):
+        if not _apart(search, v, starts, exchange, here + max(higher, 0.0)):
             continue
         point = np.concatenate([exchange.v, *exchange.starts])
         if not any(np.allclose(point[: len(one)], one, rtol=0, atol=_SAME) for one in known):
@@ -129,7 +129,8 @@ def _twins(
 
 
 def _apart(search: Search, v: Array, starts: Sequence[Array], end: _Exchange, cost: float) -> bool:
-    """True if chi-squared rises between an optimum and where a change of sign led; of what is small it is flat."""
+    """True if chi-squared rises between an optimum and where a move led; between values that are nearly one, or small,
+    it is flat."""
     middle = _Exchange(search, [0.5 * (a + b) for a, b in zip(starts, end.starts, strict=True)], Move(), 0.0)
     values = 0.5 * (search.coordinates.values(v) + search.coordinates.values(end.v))
     try:

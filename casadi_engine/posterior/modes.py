@@ -27,6 +27,8 @@ _AGAIN, _NEAR = 3, 10.0
 IDLE = 12
 # Exchanges of parameters that are starts.
 _PAIRS = 8
+# Optima of which more is exchanged.
+_EXPANDED = 16
 # Directions along which valleys are looked for.
 _DIRECTIONS = 6
 # Two optima are one within this distance, in squared standard errors; those so far below the best are left out.
@@ -94,7 +96,10 @@ def find_modes(
         return None
     starts, around = _starts(target, fit, inverse(first.matrix), random, wide)
     searches = _Searches(target)
-    for start in [*starts, *_exchanged(target), *met]:
+    for start in starts:
+        searches.one(start)
+    _exchanges(target, searches)
+    for start in met:
         searches.one(start)
     searches.until_idle(around)
     found = searches.found
@@ -220,10 +225,21 @@ def _starts(
     return [centre, *known, *lines], around
 
 
-def _exchanged(target: Target) -> list[Array]:
-    """The fit's own point with a parameter of the other sign, with two of one unit exchanged, or two such pairs: rates
-    in a row and branches side by side often have another optimum there, which no direction from here leads to."""
-    z = target.coordinates.values(target.start[: target.nv])
+def _exchanges(target: Target, searches: _Searches) -> None:
+    """Searches from the fit's own point with something exchanged, and from every optimum that these lead to: of several
+    signs that are not told, each doubles the optima."""
+    left, most = [target.start[: target.nv]], _EXPANDED
+    while left and most:
+        most -= 1
+        for start in _exchanged(target, left.pop(0)):
+            if searches.one(start):
+                left.append(searches.found[-1][0])
+
+
+def _exchanged(target: Target, v: Array) -> list[Array]:
+    """A point v (nv,) with a parameter of the other sign, with two of one unit exchanged, or two such pairs: rates in a
+    row and branches side by side often have another optimum there, which no direction from here leads to."""
+    z = target.coordinates.values(v)
     low, high = target.low[: target.nv], target.high[: target.nv]
     pairs = [(i, j) for i, j in combinations(range(target.nv), 2) if target.units[i] == target.units[j]]
     twice = [both for both in combinations(pairs, 2) if len({*both[0], *both[1]}) == 4]

@@ -69,3 +69,30 @@ def test_a_parameter_of_the_other_sign_is_where_a_search_starts():
     found = target.values(modes.at)[:, 0]
     assert sorted(np.sign(found)) == [-1, 1]
     assert modes.height[0] - modes.height[1] == pytest.approx(0.0, abs=1e-3)
+
+
+def test_every_combination_of_signs_is_found():
+    """Two inertias driven alike, each seen by its square: four optima, of which one sign at a time leads to two."""
+    b = ce.Blueprint("squares")
+    push = b.input("u")
+    for k in (1, 2):
+        gain = b.parameter(f"g{k}", 1.0, min=-5, max=5)
+        x = b.state(f"x{k}")
+        b.ode(f"x{k}", -k * x + gain * push)
+        b.output(f"y{k}", x**2)
+    u, noise = np.where(TIME < 1.5, 1.0, 0.3), 0.01 * np.random.default_rng(4).standard_normal((2, len(TIME)))
+    begun = {"x1": 0.0, "x2": 0.0}
+    bare = ce.Experiment.from_arrays("r", time=TIME, units={"u": "1"}, hold="zero", u=u)
+    model = b.model()
+    seen = ce.simulate(model, bare, initial=begun)
+    data = ce.Experiment.from_arrays(
+        "r", time=TIME, units=dict.fromkeys(("u", "y1", "y2"), "1"), hold="zero", u=u,
+        y1=seen["y1"].values + noise[0], y2=seen["y2"].values + noise[1],
+    )  # fmt: skip
+    fit = ce.estimate(
+        model, data, noise=ce.Noise(y1=0.01, y2=0.01), initial=begun, progress=False, errors="quadratic"
+    )
+    target = Target(fit)
+    modes = find_modes(target, fit, np.random.default_rng(0), wide=0)
+    signs = {tuple(np.sign(one).astype(int)) for one in target.values(modes.at)}
+    assert signs == {(1, 1), (1, -1), (-1, 1), (-1, -1)}
