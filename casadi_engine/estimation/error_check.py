@@ -438,7 +438,7 @@ def _exchanged(search: Search, errors: Uncertainty) -> list[Doubt]:
                 one, other = twin.pairs[0]
                 apart = f'bounds, or by pars.constrain("{one} - {other}", min=0) or max=0'
             text = (
-                f"the data are explained as well with {twin} (chi-squared {max(twin.higher, 0.0):.2g} higher): the "
+                f"the data are explained as well with {twin} (chi-squared at most {max(twin.higher, 0.0):.2g} higher): the "
                 f"errors of what differs there are not known; tell them apart by {apart}, or {CALL}"
             )
         there = np.concatenate([twin.v, *twin.starts])
