@@ -438,8 +438,8 @@ def _exchanged(search: Search, errors: Uncertainty) -> list[Doubt]:
                 one, other = twin.pairs[0]
                 apart = f'bounds, or by pars.constrain("{one} - {other}", min=0) or max=0'
             text = (
-                f"the data are explained as well with {twin} (chi-squared at most {max(twin.higher, 0.0):.2g} higher): the "
-                f"errors of what differs there are not known; tell them apart by {apart}, or {CALL}"
+                f"the data are explained as well with {twin} (chi-squared at most {max(twin.higher, 0.0):.2g} higher): "
+                f"the errors of what differs there are not known; tell them apart by {apart}, or {CALL}"
             )
         there = np.concatenate([twin.v, *twin.starts])
         here = np.concatenate([errors.v, *(lay.take(errors.x)[0] for lay in search.problem.layouts)])
