@@ -258,21 +258,26 @@ def _least_squares(gradient: Array, matrix: Array, free: NDArray[np.bool_]) -> A
 
 def _moves(search: Search, v: Array, starts: Sequence[Array]) -> Iterator[Move]:
     """Pairs of free parameters, by their numbers, that have one unit; what may have the other sign: parameters, and of
-    models in which they do not enter in lines first states, each alone and all together, beside a parameter too; then
+    models in which they do not enter in lines first states, each alone and all together, beside each other too; then
     two pairs at once, as a resistance and a capacity of one branch are exchanged with those of another."""
     units = [search.parameters[name.split("@")[0]].unit for name in search.pmap.free]
     pairs = [(i, j) for i, j in combinations(range(len(units)), 2) if units[i] == units[j]]
     yield from (Move((pair,)) for pair in pairs)
-    z, states = search.coordinates.values(v), list[tuple[int, ...]]()
+    z, states = search.coordinates.values(v), list[tuple[int, ...]]()  # none of what enters in lines
     if not all(record.linear for record in search.records):
-        begun = np.flatnonzero(np.any([start != 0 for start in starts], axis=0)).tolist()
-        states = [(i,) for i in begun] + ([tuple(begun)] if len(begun) > 1 else [])
+        states = _each_and_all(np.any([start != 0 for start in starts], axis=0))
     either = (search.pmap.lower <= -z) & (-z <= search.pmap.upper) & (z != 0)
-    signs = [(k,) for k in np.flatnonzero(either).tolist()]
+    signs = _each_and_all(either)
     yield from (Move(signs=own) for own in signs)
     yield from (Move(states=own) for own in states)
     yield from (Move(signs=own, states=other) for own in signs for other in states)
     yield from (Move(both) for both in combinations(pairs, 2) if len({*both[0], *both[1]}) == 4)
+
+
+def _each_and_all(which: NDArray[np.bool_]) -> list[tuple[int, ...]]:
+    """The numbers that are marked, each by itself, then all of them together."""
+    marked = np.flatnonzero(which).tolist()
+    return [(k,) for k in marked] + ([tuple(marked)] if len(marked) > 1 else [])
 
 
 def _best(search: Search, record: RecordTerm, v: Array, start: Array, k: int) -> Array:

@@ -237,13 +237,16 @@ def _exchanges(target: Target, searches: _Searches) -> None:
 
 
 def _exchanged(target: Target, v: Array) -> list[Array]:
-    """A point v (nv,) with a parameter of the other sign, with two of one unit exchanged, or two such pairs: rates in a
-    row and branches side by side often have another optimum there, which no direction from here leads to."""
+    """A point v (nv,) with a parameter of the other sign, or all that may have it, with two of one unit exchanged, or
+    two such pairs: rates in a row and branches side by side often have another optimum there, which no direction from
+    here leads to."""
     z = target.coordinates.values(v)
     low, high = target.low[: target.nv], target.high[: target.nv]
     pairs = [(i, j) for i, j in combinations(range(target.nv), 2) if target.units[i] == target.units[j]]
     twice = [both for both in combinations(pairs, 2) if len({*both[0], *both[1]}) == 4]
     others = [np.where(np.arange(target.nv) == k, -z, z) for k in np.flatnonzero(z)]
+    pmap = target.search.pmap
+    others.append(np.where((pmap.lower <= -z) & (-z <= pmap.upper), -z, z))  # gains of one state go together
     for exchange in islice([*((pair,) for pair in pairs), *twice], _PAIRS):
         others.append(z.copy())
         for i, j in exchange:

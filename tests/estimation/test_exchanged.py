@@ -1,5 +1,7 @@
 """Parameters that may be exchanged, on models whose twins are known in closed form."""
 
+from itertools import pairwise
+
 import casadi
 import numpy as np
 import pytest
@@ -195,3 +197,26 @@ def test_a_detuning_that_is_seen_through_a_cosine_has_two_signs(known, names):
 def test_signs_that_bounds_tell_are_not_looked_for():
     fit = fitted(chain(), measured(), initial={"A": 1.0, "B": 0.0})
     assert not any("other sign" in text for text in fit.messages)
+
+
+def test_gains_of_one_state_change_their_signs_together():
+    """A state that is seen by its square, driven by two inputs: neither gain has another sign without the other."""
+    b = ce.Blueprint("driven")
+    gains = [b.parameter(f"g{k}", start, min=-5, max=5) for k, start in enumerate((1.0, -0.5))]
+    x = b.state("x")
+    b.ode("x", -x + gains[0] * b.input("u0") + gains[1] * b.input("u1"))
+    b.output("y", x**2)
+    time, random = np.linspace(0, 6, 61), np.random.default_rng(3)
+    drives = np.repeat(random.standard_normal((2, 7)), 10, axis=1)[:, :61]
+    right = lambda t, y: -y + drives[:, min(int(t / 0.1 + 1e-9), 60)] @ np.array([1.2, -0.7])  # noqa: E731
+    truth, held = [0.5], dict(zip(("u0", "u1"), drives, strict=True))
+    for start, end in pairwise(time):
+        step = solve_ivp(lambda t, y, s=start: right(s, y), (start, end), truth[-1:], rtol=1e-10, atol=1e-12)
+        truth.append(float(step.y[0, -1]))
+    y = np.square(truth) + 0.01 * random.standard_normal(61)
+    units = dict.fromkeys(("u0", "u1", "y"), "1")
+    data = ce.Experiment.from_arrays("r", time=time, units=units, hold="zero", y=y, **held)
+    begun = fitted(b.model(), data, noise=ce.Noise(y=0.01), initial={"x": 0.5})
+    fit = fitted(b.model(), data, noise=ce.Noise(y=0.01), initial=None, warm=begun)
+    assert any("the other sign of g0 and of g1" in text for text in fit.messages)
+    assert fit.estimates["g0"].stderr is None
