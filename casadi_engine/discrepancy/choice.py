@@ -49,6 +49,8 @@ _FIT, _COLOUR = 0.35, 0.45
 _KEPT = 1.0
 # Share of the time that is left which sharper corners may take: without them there is an answer too.
 _SHARP = 0.5
+# Times as long as the search until then that sharp corners and what follows may last.
+_LONGER = 5.0
 # What a search that was ended in a round did not come to.
 ANY = "any effect"
 # Other structures that are gone on from where nothing helps beside the best one, and how much larger their chi-squared
@@ -80,6 +82,7 @@ class Choice:
     # of stations that were made before their corners were sharpened: where their refits had arrived
     _wide: dict[Key, Arrived] = field(default_factory=dict, repr=False)
     _asked: set[tuple[Key, Key]] = field(default_factory=set, repr=False)
+    _begun: float = field(default_factory=time.perf_counter, repr=False)
     _left_out: tuple[tuple[str, float], ...] = ()
     _beside: str = ""
 
@@ -528,8 +531,9 @@ class Choice:
         return key in self._wide
 
     def _kept_wide(self, best: Tried) -> None:
-        """Fit a structure whose corners may become sharper as it is, where time is limited: so much is an answer."""
-        limited = math.isfinite(self.deadline.left) and best.key not in self.stations
+        """Fit a structure whose corners may become sharper as it is, where time may not do for that: an answer."""
+        so_far = time.perf_counter() - self._begun
+        limited = self.deadline.left < _LONGER * so_far and best.key not in self.stations
         if limited and self.refits.may_sharpen(best) and self.station_of(best) is not None:
             self._wide[best.key] = best.arrived
 
