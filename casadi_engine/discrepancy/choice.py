@@ -362,7 +362,7 @@ class Choice:
         # one step is no word on them where what it was made from is no answer
         rest = self._timed("refit", lambda: self._added(here, station, again=True))
         self._timed("evidence", self.refits.weigh)
-        return self._chosen_of(here, station, rest) if rest else None
+        return self._chosen_of(self.pool[here.key], station, rest) if rest else None
 
     def _another(self, here: Tried) -> Tried | None:
         """The structure that takes the place of ``here`` where what fresh data would leave out is no choice: one that
