@@ -34,6 +34,9 @@ _BLIND = 1e-12
 _STEPS, _FALLS = 8, 0.5
 # Chi-squared that rises between two optima.
 _RISES = 1.0
+# First samples of each record that may deny a move before all of it is simulated; records of fewer than _LONG times as
+# many are simulated at once.
+_HEAD, _LONG = 1000, 4
 # Standard deviations by which first samples deny a first state.
 _SEEN = 5.0
 # Coordinates within which two ends are one; and the information on a first state, on its scale, that says so.
@@ -93,9 +96,9 @@ def _twins(
     states: bool = False,
 ) -> Iterator[Twin]:
     """See ``twins``; metric (N, N) of distances from [v; first states], states : those that move first states alone."""
-    most = int(_WORK // max(search.problem.samples, 1))
+    most = _WORK
     names, known = search.pmap.free, [np.concatenate([v, *starts]) if states else v]
-    optimum = _Exchange(search, list(starts), Move(), 0.0)
+    optimum, stages = _Exchange(search, search.records, list(starts), Move(), 0.0), _stages(search)
     here = optimum.cost(v)
     for move in _moves(search, v, starts):
         if most <= 0:
@@ -106,15 +109,18 @@ def _twins(
         away = np.concatenate([at[0] - v, *(a - b for a, b in zip(at[1], starts, strict=True))])
         if away @ metric @ away < _ALIKE or np.abs(away).max() < _SAME:
             continue
-        exchange = _Exchange(search, at[1], move, here + limit)
-        try:
-            with np.errstate(all="ignore"), ExitStack() as kept:  # a model may have no value there
-                for record in search.records:
-                    kept.enter_context(steps_kept(record.propagator, _SLOWER))
-                higher = exchange.settled(at[0], optimum.first) - here
-        except (FloatingPointError, np.linalg.LinAlgError, ModelError):
-            higher = np.inf
-        most -= exchange.work
+        for records in stages:
+            exchange = _Exchange(search, records, list(at[1]), move, here + limit)
+            try:
+                with np.errstate(all="ignore"), ExitStack() as kept:  # a model may have no value there
+                    for record in records:
+                        kept.enter_context(steps_kept(record.propagator, _SLOWER))
+                    higher = exchange.settled(at[0], optimum.first) - here
+            except (FloatingPointError, np.linalg.LinAlgError, ModelError):
+                higher = np.inf
+            most -= exchange.work
+            if not higher < limit:  # what follows adds to chi-squared
+                break
         if not higher < limit or search.constraints.violated(exchange.v):
             continue
         if not _apart(search, v, starts, exchange, here + max(higher, 0.0)):
@@ -131,7 +137,8 @@ def _twins(
 def _apart(search: Search, v: Array, starts: Sequence[Array], end: _Exchange, cost: float) -> bool:
     """True if chi-squared rises between an optimum and where a move led; between values that are nearly one, or small,
     it is flat."""
-    middle = _Exchange(search, [0.5 * (a + b) for a, b in zip(starts, end.starts, strict=True)], Move(), 0.0)
+    half = [0.5 * (a + b) for a, b in zip(starts, end.starts, strict=True)]
+    middle = _Exchange(search, search.records, half, Move(), 0.0)
     values = 0.5 * (search.coordinates.values(v) + search.coordinates.values(end.v))
     try:
         with np.errstate(all="ignore"):
@@ -139,6 +146,13 @@ def _apart(search: Search, v: Array, starts: Sequence[Array], end: _Exchange, co
     except (FloatingPointError, np.linalg.LinAlgError, ModelError):
         return True
     return not between < cost + _RISES
+
+
+def _stages(search: Search) -> list[Sequence[RecordTerm]]:
+    """What a move is tried on, one after the other: the first samples of long records, and all."""
+    if search.predictor.kind != "none" or search.problem.samples < _LONG * _HEAD * len(search.records):
+        return [search.records]
+    return [[record.head(_HEAD, search.sigma) for record in search.records], search.records]
 
 
 def _moved(search: Search, v: Array, starts: Sequence[Array], move: Move) -> tuple[Array, list[Array]] | None:
@@ -158,14 +172,17 @@ def _moved(search: Search, v: Array, starts: Sequence[Array], move: Move) -> tup
 
 
 class _Exchange:
-    """Where a move led, and what the others make of it.
+    """Where a move led on these records, all or the first samples of each, and what the others make of it.
 
-    work : simulations so far; v : (nv,) where it ended; starts : first states (n,) of each record there; first : the
-    residuals of the first samples of all outputs where it was last
+    work : samples that were simulated so far; v : (nv,) where it ended; starts : first states (n,) of each record
+    there; first : the residuals of the first samples of all outputs where it was last
     """
 
-    def __init__(self, search: Search, starts: list[Array], move: Move, limit: float) -> None:
-        self._search, self._limit, self.work = search, limit, 0
+    def __init__(
+        self, search: Search, records: Sequence[RecordTerm], starts: list[Array], move: Move, limit: float
+    ) -> None:
+        self._search, self._records, self._limit, self.work = search, records, limit, 0
+        self._samples = sum(record.grid.samples for record in records)
         self.v, self.starts, self.first = np.zeros(0), starts, np.zeros(0)
         self._begins = bool(move.states)
         at = len(search.pmap.free)
@@ -194,16 +211,16 @@ class _Exchange:
 
     def cost(self, v: Array) -> float:
         """Chi-squared at v (nv,)."""
-        self.work += 1
-        search = self._search
+        self.work += self._samples
+        search, records = self._search, self._records
         left = [
             _best(search, record, v, start, k)
-            for k, (record, start) in enumerate(zip(search.records, self.starts, strict=True))
+            for k, (record, start) in enumerate(zip(records, self.starts, strict=True))
         ]
         self.first = np.array(
             [
                 own.ravel()[where[0]]
-                for own, record in zip(left, search.records, strict=True)
+                for own, record in zip(left, records, strict=True)
                 for where in record.observation.where.values()
             ]
         )
@@ -213,11 +230,11 @@ class _Exchange:
         """The point (nv,) after a Gauss-Newton step of all the others, straight in the parameters as they are printed:
         a gain is met in one, however far it is."""
         search, nv, at = self._search, len(v), len(v)
-        sizes = [record.n for record in search.records]
+        sizes = [record.n for record in self._records]
         gradient, matrix = np.zeros(nv + sum(sizes)), np.zeros((nv + sum(sizes), nv + sum(sizes)))
         _, gradient[:nv], _, matrix[:nv, :nv] = search.problem.priors.evaluate(v)
-        for record, start in zip(search.records, self.starts, strict=True):
-            self.work += 1 + len(record.active) + record.n
+        for record, start in zip(self._records, self.starts, strict=True):
+            self.work += (1 + len(record.active) + record.n) * record.grid.samples
             point = record.evaluate(v, chained_nodes(record, v, start))
             slopes = chained_slopes(record, point)
             slopes = slopes.reshape(len(slopes), -1)

@@ -244,13 +244,34 @@ class RecordTerm:
 
     def again(self, *, gain: Array | GainPlan | None, length: int | None = None) -> RecordTerm:
         """The same record in intervals of another length (None: one), predicted with another gain or simulated."""
+        return self._like(self.grid, fineness_of(self.propagator), length=length, gain=gain)
+
+    def head(self, samples: int, sigma: Array) -> RecordTerm:
+        """The first samples of the record, weighted by the standard deviations (ny,) of the outputs; the record itself
+        if it is as short, or if another output begins later."""
+        begins = [own.position[0] for own in self.grid.measured.values() if len(own.position)]
+        if self.grid.samples <= samples or self.grid.whole is not None or max(begins, default=0) >= samples:
+            return self
+        steps = fineness_of(self.propagator)
+        steps = steps.head(samples) if isinstance(steps, Fineness) else steps
+        other = self._like(self.grid.head(samples), steps, length=self.plan.length, gain=None)
+        other.set_sigma(sigma)
+        return other
+
+    def _like(
+        self,
+        grid: Grid,
+        steps: int | float | Fineness | None,
+        *,
+        length: int | None,
+        gain: Array | GainPlan | None,
+    ) -> RecordTerm:
         other = RecordTerm(
             self.model, self.experiment, *self.symbols,
-            length=length, gain=gain, method=self.method, grid=self.grid, scale=self.scale,
-            steps=fineness_of(self.propagator),
+            length=length, gain=gain, method=self.method, grid=grid, scale=self.scale, steps=steps,
         )  # fmt: skip
         if isinstance(self.propagator, RungeKuttaPropagator) and other.step_in_places(anyway=True):
-            other.as_fine_as(fineness_of(self.propagator))
+            other.as_fine_as(steps)
         if self._most is not None:
             other.limit_steps(self._most)
         return other

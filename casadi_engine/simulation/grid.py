@@ -94,6 +94,16 @@ class Grid:
         """From the first to the last point [s]."""
         return float(self.time[-1] - self.time[0])
 
+    def head(self, samples: int) -> Grid:
+        """The first points of this one, of a record that is no other one's of a lower rate."""
+        measured = {}
+        for name, own in self.measured.items():
+            keep = own.position < samples
+            measured[name] = Measured(own.time[keep], own.values[keep], own.position[keep], own.index[keep])
+        times = None if self.times is None else self.times[:samples]
+        rows = [row[:samples] for row in self.rows]
+        return Grid(self.start, self.step, samples, rows, self.holds, measured, times)
+
 
 def lay_grid(model: Model, experiment: Experiment, *, outputs: tuple[str, ...] | None = None) -> Grid:
     """The grid of a record for a model; outputs not in ``outputs`` (default: all of the model's) are left out.

@@ -69,6 +69,11 @@ class Fineness:
         """Most steps of a cell."""
         return int(self.counts.max(initial=1))
 
+    def head(self, samples: int) -> Fineness:
+        """Of the first points of the grid."""
+        counts = self.counts[: samples - 1]
+        return Fineness(self.scheme, counts, None if self.shares is None else self.shares[: counts.sum()])
+
     def cut(self, parts: NDArray[np.intp]) -> Fineness:
         """The steps each cut into so many equal parts, (steps,) in order of time."""
         cell = np.repeat(np.arange(len(self.counts)), self.counts)

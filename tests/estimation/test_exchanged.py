@@ -8,6 +8,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
+from casadi_engine.estimation import exchanged
+from casadi_engine.estimation.record import RecordTerm
 
 TIME = np.linspace(0, 8, 33)
 SIGMA = 0.02
@@ -220,3 +222,62 @@ def test_gains_of_one_state_change_their_signs_together():
     fit = fitted(b.model(), data, noise=ce.Noise(y=0.01), initial=None, warm=begun)
     assert any("the other sign of g0 and of g1" in text for text in fit.messages)
     assert fit.estimates["g0"].stderr is None
+
+
+@pytest.mark.parametrize("seen", ["cos", "sin"])
+def test_first_samples_of_a_long_record_deny_signs_and_find_none_less(seen, monkeypatch):
+    """What they deny is not simulated to its end; what they leave open is."""
+    b = ce.Blueprint("loop")
+    detuning = b.parameter("detuning", 2.8, unit="rad/s", min=-20, max=20)
+    gain = b.parameter("gain", 3.9, unit="rad/s", min=0.1, max=50)
+    phase, u = b.state("phase", unit="rad"), b.input("u", unit="rad/s")
+    b.ode("phase", detuning * (1 + u / 2) - gain * casadi.sin(phase))
+    b.output("x", getattr(casadi, seen)(phase), unit="1")
+    time = np.arange(0, 50.001, 0.01)
+    truth = solve_ivp(
+        lambda t, x: 3.0 * (1 + np.sin(t) / 2) - 4.0 * np.sin(x),
+        (0, 50),
+        [0.0],
+        t_eval=time,
+        rtol=1e-10,
+        atol=1e-12,
+    )
+    x = getattr(np, seen)(truth.y[0]) + 0.05 * np.random.default_rng(1).standard_normal(len(time))
+    data = ce.Experiment.from_arrays("r", time=time, units={"x": "1", "u": "rad/s"}, x=x, u=np.sin(time))
+    worked = []
+    settled = exchanged._Exchange.settled
+
+    def noted(self, *arguments):
+        cost = settled(self, *arguments)
+        worked.append((sum(record.grid.samples for record in self._records), cost))
+        return cost
+
+    monkeypatch.setattr(exchanged._Exchange, "settled", noted)
+    fit = ce.estimate(b.model(), data, noise=ce.Noise(x=0.05), initial={"phase": 0.0}, progress=False)
+    assert any("the other sign of detuning" in text for text in fit.messages) == (seen == "cos")
+    assert {samples for samples, _ in worked} == ({1000, 5001} if seen == "cos" else {1000})
+
+
+def test_the_head_of_a_record_is_its_beginning():
+    """Residuals of the first samples, for a linear model, one with a linear core and any other."""
+    time = np.arange(0, 40.0, 0.1)
+    data = ce.Experiment.from_arrays(
+        "r", time=time, units={"y": "1", "u": "1"}, y=np.cos(time), u=np.sin(time)
+    )
+    for bend in (0.0, 0.1, None):
+        b = ce.Blueprint("bent")
+        a, x = b.parameter("a", 1.0), b.state("x")
+        b.ode("x", -a * x + b.input("u") - (a * x**3 / (1 + x**2) if bend is None else bend * x**3))
+        b.output("y", x)
+        z = casadi.SX.sym("z")
+        whole = RecordTerm(b.model(), data, z, z, length=50, gain=None, method="exact")
+        whole.set_sigma(np.ones(1))
+        head = whole.head(100, np.ones(1))
+        assert head.grid.samples == 100
+        at, first = np.array([0.7]), np.array([0.3])
+        longer, shorter = (
+            exchanged.residual(one, exchanged.response(one, at, first)[0]) for one in (whole, head)
+        )
+        own = longer.ravel()[whole.observation.where["y"]][:100]
+        assert shorter.ravel()[head.observation.where["y"]] == pytest.approx(own, abs=1e-9)
+        assert whole.head(400, np.ones(1)) is whole
