@@ -203,11 +203,12 @@ def _unit(way: Way) -> Found:
         return found
     if by_rate is None:
         return Found()
-    weak = [rung.slot(one) for rung in way[:-1] if not rung.between.loose for one in rung.beside]
-    weak = [one for one in weak if one.is_plain]
+    near = [rung.slot(one) for rung in way[:-1] if not rung.between.loose for one in rung.beside]
+    weak = [one for one in near if one.is_plain]
     if not top.between.symbols:
-        # a number alone may stand for a mass, unless what is added to the slot is a rate as well
-        sure = top.between.is_one and any(is_alike(one, by_rate) for one in weak)
+        # a number alone may stand for a mass, unless what is added to the slot is a rate as well: (2*pi*f)**2*angle is
+        alike = [one for one in near if (is_alike if one.is_plain else is_of_one_kind)(one, by_rate)]
+        sure = top.between.is_one and bool(alike)
         return Found(_text(by_rate), "rate") if sure else Found()
     if by_rate.is_plain:
         return Found(_text(by_rate), "rate")

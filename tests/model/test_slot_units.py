@@ -244,6 +244,14 @@ def test_a_sum_and_a_rate_of_two_kinds_contradict_each_other():
     )
 
 
+def test_what_is_added_to_a_rate_is_one_whatever_number_stands_in_it():
+    """(2*pi*f)**2*x is an acceleration, so that the slot beside it is no force."""
+    turns = (2 * np.pi) ** 2
+    assert one_slot(lambda v, slot, f, x: slot - turns * f**2 * x, f="Hz", x="m").unit == "m/s2"
+    assert one_slot(lambda v, slot, f, x: slot - f**2 * x, f="Hz", x="m").unit == "m/s2"
+    assert one_slot(lambda v, slot, k, x: slot - turns * k * x, k="N/m", x="m").unit == "N"  # on 1 kg
+
+
 def test_what_a_slot_is_added_to_tells_behind_anything():
     b = ce.Blueprint("cell", time_unit="s")
     u, gain = b.state("u", unit="V"), b.state("gain")
