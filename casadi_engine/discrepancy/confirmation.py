@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casadi_engine.discrepancy.linear_algebra import Array
-from casadi_engine.distributions import chi2_sf, t_sf
+from casadi_engine.distributions import chi2_sf, normal_sf, t_sf
 
 # The chance of a gain where there is none (two standard errors of many cycles); fewest cycles that tell.
 CHANCE = 0.02275
 _FEWEST = 3
-# How rarely noise is as large as what is no noise; and how often as what is.
+# How rarely noise makes what is no noise; and how often it is as large as what is.
 _SURE, _NOISE = 1e-4, 0.05
 # Share of the chance that is for the ranks of the gains, and cycles from which their sum is taken to be normal.
 _RANKS, _MANY = 0.1, 60
@@ -116,23 +116,23 @@ def paired_gain(before: Sequence[Residuals], after: Sequence[Residuals]) -> Pair
 
 
 def is_foretold(before: Sequence[Residuals], after: Sequence[Residuals]) -> bool:
-    """True if what one model leaves of fresh data is the noise of the search in every output, and what the other leaves
-    is not: where few pieces hold all that an effect does, its gains scatter by that, and not by chance.
+    """True if what one model leaves of fresh data is the noise of the search in every output, and the other leaves what
+    lies between them beyond it: where few pieces hold most that an effect does, its gains scatter by that, and not by
+    chance.
 
-    For white noise: by chi-squared, with the levels that the search found.
+    For white noise: by chi-squared, with the levels that the search found, and by the normal distribution of the noise
+    along the difference of both, which asks of an effect no more than it does.
     """
-    then, first = (_chances(own) for own in (after, before))
-    return min(first.values(), default=1.0) < _SURE and min(then.values(), default=0.0) > _NOISE / len(then)
-
-
-def _chances(residuals: Sequence[Residuals]) -> dict[str, float]:
-    """Output -> how often noise of its level is as large as the residuals."""
-    found = {}
-    for output in dict.fromkeys(r.output for r in residuals):
-        own = [r for r in residuals if r.output == output]
-        squares = sum(float(r.e @ r.e) / r.sigma**2 for r in own)
-        found[output] = float(chi2_sf(squares, sum(len(r.e) for r in own)))
-    return found
+    left: dict[str, tuple[float, int]] = {}
+    along = moved = 0.0
+    for old, new in zip(before, after, strict=True):
+        squares, count = left.get(new.output, (0.0, 0))
+        left[new.output] = squares + float(new.e @ new.e) / new.sigma**2, count + len(new.e)
+        between = (old.e - new.e) / new.sigma
+        along += float(between @ old.e) / new.sigma
+        moved += float(between @ between)
+    noise = min((float(chi2_sf(*own)) for own in left.values()), default=0.0) > _NOISE / max(len(left), 1)
+    return noise and moved > 0 and float(normal_sf(along / math.sqrt(moved))) < _SURE
 
 
 def signed_rank_sf(ranks: int, count: int) -> float:

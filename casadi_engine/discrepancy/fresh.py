@@ -251,8 +251,8 @@ def judge(before: Sequence[NullModel], after: Sequence[NullModel], noise: NoiseM
     part = "cycle" if any(v.name == "theta" for v in before[0].model.inputs) else "piece"
     size = f"{gain.mean:.3g} ± {gain.se:.2g} per {part}"
     if gain.mean > 0 and not noise.colour and not noise.scatter and is_foretold(old, new):
-        why = f"few {part}s of the fresh data hold all of the gain; what is left in all of them is the noise"
-        return Judgement(gain, True, why=f"{why} of the search, which confirms it")
+        why = f"the gain differs from {part} to {part} as what the effects do does; what is left in all of them is the"
+        return Judgement(gain, True, why=f"{why} noise of the search, which confirms it")
     if gain.refused:
         return Judgement(gain, False, True, f"fresh data refuse it: the gap grows, the gain is {size}")
     return Judgement(gain, False, False, f"{NOT_CONFIRMED}: the gain is {size}, which chance may make")

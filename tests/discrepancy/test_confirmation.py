@@ -81,6 +81,22 @@ def test_few_pieces_that_hold_all_of_a_gain_confirm_it_where_noise_alone_is_left
     assert not is_foretold([first, other], [after, other])
 
 
+def test_what_is_too_small_for_the_level_of_the_noise_is_foretold_along_what_an_effect_does():
+    """5 standard errors along the effect are a hundredth of chi-squared, which its own scatter hides; chance makes as
+    much along it no more often than it may."""
+    shape = np.sin(np.arange(3000) / 7) * np.repeat([1.0, 0.3, 1.2, 0.2, 0.6, 1.5, 0.1, 0.4, 0.9, 0.3], 300)
+    after = replace(residuals(0.0, cycles=10), cycle=np.repeat(np.arange(10), 300))
+    random, found, false = np.random.default_rng(5), 0, 0
+    for _ in range(400):
+        noise = 0.97 * random.standard_normal(3000)  # a level that the search found a little too large
+        own = replace(after, e=noise, measured=noise, sigma=1.0)
+        law = 6.0 * shape / np.sqrt(shape @ shape)
+        found += is_foretold([replace(own, e=noise + law)], [own])
+        false += is_foretold([own], [replace(own, e=noise - law)])
+    assert found > 380
+    assert false == 0
+
+
 @pytest.mark.parametrize("count", [3, 10])
 def test_ranks_are_those_of_wilcoxon(count):
     for seed in range(5):
