@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from casadi_engine.estimation.error_check import CALL, Doubt, doubts_of, growing, words_of
+from casadi_engine.estimation.error_check import CALL, UNEVEN, Doubt, doubts_of, growing, words_of
 from casadi_engine.estimation.fit import Estimate, Optimum
+from casadi_engine.estimation.foreseen_ends import Rises
 from casadi_engine.estimation.profile_interval import LowerOptimumError, Profiles
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty
 
 Array = NDArray[np.float64]
 
-# An interval by profile whose ends are within this share of where ± has them.
-_ALIKE = 0.1
 _UNKNOWN, _UNEVEN = "not known (see note)", "not symmetric (see note)"
 
 
@@ -47,7 +46,10 @@ def judged(
     as they are
     """
     estimates, initial = errors.estimates(), errors.initial_estimates()
-    doubts = doubts_of(search, best, white, optima, residuals, wider=errors) if check is not None else ()
+    doubts: tuple[Doubt, ...] = ()
+    rises: dict[str, Rises] = {}
+    if check is not None:
+        doubts, rises = doubts_of(search, best, white, optima, residuals, wider=errors)
     unchecked = growing(search, best) if check is not None and errors.optimal else None
     told = () if unchecked is None else (unchecked,)
     if not doubts or check is None:
@@ -59,8 +61,13 @@ def judged(
     alike: set[str] = set()
     if all(doubt.profiles for doubt in doubts):
         profiles = Profiles(search, best, white, seconds=check, stretch=_stretch(white, errors))
+        if all(
+            one.are_mild for one in rises.values()
+        ):  # else the others bend, to which they are held by slopes
+            plain = [name for name in free if name in rises and _all_plain(doubts, slopes[name], matrix)]
+            ends = _foreseen(search, profiles, {name: rises[name] for name in plain})
         try:
-            ends = profiles.intervals(free)
+            ends |= profiles.intervals([name for name in free if name not in ends])
         except LowerOptimumError:
             doubts = (_lower(doubts),)
         alike = {name for name, one in ends.items() if _alike(estimates[name], one, profiles.root)}
@@ -84,6 +91,20 @@ def judged(
     return Judged(estimates, initial, (*words_of(felt, [name for name in left if name not in ends]), *told))
 
 
+def _foreseen(
+    search: Search, profiles: Profiles, rises: Mapping[str, Rises]
+) -> dict[str, tuple[float, float]]:
+    """Name -> the ends of its interval, of parameters beside which chi-squared rises so mildly that no refit tells
+    more."""
+    found = {}
+    for name, own in rises.items():
+        k = search.pmap.free.index(name)
+        ends = own.ends(profiles.root * float(profiles.stretch[k]))
+        if ends is not None and search.lower[k] < ends[0] and ends[1] < search.upper[k]:
+            found[name] = (profiles.value(k, ends[0]), profiles.value(k, ends[1]))
+    return found
+
+
 def _stretch(white: Uncertainty, errors: Uncertainty) -> Array:
     """(nv,) by how much the errors of the parameters are larger than those of the likelihood."""
     nv = len(white.v)
@@ -100,7 +121,7 @@ def _only(search: Search, slope: Array) -> str | None:
 def _alike(one: Estimate, interval: tuple[float, float], root: float) -> bool:
     """True if an interval by profile is the one that ± means, ``root`` standard errors to either side."""
     half = root * (one.stderr or 0.0)
-    return all(abs(abs(end - one.value) / half - 1) < _ALIKE for end in interval)
+    return all(abs(abs(end - one.value) / half - 1) < UNEVEN for end in interval)
 
 
 def _of(doubts: Sequence[Doubt], slope: Array, matrix: Array, *, but_shape: bool = False) -> Doubt | None:
@@ -108,6 +129,13 @@ def _of(doubts: Sequence[Doubt], slope: Array, matrix: Array, *, but_shape: bool
     wide = np.zeros(len(matrix))
     wide[: len(slope)] = slope
     return next((one for one in doubts if not (but_shape and one.shape) and one.about(wide, matrix)), None)
+
+
+def _all_plain(doubts: Sequence[Doubt], slope: Array, matrix: Array) -> bool:
+    """True if all doubts about a quantity with this slope (nv,) are told by how chi-squared rises beside it."""
+    wide = np.zeros(len(matrix))
+    wide[: len(slope)] = slope
+    return all(one.plain for one in doubts if one.about(wide, matrix))
 
 
 def _lower(doubts: Sequence[Doubt]) -> Doubt:

@@ -14,7 +14,7 @@ model is simulated at two standard errors to either side, the initial states at 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +26,7 @@ from casadi_engine.estimation.dichotomy import grows
 from casadi_engine.estimation.exchanged import linear_residual, twins
 from casadi_engine.estimation.final_check import printed_cost, residual, response
 from casadi_engine.estimation.fit import Optimum
+from casadi_engine.estimation.foreseen_ends import FAR, RISES, Rises
 from casadi_engine.estimation.growth import log_growth
 from casadi_engine.estimation.record import RecordPoint, RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
@@ -34,8 +35,8 @@ from casadi_engine.estimation.uncertainty import chained_gradient
 
 Array = NDArray[np.float64]
 
-# Directions that are looked along, and how far [standard errors].
-_DIRECTIONS, _FAR = 3, 2.0
+# Directions that are looked along.
+_DIRECTIONS = 3
 # Relative error from which a parameter that is searched by its logarithm has no symmetric interval: the ends of what is
 # symmetric in the logarithm are then off by that share.
 _WIDE = 0.15
@@ -46,9 +47,10 @@ _NEAR = 0.2
 _SHORT = 0.25
 # Squared residuals that closing the gaps between shooting intervals may change, and how often they are closed.
 _CLOSED, _CLOSINGS = 1e-3, 6
-# Rises of chi-squared over the quadratic's 4 that pass: the ends of an interval are then within 15 % of where ± has
-# them.
-_RISES = 0.75, 1.3
+# Share of half an interval by which its ends may lie elsewhere than ± has them for ± to be printed: a fifth of a
+# standard error, which moves what an interval holds by 1 %. The ends of what is symmetric in a logarithm lie elsewhere
+# by as much as its relative error.
+UNEVEN = 0.1
 # Curvature that passes, and up to which a profile still tells the interval; `tests/benchmarks/CALIBRATION.md` has the
 # coverage of intervals on either side.
 _FLAT, _RUGGED = 0.4, 1.5
@@ -63,7 +65,7 @@ _RIVAL = 10.0
 _LOWER = 0.1
 # Share of a quantity's variance along a doubted direction from which its error is doubted: where optima may be twelve
 # standard errors apart, that is a tenth of one; where an interval changes its shape, or to another optimum, a third.
-_SHARE = {"rugged": 1e-4, "curved": 0.1, "rival": 0.1}
+_SHARE = {"rugged": 1e-4, "curved": 0.1, "bent": 0.1, "rival": 0.1}
 CALL = "call ce.posterior(fit)"
 # Logarithm of the growth of a change of the start from which a straight step leads nowhere near where the motion goes.
 _BENT = float(np.log(1e3))
@@ -73,9 +75,10 @@ _BENT = float(np.log(1e3))
 class Doubt:
     """Why some standard errors are not those of the quadratic.
 
-    kind : "rival" (another optimum was found), "rugged" (noise makes some), "curved" or "bound", for which an interval
-    by profile will do; text : for the reader; size : how grave; move : (N,) of [v; initial states], the direction in
-    doubt, one standard error long (a rival's: to there)
+    kind : "rival" (another optimum was found), "rugged" (noise makes some), "curved", "bent" (by another parameter),
+    "bound" or "uneven", for which an interval by profile will do; text : for the reader; size : how grave; move : (N,)
+    of [v; initial states], the direction in doubt, one standard error long (a rival's: to there; a bound's, and an
+    uneven one's: the parameter)
     """
 
     kind: str
@@ -89,14 +92,21 @@ class Doubt:
         return self.profiles and self.size <= _FLAT
 
     @property
+    def plain(self) -> bool:
+        """True if how chi-squared rises beside a parameter tells that shape."""
+        return self.kind == "uneven" or (self.kind == "curved" and self.shape)
+
+    @property
     def profiles(self) -> bool:
         """True if a profile of the likelihood tells the interval."""
-        return self.kind in ("curved", "bound")
+        return self.kind in ("curved", "bent", "bound", "uneven")
 
     def about(self, slope: Array, covariance: Array) -> bool:
         """True if this is about a quantity with this slope (N,)."""
         if self.kind == "bound":
             return bool(slope @ self.move)
+        if self.kind == "uneven":  # what depends on others too may be even
+            return np.array_equal(slope != 0, self.move != 0)
         return bool((slope @ self.move) ** 2 > _SHARE[self.kind] * (slope @ covariance @ slope))
 
 
@@ -108,22 +118,26 @@ def doubts_of(
     residuals: Sequence[Array],
     *,
     wider: Uncertainty | None = None,
-) -> tuple[Doubt, ...]:
-    """What speaks against the standard errors at an optimum.
+) -> tuple[tuple[Doubt, ...], dict[str, Rises]]:
+    """What speaks against the standard errors at an optimum, and how chi-squared rises beside parameters.
 
     errors : those of the likelihood; residuals : (K, M) of each record there, simulated from the printed values;
     wider : the errors that are printed, where they are larger
     """
     if not errors.optimal or not search.problem.nv or not np.isfinite(errors.covariance.matrix).all():
-        return ()
+        return (), {}
+    rises: dict[str, Rises] = {}
     found = _rivals(search, best, errors, optima)
     found += [] if found else _exchanged(search, errors)
     if growing(search, best) is None:
         around = _Around(search, best, errors, residuals)
         for move in _moves(errors, search.problem.nv, 1 if around.long else _DIRECTIONS):
             found += around.doubts(move)
-    found += _bounds(search, wider or errors)
-    return tuple(found)
+        if all(doubt.profiles for doubt in found):
+            rises = around.rises(found)
+            found += _uneven(search, errors, rises)
+    found += _bounds(search, wider or errors, rises)
+    return tuple(found), rises
 
 
 def growing(search: Search, best: Attempt) -> str | None:
@@ -146,12 +160,12 @@ def words_of(doubts: Sequence[Doubt], missing: Sequence[str]) -> list[str]:
     """One line for each kind of doubt, the gravest of its kind; those that a profile settles only where nothing graver
     is said. missing : parameters that have no interval by profile."""
     said: list[str] = []
-    for kind in ("rival", "rugged", "curved", "bound"):
+    for kind in ("rival", "rugged", "curved", "bent", "bound", "uneven"):
         own = [doubt for doubt in doubts if doubt.kind == kind]
         if not own or (said and own[0].profiles):
             continue
         text = f"{', '.join(doubt.text for doubt in own)}: no symmetric error"
-        said.append(text if kind == "bound" else max(own, key=lambda doubt: doubt.size).text)
+        said.append(text if kind in ("bound", "uneven") else max(own, key=lambda doubt: doubt.size).text)
     if said and missing and all(doubt.profiles for doubt in doubts):
         said[-1] += f"; for {', '.join(missing)} {CALL}"
     return said
@@ -213,14 +227,14 @@ class _Around:
         if printed:
             ends, here = tuple(_printed(self.search, one) for one in ends), _printed(self.search, here)  # type: ignore[assignment]
             way = self._to_printed * move
-        sides = [min(_FAR, _room(*ends, here, side * way)) for side in (-1.0, 1.0)]
+        sides = [min(FAR, _room(*ends, here, side * way)) for side in (-1.0, 1.0)]
         if min(sides) < _NEAR:  # a bound is close, and that is said of it
             return None
         fars = -sides[0], sides[1]
         there = [self._simulated(move, far, printed=printed) for far in fars]
         if there[0] is None or there[1] is None:
             names = _names_along(self.search, move)
-            text = f"the errors are not known: within {_FAR:g} standard errors along {names} the model has no value"
+            text = f"the errors are not known: within {FAR:g} standard errors along {names} the model has no value"
             return [Doubt("rugged", f"{text}; {CALL}", move, np.inf)]
         if self._plainly(fars, there[0], there[1]):
             return []
@@ -232,6 +246,26 @@ class _Around:
             near = max(fars[0], -_SHORT), min(fars[1], _SHORT)
             curvature = min(curvature, self._own_curvature(move, near, printed=printed))
         return self._told(move, (low, high), curvature, np.maximum(off, away))
+
+    def rises(self, doubts: Sequence[Doubt]) -> dict[str, Rises]:
+        """How chi-squared rises beside each parameter that is doubted, or whose logarithm and itself differ."""
+        search, matrix, found = self.search, self.errors.kept, {}
+        for k, name in enumerate(() if self.long else search.pmap.free):
+            own, size = np.eye(1, len(matrix), k)[0], float(np.sqrt(matrix[k, k]))
+            wide = search.coordinates.log[k] and size > UNEVEN / FAR
+            if size and (wide or any(doubt.about(own, matrix) for doubt in doubts)):
+                move = matrix[:, k] / size
+                sides = [self._risen(move, far) for far in (-FAR, FAR)]
+                if all(sides):
+                    found[name] = Rises(float(self.errors.v[k]), size, *sides)
+        return found
+
+    def _risen(self, move: Array, far: float) -> float:
+        """Rise of chi-squared over the quadratic's so far along a move; 0 where none is to be had."""
+        if _room(self.lower, self.upper, self.entries, far * move) < 1:
+            return 0.0
+        there = self._simulated(move, far, printed=False)
+        return 0.0 if there is None else max(self._seen(move, far, *there)[0], 0.0)
 
     def _own_curvature(self, move: Array, fars: tuple[float, float], *, printed: bool) -> float:
         """The intrinsic curvature over steps so short that a straight line is the surface's own way."""
@@ -253,19 +287,19 @@ class _Around:
             )
             return [Doubt("rugged", text, move, curvature)]
         found, matrix = [], self.errors.kept
-        if curvature > _FLAT or not all(_RISES[0] < rise < _RISES[1] for rise in rises):
-            low, high = (_FAR**2 * rise for rise in rises)
+        if curvature > _FLAT or not all(RISES[0] < rise < RISES[1] for rise in rises):
+            low, high = (FAR**2 * rise for rise in rises)
             text = (
-                f"the likelihood is not quadratic along {names}: {_FAR:g} standard errors away chi-squared rises by "
+                f"the likelihood is not quadratic along {names}: {FAR:g} standard errors away chi-squared rises by "
                 f"{low:.2g} and {high:.2g} (curvature {curvature:.2g})"
             )
             found.append(Doubt("curved", text, move, curvature))
         for k in np.flatnonzero(bends > _BENDS):
             text = (
-                f"the likelihood is not quadratic: {_FAR:g} standard errors along {names} the best "
+                f"the likelihood is not quadratic: {FAR:g} standard errors along {names} the best "
                 f"{self.search.pmap.free[k]} lies {bends[k]:.2g} of its own off where the quadratic has it"
             )
-            found.append(Doubt("curved", text, matrix[:, k] / np.sqrt(matrix[k, k])))
+            found.append(Doubt("bent", text, matrix[:, k] / np.sqrt(matrix[k, k])))
         return found
 
     def _simulated(self, move: Array, far: float, *, printed: bool) -> tuple[float, list[Array]] | None:
@@ -290,7 +324,7 @@ class _Around:
     ) -> bool:
         """True if no slopes are needed to see that the quadratic holds: the even part of the changes is nearly 0."""
         a, b = -fars[0], fars[1]
-        if not all(_RISES[0] < one[0] / far**2 < _RISES[1] for one, far in ((back, a), (forth, b))):
+        if not all(RISES[0] < one[0] / far**2 < RISES[1] for one, far in ((back, a), (forth, b))):
             return False
         even = sum(float(np.sum((a * q + b * p) ** 2)) for p, q in zip(back[1], forth[1], strict=True))
         return self._radius * 2 * float(np.sqrt(even)) / (a * b * (a + b)) < _FLAT
@@ -313,7 +347,7 @@ class _Around:
         bent = 0.0 if search.predictor.kind == "process" else float(np.sqrt(outside))
         sizes = np.sqrt(np.maximum(np.diag(matrix)[:nv], 0.0))
         with np.errstate(divide="ignore", invalid="ignore"):
-            off = np.where(sizes > 0, np.abs(moved - step[:nv]) / sizes, 0.0) * (_FAR / far) ** 2
+            off = np.where(sizes > 0, np.abs(moved - step[:nv]) / sizes, 0.0) * (FAR / far) ** 2
         return (rise - beside) / far**2, self._radius * 2 * bent / far**2, off
 
     def _residuals(self, v: Array, step: Array) -> list[Array]:
@@ -454,19 +488,34 @@ def _with_states(errors: Uncertainty, v: Array) -> Array:
     return np.concatenate([moved, matrix[nv:, :nv] @ np.linalg.pinv(matrix[:nv, :nv]) @ moved])
 
 
-def _bounds(search: Search, errors: Uncertainty) -> list[Doubt]:
-    """Parameters whose interval of two standard errors reaches a bound, is too wide to be symmetric, or is wider to the
-    side to which they go with what is at a bound and may be inside."""
+def _uneven(search: Search, errors: Uncertainty, rises: Mapping[str, Rises]) -> list[Doubt]:
+    """Parameters whose interval has its ends elsewhere than ± has them."""
+    found, values = [], search.coordinates.values(errors.v)
+    slopes = search.coordinates.slope(errors.v)
+    for name, own in rises.items():
+        k, ends = search.pmap.free.index(name), own.ends(FAR)
+        one = np.eye(1, len(errors.covariance.matrix), k)[0]
+        half = FAR * own.size * slopes[k]
+        at = [errors.v + (end - own.at) * one[: len(values)] for end in ends or ()]
+        off = [abs(abs(search.coordinates.values(v)[k] - values[k]) / half - 1) for v in at]
+        if max(off, default=np.inf) > UNEVEN:
+            found.append(Doubt("uneven", f"the likelihood is not symmetric in {name}", one))
+    return found
+
+
+def _bounds(search: Search, errors: Uncertainty, rises: Mapping[str, Rises]) -> list[Doubt]:
+    """Parameters whose interval of two standard errors reaches a bound, is too wide to be symmetric as far as no rises
+    are known, or is wider to the side to which they go with what is at a bound and may be inside."""
     found, matrix, low, high = [], errors.covariance.matrix, search.lower, search.upper
     kept, resting = errors.kept, [n for n, side in zip(search.pmap.free, errors.bound, strict=False) if side]
     for k, name in enumerate(search.pmap.free):
         value, size = errors.v[k], float(np.sqrt(matrix[k, k]))
         if errors.bound[k] is not False or not size:
             continue
-        if not low[k] <= value - _FAR * size < value + _FAR * size <= high[k]:
-            side = "lower" if value - _FAR * size < low[k] else "upper"
-            found.append((k, f"{name} reaches its {side} bound within {_FAR:g} standard errors"))
-        elif search.coordinates.log[k] and size > _WIDE:
+        if not low[k] <= value - FAR * size < value + FAR * size <= high[k]:
+            side = "lower" if value - FAR * size < low[k] else "upper"
+            found.append((k, f"{name} reaches its {side} bound within {FAR:g} standard errors"))
+        elif search.coordinates.log[k] and size > _WIDE and name not in rises:
             found.append((k, f"{name} is known to {100 * size:.2g} %"))
         elif size > (1 + _WIDE) * np.sqrt(max(kept[k, k], 0.0)):
             found.append((k, f"{name} goes with {' and '.join(resting)}, at a bound"))

@@ -76,7 +76,7 @@ class Profiles:
                 end = self._end(k, -1.0 if self._left == 2 else 1.0)
                 if end is None:
                     break
-                ends.append(self._value(k, end))
+                ends.append(self.value(k, end))
                 self._ended += 1
             if len(ends) == 2:
                 found[name] = (ends[0], ends[1])
@@ -168,7 +168,8 @@ class Profiles:
     def _cost(self, x: Array) -> float:
         return 2 * self.search.problem.samples * self.search.problem.at(x).objective
 
-    def _value(self, k: int, entry: float) -> float:
+    def value(self, k: int, entry: float) -> float:
+        """Entry k as it is printed, the others at the optimum."""
         v = self.errors.v.copy()
         v[k] = entry
         return float(self.search.coordinates.values(v)[k])
