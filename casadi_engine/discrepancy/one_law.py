@@ -1,45 +1,68 @@
-"""Effects at one port that are together one function of what moves there, and of which the data tell no number."""
+"""Effects at one port that are together one function of what moves there: of which the data tell no number, or which
+add up to a curve that one law may have as well."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from casadi_engine.discrepancy.path import FAILURES
 from casadi_engine.discrepancy.repaired import Unknown
+from casadi_engine.effects.table import rows_of
+from casadi_engine.estimation.corner_widths import courses, paths_of
 
 if TYPE_CHECKING:
     from casadi_engine.discrepancy.repaired import FoundEffect, Repair
+    from casadi_engine.estimation import Fit
+
+_LAW = "a law that the library lacks may be the true one there"
 
 
 def told_as_one_law(repair: Repair) -> Repair:
-    """The repair with a law that the library lacks in the place of effects at a port that have no numbers of their own.
+    """The repair with a law that the library lacks beside effects at a port that it may be in place of.
 
     Two or three laws of one signal, or one with a shape of its own, bend to many a smooth curve. Where the data tell
     none of their numbers, neither by an error nor by an interval, they tell the curve alone: the leak through an
-    orifice comes out as a proportional one and one that fades.
+    orifice comes out as a proportional one and one that fades. Where the signal keeps its sign nothing jumps with it,
+    and they add up to a curve whose numbers may be known while its law is not: a root about its mean is a constant and
+    a proportional loss.
     """
     ports: dict[str, list[FoundEffect]] = {}
     for one in repair.effects:
         ports.setdefault(one.at, []).append(one)
-    said = tuple(_said(at, own) for at, own in ports.items() if _is_curve(own))
+    said = {at: words for at, own in ports.items() if (words := _said(repair.fit, at, own))}
     if not said:
         return repair
-    unknown = repair.unknown or Unknown(
-        said[0], {}, next(at for at, own in ports.items() if _is_curve(own)), odds=1.0
-    )
+    port, words = next(iter(said.items()))
+    unknown = repair.unknown or Unknown(words, {}, port, odds=1.0)
     verdict = "class" if repair.verdict == "named" else repair.verdict  # a law of no name is a member too
-    return replace(repair, verdict=verdict, unknown=unknown, messages=(*said, *repair.messages))
+    return replace(repair, verdict=verdict, unknown=unknown, messages=(*said.values(), *repair.messages))
 
 
-def _is_curve(own: list[FoundEffect]) -> bool:
-    """True for two numbers or more, none of which is known."""
+def _said(fit: Fit | None, at: str, own: list[FoundEffect]) -> str:
+    """What is said of the effects at a port; "" of those that stand for themselves."""
+    names = f"{' and '.join(one.name for one in own)} at {at}"
     numbers = [value for one in own for value in one.parameters.values()]
-    return len(numbers) > 1 and all(one.stderr is None and one.interval is None for one in numbers)
+    if len(numbers) > 1 and all(one.stderr is None and one.interval is None for one in numbers):
+        verb, whose = ("are", "their") if len(own) > 1 else ("is", "its")
+        return f"{names} {verb} identified as one curve alone, none of {whose} parameters by itself: {_LAW}"
+    signal = _one_signal(fit, at) if len(own) > 1 and fit is not None else None
+    if signal is None:
+        return ""
+    return f"{names} add up to a curve over {signal}, which keeps its sign in the records: {_LAW}"
 
 
-def _said(at: str, own: list[FoundEffect]) -> str:
-    verb, whose = ("are", "their") if len(own) > 1 else ("is", "its")
-    return (
-        f"{' and '.join(one.name for one in own)} at {at} {verb} identified as one curve alone, none of {whose} "
-        "parameters by itself: a law that the library lacks may be the true one there"
-    )
+def _one_signal(fit: Fit, at: str) -> str | None:
+    """The signal of a port on which all effects there depend that act at any time, where it keeps its sign."""
+    port, own = fit.model.ports[at], [one.effect for one in fit.model.effects if one.at == at]
+    laws = [one for one in own if all(grid.over == "value" for grid in one.nuisance.values())]
+    read = {name for one in laws for row in rows_of(one) if row.port == port.kind for name in row.signals}
+    if len(laws) < 2 or len(read) != 1 or not read <= set(port.signals):
+        return None
+    (signal,) = read
+    try:
+        found = courses(paths_of(fit), port.signals[signal])
+    except FAILURES:
+        return None
+    low, high = min(one.min() for one in found), max(one.max() for one in found)
+    return None if low < 0 < high else signal

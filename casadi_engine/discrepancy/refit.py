@@ -14,6 +14,7 @@ import numpy as np
 
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.compression import compress
+from casadi_engine.discrepancy.exchanged_units import BEHIND
 from casadi_engine.discrepancy.linear_algebra import basis, without
 from casadi_engine.discrepancy.noise_choice import NoiseChoice, scatter_of
 from casadi_engine.discrepancy.null_model import null_model
@@ -44,6 +45,9 @@ _INTERVALS = 400
 # Rise of chi-squared at which a smaller amplitude is as good; times that it is made smaller, by half at first, and by
 # as much as this while nothing rises.
 _CONTENT, _HALVINGS, _FASTEST = 1.0, 16, 256.0
+# Rise of chi-squared at which all of an input is late, as it is but for what nobody builds: two standard errors; and
+# part of the shortest time that is searched which it may then have.
+_ALL, _SHORTER = 4.0, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,11 +200,26 @@ class Refitter:
             fit = _better(self._try(model, pars, start, most=_FEWER, interval="single"), fit)
         if fit is None or not fit.converged:
             return fit
-        return self._smallest(fit, effects, effects)
+        return self._smallest(self._with_all(fit, effects), effects, effects)
 
     def _has_corners(self, effects: Sequence[Addition]) -> bool:
         """True if corners of a law are rounded over a width."""
         return any(getattr(self.rounded(one), "width", None) is not None for one in effects)
+
+    def _with_all(self, fit: Fit, effects: Sequence[Addition]) -> Fit:
+        """The fit with all of each input late that is late, where the data are content: the share by which it is so and
+        the time are hardly told from each other where that is short."""
+        for one in effects:
+            share = fit.estimates.get(one.amplitude)
+            if one.candidate.effect not in BEHIND or share is None or share.fixed:
+                continue
+            held, time = fit.parameters.copy(), f"{one.key}.time"
+            held.fix(one.amplitude, 1.0)
+            held[time].set(min=_SHORTER * held[time].min)
+            whole = self._try(fit.model, held, Start.of(fit))
+            if whole is not None and whole.converged and merit(whole) <= merit(fit) + _ALL:
+                fit = whole
+        return fit
 
     def _smallest(self, fit: Fit, effects: Sequence[Addition], new: Sequence[Addition]) -> Fit:
         """The fit with amplitudes that have no error, one larger than themselves, or rest on their upper bound, as

@@ -133,9 +133,7 @@ class InputDelay(_Behind):
     kin = ("input_lag", "sensor_delay")
     sentence = "a delay of {port}"
     time = "delay"
-    shortest = (
-        3.0  # the approximant's own motion is five times as fast; a lag does the same where it is shorter
-    )
+    shortest = 2.0  # the approximant's own motion is five times as fast
 
     def law(self, port: Any, p: Any, math: Any) -> Any:
         """share (x − 2/5 ẋ + ẍ/20 − u)."""

@@ -331,6 +331,22 @@ def _by_name(search: Search, ratio: Array) -> dict[str, float]:
     return dict(zip([*search.pmap.free, *states], ratio.tolist(), strict=True))
 
 
+def _louder_words(search: Search, noises: Sequence[OwnNoise], output: str) -> str:
+    """By how much the residual of an output is larger than stated, and in which record most."""
+    levels = {one.at: one.level for one in noises if one.output == output and one.level is not None}
+    at, most = max(levels.items(), key=lambda one: one[1])
+    much = f"{most:.3g} times"
+    if len(set(levels.values())) > 1 or len(levels) < sum(
+        output in r.observation.where for r in search.records
+    ):
+        much = f"up to {much} (in {search.records[at].experiment.name})"
+    sigma = float(search.sigma[search.levels.outputs.index(output)])
+    return (
+        f"the residual of {output} is {much} the stated noise level of {sigma:.3g}: the level (its unit?) or the model "
+        "is wrong, or the search ended at a local optimum (try starts=10); "
+    )
+
+
 def _noise_words(
     search: Search, noises: Sequence[OwnNoise], ratio: Array | None, effective: float
 ) -> list[str]:
@@ -358,11 +374,8 @@ def _noise_words(
                 f"worth, and {then.replace('white noise', 'one level')}"
             )
         elif one.level is not None and one.others is None:
-            sigma = float(search.sigma[search.levels.outputs.index(one.output)])
             found.append(
-                f"the residual of {one.output} is {one.level:.3g} times the stated noise level of {sigma:.3g}: the "
-                "level (its unit?) or the model is wrong, or the search ended at a local optimum (try starts=10); "
-                + then.replace("white noise", "that level")
+                _louder_words(search, noises, one.output) + then.replace("white noise", "that level")
             )
         if one.neighbours is not None:
             found.append(

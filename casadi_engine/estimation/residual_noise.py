@@ -78,7 +78,7 @@ def own_noise(search: Search, best: Attempt) -> tuple[OwnNoise, ...]:
             if len(r) >= _FEW and not search.levels.rounding(name, r, search.sigma):
                 share = float(r[1:] @ r[:-1] / (r @ r))
                 neighbours = share if share * np.sqrt(len(r)) > _COLOUR else None
-            level, others = uneven.get((at, name), (louder.get(name), None))
+            level, others = uneven.get((at, name), (louder.get((at, name)), None))
             if neighbours is not None or level is not None:
                 residual, valid = _along(record, point, name, search.loss)
                 found.append(OwnNoise(at, name, residual, valid, neighbours, level, others))
@@ -113,21 +113,26 @@ def _uneven(search: Search, points: Sequence[RecordPoint]) -> dict[tuple[int, st
     return found
 
 
-def _louder(search: Search, points: Sequence[RecordPoint]) -> dict[str, float]:
-    """Output -> its residual's size in the level that was stated for it, where this is larger than chance allows."""
-    found = {}
+def _louder(search: Search, points: Sequence[RecordPoint]) -> dict[tuple[int, str], float]:
+    """Number of a record and output -> its residual's size in the level that was stated for it, where this is larger
+    than chance allows: in the records in which it is, or in all of them where it is so in none alone."""
+    found: dict[tuple[int, str], float] = {}
     for name, estimated in zip(search.records[0].outputs, search.levels.estimated, strict=True):
-        rows = [
-            _counted(record, point.r, name)
-            for record, point in zip(search.records, points, strict=True)
+        rows = {
+            at: _counted(record, point.r, name)
+            for at, (record, point) in enumerate(zip(search.records, points, strict=True))
             if name in record.observation.where
-        ]
-        left = sum(map(len, rows)) - search.free_count
-        if estimated or search.loss.robust or left < 1:
+        }
+        count = sum(map(len, rows.values()))
+        left = 1 - search.free_count / count if count else 0.0
+        if estimated or search.loss.robust or left * count < 1:
             continue
-        square = float(sum(r @ r for r in rows))
-        if chi2_sf(square, left) < _IMPOSSIBLE:
-            found[name] = math.sqrt(square / left)
+        own = {at: (float(r @ r), left * len(r)) for at, r in rows.items() if len(r)}
+        loud = {at: math.sqrt(r / n) for at, (r, n) in own.items() if chi2_sf(r, n) < _IMPOSSIBLE}
+        square = sum(r for r, _ in own.values())
+        if not loud and chi2_sf(square, left * count) < _IMPOSSIBLE:
+            loud = dict.fromkeys(own, math.sqrt(square / (left * count)))
+        found |= {(at, name): size for at, size in loud.items()}
     return found
 
 

@@ -2,8 +2,10 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+import casadi_engine as ce
 from casadi_engine.discrepancy.one_law import told_as_one_law
 from casadi_engine.discrepancy.repaired import FoundEffect, Repair
 from casadi_engine.estimation import Estimate
@@ -56,3 +58,29 @@ def test_a_law_of_which_no_number_is_known_is_a_curve_too():
 def test_what_has_a_size_of_its_own_or_another_place_is_no_such_curve(other):
     made = found(("drag", "tank", None, None), other)
     assert told_as_one_law(made) is made
+
+
+@pytest.mark.parametrize(("turned", "curve"), [(False, True), (True, False)])
+def test_two_laws_of_a_signal_that_keeps_its_sign_add_up_to_one_curve(turned, curve):
+    """A leak by the root of a level is a constant and a proportional one; of a level about zero the constant jumps."""
+    b = ce.Blueprint("tank")
+    area, level = b.parameter("A", 2.0, unit="m2"), b.state("h", unit="m")
+    leak = b.port("tank", "inertia", {"speed": level})
+    b.ode("h", (b.input("Q", unit="m3/s") + leak) / area)
+    b.output("h_seen", level, unit="m")
+    model = b.model()
+    for one in ce.effects.library("viscous_friction", "coulomb_friction"):
+        model = model.with_effect(one, at="tank")
+    time = np.arange(0.0, 20.0, 0.2)
+    seen = (0.0 if turned else 3.0) + np.sin(time)
+    inflow = 2 * np.cos(time) + 0.1 * seen + 0.05
+    data = ce.Experiment.from_arrays(
+        "r", time=time, units={"Q": "m3/s", "h_seen": "m"}, Q=inflow, h_seen=seen
+    )
+    fit = ce.estimate(model, data, noise=ce.Noise(h_seen=0.05), progress=False)
+    made = found(("viscous_friction", "tank", 0.01, None), ("coulomb_friction", "tank", 0.01, None))
+    told = told_as_one_law(replace(made, fit=fit))
+    assert (told.verdict == "class") == curve
+    assert ("add up to a curve over speed, which keeps its sign in the records" in told.messages[0]) == curve
+    alone = replace(made, fit=fit, effects=made.effects[:1])
+    assert told_as_one_law(alone) is alone

@@ -77,6 +77,19 @@ def two_records(seed, louder, *, shorter=1):
     return quiet, record(louder * 0.02 * random.standard_normal(400), "other")
 
 
+def test_a_record_that_is_louder_than_stated_widens_the_errors_of_what_it_tells_alone():
+    """A damping of each record: with the level of the quiet one stated, that of the loud one has errors of its own."""
+    pars = ce.one_inertia().parameters()
+    pars.vary_by_experiment("C_eng")
+    fit = fitted(two_records(0, 5.0), parameters=pars, noise=ce.Noise(omega=0.02))
+    assert fit.own_noise["C_eng@run"] < 1.5  # the inertia is told by both
+    assert fit.own_noise["C_eng@other"] == pytest.approx(5.1, rel=0.1)
+    (said,) = (text for text in fit.messages if "stated noise level" in text)
+    assert said.startswith(
+        "the residual of omega is up to 5.04 times (in other) the stated noise level of 0.02"
+    )
+
+
 def test_where_records_tell_the_same_one_level_for_both_makes_right_errors():
     fit = fitted(two_records(0, 5.0))
     (said,) = (text for text in fit.messages if "other records" in text)
