@@ -199,15 +199,36 @@ class _Exchange:
         cost = self.cost(v)
         denied = self._begins and bool((np.abs(self.first - before) > _SEEN).any())
         for _ in range(0 if denied else _STEPS):
-            last = cost
             if cost < self._limit or self._search.predictor.kind != "none":
                 break
-            v = self._stepped(v)
-            cost = self.cost(v)
+            last, step = cost, self._step(v)
+            v, cost = self._taken(*step)
+            if not (cost < self._limit or cost < _FALLS * last):
+                there, starts = v, self.starts
+                v, other = self._taken(*step, inverse=True)
+                if not other < cost:
+                    v, self.starts = there, starts
+                cost = min(cost, other)
             if not cost < _FALLS * last:
                 break
         self.v = v
         return cost
+
+    def _taken(self, now: Array, moved: Array, *, inverse: bool = False) -> tuple[Array, float]:
+        """The point (nv,) after a step from a place (N,), straight in the parameters as they are printed or in the
+        inverses of positive ones, and chi-squared there."""
+        low, high = self._limits()
+        nv = len(self._search.pmap.free)
+        after = now + moved
+        positive = np.zeros(len(now), dtype=bool)
+        positive[:nv] = self._search.coordinates.log & (moved[:nv] < now[:nv])
+        # a volume by which an amount is divided goes on to nothing by steps of its own; 1/V by one
+        turned = positive & (inverse | (after <= low))
+        after[turned] = now[turned] / (1 - moved[turned] / now[turned])
+        after = np.clip(after, low, high)
+        self.starts = np.split(after[nv:], np.cumsum([record.n for record in self._records])[:-1])
+        v = self._search.coordinates.of(after[:nv])
+        return v, self.cost(v)
 
     def cost(self, v: Array) -> float:
         """Chi-squared at v (nv,)."""
@@ -226,9 +247,9 @@ class _Exchange:
         )
         return printed_cost(search, v, left)
 
-    def _stepped(self, v: Array) -> Array:
-        """The point (nv,) after a Gauss-Newton step of all the others, straight in the parameters as they are printed:
-        a gain is met in one, however far it is."""
+    def _step(self, v: Array) -> tuple[Array, Array]:
+        """The parameters as they are printed, and first states (N,), at v (nv,), and a Gauss-Newton step (N,) of all
+        that is not held: a gain is met in one, however far it is."""
         search, nv, at = self._search, len(v), len(v)
         sizes = [record.n for record in self._records]
         gradient, matrix = np.zeros(nv + sum(sizes)), np.zeros((nv + sum(sizes), nv + sum(sizes)))
@@ -247,10 +268,7 @@ class _Exchange:
         low, high = self._limits()
         free = low < high
         free[self._held] = False
-        moved = _least_squares(gradient / unit, matrix / np.outer(unit, unit), free)
-        after = np.clip(now + moved, low, high)
-        self.starts = np.split(after[nv:], np.cumsum(sizes)[:-1])
-        return search.coordinates.of(after[:nv])
+        return now, _least_squares(gradient / unit, matrix / np.outer(unit, unit), free)
 
     def _limits(self) -> tuple[Array, Array]:
         """Bounds (N,) of parameters, as they are printed, and of first states."""

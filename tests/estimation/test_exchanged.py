@@ -139,6 +139,26 @@ def test_another_parameter_may_have_to_follow_an_exchange(start):
     assert not any("exchanged" in text for text in bent.messages)
 
 
+@pytest.mark.parametrize("start", [(0.6, 0.4, 3.0), (0.2, 1.5, 0.5)])
+def test_what_is_divided_by_follows_an_exchange_too(start):
+    """A dose that is absorbed and eliminated, seen by its amount over a volume: with the rates exchanged the volume is
+    that of their ratio, a fifth or five times as large, and 1/V is what steps are straight in."""
+    b = ce.Blueprint("dose")
+    ka, ke = (b.parameter(n, v, min=0.01, max=20) for n, v in (("ka", start[0]), ("ke", start[1])))
+    volume = b.parameter("V", start[2], min=0.1, max=50)
+    gut, blood = b.state("A"), b.state("C")
+    b.ode("A", -ka * gut)
+    b.ode("C", ka * gut - ke * blood)
+    b.output("c", blood / volume)
+    t = np.array([0, 0.25, 0.5, 0.75, 1, 1.5, 2, 3, 4, 6, 8, 10, 12, 16, 20, 24.0])
+    c = 10 / 2 * 1.2 / 0.95 * (np.exp(-0.25 * t) - np.exp(-1.2 * t))
+    noise = 0.1 * np.random.default_rng(4).standard_normal(len(t))
+    data = ce.Experiment.from_arrays("r", time=t, units={"c": "1"}, c=c + noise)
+    fit = ce.estimate(b.model(), data, initial={"A": 10.0, "C": 0.0}, progress=False)
+    assert set(fit.doubted) == {"ka", "ke", "V"}
+    assert any("ka and ke exchanged" in text for text in fit.messages)
+
+
 def test_two_pairs_are_exchanged_at_once():
     """Two branches in series, each of a resistance and a capacity: which is which is not told."""
     b = ce.Blueprint("battery")
