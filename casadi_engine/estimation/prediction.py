@@ -185,6 +185,14 @@ def with_band(
     return Prediction(simulated, data, bands, count, tuple(messages))
 
 
+def _wider(fit: Fit, record: str, state: str) -> float:
+    """By how much the error of a fitted state is larger than in white noise of the fit's levels: as the fit found it in
+    its record, of a fresh one the most that it found in any."""
+    own = fit.own_noise.get(f"{record}/{state}")
+    known = [ratio for name, ratio in fit.own_noise.items() if name.rpartition("/")[2] == state]
+    return own if own is not None else max(known, default=1.0)
+
+
 class _Record:
     """A simulated record around the values of a fit: outputs and slopes at all times of the simulation."""
 
@@ -213,6 +221,7 @@ class _Record:
         self._least = float(np.nanmin(self.sigma, initial=np.inf))
         free = [isinstance(initial[s.name], Estimate) and not initial[s.name].fixed for s in model.states]
         self.free = np.flatnonzero(free)
+        self.wider = np.array([_wider(fit, data.name, model.states[k].name) for k in self.free])
         first = [getattr(initial[s.name], "value", initial[s.name]) for s in model.states]
         self.first = np.array(first, dtype=float) / self.record.scale
         self.rows = self._measured(data, grid.time)
@@ -280,7 +289,8 @@ class _Record:
             inverse = self.states(slopes)
             follow = -inverse @ self.seen(turn).T  # (f, nz): how fitted states move with the parameters
             turn += np.einsum("fz,fyn->zyn", follow, states)
-            variance += np.einsum("fyn,fg,gyn->yn", states, inverse @ inverse.T, states, optimize=True)
+            own = inverse @ inverse.T * np.outer(self.wider, self.wider)
+            variance += np.einsum("fyn,fg,gyn->yn", states, own, states, optimize=True)
         variance += np.einsum("zyn,zw,wyn->yn", turn, self.covariance, turn, optimize=True)
         return value, np.sqrt(np.maximum(variance, 0.0))
 

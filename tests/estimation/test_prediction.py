@@ -49,6 +49,26 @@ def test_the_squares_of_the_errors_add_up_to_what_was_estimated():
     np.testing.assert_allclose((band.high_noise - band.low_noise) / 2, wide, rtol=1e-5)
 
 
+@pytest.mark.parametrize("stated", [None, SIGMA / 3])
+def test_errors_that_count_with_the_noise_as_it_is_are_those_of_the_band(stated):
+    """At the first sample the output is the state that was fitted, in coloured noise and in more than was stated."""
+    plain, random = record(0), np.random.default_rng(3)
+    noise = random.standard_normal(120)
+    for k in range(1, 120):
+        noise[k] = 0.8 * noise[k - 1] + 0.6 * noise[k]
+    noise = SIGMA * (noise if stated is None else random.standard_normal(120))
+    speed = plain["omega"].values - SIGMA * np.random.default_rng(0).standard_normal(120) + noise
+    units = {"T": "N m", "omega": "rad/s"}
+    data = ce.Experiment.from_arrays(
+        "run_up", time=plain["T"].time, units=units, hold="zero", T=plain["T"].values, omega=speed
+    )
+    fit = fit_of(data, noise=ce.Noise(omega="estimate" if stated is None else stated))
+    band = ce.simulate(fit, data, band=True)["omega"]
+    first = fit.initial["run_up"]["omega_eng"].stderr
+    assert fit.own_noise["run_up/omega_eng"] > 1.5
+    assert band.stderr[0] == pytest.approx(first, rel=0.05)
+
+
 @pytest.mark.slow  # the identity above and the draws below hold the same errors
 @pytest.mark.parametrize("kind", ["its own record", "fresh", "given start"])
 def test_errors_are_the_scatter_of_refits(kind, many_fits):
