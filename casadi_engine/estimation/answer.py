@@ -23,6 +23,7 @@ from casadi_engine.estimation.record import RecordTerm
 from casadi_engine.estimation.residual_noise import OwnNoise, own_noise, with_own_noise
 from casadi_engine.estimation.search import AT_WALL, Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty, uncertainty
+from casadi_engine.estimation.varied_noise import Varied, varied_noise
 from casadi_engine.simulation.error_estimate import ErrorEstimate
 from casadi_engine.simulation.propagator import fineness_of
 
@@ -77,12 +78,14 @@ def make_fit(
         errors, optima = replace(errors, optimal=status == "converged"), relabelled(optima, status)
         best = replace(best, solution=replace(best.solution, status=status))
     noises, white = own_noise(search, best), errors
+    noisy = {(one.at, one.output) for one in noises}
+    varied = varied_noise(search, search.problem.at(best.solution.x).records, noisy)
     ratio, effective = np.ones(len(white.covariance.matrix)), math.inf
     if check is not None and not stopped:
-        errors, ratio, effective = with_own_noise(search, best, white, noises)
+        errors, ratio, effective = with_own_noise(search, best, white, noises, varied)
     found = judged(search, best, white, errors, optima, residuals, check=None if stopped else check)
     cost = printed_cost(search, v, residuals)
-    noise_words = _noise_words(search, noises, ratio if errors is not white else None, effective)
+    noise_words = _noise_words(search, (noises, varied), ratio if errors is not white else None, effective)
     said = _messages(search, best, errors, reason, optima, stopped, noise_words)
     for (
         record
@@ -348,9 +351,13 @@ def _louder_words(search: Search, noises: Sequence[OwnNoise], output: str) -> st
 
 
 def _noise_words(
-    search: Search, noises: Sequence[OwnNoise], ratio: Array | None, effective: float
+    search: Search,
+    seen: tuple[Sequence[OwnNoise], Sequence[Varied]],
+    ratio: Array | None,
+    effective: float,
 ) -> list[str]:
-    """Outputs whose residuals are larger than stated or not white, and what that does to the standard errors.
+    """Outputs whose residuals are larger than stated, not white, not of one size or not by themselves, and what that
+    does to the standard errors.
 
     ratio : (N,) by how much the errors are larger than those of white noise, None where they do not count with it
     effective : independent samples that the most coloured one is worth
@@ -364,7 +371,7 @@ def _noise_words(
         if effective < _EFFECTIVE:
             few = f"the residual is worth about {max(round(effective), 1)} independent samples"
             then += f", and may still be too small, as {few}"
-    found = []
+    found, (noises, varied) = [], seen
     for one in noises:
         key = f"{search.records[one.at].experiment.name}/{one.output}"
         if one.level is not None and one.others is not None and one.level > one.others:
@@ -382,4 +389,11 @@ def _noise_words(
                 f"the residual of {key} is not white (neighbours correlate by {one.neighbours:.2f}): the model lacks "
                 f"something, and {then}; see validate"
             )
+    for own in varied:
+        keys = " and ".join(f"{search.records[own.at].experiment.name}/{name}" for name in own.outputs)
+        how = "grows or falls with what the sensor shows" if own.grows else "changes along the record"
+        what = f"the size of the residual of {keys} {how}: samples count alike"
+        if len(own.outputs) > 1:
+            what = f"the residuals of {keys} go together (they correlate by {own.share:.2f})"
+        found.append(f"{what}, and {then}")
     return list(dict.fromkeys(found))

@@ -27,6 +27,7 @@ from casadi_engine.estimation.record import RecordPoint, RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty, efficiency
 from casadi_engine.estimation.uncertainty import chained
+from casadi_engine.estimation.varied_noise import Varied, scattered, shared, together
 
 Array = NDArray[np.float64]
 
@@ -154,25 +155,37 @@ def _along(record: RecordTerm, point: RecordPoint, name: str, loss: Loss) -> tup
 
 
 def with_own_noise(
-    search: Search, best: Attempt, errors: Uncertainty, noises: Sequence[OwnNoise]
+    search: Search,
+    best: Attempt,
+    errors: Uncertainty,
+    noises: Sequence[OwnNoise],
+    varied: Sequence[Varied] = (),
 ) -> tuple[Uncertainty, Array, float]:
     """The errors that count with the noise as the residuals show it; by how much they are larger (N,) than before, of
     the parameters in the search's coordinates and the initial states; and how many independent samples the most
-    coloured output is worth."""
+    coloured output is worth.
+
+    varied : residuals that are white, and not of one size or not by themselves
+    """
     white = errors.covariance.matrix
     ratio = np.ones(len(white))
-    if not noises or not errors.optimal or not np.isfinite(white).all():
+    if not (noises or varied) or not errors.optimal or not np.isfinite(white).all():
         return errors, ratio, math.inf
     points, size = search.problem.at(best.solution.x).records, np.sqrt(np.maximum(np.diag(white), 0.0))
     # slopes along what grows beyond all numbers are lost on their way
     noises = [one for one in noises if not grows(search.records[one.at], points[one.at])]
-    if not noises:
+    varied = [one for one in varied if not grows(search.records[one.at], points[one.at])]
+    if not (noises or varied):
         return errors, ratio, math.inf
     slopes = [_slopes(search.records[one.at], points[one.at], one, search.loss) for one in noises]
     places = [_entries(search, one.at) for one in noises]
-    matrix, more = errors.told, np.zeros_like(white)
+    fixed = np.zeros_like(white)
+    for odd in varied:
+        at = _entries(search, odd.at)
+        fixed[np.ix_(at, at)] += _of_varied(search, points[odd.at], odd, errors.told[np.ix_(at, at)])
+    matrix, more, few = errors.told, fixed, math.inf
     for _ in range(_ROUNDS):
-        before, more, few = matrix, np.zeros_like(white), math.inf
+        before, more, few = matrix, fixed.copy(), math.inf
         uneven, even = np.zeros_like(white), np.zeros_like(white)
         for one, own, at in zip(noises, slopes, places, strict=True):
             scatter, samples = _scatter(one, own, matrix[np.ix_(at, at)])
@@ -190,6 +203,25 @@ def with_own_noise(
     here = size > 0
     ratio[here] = np.sqrt(np.maximum(np.diag(matrix)[here], 0.0)) / size[here]
     return errors.widened(more), ratio, few
+
+
+def _of_varied(search: Search, point: RecordPoint, one: Varied, errors: Array) -> Array:
+    """What J'VJ has more than J'J where white noise is not of one size, or shared by two sensors."""
+    record, slopes, residuals = search.records[one.at], [], []
+    for name in one.outputs:
+        residual, valid = _along(record, point, name, search.loss)
+        index = record.grid.measured[name].index
+        own = OwnNoise(one.at, name, residual, valid, None, None)
+        slopes.append(_slopes(record, point, own, search.loss)[index])
+        residuals.append(residual[index])
+    white = sum((own.T @ own for own in slopes), np.zeros_like(errors))
+    if len(slopes) == 1:
+        return _beyond(scattered(residuals[0], slopes[0], errors), white)
+    both = [
+        own[rows]
+        for own, rows in zip(slopes, shared(*(record.grid.measured[n] for n in one.outputs)), strict=True)
+    ]
+    return _beyond(white + together(one.share, *both), white)
 
 
 def _entries(search: Search, at: int) -> NDArray[np.intp]:

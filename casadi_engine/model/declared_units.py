@@ -7,6 +7,7 @@ from typing import Any
 
 from casadi_engine.errors import ModelError, UnitError
 from casadi_engine.experiment.units import NOT_STATED, read_unit
+from casadi_engine.model.amounts import amount_of, is_of_one_kind
 from casadi_engine.model.declarations import ParameterDeclaration, Variable
 
 
@@ -50,7 +51,7 @@ def check_shared_units(inputs: Sequence[Variable], outputs: Sequence[Variable]) 
 def check_output_units(
     outputs: Sequence[tuple[Variable, Any]], states: Sequence[tuple[Variable, Any]]
 ) -> None:
-    """Raise ModelError for an output that is a state as it stands, in another scale than the state's unit.
+    """Raise ModelError for an output that is a state as it stands, in another unit than the state's.
 
     Pairs of what was declared and its SX scalar.
     """
@@ -60,6 +61,13 @@ def check_output_units(
         if state is None or NOT_STATED in (out.unit, state.unit):
             continue
         there, here = read_unit(out.unit), read_unit(state.unit)
+        if not is_of_one_kind(amount_of(out.unit), amount_of(state.unit)):
+            raise ModelError(
+                f"the output {out.name} is the state {state.name} as it stands, and counts something else",
+                seen=f"{out.name} in {out.unit}, {state.name} in {state.unit}",
+                allowed=f"an expression that is in {out.unit}, or an output in {state.unit}",
+                cure="write the expression that is measured, or mend one of the units",
+            )
         if there.dimension != here.dimension or here.steps_to(there) == (1.0, 1.0, 0.0):
             continue
         times, over, plus = here.steps_to(there)

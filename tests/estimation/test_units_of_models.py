@@ -16,13 +16,14 @@ RISE = 1 - np.exp(-T / 0.8)
 
 
 def shaft(unit="rpm", **declared):
-    """J dw/dt = T - C w; its output in another unit than the state."""
+    """J dw/dt = T - C w; its output in another unit than the state: as it stands in those that count the same."""
     b = ce.Blueprint("shaft")
     inertia = b.parameter("J", 0.7, unit="kg m2", min=1e-3)
     damping = b.parameter("C", 0.3, unit="N m s/rad", min=0)
     w, torque = b.state("w", unit="rad/s"), b.input("T", unit="N m")
     b.ode("w", (torque - damping * w) / inertia)
-    b.output("speed", w * 30 / np.pi if unit == "rpm" else w, **({"unit": unit} if unit else declared))
+    seen = {"rpm": w * 30 / np.pi, "m/s2": 2 * w, "1": 2 * w}.get(unit, w)
+    b.output("speed", seen, **({"unit": unit} if unit else declared))
     return b.model()
 
 

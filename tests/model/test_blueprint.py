@@ -324,6 +324,16 @@ def test_an_output_that_is_a_state_in_another_unit_is_refused(unit, cure):
         b.model()
 
 
+@pytest.mark.parametrize(("own", "other"), [("rad/s", "rad"), ("m/s", "m"), ("K", "m"), ("rad", "1/s")])
+def test_an_output_that_is_a_state_counts_what_the_state_counts(own, other):
+    b = ce.Blueprint("shaft")
+    x = b.state("x", unit=own)
+    b.ode("x", -x)
+    b.output("seen", x, unit=other)
+    with pytest.raises(ModelError, match=rf"counts something else; seen: seen in {other}, x in {own}"):
+        b.model()
+
+
 def test_the_cure_of_a_temperature_in_another_unit_can_be_followed():
     def room(output):
         b = ce.Blueprint("room")

@@ -1,0 +1,128 @@
+"""White noise that is not of one size, or that two sensors share.
+
+A fit weighs all samples of an output alike. Where the squares of its residual go with the output, or change along the
+record, noise is not of one size: that of many instruments is a share of what they show. Where the residuals of two
+outputs go together, both sensors show one disturbance, and each is worth less than it says. The estimates of such a fit
+are right on average; their errors are those of the sandwich A^-1 B A^-1 of ``residual_noise``, with B of the residuals
+themselves: the sum over samples of slopes times squared residuals, each over what the estimates left of it.
+
+Source: White, Econometrica 48 (1980) 817; MacKinnon & White, J. Econometrics 29 (1985) 305 (their HC3); the test of
+Breusch & Pagan as studentised by Koenker, J. Econometrics 17 (1981) 107.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casadi_engine.distributions import chi2_sf
+from casadi_engine.estimation.record import RecordPoint
+from casadi_engine.estimation.search import Search
+from casadi_engine.simulation.grid import Measured
+
+Array = NDArray[np.float64]
+
+# How rarely chance makes noise of one size look otherwise, and two residuals go together: as rarely as neighbours of
+# one do; and fewest samples to say so.
+_RARE, _TOGETHER, _FEW = 1.35e-3, 3.2, 15
+# Size of a residual, in its level, below which errors that count with the level are larger than any it may ask for.
+_LOUD = 0.5
+# Share of a sample's own residual that estimates may take at most, for what is left to tell its size.
+_TAKEN = 0.9
+
+
+@dataclass(frozen=True, eq=False)
+class Varied:
+    """The residual of an output of a record that is not of one size; or of two outputs that go together.
+
+    at : number of the record; outputs : one, or two; share : the correlation of two; grows : True where its size goes
+    with what the output shows, False with the time
+    """
+
+    at: int
+    outputs: tuple[str, ...]
+    share: float = 0.0
+    grows: bool = True
+
+
+def varied_noise(
+    search: Search, points: Sequence[RecordPoint], known: Collection[tuple[int, str]]
+) -> tuple[Varied, ...]:
+    """What is not white noise of one size for each sensor, of outputs that nothing else is known of.
+
+    known : number of the record and output of those whose residuals are coloured, or larger than stated
+    """
+    found: list[Varied] = []
+    if search.loss.robust or search.predictor.kind != "none":
+        return ()
+    for at, (record, point) in enumerate(zip(search.records, points, strict=True)):
+        rows = {name: record.observation.series(point.r, name) for name in record.observation.where}
+        plain = [
+            name for name, r in rows.items()
+            if (at, name) not in known and record.observation.series(record.observation.valid, name).all()
+            and len(r) and np.mean(r**2) > _LOUD**2 and not search.levels.rounding(name, r, search.sigma)
+        ]  # fmt: skip
+        for name in plain:
+            own, r = record.grid.measured[name], rows[name]
+            sigma = float(search.sigma[search.levels.outputs.index(name)])
+            shown = own.values + sigma * r
+            if len(r) < _FEW:
+                continue
+            by_size, by_time = (_goes_with(r, course) for course in (shown, own.time))
+            if min(by_size, by_time) < _RARE / 2:
+                found.append(Varied(at, (name,), grows=by_size <= by_time))
+        for one, other in combinations(plain, 2):
+            share, count = _correlation(record.grid.measured, rows, one, other)
+            if count >= _FEW and abs(share) * math.sqrt(count) > _TOGETHER:
+                found.append(Varied(at, (one, other), share))
+    return tuple(found)
+
+
+def _goes_with(r: Array, course: Array) -> float:
+    """How often chance makes the squares of a white residual (n,) go as much with a course and its square."""
+    spread = float(np.ptp(course))
+    if not spread > 0:
+        return 1.0
+    x = 2 * (course - course.min()) / spread - 1
+    columns = np.stack([np.ones_like(x), x, x**2], axis=1)
+    squares = r**2 - np.mean(r**2)
+    total = float(squares @ squares)
+    if not total > 0:
+        return 1.0
+    left = squares - columns @ np.linalg.lstsq(columns, squares, rcond=None)[0]
+    return float(chi2_sf(len(r) * (1 - float(left @ left) / total), 2))
+
+
+def _correlation(
+    measured: Mapping[str, Measured], rows: Mapping[str, Array], one: str, other: str
+) -> tuple[float, int]:
+    """Of the residuals of two outputs where both were measured, and at how many samples."""
+    here, there = shared(measured[one], measured[other])
+    a, b = rows[one][here], rows[other][there]
+    size = math.sqrt(float(a @ a) * float(b @ b))
+    return (float(a @ b) / size if size > 0 else 0.0), len(here)
+
+
+def shared(one: Measured, other: Measured) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Numbers of the samples of two outputs that were measured at the same points."""
+    _, here, there = np.intersect1d(one.position, other.position, return_indices=True)
+    return here, there
+
+
+def scattered(residual: Array, slopes: Array, errors: Array) -> Array:
+    """J'VJ of one output with these slopes (n, k) and V of its residual (n,); errors (k, k) of what they are slopes
+    in, which took a part of it."""
+    taken = np.einsum("nk,kl,nl->n", slopes, errors, slopes, optimize=True)
+    own = residual / (1 - np.clip(taken, 0.0, _TAKEN))
+    return np.asarray((slopes * own[:, None] ** 2).T @ slopes)
+
+
+def together(share: float, one: Array, other: Array) -> Array:
+    """What J'VJ of two outputs with slopes (n, k), at the same samples, has more where they correlate by a share."""
+    cross = one.T @ other
+    return np.asarray(share * (cross + cross.T))

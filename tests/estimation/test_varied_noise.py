@@ -1,0 +1,102 @@
+"""White noise that is not of one size, or that two sensors share: errors against the scatter that theory gives."""
+
+import numpy as np
+import pytest
+
+import casadi_engine as ce
+from casadi_engine.estimation import varied_noise as varied
+
+TIME = np.linspace(0, 6, 150)
+
+
+def decay(*outputs):
+    """x' = -k x from 5, k = 0.5, seen by these sensors: x, and a gain G = 1 times it."""
+    b = ce.Blueprint("decay")
+    k, x = b.parameter("k", 0.3, min=0.01, max=20), b.state("x")
+    b.ode("x", -k * x)
+    b.output("y", x)
+    if "z" in outputs:
+        b.output("z", b.parameter("G", 1.2, min=0.01, max=50) * x)
+    return b.model()
+
+
+TRUE = 5 * np.exp(-0.5 * TIME)
+
+
+def fitted(**channels):
+    units = dict.fromkeys(channels, "1")
+    data = ce.Experiment.from_arrays("r", time=TIME, units=units, **channels)
+    return ce.estimate(decay(*channels), data, progress=False)
+
+
+def sandwich(*sizes, cross=None):
+    """Standard errors of [k, x(0)] or [k, G, x(0)] of least squares by the slopes at the truth: noise of these sizes of
+    each sensor, over the mean square of which they are weighted; cross : covariance of two sensors."""
+    by_k, by_x = -TIME * TRUE, TRUE / 5
+    rows = [np.stack([by_k, 0 * TIME, by_x], axis=1), np.stack([by_k, TRUE, by_x], axis=1)]
+    rows = [rows[0][:, [0, 2]]] if len(sizes) == 1 else rows
+    powers = [np.mean(np.square(size)) for size in sizes]
+    bread = np.linalg.inv(sum(r.T @ r / p for r, p in zip(rows, powers, strict=True)))
+    filling = sum(
+        (r * np.square(size)[:, None]).T @ r / p**2 for r, size, p in zip(rows, sizes, powers, strict=True)
+    )
+    if cross is not None:
+        both = (rows[0] * np.asarray(cross)[:, None]).T @ rows[1] / (powers[0] * powers[1])
+        filling = filling + both + both.T
+    return np.sqrt(np.diag(bread @ filling @ bread))
+
+
+@pytest.mark.parametrize("kind", ["share", "quarter"])
+def test_errors_are_those_of_noise_that_is_not_of_one_size(kind):
+    size = 0.1 * TRUE + 0.01 if kind == "share" else np.where(TIME < 1.5, 0.3, 0.03)
+    wanted, found, told = sandwich(size), [], 0
+    for seed in range(12):
+        fit = fitted(y=TRUE + size * np.random.default_rng(seed).standard_normal(len(TIME)))
+        told += any("the size of the residual of r/y" in text for text in fit.messages)
+        found.append([fit.stderr["k"], fit.initial["r"]["x"].stderr])
+        assert fit.own_noise["r/x"] > 1.3
+    assert told >= 11  # once neighbours seem to go together, of the few that are loud
+    assert np.mean(found, axis=0) == pytest.approx(wanted, rel=0.2)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_errors_are_those_of_noise_that_two_sensors_share(sign):
+    """What both show is told worse where they go together, their ratio where they go against each other."""
+    size, wanted = np.full(len(TIME), np.hypot(0.1, 0.02)), None
+    wanted = sandwich(size, size, cross=np.full(len(TIME), sign * 0.01))
+    random = np.random.default_rng(2)
+    common, own = 0.1 * random.standard_normal(len(TIME)), 0.02 * random.standard_normal((2, len(TIME)))
+    fit = fitted(y=TRUE + common + own[0], z=TRUE + sign * common + own[1])
+    assert any("the residuals of r/y and r/z go together" in text for text in fit.messages)
+    errors = np.array([fit.stderr["k"], fit.stderr["G"], fit.initial["r"]["x"].stderr])
+    assert (errors > 0.85 * wanted).all()  # none becomes smaller than that of white noise
+    larger = wanted > sandwich(size, size)
+    assert errors[larger] == pytest.approx(wanted[larger], rel=0.2)
+
+
+def test_noise_of_one_size_is_hardly_ever_called_otherwise():
+    """Twice three in two thousand, for each output; two sensors go together as rarely."""
+    told = 0
+    for seed in range(60):
+        noise = 0.1 * np.random.default_rng(seed).standard_normal((2, len(TIME)))
+        fit = fitted(y=TRUE + noise[0], z=TRUE + noise[1])
+        told += any("the size of" in text or "go together" in text for text in fit.messages)
+    assert told <= 2
+
+
+def test_the_test_of_sizes_has_its_rate():
+    """Of the squares of normal noise against a course and its square."""
+    random = np.random.default_rng(0)
+    found = [varied._goes_with(random.standard_normal(len(TIME)), TRUE) for _ in range(4000)]
+    assert np.mean(np.array(found) < 0.01) == pytest.approx(0.01, abs=0.006)
+    assert varied._goes_with(np.ones(20), np.arange(20.0)) == 1.0
+    assert varied._goes_with(random.standard_normal(20), np.ones(20)) == 1.0
+
+
+def test_where_noise_is_coloured_or_robust_that_counts_alone():
+    size = 0.1 * TRUE + 0.01
+    data = ce.Experiment.from_arrays(
+        "r", time=TIME, units={"y": "1"}, y=TRUE + size * np.random.default_rng(0).standard_normal(len(TIME))
+    )
+    fit = ce.estimate(decay(), data, loss="huber", progress=False)
+    assert not any("the size of" in text for text in fit.messages)
