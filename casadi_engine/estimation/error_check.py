@@ -61,6 +61,8 @@ _BENDS = 1.0
 # Chi-squared above the lowest at which another optimum still counts: it has exp(-5) of the likelihood, and where there
 # is one there may be others that no start has met.
 _RIVAL = 10.0
+# Size of a residual over what an output varies by that is worse than a constant; fewest samples that say so.
+_WORSE, _FEW = 1.1, 8
 # Chi-squared below which a place is no lower.
 _LOWER = 0.1
 # Share of a quantity's variance along a doubted direction from which its error is doubted: where optima may be twelve
@@ -75,10 +77,10 @@ _BENT = float(np.log(1e3))
 class Doubt:
     """Why some standard errors are not those of the quadratic.
 
-    kind : "rival" (another optimum was found), "rugged" (noise makes some), "curved", "bent" (by another parameter),
-    "bound" or "uneven", for which an interval by profile will do; text : for the reader; size : how grave; move : (N,)
-    of [v; initial states], the direction in doubt, one standard error long (a rival's: to there; a bound's, and an
-    uneven one's: the parameter)
+    kind : "rival" (another optimum was found), "lost" (a constant explains an output better), "rugged" (noise makes
+    optima), "curved", "bent" (by another parameter), "bound" or "uneven", for which an interval by profile will do;
+    text : for the reader; size : how grave; move : (N,) of [v; initial states], the direction in doubt, one standard
+    error long (a rival's: to there; a bound's, and an uneven one's: the parameter)
     """
 
     kind: str
@@ -103,6 +105,8 @@ class Doubt:
 
     def about(self, slope: Array, covariance: Array) -> bool:
         """True if this is about a quantity with this slope (N,)."""
+        if self.kind == "lost":
+            return True
         if self.kind == "bound":
             return bool(slope @ self.move)
         if self.kind == "uneven":  # what depends on others too may be even
@@ -128,6 +132,7 @@ def doubts_of(
         return (), {}
     rises: dict[str, Rises] = {}
     found = _rivals(search, best, errors, optima)
+    found += _lost(search, errors, residuals)
     found += [] if found else _exchanged(search, errors)
     if growing(search, best) is None:
         around = _Around(search, best, errors, residuals)
@@ -160,7 +165,7 @@ def words_of(doubts: Sequence[Doubt], missing: Sequence[str]) -> list[str]:
     """One line for each kind of doubt, the gravest of its kind; those that a profile settles only where nothing graver
     is said. missing : parameters that have no interval by profile."""
     said: list[str] = []
-    for kind in ("rival", "rugged", "curved", "bent", "bound", "uneven"):
+    for kind in ("rival", "lost", "rugged", "curved", "bent", "bound", "uneven"):
         own = [doubt for doubt in doubts if doubt.kind == kind]
         if not own or (said and own[0].profiles):
             continue
@@ -454,6 +459,26 @@ def _rivals(search: Search, best: Attempt, errors: Uncertainty, optima: Sequence
     for one in others:
         there = search.coordinates.of(np.array([one.values[name] for name in search.pmap.free]))
         found.append(Doubt("rival", text, _with_states(errors, there)))
+    return found
+
+
+def _lost(search: Search, errors: Uncertainty, residuals: Sequence[Array]) -> list[Doubt]:
+    """Outputs that a constant explains better than the simulation does: hardly the lowest optimum, unless the model is
+    another one, and either way no place to take errors from."""
+    found = []
+    for record, left in zip(search.records, residuals, strict=True):
+        for name, own in record.grid.measured.items():
+            k, r = search.levels.outputs.index(name), record.observation.series(left, name)
+            noise = 0.0 if search.levels.estimated[k] else _WORSE**2  # of the level that was stated
+            size = float(np.mean(r**2)) if len(r) >= _FEW else 0.0
+            if not size > max(noise, _WORSE**2 * float(np.var(own.values)) / float(search.sigma[k]) ** 2):
+                continue
+            text = (
+                f"a constant explains {record.experiment.name}/{name} better than the simulation does: the errors are "
+                "not known; search from elsewhere, as by starts=10 or approach='prediction', or look what the model "
+                "lacks"
+            )
+            found.append(Doubt("lost", text, np.zeros(len(errors.covariance.matrix))))
     return found
 
 

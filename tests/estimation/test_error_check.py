@@ -187,6 +187,24 @@ def test_what_is_printed_holds_the_truth_as_often_as_it_says(size):
     assert all(printed) if size == 0.03 else not any(printed) or size == 0.06
 
 
+@pytest.mark.parametrize("goes", [False, True])
+def test_where_a_constant_explains_an_output_better_no_error_is_known(goes):
+    """A sensor that stands at 3 while the model goes from 5 to 1: the rate that crosses it best is told by nothing that
+    happened."""
+    b = ce.Blueprint("decay")
+    k, x = b.parameter("k", 0.5, min=0.01, max=200), b.state("x")
+    b.ode("x", k * (1 - x))
+    b.output("y", x)
+    y = (1 + 4 * np.exp(-1.5 * TIME) if goes else 3.0) + 0.05 * np.random.default_rng(0).standard_normal(
+        len(TIME)
+    )
+    data = ce.Experiment.from_arrays("r", time=TIME, units={"y": "1"}, y=y)
+    fit = ce.estimate(b.model(), data, initial={"x": 5.0}, progress=False)
+    assert any("a constant explains r/y better" in text for text in fit.messages) == (not goes)
+    assert (fit.stderr["k"] is None) == (not goes)
+    assert fit.estimates["k"].interval is None
+
+
 def test_a_bound_within_two_errors_is_named():
     fit = bent_fit(30.0, 30.0, truth=0.02)
     assert not fit.messages
