@@ -393,6 +393,10 @@ def _noise_words(
         keys = " and ".join(f"{search.records[own.at].experiment.name}/{name}" for name in own.outputs)
         how = "grows or falls with what the sensor shows" if own.grows else "changes along the record"
         what = f"the size of the residual of {keys} {how}: samples count alike"
+        if own.step:
+            what = (
+                f"{keys} reads in steps of {own.step:.3g}, most of its noise, which come back with the motion"
+            )
         if len(own.outputs) > 1:
             what = f"the residuals of {keys} go together (they correlate by {own.share:.2f})"
         found.append(f"{what}, and {then}")

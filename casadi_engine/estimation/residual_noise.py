@@ -27,7 +27,7 @@ from casadi_engine.estimation.record import RecordPoint, RecordTerm
 from casadi_engine.estimation.search import Attempt, Search
 from casadi_engine.estimation.standard_errors import Uncertainty, efficiency
 from casadi_engine.estimation.uncertainty import chained
-from casadi_engine.estimation.varied_noise import Varied, scattered, shared, together
+from casadi_engine.estimation.varied_noise import Varied, by_rounding, scattered, shared, together
 
 Array = NDArray[np.float64]
 
@@ -179,10 +179,14 @@ def with_own_noise(
         return errors, ratio, math.inf
     slopes = [_slopes(search.records[one.at], points[one.at], one, search.loss) for one in noises]
     places = [_entries(search, one.at) for one in noises]
-    fixed = np.zeros_like(white)
-    for odd in varied:
-        at = _entries(search, odd.at)
-        fixed[np.ix_(at, at)] += _of_varied(search, points[odd.at], odd, errors.told[np.ix_(at, at)])
+    fixed, matrix = np.zeros_like(white), errors.told
+    for _ in range(2 if varied else 0):  # what the estimates are off by, moves what rounding does
+        fixed = np.zeros_like(white)
+        for odd in varied:
+            at = _entries(search, odd.at)
+            own = (matrix if odd.step else errors.told)[np.ix_(at, at)]
+            fixed[np.ix_(at, at)] += _of_varied(search, points[odd.at], odd, own)
+        matrix = errors.told + errors.scattered(fixed)
     matrix, more, few = errors.told, fixed, math.inf
     for _ in range(_ROUNDS):
         before, more, few = matrix, fixed.copy(), math.inf
@@ -215,6 +219,10 @@ def _of_varied(search: Search, point: RecordPoint, one: Varied, errors: Array) -
         slopes.append(_slopes(record, point, own, search.loss)[index])
         residuals.append(residual[index])
     white = sum((own.T @ own for own in slopes), np.zeros_like(errors))
+    if one.step:
+        (name,), sigma = one.outputs, float(search.sigma[search.levels.outputs.index(one.outputs[0])])
+        values = record.grid.measured[name].values / sigma
+        return _beyond(by_rounding(values, residuals[0], slopes[0], errors, one.step / sigma), white)
     if len(slopes) == 1:
         return _beyond(scattered(residuals[0], slopes[0], errors), white)
     both = [

@@ -1,10 +1,11 @@
-"""White noise that is not of one size, or that two sensors share.
+"""White noise that is not of one size, or that two sensors share; and a sensor's steps, which are no noise.
 
 A fit weighs all samples of an output alike. Where the squares of its residual go with the output, or change along the
 record, noise is not of one size: that of many instruments is a share of what they show. Where the residuals of two
 outputs go together, both sensors show one disturbance, and each is worth less than it says. The estimates of such a fit
 are right on average; their errors are those of the sandwich A^-1 B A^-1 of ``residual_noise``, with B of the residuals
-themselves: the sum over samples of slopes times squared residuals, each over what the estimates left of it.
+themselves: the sum over samples of slopes times squared residuals, each over what the estimates left of it. Rounding
+is determined by the signal and comes back with it: B is found by rounding the simulation, moved within its errors.
 
 Source: White, Econometrica 48 (1980) 817; MacKinnon & White, J. Econometrics 29 (1985) 305 (their HC3); the test of
 Breusch & Pagan as studentised by Koenker, J. Econometrics 17 (1981) 107.
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 from casadi_engine.distributions import chi2_sf
 from casadi_engine.estimation.record import RecordPoint
 from casadi_engine.estimation.search import Search
+from casadi_engine.experiment.resolution import step_of
 from casadi_engine.simulation.grid import Measured
 
 Array = NDArray[np.float64]
@@ -30,6 +32,9 @@ Array = NDArray[np.float64]
 # How rarely chance makes noise of one size look otherwise, and two residuals go together: as rarely as neighbours of
 # one do; and fewest samples to say so.
 _RARE, _TOGETHER, _FEW = 1.35e-3, 3.2, 15
+# Noise beside the rounding, in steps, from which on it hides what rounding does: the first harmonic of the mean error
+# falls as exp(-2 (pi s)^2), to 0.7 % here (Widrow & Kollar, Quantization Noise, 2008); drawings of it.
+_HIDDEN, _DRAWS = 0.5, 100
 # Size of a residual, in its level, below which errors that count with the level are larger than any it may ask for.
 _LOUD = 0.5
 # Share of a sample's own residual that estimates may take at most, for what is left to tell its size.
@@ -41,13 +46,14 @@ class Varied:
     """The residual of an output of a record that is not of one size; or of two outputs that go together.
 
     at : number of the record; outputs : one, or two; share : the correlation of two; grows : True where its size goes
-    with what the output shows, False with the time
+    with what the output shows, False with the time; step : of a sensor that reads in steps, which are most of its noise
     """
 
     at: int
     outputs: tuple[str, ...]
     share: float = 0.0
     grows: bool = True
+    step: float = 0.0
 
 
 def varied_noise(
@@ -55,32 +61,48 @@ def varied_noise(
 ) -> tuple[Varied, ...]:
     """What is not white noise of one size for each sensor, of outputs that nothing else is known of.
 
-    known : number of the record and output of those whose residuals are coloured, or larger than stated
+    known : number of the record and output of those whose residuals are coloured, or larger than stated; of those
+    steps alone are told
     """
     found: list[Varied] = []
     if search.loss.robust or search.predictor.kind != "none":
         return ()
     for at, (record, point) in enumerate(zip(search.records, points, strict=True)):
-        rows = {name: record.observation.series(point.r, name) for name in record.observation.where}
-        plain = [
-            name for name, r in rows.items()
-            if (at, name) not in known and record.observation.series(record.observation.valid, name).all()
-            and len(r) and np.mean(r**2) > _LOUD**2 and not search.levels.rounding(name, r, search.sigma)
-        ]  # fmt: skip
-        for name in plain:
-            own, r = record.grid.measured[name], rows[name]
-            sigma = float(search.sigma[search.levels.outputs.index(name)])
-            shown = own.values + sigma * r
-            if len(r) < _FEW:
-                continue
-            by_size, by_time = (_goes_with(r, course) for course in (shown, own.time))
-            if min(by_size, by_time) < _RARE / 2:
-                found.append(Varied(at, (name,), grows=by_size <= by_time))
+        rows = {
+            name: r
+            for name in record.observation.where
+            if record.observation.series(record.observation.valid, name).all()
+            and len(r := record.observation.series(point.r, name)) >= _FEW
+            and np.mean(r**2) > _LOUD**2
+            and not search.levels.rounding(name, r, search.sigma)
+        }
+        plain = []
+        for name, r in rows.items():
+            own, sigma = record.grid.measured[name], float(search.sigma[search.levels.outputs.index(name)])
+            step = steps_of(own.values, sigma * r)
+            if step:
+                found.append(Varied(at, (name,), step=step))
+            elif (at, name) not in known:
+                plain.append(name)
+                by_size, by_time = (_goes_with(r, course) for course in (own.values + sigma * r, own.time))
+                if min(by_size, by_time) < _RARE / 2:
+                    found.append(Varied(at, (name,), grows=by_size <= by_time))
         for one, other in combinations(plain, 2):
             share, count = _correlation(record.grid.measured, rows, one, other)
             if count >= _FEW and abs(share) * math.sqrt(count) > _TOGETHER:
                 found.append(Varied(at, (one, other), share))
     return tuple(found)
+
+
+def steps_of(measured: Array, residual: Array) -> float:
+    """The steps in which a sensor reads, where they are most of the noise; else 0."""
+    step = step_of(measured)
+    return step if step is not None and _beside(residual, step) < (_HIDDEN * step) ** 2 else 0.0
+
+
+def _beside(residual: Array, step: float) -> float:
+    """Variance of the noise beside rounding."""
+    return max(float(np.mean(residual**2)) - step**2 / 12, 0.0)
 
 
 def _goes_with(r: Array, course: Array) -> float:
@@ -120,6 +142,22 @@ def scattered(residual: Array, slopes: Array, errors: Array) -> Array:
     taken = np.einsum("nk,kl,nl->n", slopes, errors, slopes, optimize=True)
     own = residual / (1 - np.clip(taken, 0.0, _TAKEN))
     return np.asarray((slopes * own[:, None] ** 2).T @ slopes)
+
+
+def by_rounding(measured: Array, residual: Array, slopes: Array, errors: Array, step: float) -> Array:
+    """J'VJ of one output that is read in steps, in levels of its noise: measured, residual (n,), slopes (n, k) in these
+    and errors (k, k) of what they are slopes in, by which the simulation is moved."""
+    random, found = np.random.default_rng(0), np.zeros_like(errors)
+    values, vectors = np.linalg.eigh(errors)
+    root = slopes @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+    scatter = math.sqrt(_beside(residual, step))
+    for _ in range(_DRAWS):
+        shown = measured + residual + root @ random.standard_normal(root.shape[1])
+        seen = shown + scatter * random.standard_normal(len(shown))
+        read = measured[0] + step * np.round((seen - measured[0]) / step)
+        pull = slopes.T @ (read - shown)
+        found += np.outer(pull, pull)
+    return found / _DRAWS
 
 
 def together(share: float, one: Array, other: Array) -> Array:
