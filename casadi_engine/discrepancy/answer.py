@@ -75,6 +75,7 @@ from casadi_engine.discrepancy.repaired import (
     Verdict,
     in_its_place,
 )
+from casadi_engine.discrepancy.short_delays import with_short_delays
 from casadi_engine.discrepancy.station import Station
 from casadi_engine.discrepancy.too_few import held_to_what_fresh_data_tell
 from casadi_engine.discrepancy.unknown_law import UnknownLaw, imitators, unknown_law
@@ -141,6 +142,8 @@ class Answer:
             f"{one.name} at {one.at} {LEFT_OUT}" for one in found
         )  # what was left out first, and came back
         self.messages[:] = [words for words in self.messages if not words.startswith(named or "\0")]
+        refitter, told = self.search.refits.refitter, null.screened
+        found = self._in_time("exchange", lambda: with_short_delays(found, last, refitter, told)) or found
         verdict = _verdict(found, claim.unknown)
         pool = {key: one.arrived.values for key, one in self.search.pool.items()}
         self.messages += told_by_member(found, key_of(last.effects), pool, last.fit)

@@ -3,6 +3,7 @@ sensor does."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,8 @@ LAG, _WHOLE = "sensor_lag", 1.1
 BEHIND = ("input_lag", "input_delay")
 # All by which a channel is late.
 LATE = (LAG, "sensor_delay", *BEHIND)
+# Share of the shortest time within which a time is the shortest one.
+_AT = 1e-3
 # Share of a record by which a sensor may be late: with a longer delay most of what it shows is of no time that was
 # simulated.
 _LATE = 0.5
@@ -56,9 +59,21 @@ def impossible(
         if getattr(one.candidate.source.effect, "retards", False)
     )
     partly = (
-        abs(values.get(one.amplitude, 1.0) - 1) > WRONG for one in effects if one.candidate.effect in BEHIND
+        abs(values.get(one.amplitude, 1.0) - 1) > WRONG
+        for one in effects
+        if one.candidate.effect in BEHIND and not is_shortest(one, values)
     )
     return any(late) or any(partly) or impossible_gain(effects, values, model)
+
+
+def is_shortest(one: Addition, values: Mapping[str, float]) -> bool:
+    """True of an input that is late by the shortest time that is searched: how much of it is so stands for a shorter
+    one."""
+    shortest = one.nuisance["time"].start
+    return (
+        values.get(f"{one.key}.time", math.inf) <= shortest * (1 + _AT)
+        and values.get(one.amplitude, 0.0) <= 1
+    )
 
 
 def more_than_whole(effects: Sequence[Addition], values: Mapping[str, float]) -> bool:

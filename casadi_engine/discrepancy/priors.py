@@ -14,7 +14,7 @@ import numpy as np
 
 from casadi_engine.discrepancy.beside_starts import moved_by
 from casadi_engine.discrepancy.evidence import Prior
-from casadi_engine.discrepancy.exchanged_units import BEHIND, LAG, WRONG
+from casadi_engine.discrepancy.exchanged_units import BEHIND, LAG, WRONG, is_shortest
 from casadi_engine.discrepancy.null_model import NullModel
 from casadi_engine.discrepancy.refit import Addition
 from casadi_engine.parameters import Parameters
@@ -22,8 +22,9 @@ from casadi_engine.parameters import Parameters
 # Share of an output's variation that a physical effect, and that an error of a sensor, may well make; share of itself
 # by which a stated number may well be wrong.
 PHYSICAL, SENSOR, STATED = 1.0, 0.05, 0.1
-# A channel that is behind is so with all of it, but for this share.
-WHOLE = 0.1
+# A channel that is behind is so with all of it, but for this share; with any part of it where that stands for a shorter
+# time.
+WHOLE, SHORTER = 0.1, 0.5
 # A law that bends has no slope where it does nothing: its amplitude is not taken to be larger than so many times.
 _BENT = 30.0
 # Standard deviation of a parameter without bounds, in its own size.
@@ -35,11 +36,14 @@ def priors_of(null: NullModel, parameters: Parameters, effects: Sequence[Additio
     amplitudes = {one.amplitude: one for one in effects}
     nuisance = {f"{one.key}.{name}": (one, name) for one in effects for name in one.nuisance}
     found: dict[str, Prior] = {}
+    values = dict(zip(null.parameters, map(float, null.values), strict=True))
     for k, name in enumerate(null.parameters):
         stem = name.partition("@")[0]
         if stem in amplitudes:
             one = amplitudes[stem]
-            if one.candidate.effect in (LAG, *BEHIND):
+            if one.candidate.effect in BEHIND and is_shortest(one, values):
+                found[name] = Prior(SHORTER, True, centre=1.0)
+            elif one.candidate.effect in (LAG, *BEHIND):
                 found[name] = Prior(WHOLE, True, centre=1.0)
             else:
                 found[name] = Prior(_amplitude(null, k, one), True, one.bounds.one_sided != 0)

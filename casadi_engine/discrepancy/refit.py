@@ -213,12 +213,29 @@ class Refitter:
             share = fit.estimates.get(one.amplitude)
             if one.candidate.effect not in BEHIND or share is None or share.fixed:
                 continue
-            held, time = fit.parameters.copy(), f"{one.key}.time"
-            held.fix(one.amplitude, 1.0)
-            held[time].set(min=_SHORTER * held[time].min)
-            whole = self._try(fit.model, held, Start.of(fit))
+            whole = self._late_by_all(fit.model, fit.parameters.copy(), one, Start.of(fit))
             if whole is not None and whole.converged and merit(whole) <= merit(fit) + _ALL:
                 fit = whole
+        return fit
+
+    def with_all(self, effects: Sequence[Addition], one: Addition, time: float, near: Fit) -> Fit | None:
+        """The fit with all of an input late by one of these effects, from about a time [s] and a fit near by."""
+        model = self.extended(effects)
+        start = Start.of(near)
+        values = {**start.values, f"{one.key}.time": time, one.amplitude: 1.0}
+        return self._late_by_all(
+            model, self.parameters_of(model, effects), one, replace(start, values=values, converged=False)
+        )
+
+    def _late_by_all(self, model: Model, pars: Parameters, one: Addition, start: Start) -> Fit | None:
+        time = pars[f"{one.key}.time"]
+        pars.fix(one.amplitude, 1.0)
+        time.set(min=_SHORTER * time.min)
+        fit = self._try(model, pars, start)
+        if (
+            fit is not None and not fit.converged and math.isfinite(fit.cost)
+        ):  # often it is a step short of it
+            fit = _better(self._try(model, pars, Start.of(fit), most=_FEWER), fit)
         return fit
 
     def _smallest(self, fit: Fit, effects: Sequence[Addition], new: Sequence[Addition]) -> Fit:

@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 
 import casadi_engine as ce
 from casadi_engine.discrepancy.exchanged_units import exchanges, impossible, impossible_gain
+from casadi_engine.effects.protocol import Grid
 
 
 def shown(gain, unit="rad/s", effect="sensor_gain"):
@@ -122,12 +123,24 @@ def test_no_sensor_is_late_by_most_of_a_record(delay, too_late):
 
 @pytest.mark.parametrize("effect", ["input_lag", "input_delay"])
 @pytest.mark.parametrize(
-    ("share", "told"), [(0.06, True), (0.6, False), (1.0, False), (1.4, False), (1.8, True)]
+    ("share", "time", "told"),
+    [
+        (0.06, 0.5, True),
+        (0.6, 0.5, False),
+        (1.0, 0.5, False),
+        (1.4, 0.5, False),
+        (1.8, 0.5, True),
+        (0.06, 0.2, False),
+        (1.8, 0.2, True),
+    ],
 )
-def test_an_input_is_late_with_all_of_it(effect, share, told):
+def test_an_input_is_late_with_all_of_it(effect, share, time, told):
+    """A share of the shortest time that is searched, 0.2, stands for a shorter one."""
     one = SimpleNamespace(
         candidate=SimpleNamespace(effect=effect, port="input_u", source=SimpleNamespace(effect=None)),
         amplitude="input_u.share",
+        key="input_u",
+        nuisance={"time": Grid(0.2, 10, steps=6, log=True)},
     )
     data = [SimpleNamespace(duration=10.0)]
-    assert impossible([one], {one.amplitude: share}, None, data) is told
+    assert impossible([one], {one.amplitude: share, "input_u.time": time}, None, data) is told

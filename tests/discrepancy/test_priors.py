@@ -12,7 +12,7 @@ import casadi_engine as ce
 from casadi_engine.discrepancy.candidate import Candidate
 from casadi_engine.discrepancy.null_model import NullModel, RecordNull
 from casadi_engine.discrepancy.path import Path
-from casadi_engine.discrepancy.priors import PHYSICAL, SENSOR, STATED, WHOLE, priors_of
+from casadi_engine.discrepancy.priors import PHYSICAL, SENSOR, SHORTER, STATED, WHOLE, priors_of
 from casadi_engine.discrepancy.refit import addition
 from casadi_engine.discrepancy.screening import screen
 from casadi_engine.discrepancy.start import Start
@@ -74,11 +74,16 @@ def test_an_amplitude_moves_the_output_as_much_as_it_varies_or_a_sensor_a_share_
 
 @pytest.mark.parametrize("name", ["sensor_lag", "input_lag", "input_delay"])
 def test_what_is_late_is_so_with_all_of_it_but_for_a_tenth(name):
-    late = effect("input", unit="1", low=0.0)
+    """With any part of it where the time is the shortest that is searched, and stands for a shorter one."""
+    late = effect("input", unit="1", low=0.0, time=Grid(0.2, 10, steps=6, log=True))
     late = replace(late, candidate=replace(late.candidate, effect=name))
-    null = null_of((late.amplitude,), [0.4], [record(SLOPE[:, None], MEASURED)])
-    found = priors_of(null, None, [late])[late.amplitude]
-    assert (found.deviation, found.centre, found.amplitude) == (WHOLE, 1.0, True)
+    times = {f"{late.key}.time": SimpleNamespace(min=0.2, max=10.0, value=1.0)}
+    for time, deviation in ((0.5, WHOLE), (0.2, WHOLE if name == "sensor_lag" else SHORTER)):
+        null = null_of(
+            (late.amplitude, *times), [0.4, time], [record(np.stack([SLOPE, SLOPE], axis=1), MEASURED)]
+        )
+        found = priors_of(null, times, [late])[late.amplitude]
+        assert (found.deviation, found.centre, found.amplitude) == (deviation, 1.0, True)
 
 
 def test_an_amplitude_on_one_side_says_so():
