@@ -14,9 +14,9 @@ from casadi_engine.discrepancy.choice import NO_FIT, TIME_UP, Choice
 from casadi_engine.discrepancy.confirmation import CHANCE, share_closed
 from casadi_engine.discrepancy.evidence import FACTOR
 from casadi_engine.discrepancy.families import BEYOND
-from casadi_engine.discrepancy.fresh import Judgement, Portions, gap_of, judge, residuals, told_by_both
+from casadi_engine.discrepancy.fresh import Judgement, Portions, gap_of, judge, residuals, side, told_by_both
 from casadi_engine.discrepancy.fresh_fits import fresh_sides
-from casadi_engine.discrepancy.fresh_misfit import SEEN, beyond_chance
+from casadi_engine.discrepancy.fresh_misfit import LOUDEST, SEEN, SURE, beyond_chance
 from casadi_engine.discrepancy.fresh_weights import WIDER, FreshWeights
 from casadi_engine.discrepancy.noise_model import NoiseModel
 from casadi_engine.discrepancy.null_model import NullModel
@@ -306,7 +306,7 @@ class FreshChoice:
 
     def _misfit(self, station: Station, pairs: Pairs | None) -> float:
         """Chi-squared per sample of the fresh data, over that of the noise or of the search, where it is beyond chance
-        and beyond what errors of the parameters do; else 1."""
+        and beyond what errors of the parameters do, and no louder noise; else 1."""
         noise = station.screened.noise
         if not pairs or noise.scatter:
             return 1.0
@@ -326,7 +326,18 @@ class FreshChoice:
         except FAILURES:
             return whole
         left = sum(part.value + float(part.noise @ part.noise) for part in parts)
-        return ratio(left / sum(len(part.noise) for part in parts))
+        whole = ratio(left / sum(len(part.noise) for part in parts))
+        return 1.0 if whole > 1 and self._is_noise(station, pairs, whole) else whole
+
+    @staticmethod
+    def _is_noise(station: Station, pairs: Pairs, much: float) -> bool:
+        """True where what is left of fresh data is white, and so may be noise that is louder there."""
+        if much > LOUDEST or not any(estimated for _, estimated in station.fit.noise.values()):
+            return False
+        white = side(pairs, station.screened.choice, source=station.fit).whiteness_p
+        every = [p for own in white.values() for p in own.values()]
+        known = [p for p in every if p is not None]
+        return bool(known) and min(known) >= SURE
 
     @staticmethod
     def _seen(old: Pairs, new: Pairs, here: Station) -> bool:

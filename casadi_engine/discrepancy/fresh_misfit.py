@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 # coloured noise count less by a memory that is generous.
 LARGER, SURE, MEMORY = 1.5, 1e-4, 20.0
 # Chi-squared per sample that is larger by more is no louder noise of the same sensor, five times at most.
-_LOUDEST = 25.0
+LOUDEST = 25.0
 # Share of what is beyond the noise there that errors of the parameters have to explain, to be said to do so.
 _EXPLAINED = 0.5
 # Share of the gap's squares above the noise that effects have to close where what they leave is no white noise.
@@ -176,7 +176,7 @@ def _more_than_noise(repair: Repair) -> float | None:
         return None
     first, _, left = _in_all(repair)
     samples = repair.gaps.estimation_after.gap.samples, after.gap.samples
-    return f_sf(left / first, samples[1], samples[0]) if left > _LOUDEST * first > 0 else None
+    return f_sf(left / first, samples[1], samples[0]) if left > LOUDEST * first > 0 else None
 
 
 def is_louder(repair: Repair) -> bool:
@@ -189,7 +189,7 @@ def is_louder(repair: Repair) -> bool:
         return False
     own, after = gaps.estimation_after.gap.chi2_per_sample, gaps.validation_after
     known = any(p is not None for one in after.whiteness_p.values() for p in one.values())
-    return known and after.gap.chi2_per_sample <= _LOUDEST * own and _more_than_noise(repair) is None
+    return known and after.gap.chi2_per_sample <= LOUDEST * own and _more_than_noise(repair) is None
 
 
 def held_to_fresh_data(repair: Repair) -> Repair:

@@ -7,8 +7,8 @@ are right on average; their errors are those of the sandwich A^-1 B A^-1 of ``re
 themselves: the sum over samples of slopes times squared residuals, each over what the estimates left of it. Rounding
 is determined by the signal and comes back with it: B is found by rounding the simulation, moved within its errors.
 
-Source: White, Econometrica 48 (1980) 817; MacKinnon & White, J. Econometrics 29 (1985) 305 (their HC3); the test of
-Breusch & Pagan as studentised by Koenker, J. Econometrics 17 (1981) 107.
+Source: White, Econometrica 48 (1980) 817; MacKinnon & White, J. Econometrics 29 (1985) 305 (their HC3); the test is
+that of Breusch & Pagan, Econometrica 47 (1979) 1287.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from casadi_engine.simulation.grid import Measured
 
 Array = NDArray[np.float64]
 
-# How rarely chance makes noise of one size look otherwise, and two residuals go together: as rarely as neighbours of
-# one do; and fewest samples to say so.
-_RARE, _TOGETHER, _FEW = 1.35e-3, 3.2, 15
+# How rarely chance makes normal noise of one size look otherwise, once in two hundred records; and two residuals go
+# together, in standard errors, as rarely as neighbours of one do; fewest samples to say so.
+_RARE, _TOGETHER, _FEW = 5e-3, 3.2, 15
 # Noise beside the rounding, in steps, from which on it hides what rounding does: the first harmonic of the mean error
 # falls as exp(-2 (pi s)^2), to 0.7 % here (Widrow & Kollar, Quantization Noise, 2008); drawings of it.
 _HIDDEN, _DRAWS = 0.5, 100
@@ -106,18 +106,18 @@ def _beside(residual: Array, step: float) -> float:
 
 
 def _goes_with(r: Array, course: Array) -> float:
-    """How often chance makes the squares of a white residual (n,) go as much with a course and its square."""
+    """How often chance makes the squares of normal white noise (n,) go as much with a course and its square."""
     spread = float(np.ptp(course))
     if not spread > 0:
         return 1.0
     x = 2 * (course - course.min()) / spread - 1
     columns = np.stack([np.ones_like(x), x, x**2], axis=1)
     squares = r**2 - np.mean(r**2)
-    total = float(squares @ squares)
-    if not total > 0:
+    level = float(np.mean(r**2))
+    if not level > 0:
         return 1.0
-    left = squares - columns @ np.linalg.lstsq(columns, squares, rcond=None)[0]
-    return float(chi2_sf(len(r) * (1 - float(left @ left) / total), 2))
+    told = columns @ np.linalg.lstsq(columns, squares, rcond=None)[0]
+    return float(chi2_sf(float(told @ told) / (2 * level**2), 2))
 
 
 def _correlation(
