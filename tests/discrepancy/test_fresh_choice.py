@@ -417,3 +417,21 @@ def test_no_more_is_asked_of_fresh_data_once_the_time_is_up(monkeypatch):
     )
     many = {**{f"law {k}": OPEN for k in range(6)}, "viscous": SURE}
     assert in_order(monkeypatch, many, dict.fromkeys(many, 10))[0] == "law 0"
+
+
+@pytest.mark.parametrize(
+    ("p", "estimated", "much", "noise"),
+    [
+        pytest.param(0.5, True, 2.0, True, id="white"),
+        pytest.param(1e-6, True, 2.0, False, id="coloured"),
+        pytest.param(None, True, 2.0, False, id="not known"),
+        pytest.param(0.5, False, 2.0, False, id="of a stated level"),
+        pytest.param(0.5, True, 30.0, False, id="no noise is so loud"),
+    ],
+)
+def test_louder_fresh_noise_is_no_effect_that_is_missing(monkeypatch, p, estimated, much, noise):
+    """Dry friction beside drag was left out, as a fresh record was half as noisy again."""
+    white = stub(whiteness_p={"fresh": {"y": p, "z": None}})
+    monkeypatch.setattr(module, "side", lambda *_, **__: white)
+    station = stub(fit=stub(noise={"y": (1.0, estimated)}), screened=stub(choice=None))
+    assert FreshChoice._is_noise(station, (), much) is noise
