@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import casadi_engine as ce
 from casadi_engine.errors import UnitError
 from casadi_engine.experiment import ALLOWED_UNITS, si_unit, split_header, to_si
 from casadi_engine.experiment.units import converted, read_unit
@@ -102,6 +103,15 @@ def test_exact_ratios_are_exact():
         assert to_si([value], unit)[0][0] == float(Fraction(value) * unit_read.factor)
 
 
+def test_a_dash_is_what_many_write_for_one(tmp_path):
+    """In heads of columns, and in tables of a model whose units nobody stated."""
+    path = tmp_path / "r.csv"
+    path.write_text("time [s],y [-]\n0,1\n1,2\n2,3\n")
+    assert ce.read_experiment(path)["y"].unit == "1"
+    time = np.arange(3.0)
+    assert ce.Experiment.from_arrays("r", time=time, units={"y": " - "}, y=time)["y"].unit == "1"
+
+
 @pytest.mark.parametrize(
     ("unit", "cure"),
     [
@@ -118,7 +128,6 @@ def test_exact_ratios_are_exact():
         ("kmh", "did you mean 'km/h'?"),
         ("litre/min", "did you mean 'L/min'?"),
         ("", "write 1 for a dimensionless quantity"),
-        ("-", "write 1 for a dimensionless quantity"),
         ("parsec", "convert the data to an SI unit"),
         ("EUR/h", "convert the data to an SI unit"),
         (None, "give the unit as text"),
