@@ -32,6 +32,8 @@ _SLOWER = 4
 _BLIND = 1e-12
 # Steps of the others at an exchange; chi-squared that one leaves, as a share, for another to be worth its time.
 _STEPS, _FALLS = 8, 0.5
+# Share of a parameter from which a step down is another one in its inverse.
+_BENDS = 0.1
 # Chi-squared that rises between two optima.
 _RISES = 1.0
 # First samples of each record that may deny a move before all of it is simulated; records of fewer than _LONG times as
@@ -203,7 +205,8 @@ class _Exchange:
                 break
             last, step = cost, self._step(v)
             v, cost = self._taken(*step)
-            if not (cost < self._limit or cost < _FALLS * last):
+            downwards = (-step[1] > _BENDS * step[0]) & (step[0] > 0)
+            if downwards.any() and not (cost < self._limit or cost < _FALLS * last):
                 there, starts = v, self.starts
                 v, other = self._taken(*step, inverse=True)
                 if not other < cost:

@@ -37,6 +37,8 @@ Array = NDArray[np.float64]
 # A record with more outputs and slopes than this is long: it is evaluated in parts of about so many, which stay in the
 # processor's cache and are not kept, so that its slopes take no memory.
 _LONG, _PART = 2_000_000, 200_000
+# Samples of an interval of a head: more of these go side by side.
+_SHORT = 16
 
 
 @dataclass(frozen=True)
@@ -254,7 +256,8 @@ class RecordTerm:
             return self
         steps = fineness_of(self.propagator)
         steps = steps.head(samples) if isinstance(steps, Fineness) else steps
-        other = self._like(self.grid.head(samples), steps, length=self.plan.length, gain=None)
+        length = min(self.plan.length, _SHORT)
+        other = self._like(self.grid.head(samples), steps, length=length, gain=None)
         other.set_sigma(sigma)
         return other
 
